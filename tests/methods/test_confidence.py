@@ -8,13 +8,16 @@ from mimesh.core.mesh import Mesh
 from mimesh.core.rig import descendants
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.methods.confidence import (
+    DOUBTFUL_ERROR,
     EXPECTED_ERROR,
     MAX_ENTROPY,
     MAX_ERROR,
+    MAX_OTHER_KIND,
     MAX_SPREAD,
     MAX_UNMATCHED_SURFACE,
     MIN_SHARE,
     MISSING_LIMB,
+    OTHER_KIND_ERROR,
     Confidence,
     Standards,
     largest_flexion,
@@ -61,7 +64,6 @@ def test_whole_person_has_no_note():
 @pytest.mark.parametrize(
     ("mesh", "reason"),
     [
-        (chair(), "belongs to no limb in particular"),
         (
             part_of_body(BODY.vertices[:, 1] > np.median(BODY.vertices[:, 1])),
             "no whole left leg and no whole right leg",
@@ -69,12 +71,18 @@ def test_whole_person_has_no_note():
         (part_of_body(~limb("Neck1")), "no whole head"),
         (part_of_body(~limb("LeftShoulder")), "no whole left arm"),
     ],
-    ids=["chair", "upper half", "headless", "one arm"],
+    ids=["upper half", "headless", "one arm"],
 )
 def test_note_names_the_reason(mesh, reason):
     note = notes(mesh)
     assert "limbs were not found with certainty" in note
     assert reason in note
+
+
+def test_a_chair_does_not_look_like_a_person():
+    note = notes(chair())
+    assert "chair does not look like a person, as far as can be told" in note
+    assert "belongs to no limb in particular" in note
 
 
 def test_note_lists_every_reason():
@@ -230,3 +238,24 @@ def test_a_missing_hind_leg_is_noted_by_its_name():
     )
     (note,) = lost.notes("chair")
     assert "does not look like a four-legged animal" in note
+    assert lost.expected_error >= OTHER_KIND_ERROR
+
+
+def test_a_body_that_fits_badly_and_belongs_to_no_limb_is_of_another_kind():
+    right, block = fitted(weight_entropy=0.5, fit_distance=0.002), fitted(weight_entropy=0.7, fit_distance=0.005)
+    wrong = fitted(weight_entropy=1.6, fit_distance=0.01)
+    assert right.other_kind < block.other_kind < MAX_OTHER_KIND < wrong.other_kind
+    assert [confidence.is_other_kind for confidence in (right, block, wrong)] == [False, False, True]
+    assert not Confidence(1.0, 3.0, {}).is_other_kind, "without a fit nothing is said"
+    (note,) = wrong.notes("lamp")
+    assert "lamp does not look like a person, as far as can be told" in note
+    assert "--body other" in note
+    assert wrong.facts()["expected_error"] >= OTHER_KIND_ERROR
+
+
+def test_a_note_on_limbs_says_that_the_mesh_may_be_something_else_where_the_error_is_large():
+    small, large = (fitted(fit_angle=angle, prediction_spread=40.0) for angle in (8.0, 40.0))
+    assert small.expected_error < DOUBTFUL_ERROR < large.expected_error
+    assert not large.is_other_kind
+    assert "may not be a person" not in " ".join(small.notes("it"))
+    assert "may not be a person" in " ".join(large.notes("it"))

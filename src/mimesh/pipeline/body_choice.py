@@ -151,7 +151,7 @@ def with_body(
         person = int(shown[1].body == "human")
         shown[person] = show(person, known)  # it may be an animal in an orientation that was not tried
         if shown[person].body == "human" and shown[person].difference > min(DOUBT, shown[1 - person].difference):
-            found = [second_look(method, shown[k].body, meshes[k], given[k]) for k in (0, 1)]
+            found = [rigs.bodies[k] or second_look(method, shown[k].body, meshes[k], given[k]) for k in (0, 1)]
             if None in found or found[0] != found[1]:
                 raise InputError(different_kinds(found, meshes))
             shown = [show(k, found[0]) for k in (0, 1)]

@@ -1,0 +1,100 @@
+"""What is neither a person nor a four-legged animal is said to be so, and networks of people say it of animals."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from mimesh.bodies import load_body
+from mimesh.bodies.animals import animal
+from mimesh.cli import run
+from mimesh.core.mesh import Mesh
+from mimesh.io import save_mesh
+from mimesh.methods.find import find_method
+from mimesh.pipeline.second_look import second_look
+
+PERSON = load_body().mesh()
+UP = ("+y", None)
+
+
+def ring() -> Mesh:
+    """A torus: no limbs at all."""
+    across, along = np.meshgrid(*(np.linspace(0, 2 * np.pi, n, endpoint=False) for n in (10, 30)), indexing="ij")
+    radius = 1 + 0.25 * np.cos(across)
+    vertices = np.stack([radius * np.cos(along), 0.25 * np.sin(across), radius * np.sin(along)], axis=-1)
+    index = np.arange(300).reshape(10, 30)
+    corners = [np.roll(index, shift, (0, 1)) for shift in ((0, 0), (-1, 0), (-1, -1), (0, -1))]
+    a, b, c, d = (corner.ravel() for corner in corners)
+    return Mesh(vertices.reshape(-1, 3), np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]), name="ring")
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A person, a cow and a ring as .obj, which says neither axes nor joints."""
+    meshes = {"man": PERSON, "cow": animal("cow"), "ring": ring()}
+    for name, mesh in meshes.items():
+        save_mesh(Mesh(mesh.vertices, mesh.faces, name=name), tmp_path / f"{name}.obj")
+    return {name: str(tmp_path / f"{name}.obj") for name in meshes}
+
+
+def report_of(words, capsys) -> dict:
+    capsys.readouterr()
+    assert run([*words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_a_fit_finds_the_body_that_a_mesh_has():
+    mime = find_method("mime")
+    assert second_look(mime, "human", PERSON, UP) == "human"
+    assert second_look(mime, "quadruped", PERSON, UP) == "human"
+    assert second_look(mime, "human", animal("cow"), UP) == "quadruped"
+    assert second_look(mime, "human", ring(), UP) is None
+
+
+def test_a_thing_moved_as_a_person_is_noted_with_a_large_error(files, tmp_path, capsys):
+    """Whoever says that it is a person gets a result, and the note."""
+    words = ["transfer", files["ring"], files["man"], "--body", "human", "-o", str(tmp_path / "out.obj")]
+    found = report_of(words, capsys)
+    assert any("ring does not look like a person, as far as can be told" in note for note in found["report"]["notes"])
+    assert found["report"]["identity"]["expected_error"] >= 0.15
+    assert not any("man does not look" in note for note in found["report"]["notes"])
+
+
+def test_a_thing_beside_a_person_is_never_moved_without_a_word(files, tmp_path, capsys):
+    """It is refused where it is taken for an animal, else noted; the person is not blamed."""
+    code = run(["transfer", files["ring"], files["man"], "-o", str(tmp_path / "out.obj")])
+    said = "".join(capsys.readouterr())
+    assert code in (0, 2)
+    assert "ring does not look like a person" in said or "ring: expected a person or a four-legged animal" in said
+    assert "man does not" not in said
+
+
+@pytest.mark.parametrize("model", ["npt-maxpool", "aniformer"])
+def test_networks_of_people_say_that_an_animal_is_none(model, files, tmp_path, capsys):
+    words = ["transfer", files["cow"], files["cow"], "-m", model, "--up", "+y", "--driving-up", "+y"]
+    words += ["-o", str(tmp_path / "out.obj")]
+    notes = report_of(words, capsys)["report"]["notes"]
+    said = (
+        f"cow looks like a four-legged animal, as far as can be told, and the weights of {model} were trained on people"
+    )
+    assert sum(said in note for note in notes) == 2
+    assert not any(
+        "trained on people" in note for note in report_of([*words, "--body", "human"], capsys)["report"]["notes"]
+    )
+
+
+def test_networks_of_people_say_nothing_about_people(files, tmp_path, capsys):
+    words = ["transfer", files["man"], files["man"], "-m", "npt", "-o", str(tmp_path / "out.obj")]
+    assert not any("trained on people" in note for note in report_of(words, capsys)["report"]["notes"])
+
+
+def test_look_says_what_a_mesh_without_a_rig_is_taken_for(files, capsys):
+    for name, said in (
+        ("man", "taken for a person"),
+        ("cow", "taken for a four-legged animal"),
+        ("ring", "looks neither like a person nor like a four-legged animal"),
+    ):
+        assert run(["look", files[name]]) == 0
+        assert said in capsys.readouterr().out
