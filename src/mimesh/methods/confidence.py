@@ -52,8 +52,8 @@ OTHER_KIND = {"constant": -8.3, "entropy": 3.64, "fit_distance": 3.07}
 beforehand: constant, and coefficients of `Confidence.features`. Fitted by `scripts/measure_wrong_kind.py`, which also
 compares other figures. The spread of the predictions is not among them: those of figures of blocks face both ways."""
 MAX_OTHER_KIND = 1.1
-"""Largest of these of a person or an animal. Of 46 meshes of people of the pool's split val one is above it, a figure of
-blocks that is misread."""
+"""Largest of these of a person or an animal. Of 46 meshes of people of the pool's split val one is above it: a figure
+of blocks that is misread."""
 OTHER_KIND_ERROR = 0.15
 """Smallest expected error (heights of the identity) of a mesh above that: what animals and things were given in the fit
 of EXPECTED_ERROR. Their true error is not defined."""
