@@ -279,9 +279,9 @@ BOMBS |= {
 def test_claims_of_great_size_cost_nothing(name, tmp_path):
     import resource
 
-    before, started = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
+    before, started = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     error_of(BOMBS[name], tmp_path)
-    assert time.perf_counter() - started < 5
+    assert time.process_time() - started < 5
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB
 
 

@@ -1,7 +1,7 @@
 """Normalization of a mesh: y up, +z front, bounding box centred at the origin, largest distance from it 1; invertible.
 
 The rotation is one of the 24 axis rotations. So a mesh that was translated, scaled or turned by one of them has the
-same normalised points; any other heading stays in the mesh.
+same normalised points; any other heading stays in the mesh, unless `heading.without_heading` takes it out.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Normalization:
     """A similarity transform: normalised = (rotation @ file - centre) / radius."""
 
     rotation: Float[np.ndarray, "3 3"]
-    """One of the 24 axis rotations, file axes to y up and +z front."""
+    """File axes to y up and +z front: one of the 24 axis rotations, followed by a turn by -`heading` about y."""
     centre: Float[np.ndarray, " 3"]
     """Middle of the bounding box, after the rotation."""
     radius: float
@@ -53,6 +53,8 @@ class Normalization:
     """Whether up was given, is that of the file (`Mesh.up`), or was detected from the shape."""
     shape_up: str | None = None
     """Up as the shape has it, where that clearly contradicts the file; None elsewhere."""
+    heading: float = 0.0
+    """Angle of the mesh's front from `front` (radians about `up`, counterclockwise seen from above), taken out."""
 
     @classmethod
     def fit(cls, mesh: Mesh, up: str | None = None, front: str | None = None) -> Normalization:
@@ -77,25 +79,31 @@ class Normalization:
         detected, shape_up = len(candidates) > 1, None
         chosen, margin = candidates[0], 1.0
         if detected or up_from == "file":
-            scores = orientation_scores(mesh_occupancy(mesh), _detector())
+            scores = orientation_scores(mesh_occupancy(mesh), detector())
             likeliest, lead = _best_orientation(scores, list(range(len(ORIENTATIONS))))
             if up_from == "file" and lead >= CONTRARY and ORIENTATIONS[likeliest][0] != up:
                 shape_up = ORIENTATIONS[likeliest][0]
             if detected:
                 chosen, margin = _best_orientation(scores, candidates)
         up, front = ORIENTATIONS[chosen]
-        rotated = _rotate(np.asarray(mesh.vertices, np.float64), ROTATIONS[chosen])
+        rotated = rotate_axes(np.asarray(mesh.vertices, np.float64), ROTATIONS[chosen])
         centre = bbox_centre(rotated)
         size = radius(rotated - centre)
         return cls(ROTATIONS[chosen], centre, size, up, front, detected, margin, up_from, shape_up)
 
     def apply(self, vertices: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T V 3"]:
         """Transform file coordinates to normalised ones (float64)."""
-        return (_rotate(vertices.astype(np.float64), self.rotation) - self.centre) / self.radius
+        return (self._rotate(vertices.astype(np.float64), self.rotation) - self.centre) / self.radius
 
     def undo(self, vertices: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T V 3"]:
         """Transform normalised coordinates to file coordinates (float64): the inverse of `apply` up to rounding."""
-        return _rotate(vertices.astype(np.float64) * self.radius + self.centre, self.rotation.T)
+        return self._rotate(vertices.astype(np.float64) * self.radius + self.centre, self.rotation.T)
+
+    def _rotate(
+        self, vertices: Float[np.ndarray, "*T V 3"], rotation: Float[np.ndarray, "3 3"]
+    ) -> Float[np.ndarray, "*T V 3"]:
+        """Rotate vertices, exactly where the mesh is not turned further than by an axis rotation."""
+        return rotate_axes(vertices, rotation) if self.heading == 0.0 else vertices @ rotation.T
 
     @property
     def unsure(self) -> bool:
@@ -177,12 +185,23 @@ def clear_up(mesh: Mesh) -> str | None:
 
     Clear is a probability of CONTRARY or more.
     """
-    scores = orientation_scores(mesh_occupancy(mesh), _detector())
-    probability = np.exp(scores - scores.max())
-    ups = [up for up, _ in ORIENTATIONS]
-    totals = {up: probability[[up == other for other in ups]].sum() / probability.sum() for up in AXES}
+    totals = _up_probabilities(mesh)
     likeliest = max(AXES, key=lambda up: totals[up])
     return likeliest if totals[likeliest] >= CONTRARY else None
+
+
+def up_margin(mesh: Mesh, up: str) -> float:
+    """Return the probability of an axis away from the ground, minus that of the likeliest other one."""
+    totals = _up_probabilities(mesh)
+    return totals[up] - max(total for axis, total in totals.items() if axis != up)
+
+
+def _up_probabilities(mesh: Mesh) -> dict[str, float]:
+    """Return the probability of each axis away from the ground, whatever the front is."""
+    scores = orientation_scores(mesh_occupancy(mesh), detector())
+    probability = np.exp(scores - scores.max())
+    ups = [up for up, _ in ORIENTATIONS]
+    return {up: float(probability[[up == other for other in ups]].sum() / probability.sum()) for up in AXES}
 
 
 def _best_orientation(scores: Float[np.ndarray, " 24"], candidates: list[int]) -> tuple[int, float]:
@@ -195,13 +214,15 @@ def _best_orientation(scores: Float[np.ndarray, " 24"], candidates: list[int]) -
 
 
 @cache
-def _detector() -> dict[str, np.ndarray]:
+def detector() -> dict[str, np.ndarray]:
     """Load the weights of the shipped detector."""
     with np.load(str(resources.files("mimesh.core") / "frame_orientation.npz")) as data:
         return {name: data[name].astype(np.float64) for name in data.files}
 
 
-def _rotate(vertices: Float[np.ndarray, "*T V 3"], rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "*T V 3"]:
+def rotate_axes(
+    vertices: Float[np.ndarray, "*T V 3"], rotation: Float[np.ndarray, "3 3"]
+) -> Float[np.ndarray, "*T V 3"]:
     """Apply an axis rotation by permuting coordinates and signs, which is exact."""
     source = np.abs(rotation).argmax(axis=1)
     return vertices[..., source] * rotation.sum(axis=1) + 0.0  # no negative zeros: `weld` would separate them
@@ -218,7 +239,7 @@ def _axis_rotations() -> tuple[tuple[tuple[str, str], ...], Float[np.ndarray, "2
 def _turned_cells() -> Int[np.ndarray, "24 C"]:
     """Compute, for each rotation, the cell of the grid that each cell of the rotated grid is taken from."""
     cells = np.stack(np.meshgrid(*[np.arange(GRID)] * 3, indexing="ij"), -1).reshape(-1, 3) - (GRID - 1) / 2
-    origin = np.stack([_rotate(cells, rotation.T) for rotation in ROTATIONS]) + (GRID - 1) / 2
+    origin = np.stack([rotate_axes(cells, rotation.T) for rotation in ROTATIONS]) + (GRID - 1) / 2
     return origin.round().astype(np.int64) @ (GRID * GRID, GRID, 1)
 
 

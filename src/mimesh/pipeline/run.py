@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,7 @@ from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.errors import InputError
 from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, release_pages
+from ..core.heading import turn, without_heading
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -146,6 +147,11 @@ class Prepared:
     notes: tuple[str, ...] = ()
     """Notes for the user on what the meshes show."""
 
+    @property
+    def turn(self) -> Float[np.ndarray, "3 3"]:
+        """The turn of results about y: results have the driving's heading, not the identity's."""
+        return turn(self.driving_norm.heading - self.identity_norm.heading)
+
     def with_refinement(self, refine: bool | None) -> Prepared:
         """Switch refinement on or off; None takes the method's default."""
         refinement = Refinement.of(self.rest) if (self.method.rough if refine is None else refine) else None
@@ -183,18 +189,20 @@ def prepare(
         rigs = matched.with_notes((identity.name, clip.mesh.name), rigs)
         norms = fitted_norms(identity, first, rigs.axes(axes))
     given_axes, axes = axes, rigs.axes(axes)
-    drive = _prepared_drive(method, identity, clip, first, norms, corrections, rigs)
+    turned = _without_headings(method, (identity, first), norms, axes)
+    drive = _prepared_drive(method, identity, clip, first, turned, corrections, rigs)
     corrected = _corrected_norms(method, drive, (identity, first), norms, axes)
     if corrected != norms:  # `reorient` returns the same object where it changes nothing
-        norms = corrected
-        drive = _prepared_drive(method, identity, clip, first, norms, corrections, rigs)
+        known = [axis for norm in corrected for axis in (norm.up, norm.front)]
+        turned = _without_headings(method, (identity, first), corrected, known)
+        drive = _prepared_drive(method, identity, clip, first, turned, corrections, rigs)
     if options.body == "auto" and not corrections.given and isinstance(drive, SkinnedDrive):
         other = body_after_all((chosen, method), rigs, (identity, first), axes, drive.confidence)
         if other is not None:
             options = dataclasses.replace(options, body=other)
             return prepare(identity, clip, choice, given_axes, refine, options, corrections, rigs)
-    rest = normalised(identity, norms[0])
-    prepared = Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None, rigs, notes)
+    rest = normalised(identity, turned[0])
+    prepared = Prepared(identity, clip, method, drive, turned[0], turned[1], rest, None, rigs, notes)
     return prepared.with_refinement(refine)
 
 
@@ -234,6 +242,21 @@ def fitted_norms(identity: Mesh, first: Mesh, axes: Axes) -> tuple[Normalization
     return Normalization.fit(identity, *axes[:2]), Normalization.fit(first, *axes[2:])
 
 
+def _without_headings(
+    method: Method, meshes: tuple[Mesh, Mesh], norms: tuple[Normalization, Normalization], axes: Sequence[str | None]
+) -> tuple[Normalization, Normalization]:
+    """Take the headings of both meshes out for a method whose predictions depend on them; `axes` are those known."""
+    if not isinstance(method, QuickPredictor):
+        return norms
+    # The detector of the front knows people only: that of an animal was found by its network (see `with_body`).
+    of_people = not isinstance(method, BodyMethod) or method.body == "human"
+    identity, driving = (
+        without_heading(mesh, norm, front_known=front is not None or not norm.detected or not of_people)
+        for mesh, norm, front in zip(meshes, norms, axes[1::2], strict=True)
+    )
+    return identity, driving
+
+
 def _prepared_drive(
     method: Method,
     identity: Mesh,
@@ -262,7 +285,7 @@ def pose_frame(prepared: Prepared, t: int) -> Float[np.ndarray, "V 3"]:
     driving = (prepared.driving_norm.apply(np.asarray(prepared.clip.vertices[k], np.float64)) for k in indices)
     drive = prepared.drive.at(indices) if isinstance(prepared.drive, SkinnedDrive) else prepared.drive
     refined = _refined(drive(driving), prepared.refinement, Timer())
-    shift, frames = _aligned(refined, prepared.rest.vertices)
+    shift, frames = _aligned((vertices @ prepared.turn.T for vertices in refined), prepared.rest.vertices)
     *_, vertices = frames
     return prepared.identity_norm.undo(vertices + shift)
 
@@ -292,7 +315,8 @@ def play(
             drive = prepared.drive.limited(rest.vertices, INFLUENCES) if limited else prepared.drive
             motion = _joint_motion(drive, driving, clip.fps, options, scale)
         frames = prepared.drive(driving) if motion is None else motion.frames()
-        shift, frames = _aligned(_refined(frames, prepared.refinement, timer), rest.vertices)
+        refined = _refined(frames, prepared.refinement, timer)
+        shift, frames = _aligned((vertices @ prepared.turn.T for vertices in refined), rest.vertices)
         skeleton = None if motion is None else _animated_rig(prepared, motion, shift)
         own = None if skeleton is None else _own_animation(prepared, skeleton)
         placed = (identity_norm.undo(vertices + shift) for vertices in frames)
@@ -435,9 +459,9 @@ def ground_point(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
 def _animated_rig(prepared: Prepared, motion: _JointMotion, shift: Float[np.ndarray, " 3"]) -> AnimatedRig:
     """Return the rig and its motion in the identity's axes, unit and position."""
     identity, norm, known = prepared.identity, prepared.identity_norm, prepared.rigs.humanoid
-    undo, drive = norm.rotation.T, motion.drive
+    undo, turn, drive = norm.rotation.T, prepared.turn, motion.drive
     rig = Rig(undo @ drive.rig.rotation, norm.undo(drive.rig.joints), drive.rig.weights)
-    rotation, root = undo @ motion.posed.rotation, norm.undo(motion.posed.root + shift)
+    rotation, root = undo @ turn @ motion.posed.rotation, norm.undo(motion.posed.root @ turn.T + shift)
     if known is not None:
         identity = identity.with_vertices(known.character.mesh.vertices)
     return AnimatedRig(identity, drive.joints, drive.skinned.parents, rig, rotation, root, drive.person)
