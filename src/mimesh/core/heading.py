@@ -44,14 +44,16 @@ def turn(angle: float) -> Float[np.ndarray, "3 3"]:
     return np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
 
 
-def without_heading(mesh: Mesh, norm: Normalization, front_known: bool) -> Normalization:
+def without_heading(mesh: Mesh, norm: Normalization, front_known: bool, person: bool = True) -> Normalization:
     """Return a normalization that takes the heading out as well.
 
     Args:
         mesh: the mesh that `norm` was fitted to.
         norm: its normalization by an axis rotation.
-        front_known: whether its front was given: the result then is sought within WITHIN of it. Else the front is
-            detected again from the turned mesh, and the axis of the file that is nearest to it becomes the front.
+        front_known: whether its front was given: a person's is then sought within WITHIN of it. Else it is detected
+            again from the turned mesh, and the axis of the file that is nearest to it becomes the front.
+        person: whether the mesh is a person, which the detector knows. The body of an animal lies along its front: of
+            the principal axes the one that is nearest to the front is taken.
     """
     upright = mesh.with_vertices(rotate_axes(np.asarray(mesh.vertices, np.float64), norm.rotation))
     principal = principal_heading(upright)
@@ -59,21 +61,22 @@ def without_heading(mesh: Mesh, norm: Normalization, front_known: bool) -> Norma
         return norm
     headings = principal + np.arange(8) * np.pi / 4
     headings = (headings + np.pi) % (2 * np.pi) - np.pi
+    if not person:
+        return _turned(upright, norm, norm.rotation, min(headings[::2], key=abs))
     scores = _front_scores(upright, principal)
     if front_known:
         best = int(np.where(np.abs(headings) <= WITHIN, scores, -np.inf).argmax())
-        return _turned(upright, norm, norm.rotation, float(headings[best]))
+        return _turned(upright, norm, norm.rotation, headings[best])
     best = int(scores.argmax())
     quarter = int(np.round(headings[best] / (np.pi / 2)))
     rotation = ROTATIONS[ORIENTATIONS.index(("+y", QUARTERS[quarter % 4]))] @ norm.rotation
     # Margin over the fronts at right angles to the best one, as for a mesh that stands along the axes.
     probability = np.exp(scores[best % 2 :: 2] - scores[best])
-    second = np.sort(probability)[-2]
-    margin = float((1 - second) / probability.sum())
+    margin = float((1 - np.sort(probability)[-2]) / probability.sum())
     margin = margin if norm.up_from != "shape" else min(margin, up_margin(mesh, norm.up))
     detected = dataclasses.replace(norm, front=axis_name(rotation.T @ np.array([0.0, 0.0, 1.0])), margin=margin)
     upright = mesh.with_vertices(rotate_axes(np.asarray(mesh.vertices, np.float64), rotation))
-    return _turned(upright, detected, rotation, float(headings[best] - quarter * np.pi / 2))
+    return _turned(upright, detected, rotation, headings[best] - quarter * np.pi / 2)
 
 
 def principal_heading(upright: Mesh) -> float | None:
@@ -119,5 +122,5 @@ def _turned(upright: Mesh, norm: Normalization, rotation: Float[np.ndarray, "3 3
         rotation=turn(-heading) @ rotation,
         centre=centre,
         radius=radius(vertices - centre),
-        heading=heading,
+        heading=float(heading),
     )

@@ -248,10 +248,10 @@ def _without_headings(
     """Take the headings of both meshes out for a method whose predictions depend on them; `axes` are those known."""
     if not isinstance(method, QuickPredictor):
         return norms
-    # The detector of the front knows people only: that of an animal was found by its network (see `with_body`).
-    of_people = not isinstance(method, BodyMethod) or method.body == "human"
+    # The front of an animal was found by its network (see `with_body`).
+    person = not isinstance(method, BodyMethod) or method.body == "human"
     identity, driving = (
-        without_heading(mesh, norm, front_known=front is not None or not norm.detected or not of_people)
+        without_heading(mesh, norm, front is not None or not norm.detected, person)
         for mesh, norm, front in zip(meshes, norms, axes[1::2], strict=True)
     )
     return identity, driving

@@ -1,0 +1,80 @@
+"""The angle at which a mesh stands in its file moves no vertex of the result."""
+
+import numpy as np
+import pytest
+from people import person
+
+import mimesh
+from mimesh.bodies.animals import animal
+from mimesh.cli import run
+from mimesh.core.heading import turn
+from mimesh.core.mesh import Clip
+from mimesh.io import load_mesh, save_mesh
+
+IDENTITY, DRIVING = person(0), person(1, pose=2)
+LARGEST = 0.002
+"""Largest distance of a vertex, over the size; the samples of points that lie between two triangles may change."""
+
+
+def headed(mesh, degrees):
+    return mesh.with_vertices(mesh.vertices @ turn(np.radians(degrees)).T)
+
+
+def largest_move(vertices, expected):
+    """Largest distance of a vertex over the longest side; the ground point of the bounding box turns with a mesh."""
+    vertices, expected = vertices - vertices.mean(axis=-2, keepdims=True), expected - expected.mean(-2, keepdims=True)
+    return np.linalg.norm(vertices - expected, axis=-1).max() / np.ptp(expected.reshape(-1, 3), axis=0).max()
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return mimesh.transfer(IDENTITY, DRIVING).mesh.vertices
+
+
+@pytest.mark.parametrize("degrees", [0.01, 20, -40])
+def test_the_heading_of_the_identity_moves_nothing(plain, degrees):
+    result = mimesh.transfer(headed(IDENTITY, degrees), DRIVING)
+    assert largest_move(result.mesh.vertices, plain) < LARGEST
+
+
+@pytest.mark.parametrize("degrees", [0.01, 20, -40])
+def test_the_result_turns_with_the_driving(plain, degrees):
+    result = mimesh.transfer(IDENTITY, headed(DRIVING, degrees))
+    assert largest_move(result.mesh.vertices, plain @ turn(np.radians(degrees)).T) < LARGEST
+
+
+def test_fronts_between_the_axes_are_found(plain):
+    """At 70 degrees the nearest axis is x: the result has the heading from there, -20 degrees."""
+    result = mimesh.transfer(IDENTITY, headed(DRIVING, 70))
+    assert result.report["driving"]["front"] == "+x"
+    assert largest_move(result.mesh.vertices, plain @ turn(np.radians(-20)).T) < LARGEST
+
+
+def test_joints_and_movement_over_the_ground_turn_with_the_driving():
+    steps = np.linspace(0, 0.5, 5)[:, None, None] * np.array([0.3, 0, 1.0])
+    clip = Clip(DRIVING, DRIVING.vertices + steps, 30.0)
+    angle = turn(np.radians(25))
+    turned = Clip(headed(DRIVING, 25), clip.vertices @ angle.T, 30.0)
+    options = {"model": "mime", "ground": False, "skinned": True}
+    plain, result = (mimesh.animate(IDENTITY, driving, **options) for driving in (clip, turned))
+    assert largest_move(result.clip.vertices, plain.clip.vertices @ angle.T) < LARGEST
+    skeleton, expected = result.skeleton, plain.skeleton
+    np.testing.assert_allclose(skeleton.rig.joints, expected.rig.joints, atol=1e-3)
+    np.testing.assert_allclose(np.diff(skeleton.root, axis=0), np.diff(expected.root, axis=0) @ angle.T, atol=1e-4)
+    assert skeleton.deviation(result.clip.vertices) < 1e-5  # what the file plays is what is returned
+
+
+def test_animals_too():
+    identity, driving = animal("cat"), animal("horse")
+    plain = mimesh.transfer(identity, driving, body="quadruped").mesh.vertices
+    for meshes, angle in (((headed(identity, 20), driving), 0), ((identity, headed(driving, 20)), 20)):
+        result = mimesh.transfer(*meshes, body="quadruped").mesh.vertices
+        assert largest_move(result, plain @ turn(np.radians(angle)).T) < LARGEST
+
+
+def test_on_the_command_line(tmp_path, plain):
+    for name, mesh in (("hero", headed(IDENTITY, 30)), ("pose", DRIVING)):
+        save_mesh(mesh, tmp_path / f"{name}.obj")
+    arguments = ["transfer", *(str(tmp_path / name) for name in ("hero.obj", "pose.obj"))]
+    assert run([*arguments, "-o", str(tmp_path / "out.obj"), "--quiet"]) == 0
+    assert largest_move(load_mesh(tmp_path / "out.obj").vertices, plain) < 0.005  # an .obj has 6 decimals
