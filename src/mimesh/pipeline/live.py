@@ -21,7 +21,7 @@ from ..core.mesh import LARGEST, Clip, Mesh
 from ..io.beside import missing_images, missing_images_notes
 from ..methods.base import BodyMethod, Drive, SkinnedDrive
 from .report import facing, facing_note
-from .run import Prepared, ground_point, report_confidence
+from .run import Prepared, report_confidence
 
 PoseFrame = Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]
 """Maps the vertices of a driving frame to the identity's; both normalised."""
@@ -75,7 +75,7 @@ class LiveSession:
         vertices = self._checked(driving)
         norms = self._prepared.identity_norm, self._prepared.driving_norm
         with self._limit():
-            posed = self._pose(norms[1].apply(vertices))
+            posed = self._pose(norms[1].apply(vertices)) @ self._prepared.turn.T
             return norms[0].undo(posed + self._shift)
 
     def _checked(self, driving: ArrayLike | Mesh) -> Float[np.ndarray, "U 3"]:
@@ -133,7 +133,7 @@ def live_session(prepared: Prepared, clip: Clip, model: str, root: str, threads:
         pose = _pose_function(prepared, first, root)
         if prepared.refinement is not None:
             pose = _refined(pose, prepared.refinement)
-        shift = ground_point(prepared.rest.vertices) - ground_point(pose(first))
+        shift = prepared.shift(pose(first) @ prepared.turn.T)
     report, notes = _report(prepared)
     driving = Mesh(np.asarray(clip.vertices[0], np.float64), clip.mesh.faces, clip.mesh.name)
     return LiveSession(prepared.identity, driving, model, report, notes, prepared, pose, shift, limit)

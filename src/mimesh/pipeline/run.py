@@ -152,6 +152,11 @@ class Prepared:
         """The turn of results about y: results have the driving's heading, not the identity's."""
         return turn(self.driving_norm.heading - self.identity_norm.heading)
 
+    def shift(self, first: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
+        """Return the displacement that brings the first frame of a result to the identity's position; normalised."""
+        upright = turn(self.identity_norm.heading)  # bounding boxes are those in the axes of the file
+        return (ground_point(self.rest.vertices @ upright.T) - ground_point(first @ upright.T)) @ upright
+
     def with_refinement(self, refine: bool | None) -> Prepared:
         """Switch refinement on or off; None takes the method's default."""
         refinement = Refinement.of(self.rest) if (self.method.rough if refine is None else refine) else None
@@ -285,7 +290,7 @@ def pose_frame(prepared: Prepared, t: int) -> Float[np.ndarray, "V 3"]:
     driving = (prepared.driving_norm.apply(np.asarray(prepared.clip.vertices[k], np.float64)) for k in indices)
     drive = prepared.drive.at(indices) if isinstance(prepared.drive, SkinnedDrive) else prepared.drive
     refined = _refined(drive(driving), prepared.refinement, Timer())
-    shift, frames = _aligned((vertices @ prepared.turn.T for vertices in refined), prepared.rest.vertices)
+    shift, frames = _aligned((vertices @ prepared.turn.T for vertices in refined), prepared)
     *_, vertices = frames
     return prepared.identity_norm.undo(vertices + shift)
 
@@ -316,7 +321,7 @@ def play(
             motion = _joint_motion(drive, driving, clip.fps, options, scale)
         frames = prepared.drive(driving) if motion is None else motion.frames()
         refined = _refined(frames, prepared.refinement, timer)
-        shift, frames = _aligned((vertices @ prepared.turn.T for vertices in refined), rest.vertices)
+        shift, frames = _aligned((vertices @ prepared.turn.T for vertices in refined), prepared)
         skeleton = None if motion is None else _animated_rig(prepared, motion, shift)
         own = None if skeleton is None else _own_animation(prepared, skeleton)
         placed = (identity_norm.undo(vertices + shift) for vertices in frames)
@@ -443,11 +448,11 @@ def _refined(
 
 
 def _aligned(
-    frames: Iterator[Float[np.ndarray, "V 3"]], rest: Float[np.ndarray, "V 3"]
+    frames: Iterator[Float[np.ndarray, "V 3"]], prepared: Prepared
 ) -> tuple[Float[np.ndarray, " 3"], Iterator[Float[np.ndarray, "V 3"]]]:
     """Return the shift that brings the first frame to the identity's position, and the frames (not yet shifted)."""
     first = next(frames)
-    return ground_point(rest) - ground_point(first), itertools.chain([first], frames)
+    return prepared.shift(first), itertools.chain([first], frames)
 
 
 def ground_point(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
