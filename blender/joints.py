@@ -40,7 +40,7 @@ def show(context: bpy.types.Context, result: ClipResult, frame: int) -> None:
     ):
         radius = SIZE * float(np.ptp(mesh.vertices, axis=0).max())
         parent = settings.identity if role == "identity" else None
-        for name in shown_bones():
+        for name in shown_bones(result.report["body"]):
             empty = bpy.data.objects.new(f"{name} ({settings.identity.name if parent else role})", None)
             collection.objects.link(empty)
             empty.empty_display_type, empty.empty_display_size = "SPHERE", radius

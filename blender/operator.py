@@ -57,8 +57,6 @@ def show_joints(context: Context, frame: int) -> Generator[Step, None, tuple[str
     if context.scene.mimesh.model != "mime":
         raise InputError(f"joints: expected the model mime, found {context.scene.mimesh.model}; choose it as the model")
     _, result = yield from _run(context, range(frame, frame + 1), own=False, with_bones=False)
-    if result.report["body"] == "quadruped":
-        raise InputError("joints: expected people, found four-legged animals, whose joints cannot be corrected")
     joints.show(context, result, frame)
     return ()
 

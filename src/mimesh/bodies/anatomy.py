@@ -90,3 +90,8 @@ def anatomy_of(body: str) -> Anatomy:
 def anatomy_of_joints(names: Collection[str]) -> Anatomy:
     """Return the anatomy of the shipped body whose legs are among some joints; that of the human if none has them."""
     return QUADRUPED if any(leg[0] in names for leg in QUADRUPED.legs) else HUMAN
+
+
+def body_of_joints(names: Collection[str]) -> str:
+    """Return the name of the shipped body whose legs are among some joints; `human` if none has them."""
+    return "quadruped" if anatomy_of_joints(names) is QUADRUPED else "human"

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import load_body
-from ..bodies.anatomy import QUADRUPED, anatomy_of_joints
+from ..bodies.anatomy import body_of_joints
 from ..bodies.joint_names import without_fingers
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
@@ -23,9 +23,14 @@ from ..methods.base import CorrectableMethod, Method, SkinnedDrive
 if TYPE_CHECKING:
     from .run import Prepared
 
-HIDDEN = ("LHipJoint", "RHipJoint", "LThumb", "RThumb", "LeftFingerBase", "RightFingerBase", "LeftHandFinger1",
-          "RightHandFinger1")  # fmt: skip
-"""Joints without a handle: in the hips, or in a hand, which they follow."""
+HIDDEN = {
+    "human": ("LHipJoint", "RHipJoint", "LThumb", "RThumb", "LeftFingerBase", "RightFingerBase", "LeftHandFinger1",
+              "RightHandFinger1"),
+    "quadruped": ("Spine2", "Spine4", "Tail2", "Tail4", "Tail5"),
+}  # fmt: skip
+"""Joints of each shipped body without a handle: in the hips, in a hand, which they follow, or between others that move
+them.
+"""
 JointPositions = dict[str, Float[np.ndarray, " 3"]]
 """Joint -> position in the axes, unit and position of a mesh's file."""
 GivenJoints = JointCorrections | Mapping[str, Any] | str | Path | None
@@ -45,6 +50,15 @@ class Corrections:
     def given(self) -> bool:
         """Whether joints of the identity or of the driving are corrected."""
         return self.identity is not None or self.driving is not None
+
+    @property
+    def body(self) -> str | None:
+        """Name of the shipped body that alone has a joint of a corrected name; None where all bodies have them."""
+        corrected = (self.identity, self.driving)
+        names = {name for corrections in corrected if corrections is not None for name in corrections.positions}
+        of_bodies = {body: set(load_body(body).joint_names) for body in HIDDEN}
+        unique = [body for body, own in of_bodies.items() if names & own.difference(*_others(of_bodies, body))]
+        return unique[0] if len(unique) == 1 else None
 
     @classmethod
     def read(cls, identity: GivenJoints, driving: GivenJoints, clip: Clip) -> Corrections:
@@ -102,31 +116,48 @@ NO_CORRECTIONS = Corrections()
 """All joints are found by the model."""
 
 
-def found_joints(prepared: Prepared, frame: int = 0) -> tuple[JointPositions, JointPositions] | None:
-    """Return the joints of the identity, and of the driving in a frame, both without those of fingers.
+@dataclass(frozen=True, eq=False)
+class FoundJoints:
+    """Joints that a method found on both meshes, without those of fingers."""
 
-    None if the method has no joints, or they are those of an animal, which cannot be corrected.
-    """
+    body: str
+    """Name of the shipped body whose joints they are."""
+    identity: JointPositions
+    driving: JointPositions
+
+
+def found_joints(prepared: Prepared, frame: int = 0) -> FoundJoints | None:
+    """Return the joints of the identity, and of the driving in a frame; None if the method has no joints."""
     drive, norm = prepared.drive, prepared.driving_norm
-    if not isinstance(drive, SkinnedDrive) or anatomy_of_joints(drive.driving_joints) is QUADRUPED:
+    if not isinstance(drive, SkinnedDrive):
         return None
     vertices = norm.apply(np.asarray(prepared.clip.vertices[frame], np.float64))
     identity = prepared.identity_norm.undo(drive.rig.joints)
     driving = norm.undo(drive.driving_pose(frame, vertices)[1])
     mine = without_fingers({name: identity[j] for name, j in drive.person.items()})
-    return mine, without_fingers(dict(zip(drive.driving_joints, driving, strict=True)))
+    theirs = without_fingers(dict(zip(drive.driving_joints, driving, strict=True)))
+    return FoundJoints(body_of_joints(drive.driving_joints), mine, theirs)
 
 
-def shown_bones() -> dict[str, str | None]:
-    """Return the joints that have a handle, and the nearest of them above each; None for the root."""
-    body, bones = load_body(), {}
-    for name, parent in zip(body.joint_names, body.parents, strict=True):
+def shown_bones(name: str = "human") -> dict[str, str | None]:
+    """Return the joints of a shipped body that have a handle, and the nearest of them above each; None for the root."""
+    body, hidden, bones = load_body(name), HIDDEN[name], {}
+    for joint, parent in zip(body.joint_names, body.parents, strict=True):
         above = parent
-        while above >= 0 and body.joint_names[above] in HIDDEN:
+        while above >= 0 and body.joint_names[above] in hidden:
             above = body.parents[above]
-        if name not in HIDDEN:
-            bones[name] = None if above < 0 else body.joint_names[above]
+        if joint not in hidden:
+            bones[joint] = None if above < 0 else body.joint_names[above]
     return bones
+
+
+def correctable_joints() -> tuple[str, ...]:
+    """List the joints of all shipped bodies."""
+    return tuple(dict.fromkeys(name for body in HIDDEN for name in load_body(body).joint_names))
+
+
+def _others(of_bodies: dict[str, set[str]], body: str) -> list[set[str]]:
+    return [names for other, names in of_bodies.items() if other != body]
 
 
 def _read(given: GivenJoints, source: str) -> JointCorrections | None:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import load_body
-from ..bodies.anatomy import QUADRUPED, anatomy_of_joints
+from ..bodies.anatomy import anatomy_of_joints, body_of_joints
 from ..bodies.character_limbs import SIDES, FindJoints, UnnamedJoints
 from ..bodies.joint_names import ancestors, finger_joints
 from ..core.errors import InputError
@@ -116,8 +116,8 @@ class Rigs:
     def bodies(self) -> tuple[str | None, str | None]:
         """Whose joints the rigs of identity and driving are; None where no rig is used."""
         own = self.humanoid
-        theirs = None if self.driving is None else anatomy_of_joints(self.driving.joints)
-        return own and own.body_name, theirs and ("quadruped" if theirs is QUADRUPED else "human")
+        theirs = self.driving and body_of_joints(self.driving.joints)
+        return own and own.body_name, theirs
 
     @property
     def humanoid(self) -> HumanoidRig | None:
@@ -317,7 +317,7 @@ def known_driving(motion: PersonMotion, fps: float, norm: Normalization) -> Know
 
 def person_parents(names: tuple[str, ...]) -> tuple[int, ...]:
     """Return the parent of each joint among some joints of a person, the hips first: the nearest one above it."""
-    body = load_body("quadruped" if anatomy_of_joints(names) is QUADRUPED else "human")
+    body = load_body(body_of_joints(names))
     above = {
         name: [body.joint_names[j] for j in ancestors(body.parents, k)[1:]] for k, name in enumerate(body.joint_names)
     }

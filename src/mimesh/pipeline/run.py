@@ -186,8 +186,9 @@ def prepare(
     norms = fitted_norms(identity, first, rigs.axes(axes))
     chosen = choice(norms[1])
     options.check(chosen)
-    notes = trained_on_people(chosen, options.body, (identity, first), norms, rigs.axes(axes))
-    method, norms = with_body(chosen, options.body, rigs, (identity, first), norms, rigs.axes(axes))
+    body = (corrections.body or options.body) if options.body == "auto" else options.body
+    notes = trained_on_people(chosen, body, (identity, first), norms, rigs.axes(axes))
+    method, norms = with_body(chosen, body, rigs, (identity, first), norms, rigs.axes(axes))
     if any(rigs.unnamed) and finds_joints(method):
         find = joint_finder(method, axes[:2]), joint_finder(method, axes[2:])
         matched = read_rigs(identity, clip, options, corrections, copy=False, find=find)

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ..bodies import load_body
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
 from ..io.joint_file import describe_corrections, load_corrections, side_file
 from ..methods.base import CorrectableMethod, Method
-from ..pipeline.corrections import Corrections, found_joints, shown_bones
+from ..pipeline.corrections import Corrections, correctable_joints, found_joints, shown_bones
 from ..pipeline.run import Prepared
 from .items import Item
 
@@ -47,7 +46,8 @@ def check_corrections(item: Item, corrections: JointCorrections) -> None:
                 f"0, found {corrections.frame}; correct the joints again"
             )
         vertices = vertices[corrections.frame]
-    corrections.check(np.asarray(vertices, np.float64), load_body().joint_names, item.name)
+    # Whether a person or an animal is moved is known later: the method checks the names again.
+    corrections.check(np.asarray(vertices, np.float64), correctable_joints(), item.name)
 
 
 def parse_positions(item: Item, positions: Any) -> JointCorrections | None:
@@ -77,7 +77,7 @@ def describe_joints(prepared: Prepared, identity: Item, driving: Item) -> dict[s
     found = found_joints(prepared, frame)
     if found is None:
         return {}
-    shown = shown_bones()
+    shown = shown_bones(found.body)
     return {
         "parents": shown,
         "meshes": {
@@ -85,7 +85,7 @@ def describe_joints(prepared: Prepared, identity: Item, driving: Item) -> dict[s
                 "frame": 0 if item is identity else frame,
                 "joints": {name: [float(x) for x in joints[name]] for name in shown if name in joints},
             }
-            for item, joints in zip((identity, driving), found, strict=True)
+            for item, joints in ((identity, found.identity), (driving, found.driving))
         },
     }
 

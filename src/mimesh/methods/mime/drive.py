@@ -22,7 +22,6 @@ from jaxtyping import Float, Int
 
 from ...bodies.anatomy import anatomy_of
 from ...core.canonical_order import canonical_faces, canonical_order
-from ...core.errors import InputError
 from ...core.geometry import vertex_normals
 from ...core.joint_tracks import JointTrack
 from ...core.mesh import Clip, Mesh
@@ -186,17 +185,11 @@ class MimeMethod:
         identity: Mapping[str, Float[np.ndarray, " 3"]],
         driving: Mapping[str, Float[np.ndarray, " 3"]],
     ) -> MimeMethod:
-        """Return this method with known joints of the identity, and of the driving in its last keyframe.
-
-        Raises:
-            InputError: the body is not that of a person.
-        """
-        if self.body != "human" and (identity or driving):
-            raise InputError(
-                "--joints: expected a person, whose joints can be corrected, found an animal; leave it out"
-            )
+        """Return this method with known joints of the identity, and of the driving in its last keyframe."""
         identity_targets, driving_targets = (
-            JointTargets([self.joints.index(name) for name in known], np.array(list(known.values()))) if known else None
+            JointTargets([self.joints.index(name) for name in known], np.array(list(known.values())), self.body)
+            if known
+            else None
             for known in (identity, driving)
         )
         return dataclasses.replace(self, identity_targets=identity_targets, driving_targets=driving_targets)
@@ -375,7 +368,7 @@ class MimeMethod:
 
         The weights are those of the points `queries`.
         """
-        fit = fit_body(sample, *targets.move(rig.rotation, rig.joints), targets)
+        fit = fit_body(sample, *targets.move(rig.rotation, rig.joints), targets, self.body)
         displacement = fit.joints - rig.joints
         weights = corrected_weights(rig.weights, queries.points, queries.normals, displacement, fit.posed)
         return Rig(fit.rotation, fit.joints, weights), _with_measures(confidence, fit), fit
