@@ -1,129 +1,114 @@
-"""Measure how many corrected joints mend four-legged animals of other makers that `mime`, without their rigs, misreads.
+"""Measure how corrected joints mend what `mime` misreads on four-legged animals of other makers, given without rigs.
 
-    python scripts/measure_animal_joints.py FOLDER [--splits train,val] [--frames 2] [-o benchmarks/animal-joints.json]
+    python scripts/measure_animal_joints.py FOLDER [--driving Walk] [-o benchmarks/animal-joints.json]
 
-Each animal of a pool or a folder of rigged files is the identity at rest and in frames of its clips, y up, facing +z.
-The joint that is farthest from that of the file's own rig is put there, one after the other, until none is farther than
-FAR. The driving mesh is the same animal in another pose, all its joints corrected; the truth are its vertices.
+FOLDER has rigged files (.glb, .gltf) with several animations. The identity is the mesh of an animal, without its rig,
+in the middle and in the last frame of each animation. It is driven by the same animal with its rig, so that all that is
+wrong is how the identity was read; the truth are the driving's vertices. The joint of a leg or of the head that is
+farthest from that of the file's rig is put there, one after the other, until none is wrong.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from measure_animals import limb_surfaces
 
-from mimesh import transfer
-from mimesh.bodies.character_pool import PoolCharacter
-from mimesh.core.mesh import Mesh
-from mimesh.evaluate.animals import read_animals
+from mimesh import animate
+from mimesh.core.mesh import Clip, Mesh, cut_clip
 from mimesh.evaluate.run import provenance
+from mimesh.io import load_clip
 from mimesh.io.atomic import whole_file
-from mimesh.methods.confidence import limb_joints
-from mimesh.pipeline.corrections import shown_bones
+from mimesh.methods.mime.joint_targets import QUADRUPED
+from mimesh.pipeline.rigs import Rigs
 
-FAR = 0.2
-"""Distance (heights of the animal at rest) from which on a joint is wrong: rigs of other makers place joints otherwise
-than the shipped body, by half of that on average."""
+NAMES = (*(name for limb in QUADRUPED.limbs for name in limb), "Head")
+"""Joints whose places rigs agree on. Those of the trunk are anywhere in it."""
+WRONG = 20.0
+"""Distance (percent of the animal's height) from which on a joint is wrong."""
 MOST = 8
 """Joints that are corrected at most."""
+FRAMES = 12
+"""Frames of the driving motion."""
 
 
 def main() -> None:
-    """Print and write the errors on every mesh by the number of corrected joints."""
+    """Print and write the errors of every mesh after each corrected joint, and their means."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--splits", default="train,val", help="of a pool; of other folders all animals are taken")
-    parser.add_argument("--frames", type=int, default=2, help="clips of which a frame is taken")
+    parser.add_argument("--driving", default="Walk", help="end of the name of the driving animation")
     parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/animal-joints.json"))
     args = parser.parse_args()
     rows = []
-    for split in args.splits.split(","):
-        for animal in read_animals(args.folder, split).characters:
-            for row in corrected_meshes(animal, args.frames):
-                rows.append({"split": split, **row})
-                print(json.dumps(rows[-1]), flush=True)
-    wrong = [row for row in rows if len(row["steps"]) > 1]
-    print(f"{len(wrong)} of {len(rows)} meshes have a joint farther than {FAR} heights from its place")
-    for which, k in (("without corrections", 0), ("with the first", 1), ("with all", -1)):
-        steps = [row["steps"][k] for row in wrong]
-        means = {
-            key: round(float(np.mean([step[key] for step in steps])), 3) for key in ("vertices", "joints", "share")
-        }
-        print(f"{which} ({np.mean([step['corrected'] for step in steps]):.1f} joints): {means}")
+    for path in sorted(path for path in args.folder.iterdir() if path.suffix.lower() in (".glb", ".gltf")):
+        for row in corrected_meshes(path, args.driving):
+            rows.append(row)
+            print(json.dumps(row), flush=True)
+    wrong = [row for row in rows if row["steps"][0]["distance"] > WRONG]
+    print(f"{len(wrong)} of {len(rows)} meshes have a joint farther than {WRONG:g} % of the height from its place")
+    for which, k in (("as they are", 0), ("one joint corrected", 1), ("all of them", -1)):
+        steps = [row["steps"][min(k, len(row["steps"]) - 1)] for row in wrong]
+        for of in ("vertices", "others"):
+            values = [step[of] for step in steps]
+            print(f"{which}: {of} mean {np.mean(values):.2f}, median {np.median(values):.2f} % of the height")
+    print(f"corrected joints: {np.mean([len(row['steps']) - 1 for row in wrong]):.1f} on average")
     report = {"provenance": provenance(vars(args) | {"folder": args.folder.name, "output": None}), "results": rows}
     with whole_file(args.output) as temporary:
         temporary.write_text(json.dumps(report, indent=1) + "\n")
 
 
-def corrected_meshes(animal: PoolCharacter, frames: int) -> list[dict[str, Any]]:
-    """Measure an animal at rest and in one frame of each of some clips."""
-    rng, rig = np.random.default_rng(0), animal.rig
-    names = [name for name in shown_bones("quadruped") if name in animal.joints]
-    index = [animal.joints[name] for name in names]
-    poses = {"rest": (rig.mesh.vertices, dict(zip(names, rig.joints[index], strict=True)))}
-    for clip in list(animal.clips)[:frames]:
-        transforms = animal.clip_transforms(clip, int(rng.integers(len(animal.clips[clip]))))
-        places = np.einsum("jkl,jl->jk", transforms[index, :3, :3], rig.joints[index]) + transforms[index, :3, 3]
-        poses[clip] = rig.skinned(transforms), dict(zip(names, places, strict=True))
-    last = list(poses)[-1]
-    limbs, height = limb_surfaces(animal), float(np.ptp(rig.mesh.vertices[:, 1]))
-    return [
-        {
-            "mesh": f"{animal.meta.file} {pose}",
-            "steps": corrected_steps(animal, poses[pose], poses["rest" if pose == last else last], limbs, height),
-        }
-        for pose in poses
-    ]
+def corrected_meshes(path: Path, driving: str) -> Iterator[dict[str, Any]]:
+    """Measure an animal in two frames of each of its animations."""
+    names = getattr(load_clip(path).mesh.source, "animations", ())
+    motion = load_clip(path, animation=next(name for name in names if name.endswith(driving)))
+    motion = cut_clip(motion, 0, FRAMES, 1)
+    for name in names:
+        clip = load_clip(path, animation=name)
+        rig = Rigs.read(clip.mesh, clip, "mimesh").driving
+        assert rig is not None
+        for t in (len(clip) // 2, len(clip) - 1):
+            true = {joint: rig.positions[t, rig.joints.index(joint)] for joint in NAMES if joint in rig.joints}
+            mesh = Mesh(np.asarray(clip.vertices[t], np.float64), clip.mesh.faces, name=path.stem, up="+y")
+            yield {"mesh": f"{path.stem} {name} {t}", "steps": list(corrected_steps(mesh, true, motion, rig.front))}
 
 
 def corrected_steps(
-    animal: PoolCharacter,
-    identity: tuple[Float[np.ndarray, "V 3"], dict[str, Float[np.ndarray, " 3"]]],
-    driving: tuple[Float[np.ndarray, "V 3"], dict[str, Float[np.ndarray, " 3"]]],
-    limbs: dict[str, np.ndarray],
-    height: float,
-) -> list[dict[str, Any]]:
-    """Correct one joint after the other; identity and driving are vertices and the places of the joints.
+    mesh: Mesh, true: dict[str, Float[np.ndarray, " 3"]], motion: Clip, front: str | None
+) -> Iterator[dict[str, Any]]:
+    """Correct one joint after the other.
 
-    Returns, for each number of corrected joints, the mean error of the vertices and of the joints and the largest of
-    these (percent of the height), and the smallest share of a limb's surface that is that limb.
+    Yields mean errors of the vertices of all frames, which are moved to one centre, and of the joints that are not
+    corrected, and the joint that is farthest from its place; all in percent of the height.
     """
-    meshes = [
-        Mesh(points, animal.rig.mesh.faces, name=animal.meta.file, up="+y") for points in (identity[0], driving[0])
-    ]
-    steps, corrected = [], {}
+    height = float(np.ptp(motion.mesh.vertices[:, 1])) / 100
+    corrected: dict[str, Float[np.ndarray, " 3"]] = {}
     while True:
-        result = transfer(
-            *meshes, front="+z", driving_front="+z", body="quadruped", joints=corrected, driving_joints=driving[1]
-        )
+        result = animate(mesh, motion, front=front, ground=False, joints=corrected)
         assert result.joints is not None
-        assert result.skeleton is not None
-        distance = {name: float(np.linalg.norm(result.joints[name] - place)) for name, place in identity[1].items()}
-        off = (result.vertices - result.vertices.mean(axis=0)) - (driving[0] - driving[0].mean(axis=0))
-        carrier = result.skeleton.rig.weights.argmax(axis=1)
-        regions = limb_joints(result.skeleton.names, result.skeleton.parents)
-        farthest = max(distance, key=lambda name: distance[name])
-        steps.append(
-            {
-                "corrected": len(corrected),
-                "vertices": round(100 * float(np.linalg.norm(off, axis=1).mean()) / height, 2),
-                "joints": round(100 * float(np.mean(list(distance.values()))) / height, 2),
-                "farthest": farthest,
-                "distance": round(100 * distance[farthest] / height, 2),
-                "share": round(
-                    min(float(np.isin(carrier[own], regions[limb]).mean()) for limb, own in limbs.items()), 3
-                ),
-            }
-        )
-        if distance[farthest] < FAR * height or len(corrected) == MOST:
-            return steps
-        corrected = {**corrected, farthest: identity[1][farthest]}
+        off = centred(result.clip.vertices) - centred(motion.vertices)
+        distance = {joint: float(np.linalg.norm(result.joints[joint] - place)) for joint, place in true.items()}
+        farthest = max(distance, key=lambda joint: distance[joint])
+        yield {
+            "corrected": list(corrected),
+            "vertices": round(float(np.linalg.norm(off, axis=-1).mean()) / height, 2),
+            "others": round(float(np.mean([distance[joint] for joint in true if joint not in corrected])) / height, 2),
+            "farthest": farthest,
+            "distance": round(distance[farthest] / height, 1),
+            "confidence": round(result.report["identity"]["confidence"], 2),
+        }
+        if distance[farthest] < WRONG * height or len(corrected) == MOST:
+            return
+        corrected = {**corrected, farthest: true[farthest]}
+
+
+def centred(vertices: np.ndarray) -> Float[np.ndarray, "T V 3"]:
+    """Move every frame to one place."""
+    return vertices - vertices.mean(axis=1, keepdims=True)
 
 
 if __name__ == "__main__":

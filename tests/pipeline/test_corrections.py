@@ -5,13 +5,17 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mimesh import InputError, animate, transfer
+from mimesh import InputError, animate, save_mesh, transfer
 from mimesh.bodies import load_body
+from mimesh.bodies.animals import animal
 from mimesh.bodies.sampling import sample_pose
+from mimesh.cli import run
 from mimesh.core.joint_corrections import JointCorrections
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.evaluate.measure import AXES
-from mimesh.io.joint_file import save_corrections
+from mimesh.io.joint_file import load_corrections, save_corrections
+from mimesh.motions.gaits import gait_clip
+from mimesh.pipeline.corrections import Corrections
 
 BODY = load_body()
 PERSON = Mesh(BODY.vertices, BODY.faces, "person")
@@ -102,3 +106,70 @@ def test_models_without_joints_refuse_corrections(model, message):
 def test_unknown_joints_are_refused():
     with pytest.raises(InputError, match="did you mean LeftLeg"):
         transfer(PERSON, posed(0), **AXES, driving_joints={"LeftLegs": (0, 1.6, 0)})
+
+
+@pytest.fixture(scope="module")
+def animals():
+    """A cat, a walking dog's first frame, and the plain result."""
+    dog = gait_clip("dog", "walk", seconds=0.1, fps=10.0)
+    cat = dataclasses.replace(animal("cat"), up="+y")
+    dog = dataclasses.replace(dog.mesh, vertices=np.asarray(dog.vertices[0], np.float64), up="+y")
+    return cat, dog, transfer(cat, dog, front="+z", driving_front="+z")
+
+
+def test_joints_of_animals_are_corrected_too(animals):
+    cat, dog, plain = animals
+    assert tuple(plain.joints) == tuple(plain.driving_joints) == load_body("quadruped").joint_names
+    hock, elbow = plain.joints["LeftFoot"] + [0.01, 0, 0.01], plain.driving_joints["RightForearm"] + [0, 0.02, 0]
+    joints = {"joints": {"LeftFoot": hock}, "driving_joints": {"RightForearm": elbow}}
+    result = transfer(cat, dog, front="+z", driving_front="+z", **joints)
+    assert result.report["body"] == "quadruped"
+    np.testing.assert_allclose(result.joints["LeftFoot"], hock, atol=1e-9)
+    np.testing.assert_allclose(result.driving_joints["RightForearm"], elbow, atol=1e-6)
+    for name in ("Head", "RightFoot", "LeftHand"):
+        assert np.linalg.norm(result.joints[name] - plain.joints[name]) < 0.01
+    assert 0 < np.abs(result.vertices - plain.vertices).max() < 0.1
+
+
+def test_truly_wrong_legs_of_an_animal_are_mended(animals):
+    """The hind legs of a prediction are swapped by swapping the corrections; true ones bring the result back."""
+    cat, dog, plain = animals
+    axes = {"front": "+z", "driving_front": "+z"}
+    swapped = {f"{a}{part}": plain.joints[f"{b}{part}"] for part in ("Shin", "Foot", "Toes") for a, b in
+               (("Left", "Right"), ("Right", "Left"))}  # fmt: skip
+    wrong = transfer(cat, dog, **axes, joints=swapped)
+    right = transfer(cat, dog, **axes, joints={name: plain.joints[name] for name in swapped})
+    height = np.ptp(cat.vertices[:, 1])
+    errors = [np.linalg.norm(result.vertices - plain.vertices, axis=1).mean() / height for result in (wrong, right)]
+    assert errors[1] < 0.01 < 0.02 < errors[0]
+
+
+def test_names_of_corrected_joints_say_what_both_meshes_are():
+    at = np.zeros(3)
+    assert Corrections(JointCorrections({"LeftThigh": at})).body == "quadruped"
+    assert Corrections(None, JointCorrections({"LeftUpLeg": at, "Head": at})).body == "human"
+    assert Corrections(JointCorrections({"Head": at, "LeftFoot": at})).body is None
+    assert Corrections(JointCorrections({"LeftThigh": at, "LeftUpLeg": at})).body is None
+
+
+def test_joints_of_an_animal_are_refused_for_people_and_for_other_creatures():
+    joints = {"LeftThigh": (0, 0.9, 0)}
+    with pytest.raises(InputError, match="expected names of joints, found 'LeftThigh'"):
+        transfer(PERSON, posed(0), **AXES, body="human", joints=joints)
+    with pytest.raises(InputError, match="--joints: expected people or four-legged animals, found --body other"):
+        transfer(PERSON, posed(0), **AXES, body="other", joints=joints)
+
+
+def test_the_command_line_writes_and_reads_joints_of_animals(animals, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    cat, dog, plain = animals
+    save_mesh(cat, "cat.glb")
+    save_mesh(dog, "dog.glb")
+    command = ["transfer", "cat.glb", "dog.glb", "--no-preview", "-o", "out.glb"]
+    assert run([*command, "--save-joints", "cat.joints.json", "--save-driving-joints", "dog.json"]) == 0
+    written = load_corrections("cat.joints.json")
+    assert tuple(written.positions) == tuple(load_corrections("dog.json").positions) == tuple(plain.joints)
+    paw = written.positions["LeftToes"] + [0.01, 0.0, 0.02]
+    save_corrections(JointCorrections({"LeftToes": paw}), "cat.joints.json")
+    assert run([*command, "--save-joints", "again.json"]) == 0
+    np.testing.assert_allclose(load_corrections("again.json").positions["LeftToes"], paw, atol=1e-5)

@@ -12,7 +12,7 @@ const DESCRIPTIONS = {
   copy: "the driving mesh's own vertices, for comparison",
 };
 const ROOTS = { scale: "scaled by leg length", keep: "as far as the driving", drop: "none, in place" };
-const BODIES = { auto: "automatic", human: "a person", quadruped: "a four-legged animal" };
+const BODIES = { auto: "automatic", human: "a person", quadruped: "a four-legged animal", other: "other creatures or things" };
 const BODIES_ONLY = "Available for mime.";
 const JOINTS_ONLY = "Available for models with joints (mime).";
 

@@ -86,11 +86,11 @@ export class Joints {
     await this.attempt(number, async () => {
       const found = await call("GET", `/api/meshes/${number}/joints`);
       if (!found || this.key !== wanted) return;
-      this.found = found.meshes ? found : null; // without meshes: they are animals
+      this.found = found.meshes ? found : null; // without meshes: no model has found them
       this.rebuild();
       this.hint.textContent = found.meshes
         ? "Drag a joint, or choose one and use the arrow keys."
-        : "Joints of animals cannot be corrected.";
+        : "These rigs are followed as they are: no joints to correct.";
     });
   }
 
@@ -183,7 +183,7 @@ export class Joints {
 
   showBar() {
     const shown = Object.keys(ROLES).filter((role) => this.on && this.positions(role));
-    const key = shown.map((role) => `${this.item(role).number}`).join();
+    const key = `${shown.map((role) => this.item(role).number)} ${Object.keys(this.found?.parents ?? {})}`;
     if (this.choice.dataset.key !== key) {
       this.choice.dataset.key = key;
       this.choice.replaceChildren(new Option("Joint …", ""), ...shown.map((role) => {
@@ -194,7 +194,7 @@ export class Joints {
     }
     this.choice.value = this.selected ? `${this.selected.role} ${this.selected.name}` : "";
     const role = this.selected?.role ?? (Object.keys(this.corrected("identity")).length ? "identity" : "driving");
-    const any = shown.some((each) => Object.keys(this.corrected(each)).length);
+    const any = this.on && Object.keys(ROLES).some((each) => Object.keys(this.corrected(each)).length);
     this.resetButton.disabled = !this.selected || !(this.selected.name in this.corrected(this.selected.role));
     this.resetAllButton.disabled = !any;
     this.undoButton.disabled = !this.undone.length;

@@ -2,7 +2,7 @@
 import { make } from "./player.js";
 import { choice, field, fill, formatBytes, showText, showValue } from "./fields.js";
 
-const BODIES = { human: " as a person", quadruped: " as a four-legged animal" };
+const BODIES = { human: " as a person", quadruped: " as a four-legged animal", other: " as a creature", copied: " key by key" };
 const quantity = (number, unit) => `${number.toLocaleString("en")} ${unit}`;
 
 /** Add the head of a row: a name and a button to remove it. */
@@ -52,6 +52,11 @@ function correctionLines({ joints }) {
   return [...(names.length ? [`Corrected by hand: ${which}`] : []), ...(joints?.error ? [joints.error] : [])];
 }
 
+/** Say how sure the match of joints or of marks is, where one was made. */
+function sureness({ confidence }) {
+  return confidence === null ? "" : ` (confidence ${confidence.toFixed(2)})`;
+}
+
 function factsOf({ state, vertices, triangles, frames, fps, outcome, uploading }) {
   if (uploading !== undefined) return `uploading ${Math.round(100 * uploading)} %`;
   if (state === "reading") return "reading …";
@@ -59,7 +64,7 @@ function factsOf({ state, vertices, triangles, frames, fps, outcome, uploading }
   const parts = [triangles ? quantity(vertices, "vertices") : quantity(vertices, "points, no faces")];
   if (frames > 1) parts.push(`${quantity(frames, "frames")}, ${+fps.toFixed(2)} per second`);
   if (frames === 1) parts.push("a pose");
-  if (outcome?.state === "done") parts.push(`moved${BODIES[outcome.body] ?? ""} in ${outcome.seconds.toFixed(outcome.seconds < 10 ? 2 : 0)} s`);
+  if (outcome?.state === "done") parts.push(`moved${BODIES[outcome.body] ?? ""}${sureness(outcome)} in ${outcome.seconds.toFixed(outcome.seconds < 10 ? 2 : 0)} s`);
   if (outcome?.state === "stopped") parts.push("stopped");
   return parts.join(" · ");
 }

@@ -77,8 +77,8 @@ function showWithoutStage() {
   }));
 }
 
-/** Set up a menu of shipped characters or motions; returns the function that fills it from the state. */
-function setUpDemoMenu(what, kind) {
+/** Set up a menu of what is shipped, of people and of animals; returns the function that fills it from the state. */
+function setUpDemoMenu(what, kind, animals) {
   const menu = element(kind);
   menu.addEventListener("change", () => {
     const body = { what, [kind]: menu.value };
@@ -86,7 +86,12 @@ function setUpDemoMenu(what, kind) {
     attempt(sectionOf[what], () => call("POST", "/api/demo", body));
   });
   const option = (name) => make("option", "", { value: name, textContent: name });
-  return (now) => menu.append(...now[`${kind}s`].map(option));
+  const group = (label, names) => {
+    const made = make("optgroup", "", { label });
+    made.append(...names.map(option));
+    return made;
+  };
+  return (now) => menu.append(group("People", now[`${kind}s`]), group("Four-legged animals", now[animals]));
 }
 
 function start() {
@@ -116,8 +121,15 @@ function start() {
       uploadFiles(input.dataset.role, files);
     });
   }
-  element("demo").addEventListener("click", () => attempt(sectionOf.both, () => call("POST", "/api/demo", { what: "both" })));
-  const fillMenus = [setUpDemoMenu("identity", "character"), setUpDemoMenu("driving", "motion")];
+  const demos = { demo: {}, "animal-demo": { character: "cow", motion: "horse gallop" } };
+  for (const [button, names] of Object.entries(demos)) {
+    const load = () => call("POST", "/api/demo", { what: "both", ...names });
+    element(button).addEventListener("click", () => attempt(sectionOf.both, load));
+  }
+  const fillMenus = [
+    setUpDemoMenu("identity", "character", "animals"),
+    setUpDemoMenu("driving", "motion", "animal_motions"),
+  ];
 
   const update = (now) => {
     if (!state) for (const fillMenu of fillMenus) fillMenu(now);

@@ -15,6 +15,7 @@ from jaxtyping import Float, Float32
 from ..bodies import RiggedBody
 from ..bodies.animals import ANIMALS, animal, animal_body, standing
 from ..bodies.sampling import rotvec_to_rotmat
+from ..core.errors import InputError
 from ..core.mesh import Clip
 from .motion import Motion, rotmat_to_rotvec
 from .procedural import planted
@@ -77,6 +78,21 @@ POSTURES: dict[str, dict[str, float]] = {
     },
 }
 """Angles of the joints from standing, by their names without a side."""
+ANIMAL_MOTIONS = {
+    "dog walk": ("dog", "walk", 2),
+    "camel pace": ("camel", "pace", 0),
+    "dog trot": ("dog", "trot", 0),
+    "horse canter": ("horse", "canter", 0),
+    "horse gallop": ("horse", "gallop", 4),
+    "cat bound": ("cat", "bound", 0),
+    "dog sits": ("dog", "sit", 0),
+    "lion lies": ("lion", "lie", 0),
+    "cow eats": ("cow", "eat", 0),
+    "cat stretches": ("cat", "stretch", 0),
+}
+"""Name of a motion for demos -> species of ANIMALS, key of GAITS or POSTURES, and number of the random motion."""
+DEMO_FRAMES = 36
+"""Frames of these motions."""
 
 
 def gait_motion(
@@ -88,18 +104,39 @@ def gait_motion(
 
 
 def gait_clip(name: str, gait: str, index: int = 0, *, seconds: float = 2.0, fps: float = 30.0) -> Clip:
-    """Make a clip of a shipped animal in a gait of the split `test`: metres, y up, walking towards +z.
+    """Make a clip of a shipped animal in a gait or posture of the split `test`: metres, y up, walking towards +z.
 
     The feet of this animal give the path. No gait has a time without a foot on the ground.
+
+    Args:
+        name: a key of `bodies.animals.ANIMALS`.
+        gait: a key of GAITS or POSTURES.
+        index: chooses among random motions of that kind.
 
     Raises:
         InputError: no animal has this name.
     """
     body, size = animal_body(name), ANIMALS[name].size
-    rotmat = gait_rotations(body, gait, SEEDS["test"], index, seconds, fps * FINER) @ standing(body, name)
+    rotations = gait_rotations if gait in GAITS else posture_rotations
+    rotmat = rotations(body, gait, SEEDS["test"], index, seconds, fps * FINER) @ standing(body, name)
     root = planted(body, rotmat)[::FINER]
     vertices = size * body.posed(np.zeros(0), rotmat[::FINER], root)
     return Clip(dataclasses.replace(animal(name), name=f"{name}-{gait}"), vertices, float(fps))
+
+
+def animal_clip(name: str) -> Clip:
+    """Make the clip of one of ANIMAL_MOTIONS: gaits at 30 frames a second, postures at 15.
+
+    Raises:
+        InputError: no such motion.
+    """
+    if name not in ANIMAL_MOTIONS:
+        raise InputError(
+            f"{name}: expected a motion of an animal ({', '.join(ANIMAL_MOTIONS)}), found another name; use one of them"
+        )
+    species, motion, index = ANIMAL_MOTIONS[name]
+    fps = 30.0 if motion in GAITS else 15.0
+    return gait_clip(species, motion, index, seconds=DEMO_FRAMES / fps, fps=fps)
 
 
 def gait_rotations(

@@ -7,8 +7,11 @@ are moved by deformation transfer. Everything else is done by the method (`run.p
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float
 
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, allocate_frames
@@ -35,11 +38,65 @@ from .run import (
     first_frame,
     fitted_norms,
     play,
+    pose_frame,
     prepare,
     read_rigs,
     surface_report,
 )
 from .same_mesh import ReferenceFrame, nearest_frame, same_mesh
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedNodes:
+    """An identity whose nodes get values from the driving's, which are copied or follow matched joints; and a clip."""
+
+    identity: Mesh
+    clip: Clip
+    axes: Axes
+    """Up and front of both, for the report, from which pictures are drawn."""
+    rigs: Rigs
+    """With the values that are copied, where no joints are matched."""
+    matched: MatchedCreatures | None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on the match."""
+        return () if self.matched is None else self.matched.notes
+
+    @property
+    def facts(self) -> dict:
+        """Facts for the report."""
+        return {"copied": True} if self.matched is None else {"copied": False, "match": self.matched.facts()}
+
+    def animation(self, root: str = "scale") -> OwnAnimation:
+        """Compute the values of the identity's nodes in all frames; `root` is for matched joints (`MotionOptions`)."""
+        source, name, length = self.identity.source, self.clip.mesh.name, len(self.clip)
+        assert isinstance(source, GltfSource)
+        if self.matched is not None:
+            return OwnAnimation(source, name, self.matched.tracks(root), self.clip.fps, length, {})
+        assert self.rigs.copied is not None
+        person = {} if self.rigs.identity is None else self.rigs.identity.person
+        tracks, keys = self.rigs.copied.tracks, self.rigs.copied.keys
+        return OwnAnimation(source, name, tracks, self.clip.fps, length, person, key_limit=COPY_LIMIT, keys=keys)
+
+    @cached_property
+    def scaled(self) -> OwnAnimation:
+        """The animation with the path scaled, which single frames are made of."""
+        return self.animation()
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedShape:
+    """An identity that is moved by deformation transfer from a frame of the driving that has about its pose."""
+
+    prepared: Prepared
+    reference: ReferenceFrame | MarkedFrame
+    norm: Normalization
+    """Of the identity."""
+
+
+PreparedMove = Prepared | PreparedNodes | PreparedShape
+"""An identity and a clip after all work that is done once, in the way that the files allow."""
 
 
 def move(
@@ -54,28 +111,80 @@ def move(
     dtype: type[np.floating] = np.float64,
     corrections: Corrections = NO_CORRECTIONS,
 ) -> MovedIdentity:
-    """Give the identity the motion of a clip: `prepare`, then `play`.
+    """Give the identity the motion of a clip: `prepare_move`, then `play_move`.
 
     Raises:
         InputError: an axis, the model, its options or the corrections cannot be used.
     """
     with timer.step("prepare"):
-        rigs = read_rigs(identity, clip, options, corrections, copy=not options.changes_motion)
-        matched = _matched_creatures(identity, clip, rigs, choice, axes, options, corrections)
-        if (rigs.only_copied or matched is not None) and options.smooth > 0:
-            raise InputError(
-                f"--smooth: expected the rig of a person, found another one in {identity.name}; leave this option out"
-            )
-        other = _other_shape(identity, clip, rigs, choice, axes, options, corrections) if matched is None else None
-        if other is not None:
-            return move_shape(identity, clip, other, axes, refine, timer, options, progress, dtype)
-        copied = rigs.copied is not None or matched is not None
-        prepared = None if copied else prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
+        prepared = prepare_move(identity, clip, choice, axes, refine, options, corrections)
+    return play_move(prepared, timer, options, progress, dtype)
+
+
+def prepare_move(
+    identity: Mesh,
+    clip: Clip,
+    choice: Choice,
+    axes: Axes,
+    refine: bool | None,
+    options: MotionOptions,
+    corrections: Corrections = NO_CORRECTIONS,
+) -> PreparedMove:
+    """Choose the way to move a mesh, and prepare it.
+
+    Raises:
+        InputError: an axis, the model, its options or the corrections cannot be used.
+    """
+    if options.body == OTHER and corrections.given:
+        raise InputError(
+            "--joints: expected people or four-legged animals, found --body other, which has no joints to correct; "
+            "leave one of the two out, or ignore the files with --no-joints"
+        )
+    rigs = read_rigs(identity, clip, options, corrections, copy=not options.changes_motion)
+    matched = _matched_creatures(identity, clip, rigs, choice, axes, options, corrections)
+    if (rigs.only_copied or matched is not None) and options.smooth > 0:
+        raise InputError(
+            f"--smooth: expected the rig of a person, found another one in {identity.name}; leave this option out"
+        )
     if matched is not None:
-        return move_creature(identity, clip, matched, options.root, timer, progress, dtype)
-    if prepared is None:
-        return copy_animation(identity, clip, rigs, axes, timer, progress, dtype)
+        return PreparedNodes(identity, clip, matched.axes, rigs, matched)
+    reference = _other_shape(identity, clip, rigs, choice, axes, options, corrections)
+    if reference is not None:
+        return _prepare_shape(identity, clip, reference, axes, refine, options)
+    if rigs.copied is not None:
+        return PreparedNodes(identity, clip, rigs.axes(axes), rigs, None)
+    return prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
+
+
+def play_move(
+    prepared: PreparedMove,
+    timer: Timer,
+    options: MotionOptions,
+    progress: Progress | None = None,
+    dtype: type[np.floating] = np.float64,
+) -> MovedIdentity:
+    """Make all frames of a clip and their report; the options have been checked in `prepare_move`."""
+    if isinstance(prepared, PreparedNodes):
+        return _play_nodes(prepared, timer, options.root, progress, dtype)
+    if isinstance(prepared, PreparedShape):
+        return _play_shape(prepared, timer, options, progress, dtype)
     return play(prepared, timer, options, progress, dtype)
+
+
+def frame_of_move(prepared: PreparedMove, t: int) -> Float[np.ndarray, "V 3"]:
+    """Make the identity's vertices in frame t only; see `pose_frame`."""
+    if isinstance(prepared, PreparedNodes):
+        return next(prepared.scaled.vertices(np.array([t])))
+    return pose_frame(prepared.prepared if isinstance(prepared, PreparedShape) else prepared, t)
+
+
+def refined_move(prepared: PreparedMove, refine: bool | None) -> PreparedMove:
+    """Switch refinement on or off, where there is any; None takes the method's default."""
+    if isinstance(prepared, PreparedNodes):
+        return prepared
+    if isinstance(prepared, PreparedShape):
+        return dataclasses.replace(prepared, prepared=prepared.prepared.with_refinement(refine))
+    return prepared.with_refinement(refine)
 
 
 def _matched_creatures(
@@ -145,8 +254,8 @@ def prepare_frames(
     other = _other_shape(identity, clip, rigs, choice, axes, options, corrections)
     if other is None:
         return prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
-    norm = Normalization.fit(identity, *axes[:2])
-    prepared = prepare_shape(identity, clip, other, norm, refine, options)
+    shape = _prepare_shape(identity, clip, other, axes, refine, options)
+    prepared, norm = shape.prepared, shape.norm
     noted = dataclasses.replace(NO_RIGS, notes=(other.note((identity.name, clip.mesh.name)),))
     # The axes were not given by the caller.
     norms = (
@@ -156,105 +265,59 @@ def prepare_frames(
     return dataclasses.replace(prepared, identity_norm=norms[0], driving_norm=norms[1], rigs=noted)
 
 
-def prepare_shape(
+def _prepare_shape(
     identity: Mesh,
     clip: Clip,
     reference: ReferenceFrame | MarkedFrame,
-    norm: Normalization,
+    axes: Axes,
     refine: bool | None,
     options: MotionOptions,
-) -> Prepared:
-    """Prepare deformation transfer from a frame of the driving that has about the identity's pose."""
+) -> PreparedShape:
+    norm = Normalization.fit(identity, *axes[:2])
     known = (norm.up, norm.front, *reference.axes(norm))
 
     def choice(driving: Normalization) -> Method:
         return reference.method(clip.mesh, norm, driving)
 
     options = dataclasses.replace(options, rig="mimesh", body="auto")
-    return prepare(identity, clip, choice, known, refine, options, rigs=NO_RIGS)
+    return PreparedShape(prepare(identity, clip, choice, known, refine, options, rigs=NO_RIGS), reference, norm)
 
 
-def move_shape(
-    identity: Mesh,
-    clip: Clip,
-    reference: ReferenceFrame | MarkedFrame,
-    axes: Axes,
-    refine: bool | None,
+def _play_shape(
+    shape: PreparedShape,
     timer: Timer,
     options: MotionOptions,
     progress: Progress | None,
     dtype: type[np.floating],
 ) -> MovedIdentity:
-    """Move an identity by deformation transfer from a frame of the driving that has about its pose."""
-    with timer.step("prepare"):
-        norm = Normalization.fit(identity, *axes[:2])
-        prepared = prepare_shape(identity, clip, reference, norm, refine, options)
-    moved = play(prepared, timer, options, progress, dtype)
-    moved.report["identity"] |= facing(norm)
+    """Move an identity by deformation transfer."""
+    prepared, reference = shape.prepared, shape.reference
+    moved = play(prepared, timer, dataclasses.replace(options, rig="mimesh", body="auto"), progress, dtype)
+    moved.report["identity"] |= facing(shape.norm)
     if isinstance(reference, ReferenceFrame):
         moved.report["driving"]["up_from"] = "identity"
     moved.report["reference"] = reference.facts()
-    return dataclasses.replace(moved, notes=(reference.note((identity.name, clip.mesh.name)), *moved.notes))
+    names = prepared.identity.name, prepared.clip.mesh.name
+    return dataclasses.replace(moved, notes=(reference.note(names), *moved.notes))
 
 
-def copy_animation(
-    identity: Mesh,
-    clip: Clip,
-    rigs: Rigs,
-    axes: Axes,
+def _play_nodes(
+    prepared: PreparedNodes,
     timer: Timer,
-    progress: Progress | None,
-    dtype: type[np.floating],
-) -> MovedIdentity:
-    """Move an identity whose skeleton is the driving's: its joints get the same values, and nothing is planted.
-
-    Axes are found only for the report, from which pictures are drawn.
-    """
-    assert isinstance(identity.source, GltfSource)
-    assert rigs.copied is not None
-    person = {} if rigs.identity is None else rigs.identity.person
-    tracks, keys = rigs.copied.tracks, rigs.copied.keys
-    own = OwnAnimation(
-        identity.source, clip.mesh.name, tracks, clip.fps, len(clip), person, key_limit=COPY_LIMIT, keys=keys
-    )
-    return _moved_nodes(identity, clip, own, rigs.axes(axes), {"copied": True}, timer, progress, dtype)
-
-
-def move_creature(
-    identity: Mesh,
-    clip: Clip,
-    matched: MatchedCreatures,
     root: str,
-    timer: Timer,
     progress: Progress | None,
     dtype: type[np.floating],
 ) -> MovedIdentity:
-    """Move an identity whose joints are matched with those of the driving, whatever creature it is."""
+    """Make all frames of an animation of the nodes of the identity's file, and their report; nothing is planted."""
+    identity, clip = prepared.identity, prepared.clip
     with timer.step("prepare"):
-        tracks = matched.tracks(root)
-    own = OwnAnimation(matched.identity.source, clip.mesh.name, tracks, clip.fps, len(clip), {})
-    facts = {"copied": False, "match": matched.facts()}
-    moved = _moved_nodes(identity, clip, own, matched.axes, facts, timer, progress, dtype)
-    return dataclasses.replace(moved, notes=matched.notes + moved.notes)
-
-
-def _moved_nodes(
-    identity: Mesh,
-    clip: Clip,
-    own: OwnAnimation,
-    axes: Axes,
-    facts: dict,
-    timer: Timer,
-    progress: Progress | None,
-    dtype: type[np.floating],
-) -> MovedIdentity:
-    """Make all frames of an animation of the nodes of the identity's file, and their report."""
+        own = prepared.animation(root)
     moved = allocate_frames(len(clip), len(identity.vertices), dtype)
     with timer.step("drive"):
         for t, vertices in enumerate(own.vertices()):
             moved[t] = vertices
             if progress is not None:
                 progress(t + 1, len(clip))
-    report = surface_report(identity, clip, moved, fitted_norms(identity, first_frame(clip), axes))
-    report |= {"rig": "own", **facts, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
-    return MovedIdentity(moved, None, own, report, missing_images_notes(missing_images(identity)))
+    report = surface_report(identity, clip, moved, fitted_norms(identity, first_frame(clip), prepared.axes))
+    report |= {"rig": "own", **prepared.facts, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
+    return MovedIdentity(moved, None, own, report, prepared.notes + missing_images_notes(missing_images(identity)))

@@ -155,15 +155,19 @@ class Routes:
         return JSONResponse({})
 
     async def use_demo(self, request: Request) -> Response:
-        """Load a shipped character, a shipped motion, or both."""
+        """Load a shipped character or animal, a shipped motion of people or animals, or both."""
+        from ..bodies.animals import ANIMALS
         from ..bodies.characters import CHARACTERS
         from ..motions import load_motion
+        from ..motions.gaits import ANIMAL_MOTIONS
 
         body = await _json(request)
         what, name, motion = (str(body.get(key, default)) for key, default in DEMO.items())
-        if name not in CHARACTERS:
-            raise InputError(f"character: expected one of {', '.join(CHARACTERS)}, found {name[:60]!r}; choose one")
-        await self._in_thread(load_motion, motion)  # raises InputError for an unknown motion
+        known = (*CHARACTERS, *ANIMALS)
+        if name not in known:
+            raise InputError(f"character: expected one of {', '.join(known)}, found {name[:60]!r}; choose one")
+        if motion not in ANIMAL_MOTIONS:
+            await self._in_thread(load_motion, motion)  # raises InputError for an unknown motion
         self._session.use_demo(what, name, motion)
         return JSONResponse({})
 

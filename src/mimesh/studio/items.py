@@ -9,6 +9,7 @@ from typing import Any
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
+from ..pipeline.move import PreparedMove
 from ..pipeline.result import ClipResult
 from ..pipeline.run import Prepared
 from .options import Options
@@ -44,12 +45,34 @@ class Item:
     read: int = 0
     """Number of times it has been read, so that results of an earlier reading are recognized."""
     outcome: Outcome | None = None
-    prepared: tuple[tuple, bool | None, Prepared] | None = None
-    """Inputs (see `preparation_inputs`), option `refine`, and what the model prepared for them last."""
+    preparation: Preparation | None = None
+    """What was prepared last."""
 
     @property
     def axes(self) -> tuple[str | None, str | None]:
         return self.up, self.front
+
+
+@dataclass(frozen=True, eq=False)
+class Preparation:
+    """What was prepared for a mesh and the driving clip, and for which inputs and options."""
+
+    inputs: tuple
+    """See `preparation_inputs`."""
+    motion_changes: tuple[bool, bool]
+    """See `Options`."""
+    refine: bool | None
+    """Option `refine`; False as it is prepared first."""
+    prepared: PreparedMove
+
+    def serves(self, inputs: tuple, motion_changes: tuple[bool, bool]) -> bool:
+        """Whether it is the same with other inputs and options.
+
+        A method that was chosen where an animation could be copied is chosen with changed motion, too. Other ways to
+        move a mesh do not have all options, and refuse those that they lack.
+        """
+        chosen = not any(self.motion_changes) and isinstance(self.prepared, Prepared)
+        return self.inputs == inputs and (self.motion_changes == motion_changes or chosen)
 
 
 @dataclass(eq=False)

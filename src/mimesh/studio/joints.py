@@ -14,6 +14,7 @@ from ..core.mesh import Clip, Mesh
 from ..io.joint_file import describe_corrections, load_corrections, side_file
 from ..methods.base import CorrectableMethod, Method
 from ..pipeline.corrections import Corrections, correctable_joints, found_joints, shown_bones
+from ..pipeline.move import PreparedMove
 from ..pipeline.run import Prepared
 from .items import Item
 
@@ -71,10 +72,10 @@ def applicable_corrections(method: Method, identity: Item, driving: Item) -> Cor
     return Corrections.read(identity.corrections, driving.corrections, driving.content)
 
 
-def describe_joints(prepared: Prepared, identity: Item, driving: Item) -> dict[str, Any]:
+def describe_joints(prepared: PreparedMove, identity: Item, driving: Item) -> dict[str, Any]:
     """Return the joints found on both meshes as JSON values; empty if the model has none."""
     frame = 0 if driving.corrections is None else driving.corrections.frame
-    found = found_joints(prepared, frame)
+    found = found_joints(prepared, frame) if isinstance(prepared, Prepared) else None
     if found is None:
         return {}
     shown = shown_bones(found.body)

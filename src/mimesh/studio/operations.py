@@ -12,16 +12,21 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import load_body
+from ..bodies.animals import ANIMALS, animal
+from ..bodies.characters import character
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..io import load_clip, load_mesh
 from ..io.beside import confined
 from ..methods.find import find_method
+from ..motions.gaits import ANIMAL_MOTIONS, animal_clip
 from ..pipeline import driving_axes
+from ..pipeline.corrections import Corrections
+from ..pipeline.move import PreparedMove, frame_of_move, play_move, prepare_move, refined_move
 from ..pipeline.report import facing
 from ..pipeline.result import ClipResult, Timer
-from ..pipeline.run import Prepared, play, pose_frame, prepare
+from ..pipeline.rigs import OTHER
 from ..tools.demo import driving_clip
 from .items import Item
 from .joints import applicable_corrections
@@ -31,21 +36,29 @@ __all__ = [
     "animations",
     "compute_result",
     "demo_clip",
+    "demo_mesh",
     "detect_facing",
     "for_page",
-    "pose_frame",
+    "frame_of_move",
     "prepare_inputs",
     "read_clip",
     "read_mesh",
+    "refined_move",
 ]
 
 OPTION_WORDS = {
+    "--body human or quadruped": "choose the body",
+    "-m deformation-transfer": "the command mimesh animate -m deformation-transfer",
+    "--rig mimesh": "the command mimesh animate --rig mimesh",
+    "--driving-front tells": "choose its front",
+    "--front tells": "choose its front",
+    "--smooth: ": "smoothing: ",
+    "--root: ": "root motion: ",
     "give --driving-up": "choose as up",
     "give --up": "choose as up",
     "give --driving-front": "choose its front",
     "give --front": "choose its front",
     "choose it with -m": "choose another model",
-    "--body human or quadruped": "choose the body",
     "--body chooses": "choose the body",
     "give one with --fps": "give a frame rate",
     "give another with --fps": "give another frame rate",
@@ -67,9 +80,17 @@ def read_clip(path: Path, folder: Path | None, name: str, fps: float | None, ani
     return dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=name)) if path.is_dir() else clip
 
 
+def demo_mesh(name: str) -> Mesh:
+    """Return a shipped character or animal, whose up axis is known."""
+    return dataclasses.replace(animal(name), up="+y") if name in ANIMALS else character(name)
+
+
 def demo_clip(motion: str) -> Clip:
-    """Return the shipped body in a shipped motion."""
-    return driving_clip(load_body(), motion)
+    """Return the shipped person in a shipped motion, or a shipped animal in one of ANIMAL_MOTIONS."""
+    if motion not in ANIMAL_MOTIONS:
+        return driving_clip(load_body(), motion)
+    clip = animal_clip(motion)
+    return dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, up="+y"))
 
 
 def detect_facing(content: Mesh | Clip, axes: tuple[str | None, str | None]) -> dict[str, Any]:
@@ -88,26 +109,27 @@ def animations(content: Mesh | Clip) -> tuple[str, ...]:
     return tuple(getattr(mesh.source, "animations", ()))
 
 
-def prepare_inputs(identity: Item, driving: Item, options: Options) -> Prepared:
+def prepare_inputs(identity: Item, driving: Item, options: Options) -> PreparedMove:
     """Prepare identity and driving clip, which have been read, for a model and a body, without refinement."""
     assert isinstance(identity.content, Mesh)
     assert isinstance(driving.content, Clip)
     axes = (*identity.axes, *driving_axes(driving.content, *driving.axes))
     method = find_method(options.model)
-    corrections = applicable_corrections(method, identity, driving)
-    motion = options.preparation(method)
-    return prepare(identity.content, driving.content, lambda frame: method, axes, False, motion, corrections)
+    motion = options.motion(method)
+    corrections = Corrections() if motion.body == OTHER else applicable_corrections(method, identity, driving)
+    return prepare_move(identity.content, driving.content, lambda frame: method, axes, False, motion, corrections)
 
 
-def compute_result(prepared: Prepared, options: Options, progress: Progress) -> ClipResult:
+def compute_result(
+    prepared: PreparedMove, identity: Mesh, clip: Clip, options: Options, progress: Progress
+) -> ClipResult:
     """Compute the whole clip, as `pipeline.animate` does, or the one pose, as `pipeline.transfer` does."""
-    seconds, clip = Timer(), prepared.clip
+    seconds, method = Timer(), find_method(options.model)
     dtype = np.float64 if len(clip) == 1 else np.float32
-    moved = play(prepared, seconds, options.motion(prepared.method), progress, dtype)
+    moved = play_move(prepared, seconds, options.motion(method), progress, dtype)
     first: Float[np.ndarray, "V 3"] = moved.vertices[0].astype(np.float64)
-    result_clip = Clip(prepared.identity.with_vertices(first), moved.vertices, clip.fps)
-    name = prepared.method.name
-    return ClipResult(result_clip, name, seconds, moved.report, moved.notes, moved.skeleton, own=moved.own)
+    result_clip = Clip(identity.with_vertices(first), moved.vertices, clip.fps)
+    return ClipResult(result_clip, method.name, seconds, moved.report, moved.notes, moved.skeleton, own=moved.own)
 
 
 def _within(folder: Path | None) -> contextlib.AbstractContextManager[None]:

@@ -9,7 +9,8 @@ from typing import Any
 
 from ..core.errors import InputError
 from ..methods.base import BodyMethod, Method, SkinnedMethod
-from ..methods.find import NETWORK_OF_BODY
+from ..methods.find import takes_rigs
+from ..pipeline.body_choice import BODIES
 from ..pipeline.run import ROOTS, MotionOptions
 
 
@@ -38,23 +39,28 @@ class Options:
         _check_choice(values, "root", ROOTS)
         _check_choice(values, "ground", (True, False))
         _check_choice(values, "refine", (None, True, False))
-        _check_choice(values, "body", ("auto", *NETWORK_OF_BODY))
+        _check_choice(values, "body", BODIES)
         smooth = values["smooth"]
         if isinstance(smooth, bool) or not isinstance(smooth, int | float) or not 0 <= smooth <= 10:
             raise InputError(f"smooth: expected seconds, 0 to 10, found {smooth!r}; try 0.05")
         values["smooth"] = float(smooth)
         return Options(**values)
 
-    def motion(self, method: Method) -> MotionOptions:
-        """Return the motion options for a method: only those with joints have any."""
-        return (
-            MotionOptions(self.root, self.ground, self.smooth) if isinstance(method, SkinnedMethod) else MotionOptions()
-        )
+    @property
+    def motion_changes(self) -> tuple[bool, bool]:
+        """Whether root motion and smoothing are other than the driving's: animations are then not copied."""
+        return self.root != "scale", self.smooth > 0
 
-    def preparation(self, method: Method) -> MotionOptions:
-        """Return the options that count when a method is prepared: the body, if it has several."""
-        several = isinstance(method, BodyMethod) and len(method.bodies) > 1
-        return MotionOptions(body=self.body) if several else MotionOptions()
+    def motion(self, method: Method) -> MotionOptions:
+        """Return the motion options for a method: those that it has.
+
+        Only methods with joints have root, ground, smooth and the rigs of files, only those of several bodies a body.
+        """
+        rig = "own" if takes_rigs(self.model) else "mimesh"
+        body = self.body if isinstance(method, BodyMethod) and len(method.bodies) > 1 else "auto"
+        if not isinstance(method, SkinnedMethod):
+            return MotionOptions(rig=rig, body=body)
+        return MotionOptions(self.root, self.ground, self.smooth, rig=rig, body=body)
 
 
 def parse_rate(value: Any) -> float | None:

@@ -6,6 +6,7 @@ by the worker thread. `version` grows with every change, so that pages know when
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 import threading
 from collections.abc import Callable
@@ -17,16 +18,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies.characters import character
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import parse_axis
+from ..pipeline.move import PreparedMove
 from ..pipeline.result import ClipResult
-from ..pipeline.run import Prepared
 from . import operations
 from .exports import MAX_EXPORTS, Export, write
-from .items import Item, Outcome, finished_result, preparation_inputs
+from .items import Item, Outcome, Preparation, finished_result, preparation_inputs
 from .jobs import Cancelled, Worker, error_line
 from .joints import check_corrections, describe_joints, parse_positions, read_side_file
 from .options import Options, parse_rate
@@ -86,12 +86,12 @@ class Session:
         return item.number
 
     def use_demo(self, what: str, name: str, motion: str) -> None:
-        """Load a shipped character (`what` is "identity"), a shipped motion ("driving"), or "both"."""
+        """Load a shipped character or animal (`what` is "identity"), a shipped motion ("driving"), or "both"."""
         if what in ("identity", "both"):
             check_room(len(self.identities) + 1)
             item = Item(self.next_number(), name)
             self.identities[item.number] = item
-            self._read(item, partial(character, name))
+            self._read(item, partial(operations.demo_mesh, name))
         if what in ("driving", "both"):
             self._read(self._new_driving(motion), partial(operations.demo_clip, motion))
 
@@ -178,8 +178,8 @@ class Session:
             raise Cancelled
 
         def work(progress: Progress) -> Float[np.ndarray, "V 3"]:
-            prepared = self._prepare(item)
-            return operations.pose_frame(prepared, min(max(frame, 0), len(prepared.clip) - 1))
+            prepared, clip = self._prepare(item)
+            return operations.frame_of_move(prepared, min(max(frame, 0), len(clip) - 1))
 
         return self.worker.submit(("pose", number), work, urgent=True)
 
@@ -206,7 +206,7 @@ class Session:
             raise Cancelled
 
         def work(progress: Progress) -> dict[str, Any]:
-            return describe_joints(self._prepare(item), item, driving)
+            return describe_joints(self._prepare(item)[0], item, driving)
 
         return self.worker.submit(("joints", number), work, urgent=True)
 
@@ -304,7 +304,7 @@ class Session:
         """Let the worker compute the result of a mesh, unless inputs are missing or it is there or under way."""
         if not isinstance(item.content, Mesh) or self.driving is None or not isinstance(self.driving.content, Clip):
             self.worker.cancel(("result", item.number))
-            item.outcome = item.prepared = None
+            item.outcome = item.preparation = None
             return
         inputs = (*preparation_inputs(item, self.driving, self.options), self.options)
         if getattr(item.outcome, "inputs", None) == inputs:
@@ -320,7 +320,9 @@ class Session:
                 progress(done, total)
                 self._report_progress(outcome, done / total)
 
-            return operations.compute_result(self._prepare(item), options, report)
+            prepared, clip = self._prepare(item)
+            assert isinstance(item.content, Mesh)
+            return operations.compute_result(prepared, item.content, clip, options, report)
 
         self.worker.submit(("result", item.number), work).add_done_callback(partial(self._finish_result, outcome))
 
@@ -340,23 +342,24 @@ class Session:
             outcome.progress = progress
             self.changed()
 
-    def _prepare(self, item: Item) -> Prepared:
+    def _prepare(self, item: Item) -> tuple[PreparedMove, Clip]:
         """Return a mesh and the driving clip as the model prepared them, from the cache if the inputs are the same.
 
-        Preparation (fitting, normalization) takes most of the time to the first pose and does not depend on the motion
-        options, so that sliders respond quickly.
+        Preparation (fitting, normalization) takes most of the time to the first pose and hardly depends on the motion
+        options, so that sliders respond quickly. Refinement is a second step, for the same reason.
         """
         driving, mesh = self.driving, item.content
         if driving is None or not isinstance(mesh, Mesh) or not isinstance(driving.content, Clip):
             raise Cancelled
-        inputs, options, cached = preparation_inputs(item, driving, self.options), self.options, item.prepared
-        if cached is None or cached[0] != inputs:
-            cached = (inputs, False, operations.prepare_inputs(item, driving, options))
-        # Refinement is a second step, so that switching it does not repeat the first.
-        if cached[1] != options.refine:
-            cached = (inputs, options.refine, cached[2].with_refinement(options.refine))
-        item.prepared = cached
-        return cached[2]
+        inputs, options, cached = preparation_inputs(item, driving, self.options), self.options, item.preparation
+        if cached is None or not cached.serves(inputs, options.motion_changes):
+            prepared = operations.prepare_inputs(item, driving, options)
+            cached = Preparation(inputs, options.motion_changes, False, prepared)
+        if cached.refine != options.refine:
+            refined = operations.refined_move(cached.prepared, options.refine)
+            cached = dataclasses.replace(cached, refine=options.refine, prepared=refined)
+        item.preparation = cached
+        return cached.prepared, driving.content
 
     def _cancel_jobs(self, item: Item) -> None:
         for what in ("read", "pose", "joints", "result"):

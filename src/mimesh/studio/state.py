@@ -5,11 +5,14 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from ..bodies.animals import ANIMALS
 from ..bodies.characters import CHARACTERS
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import AXES, UNSURE
 from ..methods.find import MODELS, REDUCED_MODELS
 from ..motions.clips import SEGMENTS
+from ..motions.gaits import ANIMAL_MOTIONS
+from ..pipeline.result import ClipResult
 from ..pipeline.run import ROOTS
 from ..player.pack import Panel, pack_scene
 from . import operations
@@ -39,7 +42,9 @@ def describe(session: Session) -> dict[str, Any]:
         "roots": ROOTS,
         "axes": AXES,
         "motions": tuple(SEGMENTS),
+        "animal_motions": tuple(ANIMAL_MOTIONS),
         "characters": tuple(CHARACTERS),
+        "animals": tuple(ANIMALS),
         "formats": formats(frames != 1),
         "moving": frames != 1,
         "exports": [_describe_export(export) for export in list(session.exports.values())],
@@ -169,9 +174,17 @@ def _describe_outcome(session: Session, item: Item) -> dict[str, Any] | None:
         "notes": [] if result is None else [operations.for_page(note, folder) for note in result.notes],
         "seconds": 0.0 if result is None else sum(result.seconds.values()),
         "model": "" if result is None else result.model,
-        "body": "" if result is None else result.report.get("body", ""),
+        **({"body": "", "confidence": None} if result is None else _what_was_moved(result)),
         "joints": result is not None and result.skeleton is not None,
     }
+
+
+def _what_was_moved(result: ClipResult) -> dict[str, Any]:
+    """Tell what both meshes were taken for, and how sure the match of joints or marks is, where there was one."""
+    report = result.report
+    match = report.get("match") or report.get("reference")
+    body = "copied" if report.get("copied") else "other" if match else report.get("body", "")
+    return {"body": body, "confidence": None if match is None else match.get("confidence")}
 
 
 def _describe_export(export: Export) -> dict[str, Any]:

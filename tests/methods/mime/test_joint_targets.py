@@ -1,5 +1,7 @@
 """Predicted joints are moved to corrected positions, others with them, and the rotations follow."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -7,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import sample_pose
 from mimesh.methods.mime.joint_targets import JointTargets, two_bone_middle
+from mimesh.motions.gaits import gait_rotations
 
 BODY = load_body()
 AT = {name: j for j, name in enumerate(BODY.joint_names)}
@@ -103,3 +106,96 @@ def test_straight_limbs_bend_to_the_front():
     limb = np.array([[0.0, 0, 0], [0, -1, 0], [0, -2, 0]])
     middle = two_bone_middle(limb, np.zeros(3), np.array([0.0, -np.sqrt(2), 0]), FRONT)
     np.testing.assert_allclose(middle, [0, -np.sqrt(0.5), np.sqrt(0.5)], atol=1e-9)
+
+
+ANIMAL = load_body("quadruped")
+ANIMAL_AT = {name: j for j, name in enumerate(ANIMAL.joint_names)}
+
+
+def animal_pose(gait="walk", t=3):
+    """World rotations and positions of the joints of an animal in a gait."""
+    local = gait_rotations(ANIMAL, gait, 0, 0, 1.0, 10.0)[t]
+    rotation, offset = ANIMAL.skinning_transforms(ANIMAL.joints, local)
+    return rotation, offset + (rotation @ ANIMAL.joints[..., None])[..., 0]
+
+
+def animal_moved(positions, rotation, joints):
+    index = [ANIMAL_AT[name] for name in positions]
+    return JointTargets(index, np.array(list(positions.values())), "quadruped").move(rotation, joints)
+
+
+def bone(joints, first, second):
+    return joints[ANIMAL_AT[second]] - joints[ANIMAL_AT[first]]
+
+
+def assert_animal_bones_follow(rotation, joints, *chain):
+    for first, second in pairwise(chain):
+        predicted = rotation[ANIMAL_AT[first]] @ bone(ANIMAL.joints, first, second)
+        found = bone(joints, first, second)
+        cosine = predicted @ found / np.linalg.norm(predicted) / np.linalg.norm(found)
+        assert cosine > 1 - 1e-6, (first, second)
+
+
+@pytest.mark.parametrize("gait", ["walk", "gallop"])
+def test_targets_where_joints_of_an_animal_are_change_nothing(gait):
+    rotation, joints = animal_pose(gait)
+    result = animal_moved({name: joints[ANIMAL_AT[name]] for name in ANIMAL.joint_names[::3]}, rotation, joints)
+    for array, expected in zip(result, (rotation, joints), strict=True):
+        np.testing.assert_allclose(array, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("leg", [("Thigh", "Shin", "Foot"), ("UpperArm", "Forearm", "Hand")])
+def test_a_dragged_knee_or_elbow_of_an_animal_leaves_the_other_joints(leg):
+    rotation, joints = animal_pose()
+    names = [f"Right{part}" for part in leg]
+    target = joints[ANIMAL_AT[names[1]]] + [0.01, 0.02, 0.03]
+    result, positions = animal_moved({names[1]: target}, rotation, joints)
+    np.testing.assert_array_equal(positions[ANIMAL_AT[names[1]]], target)
+    others = np.arange(37) != ANIMAL_AT[names[1]]
+    np.testing.assert_allclose(positions[others], joints[others], atol=1e-9)
+    assert_animal_bones_follow(result, positions, *names)
+    np.testing.assert_allclose(np.linalg.det(result), 1)
+
+
+@pytest.mark.parametrize("leg", [("Thigh", "Shin", "Foot", "Toes"), ("UpperArm", "Forearm", "Hand", "Fingers")])
+def test_dragged_toes_of_an_animal_take_the_hock_along_and_bend_the_knee(leg):
+    rotation, joints = animal_pose()
+    upper, middle, end, toes = (f"Left{part}" for part in leg)
+    step = np.array([0.02, 0.06, 0.03])
+    result, positions = animal_moved({toes: joints[ANIMAL_AT[toes]] + step}, rotation, joints)
+    np.testing.assert_allclose(positions[ANIMAL_AT[end]], joints[ANIMAL_AT[end]] + step)
+    assert_animal_bones_follow(result, positions, upper, middle, end, toes)
+    before, after = (bone(of, upper, end) for of in (joints, positions))
+    assert np.linalg.norm(after) < np.linalg.norm(before)
+    sides = [np.cross(bone(of, upper, middle), bone(of, middle, end)) for of in (joints, positions)]
+    assert sides[0] @ sides[1] > 0, "the leg bends to the side that it bent to"
+
+
+def test_a_hock_far_from_its_place_takes_the_toes_along():
+    rotation, joints = animal_pose()
+    hock = joints[ANIMAL_AT["LeftFoot"]] + [0.0, 0.0, 0.25]
+    _, positions = animal_moved({"LeftFoot": hock}, rotation, joints)
+    np.testing.assert_allclose(bone(positions, "LeftFoot", "LeftToes"), bone(joints, "LeftFoot", "LeftToes"))
+    _, near = animal_moved({"LeftFoot": joints[ANIMAL_AT["LeftFoot"]] + [0, 0, 0.01]}, rotation, joints)
+    np.testing.assert_array_equal(near[ANIMAL_AT["LeftToes"]], joints[ANIMAL_AT["LeftToes"]])
+
+
+def test_a_dragged_end_of_the_tail_bends_the_whole_tail():
+    rotation, joints = animal_pose()
+    end = joints[ANIMAL_AT["Tail6"]] + [0.1, 0.2, 0.0]
+    result, positions = animal_moved({"Tail6": end}, rotation, joints)
+    np.testing.assert_array_equal(positions[ANIMAL_AT["Tail6"]], end)
+    np.testing.assert_array_equal(positions[ANIMAL_AT["Tail1"]], joints[ANIMAL_AT["Tail1"]])
+    heights = [positions[ANIMAL_AT[f"Tail{k}"]][1] - joints[ANIMAL_AT[f"Tail{k}"]][1] for k in range(1, 7)]
+    assert all(a < b for a, b in pairwise(heights))
+    assert_animal_bones_follow(result, positions, *(f"Tail{k}" for k in range(1, 7)))
+    kept = np.array(["Tail" not in name for name in ANIMAL.joint_names])
+    np.testing.assert_allclose(positions[kept], joints[kept], atol=1e-9)
+
+
+def test_a_paw_on_the_other_side_of_an_animal_swaps_its_legs():
+    rotation, joints = animal_pose()
+    _, positions = animal_moved({"LeftToes": joints[ANIMAL_AT["RightToes"]]}, rotation, joints)
+    for part in ("Thigh", "Shin", "Foot"):
+        np.testing.assert_allclose(positions[ANIMAL_AT[f"Left{part}"]], joints[ANIMAL_AT[f"Right{part}"]], atol=1e-9)
+    np.testing.assert_array_equal(positions[ANIMAL_AT["LeftHand"]], joints[ANIMAL_AT["LeftHand"]])
