@@ -1,6 +1,6 @@
 """Measure how corrected joints mend what `mime` misreads on four-legged animals of other makers, given without rigs.
 
-    python scripts/measure_animal_joints.py FOLDER [--driving Walk] [-o benchmarks/animal-joints.json]
+    python scripts/measure_animal_joints.py FOLDER [--driving Walk] [-o benchmarks/animal_joints.json]
 
 FOLDER has rigged files (.glb, .gltf) with several animations. The identity is the mesh of an animal, without its rig,
 in the middle and in the last frame of each animation. It is driven by the same animal with its rig, so that all that is
@@ -42,7 +42,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--driving", default="Walk", help="end of the name of the driving animation")
-    parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/animal-joints.json"))
+    parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/animal_joints.json"))
     args = parser.parse_args()
     rows = []
     for path in sorted(path for path in args.folder.iterdir() if path.suffix.lower() in (".glb", ".gltf")):

@@ -147,8 +147,13 @@ def test_animals_are_found_chosen_and_refused_with_people(fresh, files, tmp_path
     wait_and_pause(page)
     page.set_viewport_size({"width": 1100, "height": 600})
     page.click("[data-name=joints]")
-    page.wait_for_selector("text=Joints of animals cannot be corrected.", timeout=60_000)
-    assert page.locator("svg.joints").count() == 0
+    page.wait_for_selector("svg.joints circle[aria-label^='LeftThigh']", timeout=60_000)
+    assert page.locator("svg.joints").count() == 2
+    page.get_by_label("Joint", exact=True).select_option("identity LeftToes")
+    page.keyboard.press("Shift+ArrowUp")
+    page.wait_for_selector(f"{row}:has-text('Corrected by hand: LeftToes')[data-state=done]", timeout=60_000)
+    page.get_by_role("button", name="Reset all").click()
+    page.wait_for_selector(f"{row}[data-state=done]:not(:has-text('Corrected'))", timeout=60_000)
     page.click("[data-name=joints]")
     body.select_option("human")
     page.wait_for_selector(f"{row}[data-state=done]:has-text('moved as a person in')", timeout=60_000)
@@ -224,14 +229,15 @@ def test_the_slider_shows_poses_while_the_clip_is_computed(fresh, files, studio,
 
 def test_keyboard_theme_and_narrow_windows_work(fresh, monkeypatch):
     from mimesh.studio import operations
-    from mimesh.studio import session as session_module
 
-    monkeypatch.setattr(session_module, "character", lambda name: person(0))
+    monkeypatch.setattr(operations, "demo_mesh", lambda name: person(0))
     monkeypatch.setattr(operations, "demo_clip", lambda motion: walk(frames=2))
     page = fresh.page
     page.focus("#welcome button")
     page.keyboard.press("Enter")
     page.wait_for_selector("#identities .row[data-state=done]", timeout=30_000)
+    groups = page.locator("#character optgroup, #motion optgroup").evaluate_all("(all) => all.map((one) => one.label)")
+    assert groups == 2 * ["People", "Four-legged animals"]
     page.select_option("#character", "imp")
     page.wait_for_selector("#identities .row[data-state=done]:has-text('imp')", timeout=30_000)
     wait_and_pause(page)
@@ -241,6 +247,32 @@ def test_keyboard_theme_and_narrow_windows_work(fresh, monkeypatch):
     page.keyboard.press("d")
     page.set_viewport_size({"width": 400, "height": 760})
     assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth"), "nothing exceeds the window"
+    page.set_viewport_size({"width": 760, "height": 480})
+
+
+def test_animals_and_other_creatures_are_chosen_and_moved(fresh, tmp_path):
+    from creatures import BIRD, Boxes, flapping
+
+    page = fresh.page
+    page.get_by_role("button", name="Try animals").click()
+    page.wait_for_selector("#identities .row[data-state=done]:has-text('cow')", timeout=60_000)
+    assert "horse gallop" in page.inner_text("#driving .rows")
+    page.select_option("#model select", "mime")
+    large = Boxes.of(BIRD, size=3.0).renamed(1)
+    bird = Boxes.of(BIRD).write(tmp_path / "bird.glb")
+    flight = large.write(tmp_path / "large.glb", flapping(large.names))
+    page.get_by_label("Remove cow").click()
+    page.get_by_label("Both meshes are").select_option("other")
+    choose(page, "driving", flight)
+    choose(page, "identity", bird)
+    page.wait_for_selector("#identities .row:has-text('moved as a creature (confidence 0.84) in')", timeout=60_000)
+    assert "8 joints follow those of large.glb" in page.inner_text("#identities .note")
+    wait_and_pause(page)
+    page.set_viewport_size({"width": 1100, "height": 600})
+    page.click("[data-name=joints]")
+    page.wait_for_selector("text=These rigs are followed as they are: no joints to correct.", timeout=60_000)
+    page.click("[data-name=joints]")
+    page.get_by_label("Both meshes are").select_option("auto")
     page.set_viewport_size({"width": 760, "height": 480})
 
 
