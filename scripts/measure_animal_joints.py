@@ -1,16 +1,17 @@
 """Measure how corrected joints mend what `mime` misreads on four-legged animals of other makers, given without rigs.
 
-    python scripts/measure_animal_joints.py FOLDER [--driving Walk] [-o benchmarks/animal_joints.json]
+    python scripts/measure_animal_joints.py FOLDER [--identity Death] [--driving Walk] [-o benchmarks/animal_joints.json]
 
 FOLDER has rigged files (.glb, .gltf) with several animations. The identity is the mesh of an animal, without its rig,
-in the middle and in the last frame of each animation. It is driven by the same animal with its rig, so that all that is
-wrong is how the identity was read; the truth are the driving's vertices. The joint of a leg or of the head that is
+in the middle of an animation in which animals are misread (they fall over). It is driven by the same animal, without
+its rig, in one in which they are not; the truth are the driving's vertices. The joint of a leg or of the head that is
 farthest from that of the file's rig is put there, one after the other, until none is wrong.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,7 +34,7 @@ WRONG = 20.0
 """Distance (percent of the animal's height) from which on a joint is wrong."""
 MOST = 8
 """Joints that are corrected at most."""
-FRAMES = 12
+FRAMES = 6
 """Frames of the driving motion."""
 
 
@@ -41,12 +42,13 @@ def main() -> None:
     """Print and write the errors of every mesh after each corrected joint, and their means."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--identity", default="Death", help="end of the names of the animations of the identity")
     parser.add_argument("--driving", default="Walk", help="end of the name of the driving animation")
     parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/animal_joints.json"))
     args = parser.parse_args()
     rows = []
     for path in sorted(path for path in args.folder.iterdir() if path.suffix.lower() in (".glb", ".gltf")):
-        for row in corrected_meshes(path, args.driving):
+        for row in corrected_meshes(path, args.identity, args.driving):
             rows.append(row)
             print(json.dumps(row), flush=True)
     wrong = [row for row in rows if row["steps"][0]["distance"] > WRONG]
@@ -62,19 +64,19 @@ def main() -> None:
         temporary.write_text(json.dumps(report, indent=1) + "\n")
 
 
-def corrected_meshes(path: Path, driving: str) -> Iterator[dict[str, Any]]:
-    """Measure an animal in two frames of each of its animations."""
+def corrected_meshes(path: Path, identity: str, driving: str) -> Iterator[dict[str, Any]]:
+    """Measure an animal in the middle of some of its animations, by the ends of their names."""
     names = getattr(load_clip(path).mesh.source, "animations", ())
     motion = load_clip(path, animation=next(name for name in names if name.endswith(driving)))
-    motion = cut_clip(motion, 0, FRAMES, 1)
-    for name in names:
+    motion = dataclasses.replace(cut_clip(motion, 0, FRAMES, 1), skeleton=None)
+    for name in (name for name in names if name.endswith(identity)):
         clip = load_clip(path, animation=name)
         rig = Rigs.read(clip.mesh, clip, "mimesh").driving
         assert rig is not None
-        for t in (len(clip) // 2, len(clip) - 1):
-            true = {joint: rig.positions[t, rig.joints.index(joint)] for joint in NAMES if joint in rig.joints}
-            mesh = Mesh(np.asarray(clip.vertices[t], np.float64), clip.mesh.faces, name=path.stem, up="+y")
-            yield {"mesh": f"{path.stem} {name} {t}", "steps": list(corrected_steps(mesh, true, motion, rig.front))}
+        t = len(clip) // 2
+        true = {joint: rig.positions[t, rig.joints.index(joint)] for joint in NAMES if joint in rig.joints}
+        mesh = Mesh(np.asarray(clip.vertices[t], np.float64), clip.mesh.faces, name=path.stem, up="+y")
+        yield {"mesh": f"{path.stem} {name} {t}", "steps": list(corrected_steps(mesh, true, motion, rig.front))}
 
 
 def corrected_steps(
@@ -88,7 +90,9 @@ def corrected_steps(
     height = float(np.ptp(motion.mesh.vertices[:, 1])) / 100
     corrected: dict[str, Float[np.ndarray, " 3"]] = {}
     while True:
-        result = animate(mesh, motion, front=front, ground=False, joints=corrected)
+        result = animate(
+            mesh, motion, front=front, driving_front=front, body="quadruped", ground=False, joints=corrected
+        )
         assert result.joints is not None
         off = centred(result.clip.vertices) - centred(motion.vertices)
         distance = {joint: float(np.linalg.norm(result.joints[joint] - place)) for joint, place in true.items()}

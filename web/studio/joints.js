@@ -193,6 +193,7 @@ export class Joints {
       }));
     }
     this.choice.value = this.selected ? `${this.selected.role} ${this.selected.name}` : "";
+    if (this.choice.selectedIndex < 0) this.choice.value = ""; // a joint of another body
     const role = this.selected?.role ?? (Object.keys(this.corrected("identity")).length ? "identity" : "driving");
     const any = this.on && Object.keys(ROLES).some((each) => Object.keys(this.corrected(each)).length);
     this.resetButton.disabled = !this.selected || !(this.selected.name in this.corrected(this.selected.role));
