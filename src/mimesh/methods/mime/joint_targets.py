@@ -34,8 +34,11 @@ class Linkage:
     limbs: tuple[tuple[str, ...], ...]
     """Upper, middle and end joint of each limb, then the tip of its foot if that stays on its own: the two left ones,
     then the two right ones."""
-    bends: tuple[tuple[float, tuple[float, float, float]], ...]
-    """How each limb bends: its middle to the front (1) or the back (-1), about this axis of the body at rest."""
+    bends: tuple[float, ...]
+    """Where the middle of each limb goes as it bends: to the front (1) or the back (-1)."""
+    hinges: tuple[tuple[float, float, float], ...]
+    """Axis of the body at rest about which each limb bends. None for animals: their limbs hardly twist against the
+    trunk, and where a rig has fewer bones, the middle of a foreleg is its wrist, which bends the other way."""
     trunk: tuple[str, ...]
     anchors: tuple[str, str, str]
     """Joints of the trunk that stay unless they are corrected; the middle one does not if both others are."""
@@ -66,15 +69,14 @@ class Linkage:
         return {side: joint for joint, sides in self.trunk_sides.items() for side in sides}
 
 
-_KNEE, _BACK = (1.0, (1.0, 0.0, 0.0)), (-1.0, (-1.0, 0.0, 0.0))
-"""Legs bend to the front, forelegs to the back: about the axis to the left, and against it."""
 HUMAN = Linkage(
     limbs=tuple(
         (f"{side}{upper}", f"{side}{middle}", f"{side}{end}")
         for side in SIDES
         for upper, middle, end in (("UpLeg", "Leg", "Foot"), ("Arm", "ForeArm", "Hand"))
     ),
-    bends=(_KNEE, (-1.0, (0.0, -1.0, 0.0)), _KNEE, (-1.0, (0.0, 1.0, 0.0))),
+    bends=(1.0, -1.0, 1.0, -1.0),
+    hinges=((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
     trunk=("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head"),
     anchors=("Hips", "Spine1", "Head"),
     neck=("Neck", "Neck1", "Head"),
@@ -91,7 +93,8 @@ QUADRUPED = Linkage(
         for side in SIDES
         for leg in (("Thigh", "Shin", "Foot", "Toes"), ("UpperArm", "Forearm", "Hand", "Fingers"))
     ),
-    bends=(_KNEE, _BACK, _KNEE, _BACK),
+    bends=(1.0, -1.0, 1.0, -1.0),
+    hinges=(),
     trunk=("Hips", "Spine1", "Spine2", "Spine3", "Spine4", "Chest", "Neck1", "Neck2", "Neck3", "Head"),
     anchors=("Hips", "Chest", "Head"),
     neck=("Neck1", "Neck2", "Neck3", "Head"),
@@ -116,6 +119,9 @@ MAX_HINGE_TWIST = 90.0
 """Largest angle (degrees) between a bone's rotation and that of the hinge at its end."""
 MAX_TWIST = 90.0
 """Largest angle (degrees) between the rotations of a limb and of the trunk, apart from the direction of the bone."""
+MAX_TRUNK_TURN = 45.0
+"""Largest angle (degrees) between the rotation of a joint of an animal's trunk and that of the plane through the trunk,
+if its hips and shoulders are all corrected."""
 Joints = Float[np.ndarray, "J 3"]
 Rotation = Float[np.ndarray, "3 3"]
 
@@ -185,7 +191,7 @@ class _Chains:
         for name, j in at.items():  # parents come before their children
             if not fixed[j] and name not in linkage.staying:
                 moved[j] = joints[j] + moved[self.parents[j]] - joints[self.parents[j]]
-        for limb, (front, _) in zip(linkage.limbs, linkage.bends, strict=True):
+        for limb, front in zip(linkage.limbs, linkage.bends, strict=True):
             self._move_limb([at[name] for name in limb], front, moved, joints, rotation, fixed)
         return moved
 
@@ -237,10 +243,15 @@ class _Chains:
         linkage, at, parents = self.linkage, self.at, self.parents
         turned, moved = rotation.copy(), moved.copy()
         turns = {name: self._trunk_turn(joints, moved, sides) for name, sides in linkage.trunk_sides.items()}
+        known_trunk = linkage is QUADRUPED and all(fixed[at[side]] for side in linkage.trunk_above)
         for name, j in at.items():  # parents come before their children
             parent, trunk = parents[j], linkage.turned_by.get(name)
             if trunk is not None:
                 turned[j] = turns[trunk] @ rotation[j]
+                # Animals that lie on their side are read as standing: the prediction contradicts the corrections.
+                upright = self._trunk_turn(self.rest, moved, linkage.trunk_sides[trunk])
+                if known_trunk and angles_between(turned[j], upright) > MAX_TRUNK_TURN:
+                    turned[j] = upright
                 continue
             inherited = turned[parent] @ rotation[parent].T @ rotation[j]
             # Shoulders and hip joints are too short to tell how the chest or the hips are turned.
@@ -287,12 +298,14 @@ class _Chains:
 
     def _hinge_rotation(self, name: str, joints: Joints) -> Rotation | None:
         """Return the rotation of a bone of a bent limb whose knee or elbow is a hinge; None if it is not bent."""
-        limb, bend = next(
-            (pair for pair in zip(self.linkage.limbs, self.linkage.bends, strict=True) if name in pair[0][:2]),
-            (None, None),
-        )
-        if limb is None or bend is None:
+        found = [
+            (limb, hinge)
+            for limb, hinge in zip(self.linkage.limbs, self.linkage.hinges, strict=False)
+            if name in limb[:2]
+        ]
+        if not found:
             return None
+        limb, hinge = found[0]
         places = [self.at[part] for part in limb[:3]]
         upper, lower = unit_vectors(np.diff(joints[places], axis=0))
         axis = np.cross(upper, lower)
@@ -301,7 +314,7 @@ class _Chains:
         k = limb.index(name)
         rest = self.rest[places[k + 1]] - self.rest[places[k]]
         bone = (upper, lower)[k]
-        frames = [_frame(direction, about) for direction, about in ((rest, np.array(bend[1])), (bone, axis))]
+        frames = [_frame(direction, about) for direction, about in ((rest, np.array(hinge)), (bone, axis))]
         return frames[1] @ frames[0].T
 
     def _trunk_turn(self, before: Joints, after: Joints, sides: tuple[str, str]) -> Rotation:
