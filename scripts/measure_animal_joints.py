@@ -72,8 +72,15 @@ def errors(path: Path, identity: str, driving: str) -> Iterator[dict[str, Any]]:
         true = {joint: rig.positions[t, rig.joints.index(joint)] for joint in NAMES if joint in rig.joints}
         mesh = Mesh(np.asarray(clip.vertices[t], np.float64), clip.mesh.faces, name=path.stem, up="+y")
         for which, joints in (("read", {}), ("corrected", true)):
-            axes = {"front": rig.front, "driving_front": rig.front}
-            result = animate(mesh, motion, **axes, body="quadruped", ground=False, joints=joints)
+            result = animate(
+                mesh,
+                motion,
+                front=rig.front,
+                driving_front=rig.front,
+                body="quadruped",
+                ground=False,
+                joints=joints,
+            )
             off = np.linalg.norm(centred(result.clip.vertices) - centred(motion.vertices), axis=-1)
             row[which] = round(100 * float(off.mean() / np.ptp(motion.mesh.vertices[:, 1])), 2)
         yield {"mesh": f"{path.stem} {name} {t}", "joints": len(true), **row}
