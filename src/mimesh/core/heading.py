@@ -34,6 +34,10 @@ DIGITS = 12
 """Decimals of the principal angle (radians) that are kept: the last bits depend on the order of the vertices."""
 WITHIN = np.radians(60)
 """Largest angle between a given front and the heading that is taken out."""
+LEVEL = 0.5
+"""Smallest horizontal part of a front that has a heading."""
+FRONT_DIGITS = 2
+"""Decimals of the angle of a predicted front (radians) that are kept."""
 QUARTERS = ("+z", "+x", "-z", "-x")
 """Axes at 0, 1, 2 and 3 right angles from z towards x."""
 
@@ -77,6 +81,30 @@ def without_heading(mesh: Mesh, norm: Normalization, front_known: bool, person: 
     detected = dataclasses.replace(norm, front=axis_name(rotation.T @ np.array([0.0, 0.0, 1.0])), margin=margin)
     upright = mesh.with_vertices(rotate_axes(np.asarray(mesh.vertices, np.float64), rotation))
     return _turned(upright, detected, rotation, headings[best] - quarter * np.pi / 2)
+
+
+def turned_to_front(
+    mesh: Mesh, norm: Normalization, front: Float[np.ndarray, " 3"], front_known: bool
+) -> Normalization:
+    """Return a normalization in which a predicted front faces +z.
+
+    Args:
+        mesh: the mesh that `norm` was fitted to.
+        norm: its normalization without the heading.
+        front: the front that a model has predicted from the normalised mesh, a unit vector. One that points up or down
+            has no heading, and changes nothing.
+        front_known: whether the front of `norm` was given: a prediction that contradicts it is turned around.
+    """
+    if np.hypot(front[0], front[2]) < LEVEL:
+        return norm
+    # Rounded, because inputs that differ in their last bits give predictions that differ a little more.
+    heading = norm.heading + np.round(np.arctan2(front[0], front[2]), FRONT_DIGITS)
+    heading = (heading + np.pi) % (2 * np.pi) - np.pi
+    if front_known and abs(heading) > np.pi / 2:
+        heading -= np.sign(heading) * np.pi
+    rotation = (turn(norm.heading) @ norm.rotation).round()
+    upright = mesh.with_vertices(rotate_axes(np.asarray(mesh.vertices, np.float64), rotation))
+    return _turned(upright, norm, rotation, heading)
 
 
 def principal_heading(upright: Mesh) -> float | None:

@@ -19,7 +19,7 @@ from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.errors import InputError
 from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, release_pages
-from ..core.heading import turn, without_heading
+from ..core.heading import turn, turned_to_front, without_heading
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -256,11 +256,13 @@ def _without_headings(
         return norms
     # The front of an animal was found by its network (see `with_body`).
     person = not isinstance(method, BodyMethod) or method.body == "human"
-    identity, driving = (
-        without_heading(mesh, norm, front is not None or not norm.detected, person)
-        for mesh, norm, front in zip(meshes, norms, axes[1::2], strict=True)
-    )
-    return identity, driving
+    turned = []
+    for mesh, norm, front in zip(meshes, norms, axes[1::2], strict=True):
+        known = front is not None or not norm.detected
+        rough = without_heading(mesh, norm, known, person)
+        _, hips = method.quick_predict(normalised(mesh, rough))
+        turned.append(turned_to_front(mesh, rough, hips[:, 2], known or not person))
+    return turned[0], turned[1]
 
 
 def _prepared_drive(
