@@ -493,6 +493,10 @@ def _reading(path: Path) -> Iterator[None]:
         if path.is_file() and path.stat().st_size == 0:
             raise InputError(f"{path}: expected a mesh, found an empty file of 0 bytes; export it again")
         yield
+    except MemoryError as error:
+        raise InputError(
+            f"{path}: expected a file that fits into memory, found a larger one; split it, or take fewer frames"
+        ) from error
     except OSError as error:
         raise InputError(
             f"{path}: expected a readable file, found '{error.strerror}'; check its permissions"

@@ -31,6 +31,7 @@ from .run import (
     Choice,
     MotionOptions,
     MovedIdentity,
+    check_identity,
     first_frame,
     fitted_norms,
     play,
@@ -58,6 +59,7 @@ def move(
     Raises:
         InputError: an axis, the model, its options or the corrections cannot be used.
     """
+    check_identity(identity)
     with timer.step("prepare"):
         rigs = read_rigs(identity, clip, options, corrections, copy=not options.changes_motion)
         matched = _matched_creatures(identity, clip, rigs, choice, axes, options, corrections)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...core.budgets import check_clip_size
 from ...core.errors import InputError
 from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Material, Mesh, Part
@@ -48,6 +49,7 @@ def read_alembic_clip(path: Path, fps: float | None = None, progress: Progress |
         start = _start_time(abc_meshes)
         mesh = _join(abc_meshes, start, others, path)
         times, rate = frame_times(abc_meshes, fps)
+        check_clip_size(len(times), len(mesh.vertices), path)
         frames = _frames(abc_meshes, _vertex_counts(abc_meshes), times, path)
         return Clip(mesh, store_frames(frames, len(times), len(mesh.vertices), progress=progress), rate)
 

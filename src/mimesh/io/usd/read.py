@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from pxr import Sdf, Usd, UsdGeom
 
+from ...core.budgets import check_clip_size
 from ...core.errors import InputError
 from ...core.frame_buffer import Progress, store_frames
 from ...core.geometry import turn_normals, unit_vectors
@@ -88,6 +89,7 @@ def read_clip(path: Path, fps: float | None = None, progress: Progress | None = 
             "export a shorter range"
         )
     count, step = frame_count((stop - start) / codes, fps or codes), codes / (fps or codes)
+    check_clip_size(count, len(mesh.vertices), path)
     time_codes = [start + k * step for k in range(count)]
     vertices = store_frames(_frames(mesh_prims, time_codes, path), count, len(mesh.vertices), progress=progress)
     return Clip(mesh.with_vertices(np.array(vertices[0])), vertices, fps or codes)
