@@ -197,7 +197,7 @@ def limits_table() -> str:
     """Return the table of the largest numbers that are read from one file."""
     rows = [value for value in vars(budgets).values() if isinstance(value, budgets.Budget)]
     lines = ["| one file has at most | number | or, if that is more, for each byte of the file |", "|---|---|---|"]
-    lines += [f"| {row.things} | {row.largest:,} | {f'{row.per_byte:.2g}' if row.per_byte else ''} |" for row in rows]
+    lines += [f"| {row.things} | {row.largest:,} | {f'{row.per_byte:.3g}' if row.per_byte else ''} |" for row in rows]
     return "\n".join(lines)
 
 

@@ -43,13 +43,13 @@ BodyModel = Annotated[
 Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
 
 
-def _lift_limits(context: typer.Context, lifted: bool) -> bool:
-    """Lift the budgets of files until the command ends."""
-    if lifted:
-        from ..core.budgets import no_limits
+def _lift_limits(wanted: bool) -> bool:
+    """Lift the budgets of files until the command ends: `cli.run` gives each command a context of its own."""
+    if wanted:
+        from ..core.budgets import lift_limits
 
-        context.with_resource(no_limits())
-    return lifted
+        lift_limits()
+    return wanted
 
 
 NoLimits = Annotated[

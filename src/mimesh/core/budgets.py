@@ -27,7 +27,7 @@ class Budget:
     things: str
     """What is counted, in the plural."""
     largest: int
-    per_byte: float = 0.0
+    per_byte: float | int = 0
     """Things for each byte of the file, where that is more than `largest`."""
 
     def check(self, count: int, path: str | Path, size: int = 0) -> None:
@@ -76,6 +76,11 @@ def check_clip_size(frames: int, vertices: int, path: str | Path) -> None:
     VERTICES.check(vertices, path)
     FRAMES.check(frames, path)
     CLIP_POINTS.check(frames * vertices, path)
+
+
+def lift_limits() -> None:
+    """Lift all budgets for the rest of the current context: a thread, or what `contextvars.Context.run` runs."""
+    _lifted.set(True)
 
 
 @contextlib.contextmanager
