@@ -203,6 +203,31 @@ def check_clip(clip: Clip, path: str | Path) -> Clip:
     return clip
 
 
+def with_printable_names(mesh: Mesh) -> Mesh:
+    """Replace lone surrogates in all names of a mesh by `?`: no format can store them.
+
+    Python decodes bytes of file names that are no text to such characters.
+    """
+
+    def text(name: str) -> str:
+        return name.encode("utf-8", "replace").decode("utf-8")
+
+    parts = tuple(
+        dataclasses.replace(
+            part,
+            name=text(part.name),
+            material=part.material and dataclasses.replace(part.material, name=text(part.material.name)),
+        )
+        for part in mesh.parts
+    )
+    # A mesh whose names are text stays the same object.
+    return (
+        mesh
+        if (text(mesh.name), parts) == (mesh.name, mesh.parts)
+        else dataclasses.replace(mesh, name=text(mesh.name), parts=parts)
+    )
+
+
 def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
     """Select every `step`-th frame in start <= t < stop; the frame rate becomes fps / step, so the speed is unchanged.
 

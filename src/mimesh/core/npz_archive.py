@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -95,7 +96,7 @@ def read_array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
         return np.lib.format.read_array(member, allow_pickle=False)
 
 
-def read_array_header(file: io.BufferedIOBase, objects: bool = False) -> ArrayHeader:
+def read_array_header(file: IO[bytes] | io.BufferedIOBase, objects: bool = False) -> ArrayHeader:
     """Read the header of an array; the file is then positioned at its first number.
 
     Args:

@@ -208,7 +208,7 @@ def _locate_rows(element: PlyElement, units: np.ndarray, start: int) -> tuple[di
 
     Returns the columns and the unit index after the element.
     """
-    raw = memoryview(units) if units.dtype == np.uint8 else None  # no copy: there may be many elements
+    raw = units.data if units.dtype == np.uint8 else None  # no copy: there may be many elements
     starts = np.zeros((len(element.properties), element.length), np.int64)
     counts = np.zeros_like(starts)
     position = start

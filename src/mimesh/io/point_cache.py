@@ -159,7 +159,7 @@ def _open_npy(path: Path) -> PointCache:
     if dtype.kind != "f":
         raise InputError(f"{path}: expected floating-point numbers, found {dtype}; save it as float32")
     order = "F" if header.fortran else "C"
-    frames = _mapped(path, dtype, header.size, (math.prod(shape[:-2]), *shape[-2:]), order)
+    frames = _mapped(path, dtype, header.size, (math.prod(shape[:-2]), shape[-2], 3), order)
     return PointCache(frames, None)
 
 

@@ -75,11 +75,14 @@ def _check_choice(card: dict[str, Any], key: str, allowed: tuple[str, ...], path
 
 def _check_number(value: Any, key: str, least: int, largest: int, path: Path) -> None:
     if type(value) is not int or not least <= value <= largest:  # True is an int for isinstance
-        raise _error(path, f"{key} {least} to {largest}", value)
+        raise InputError(
+            f"{path}: expected {key} in its metadata as a whole number from {least} to {largest}, found {value!r:.60}; "
+            "export it again with this version"
+        )
 
 
 def _check_joints(card: dict[str, Any], path: Path) -> None:
-    """Check names of joints, their parents (a tree, parents first), and the chains of three joints of the legs."""
+    """Check names of joints, their parents (a tree, parents first), and the chains of joints of the legs."""
     for key in ("joints", "parents", "legs"):
         if not isinstance(card.get(key), list) or not card[key]:
             raise _error(path, key, card.get(key))
@@ -93,8 +96,8 @@ def _check_joints(card: dict[str, Any], path: Path) -> None:
     if len(parents) != len(joints) or not sound:
         raise _error(path, f"a tree of {len(joints)} joints, parents before their children", parents)
     for leg in legs:
-        if not isinstance(leg, list) or len(leg) != 3:
-            raise _error(path, "legs of three joints", leg)
+        if not isinstance(leg, list) or len(leg) < 2:
+            raise _error(path, "legs of two joints or more", leg)
         for joint in leg:
             _check_number(joint, "a joint of a leg", 0, len(joints) - 1, path)
 
