@@ -9,6 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from mimesh.core import budgets
 from mimesh.io.atomic import whole_file
 
 ROOT = Path(__file__).parents[1]
@@ -93,6 +94,9 @@ RULES = """## What to expect
   file is written again in such a process, too. A child takes some tenths of a second, for each file: convert a long
   folder of .usd or .abc frames once, to one file. Checksums of .usdz, .npz and .zip are checked. HDF5 (h5py) and
   images are read without a child, all other formats by Python and NumPy. A child is no sandbox: it has your rights.
+* **Small mistakes in files** are read around: an OBJ in UTF-16 with a byte order mark (it is written as UTF-8); faces
+  of an OBJ that name texture coordinates or normals where the file lists none; a BVH with more rows than it states,
+  with a note. Texture coordinates, normals and colours that are no finite numbers are refused, as positions are.
 * **Extras.** FBX: `pip install 'mimesh[fbx]'`. Draco and meshopt: `'mimesh[compressed]'`. USD: `'mimesh[usd]'`.
   Alembic: `'mimesh[alembic]'`. HDF5: `'mimesh[hdf5]'`. MP4: `'mimesh[video]'`.
 * **Long clips** are converted frame by frame, from disk to disk. `--blendshapes K` writes a .glb with K morph targets
@@ -100,6 +104,14 @@ RULES = """## What to expect
   small for any number of frames. .gltf and .usda are text: prefer .glb and .usdc.
 * **Between keys** that are far apart Blender interpolates joint rotations differently from the glTF standard; at the
   keys both agree. The keys that we write are so near to each other that both agree between them, too.
+"""
+LIMITS = """## Limits
+
+A few damaged or malicious bytes can ask for any amount of memory or time. So the sizes that a file states are compared
+with its bytes and with the limits below before anything is allocated. A file above a limit is refused with one line
+that names it. `--no-limits` of `transfer`, `animate`, `look`, `render` and `convert` lifts all of them, in Python
+`with mimesh.no_limits():`, for the calling thread. The studio never lifts them.
+
 """
 LICENSED = """## Body data under licence
 
@@ -163,6 +175,7 @@ def formats_page(root: Path) -> str:
         formats_table(report["formats"]),
         _origin(report["provenance"]),
         RULES,
+        LIMITS + limits_table(),
         LICENSED,
         memory_table(long_clip),
     ]
@@ -181,6 +194,14 @@ def formats_table(figures: dict[str, Any]) -> str:
         from_blender = [entry["Blender's, read"] for entry in measured if "Blender's, read" in entry]
         cells = [formats, read, written, _kept(formats, measured), _largest(in_blender), _largest(from_blender)]
         lines.append("| " + " | ".join(cell or "" for cell in cells) + " |")
+    return "\n".join(lines)
+
+
+def limits_table() -> str:
+    """Return the table of the largest numbers that are read from one file."""
+    rows = [value for value in vars(budgets).values() if isinstance(value, budgets.Budget)]
+    lines = ["| one file has at most | number | or, if that is more, for each byte of the file |", "|---|---|---|"]
+    lines += [f"| {row.things} | {row.largest:,} | {f'{row.per_byte:.3g}' if row.per_byte else ''} |" for row in rows]
     return "\n".join(lines)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from . import old_names
 
 if TYPE_CHECKING:
+    from .core.budgets import no_limits
     from .core.errors import InputError
     from .core.mesh import Clip, Mesh
     from .io import load_clip, load_mesh, save_clip, save_mesh
@@ -32,6 +33,7 @@ __all__ = [
     "batch",
     "load_clip",
     "load_mesh",
+    "no_limits",
     "prepare",
     "save_clip",
     "save_mesh",
@@ -40,6 +42,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "core.budgets": ("no_limits",),
     "core.errors": ("InputError",),
     "core.mesh": ("Clip", "Mesh"),
     "jobs.run": ("batch",),

@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from contextvars import copy_context
 from typing import Annotated
 
 import typer
@@ -100,7 +101,8 @@ def run(arguments: list[str]) -> int:
     """Run one command and return its exit code; the message about a failure is already on stderr."""
     try:
         # Commands return nothing, or the facts that they print.
-        returned = app(arguments, prog_name="mimesh", standalone_mode=False)
+        # What an option sets for one command, such as --no-limits, ends with it.
+        returned = copy_context().run(app, arguments, prog_name="mimesh", standalone_mode=False)
         code = returned if isinstance(returned, int) else 0
         return _print_error("stopped", code) if code == STOPPED else code
     except Stop as stop:

@@ -130,7 +130,7 @@ def test_truncated_files_are_refused(suffix, fraction, tmp_path):
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 -4\n", "expected indices in 1..3, found -4 in line 5"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "found 0 in line 4"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/2\n", "expected indices in 1..1, found 2 in line 5"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1//1 2//1 3//1\n", "found 1 in line 4"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1 3//2\n", "found 2 in line 5"),
         ("# nothing\n", "found no vertices"),
         ("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "all 3 vertices at one point"),
         ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "found only zero-area ones"),

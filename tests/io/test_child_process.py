@@ -9,12 +9,14 @@ import time
 
 import pytest
 
+from mimesh.core.budgets import no_limits
 from mimesh.core.errors import InputError
 from mimesh.io.child_process import LONGEST_MESSAGE, MIB, Limits, child_result, watched
 
 LIMITS = Limits(1024 * MIB, 4 * MIB, 20, 30.0)
 DECODERS = """
 import ctypes, json, os, sys, time
+from mimesh.core.budgets import check_clip_size
 from mimesh.core.errors import InputError
 
 def copy(source, target, times=1):
@@ -49,6 +51,10 @@ def fill(source, target):
     with target.open("wb") as file:
         while True:
             file.write(bytes(2**20))
+
+def write(source, target, size):
+    check_clip_size(1, size, source)
+    target.write_bytes(bytes(size))
 
 def nothing(source, target):
     pass
@@ -136,6 +142,13 @@ def test_memory_is_limited(run, name):
 @pytest.mark.skipif(sys.platform == "win32", reason="a system without a limit on file sizes")
 def test_output_is_limited(run):
     assert "4 MiB" in message_of(run, "fill")
+
+
+def test_lifted_budgets_hold_in_the_child_and_lift_its_limits(run):
+    size = 12_000_000
+    assert "expected at most 10,000,000 vertices" in message_of(run, "write", size=size)
+    with no_limits():
+        assert len(run("write", size=size)) == size > LIMITS.output
 
 
 def test_missing_result_is_an_input_error(run):

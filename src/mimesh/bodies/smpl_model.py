@@ -7,7 +7,6 @@ which are read without running anything in them (`core.pickled_arrays`).
 
 from __future__ import annotations
 
-import io
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from jaxtyping import Float, Int
 
 from ..core.errors import InputError
 from ..core.mesh import Mesh
-from ..core.npz_archive import open_archive
+from ..core.npz_archive import open_archive, read_array, read_array_header
 from ..core.pickled_arrays import read_object_array, read_pickled_arrays
 from ..core.skinning import skin_poses, skinning_transforms
 
@@ -130,14 +129,9 @@ def _read_npz(path: Path) -> dict[str, np.ndarray]:
         _check_names(names, path)
         arrays = {}
         for name in ARRAYS:
-            data = io.BytesIO(archive.read(f"{name}.npy"))
-            version = np.lib.format.read_magic(data)
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            if read(data)[2].hasobject:
-                arrays[name] = read_object_array(data.read(), path, name)
-            else:
-                data.seek(0)
-                arrays[name] = np.lib.format.read_array(data, allow_pickle=False)
+            with archive.open(f"{name}.npy") as member:
+                is_object = read_array_header(member, objects=True).dtype.hasobject
+                arrays[name] = read_object_array(member.read(), path, name) if is_object else read_array(archive, name)
         return arrays
 
 

@@ -27,6 +27,7 @@ from .terminal import (
     BodyModel,
     Json,
     Model,
+    NoLimits,
     Open,
     Output,
     Quiet,
@@ -138,6 +139,7 @@ def transfer(
     preview: Preview = True,
     open_it: Open = False,
     seed: Seed = 0,
+    no_limits: NoLimits = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> dict[str, Any]:
@@ -235,6 +237,7 @@ def animate(
     preview: Preview = True,
     open_it: Open = False,
     seed: Seed = 0,
+    no_limits: NoLimits = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> dict[str, Any]:

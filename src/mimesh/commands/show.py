@@ -13,6 +13,7 @@ from .terminal import (
     BlendShapes,
     BodyModel,
     Json,
+    NoLimits,
     Quiet,
     print_json,
     print_next,
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Meshes, clips or folders of numbered meshes.")]
 
 
-def look(files: Files, json: Json = False) -> None:
+def look(files: Files, no_limits: NoLimits = False, json: Json = False) -> None:
     """Show what mesh files contain, and problems that may spoil a transfer."""
     from ..core.errors import InputError
     from ..tools.inspect import inspect_file
@@ -80,6 +81,7 @@ def render(
     up: Annotated[str, typer.Option(help="Axis away from the floor: x, y, z, -x, -y, -z.")] = "y",
     front: Annotated[str | None, typer.Option(help="Axis that faces the front.")] = None,
     fps: Annotated[float | None, typer.Option(help="Frame rate, where the files do not say.")] = None,
+    no_limits: NoLimits = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -130,6 +132,7 @@ def convert(
     frames_as: Annotated[str | None, typer.Option(metavar="SUFFIX", help="In a folder: obj or ply.")] = None,
     blendshapes: BlendShapes = None,
     body_model: BodyModel = None,
+    no_limits: NoLimits = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:

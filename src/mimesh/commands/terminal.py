@@ -41,6 +41,23 @@ BodyModel = Annotated[
     ),
 ]
 Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
+
+
+def _lift_limits(wanted: bool) -> bool:
+    """Lift the budgets of files until the command ends: `cli.run` gives each command a context of its own."""
+    if wanted:
+        from ..core.budgets import lift_limits
+
+        lift_limits()
+    return wanted
+
+
+NoLimits = Annotated[
+    bool,
+    typer.Option(
+        "--no-limits", callback=_lift_limits, help="Read files of any size; without it, see docs/formats.md, Limits."
+    ),
+]
 BlendShapes = Annotated[
     int | None,
     typer.Option("--blendshapes", metavar="K", min=1, help="Write K morph targets, not one a frame (.glb, .gltf)."),

@@ -46,9 +46,10 @@ def vertex_normals(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F
 
 
 def unit_vectors(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
-    """Normalise vectors to length 1; zero vectors stay zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1.0)
+    """Normalise vectors to length 1; zero vectors stay zero, and those with NaN or infinity become NaN."""
+    with np.errstate(over="ignore", invalid="ignore"):  # of damaged files, whose vectors `check_mesh` then refuses
+        length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+        return vectors / np.where(length == 0, 1.0, np.where(np.isfinite(length), length, np.nan))
 
 
 def continuous_quaternions(

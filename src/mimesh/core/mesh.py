@@ -14,6 +14,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
+from .budgets import FACES, VERTICES, check_clip_size
 from .errors import InputError
 from .frame_buffer import each_frame
 from .person_motion import JointSource
@@ -101,6 +102,8 @@ class Clip:
     """Facing direction of the person in every frame (y up), if joints define it; None: detected from the shape."""
     skeleton: JointSource | None = None
     """Joints of the file in the same frames, if it has any."""
+    notes: tuple[str, ...] = ()
+    """What was wrong with the file and how it was read, one line each."""
 
     @classmethod
     def still(cls, mesh: Mesh) -> Clip:
@@ -124,9 +127,12 @@ def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
     """Return the mesh if it is valid.
 
     Raises:
-        InputError: no vertices, NaN or infinite coordinates, a face index out of range, no extent, or too large ones.
+        InputError: no vertices, NaN, infinite or too large coordinates, texture coordinates or normals, a face index
+            out of range, no extent, or more than the budgets allow (see `budgets`).
     """
     vertices, faces = mesh.vertices, mesh.faces
+    VERTICES.check(len(vertices), path)
+    FACES.check(len(faces), path)
     if len(vertices) == 0:
         raise InputError(f"{path}: expected a mesh, found no vertices; export it again with its geometry")
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
@@ -146,6 +152,11 @@ def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
         raise InputError(
             f"{path}: expected coordinates up to {LARGEST:g}, found {largest:g}; the file is damaged, export it again"
         )
+    _check_corners(mesh.corner_uv, "texture coordinates", path)
+    _check_corners(mesh.corner_normals, "normals", path)
+    colors = mesh.vertex_colors
+    if colors is not None and not (np.abs(colors) <= LARGEST).all():
+        raise InputError(f"{path}: expected finite vertex colours, found NaN or infinity; delete or repair them")
     if np.ptp(vertices, axis=0).max() == 0.0:
         raise InputError(
             f"{path}: expected a mesh with some size, found all {len(vertices)} vertices at one point; "
@@ -158,6 +169,18 @@ def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
     return mesh
 
 
+def _check_corners(values: Float[np.ndarray, "F 3 _"] | None, kind: str, path: str | Path) -> None:
+    """Raise InputError for values of face corners that are not finite or too large."""
+    if values is None:
+        return
+    bad = np.flatnonzero(~(np.abs(values) <= LARGEST).all(axis=(1, 2)))
+    if bad.size:
+        raise InputError(
+            f"{path}: expected {kind} that are finite and up to {LARGEST:g}, found others in {bad.size} of "
+            f"{len(values)} triangles (first: triangle {bad[0]}); delete or repair them"
+        )
+
+
 def check_clip(clip: Clip, path: str | Path) -> Clip:
     """Return the clip if every frame is valid (see `check_mesh`); raise InputError otherwise."""
     if len(clip) == 0:
@@ -167,15 +190,45 @@ def check_clip(clip: Clip, path: str | Path) -> Clip:
             f"{path}: expected {len(clip.mesh.vertices)} vertices in every frame, found {clip.vertices.shape[1]}; "
             "export with one topology for the whole clip"
         )
+    check_clip_size(len(clip), clip.vertices.shape[1], path)
     for t, vertices in enumerate(each_frame(clip.vertices)):
         if not np.isfinite(vertices).all():
             raise InputError(
                 f"{path}: expected finite coordinates, found NaN or infinity in frame {t}; export it again"
             )
-    if not clip.fps > 0:
+        if np.abs(vertices).max(initial=0.0) > LARGEST:
+            raise InputError(
+                f"{path}: expected coordinates up to {LARGEST:g}, found larger ones in frame {t}; export it again"
+            )
+    if not 0 < clip.fps < np.inf:
         raise InputError(f"{path}: expected a positive frame rate, found {clip.fps:g}; give one with --fps")
     check_mesh(dataclasses.replace(clip.mesh, vertices=np.asarray(clip.vertices[0], np.float64)), path)
     return clip
+
+
+def with_printable_names(mesh: Mesh) -> Mesh:
+    """Replace lone surrogates in all names of a mesh by `?`: no format can store them.
+
+    Python decodes bytes of file names that are no text to such characters.
+    """
+
+    def text(name: str) -> str:
+        return name.encode("utf-8", "replace").decode("utf-8")
+
+    parts = tuple(
+        dataclasses.replace(
+            part,
+            name=text(part.name),
+            material=part.material and dataclasses.replace(part.material, name=text(part.material.name)),
+        )
+        for part in mesh.parts
+    )
+    # A mesh whose names are text stays the same object.
+    return (
+        mesh
+        if (text(mesh.name), parts) == (mesh.name, mesh.parts)
+        else dataclasses.replace(mesh, name=text(mesh.name), parts=parts)
+    )
 
 
 def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:

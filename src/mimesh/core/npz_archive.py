@@ -4,19 +4,46 @@ from __future__ import annotations
 
 import contextlib
 import io
+import lzma
+import math
+import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
+from .budgets import UNPACKED
 from .errors import InputError
 
 POINTS = ("vertices", "v", "verts", "points")
 """Array names that stand for the points of a mesh or clip, in order of preference."""
-# What NumPy and zipfile raise for a damaged, encrypted or pickled archive.
-_DAMAGE = (ValueError, TypeError, OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
+# What NumPy and zipfile raise for a damaged, encrypted or pickled archive. The headers of arrays are Python literals.
+DAMAGE = (
+    ValueError, TypeError, LookupError, OverflowError, OSError, EOFError, RuntimeError, MemoryError, SyntaxError,
+    tokenize.TokenError, struct.error, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ArrayHeader:
+    """The header of a stored array."""
+
+    shape: tuple[int, ...]
+    fortran: bool
+    """Whether the numbers are in Fortran order."""
+    dtype: np.dtype
+    size: int
+    """Bytes of the header itself."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the numbers."""
+        return math.prod(self.shape) * self.dtype.itemsize
 
 
 @contextlib.contextmanager
@@ -24,14 +51,18 @@ def open_archive(file: io.BufferedIOBase, path: Path) -> Iterator[tuple[zipfile.
     """Open an archive: yields it and the names of its arrays. `path` is named in errors.
 
     Raises:
-        InputError: the archive turns out to be damaged, here or while it is read inside the `with` block.
+        InputError: the archive turns out to be damaged, here or while it is read inside the `with` block, or unpacks to
+            far more than its size (see `budgets`).
     """
     try:
+        size = file.seek(0, io.SEEK_END)
+        file.seek(0)
         with zipfile.ZipFile(file) as archive:
+            UNPACKED.check(sum(entry.file_size for entry in archive.infolist()), path, size)
             yield archive, [name.removesuffix(".npy") for name in archive.namelist()]
     except InputError:
         raise
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise InputError(
             f"{path}: expected a NumPy archive of plain arrays, found {error!r:.80}; save it again"
         ) from error
@@ -57,6 +88,34 @@ def check_unpacked_size(archive: zipfile.ZipFile, path: Path, largest: int) -> N
 
 
 def read_array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """Read one array of an archive; an array of pickled objects raises ValueError."""
+    """Read one array of an archive; pickled objects, and a header that claims another size, raise ValueError."""
     with archive.open(f"{name}.npy") as member:
+        header = read_array_header(member)
+        check_array_size(header, archive.getinfo(f"{name}.npy").file_size)
+        member.seek(0)
         return np.lib.format.read_array(member, allow_pickle=False)
+
+
+def read_array_header(file: IO[bytes] | io.BufferedIOBase, objects: bool = False) -> ArrayHeader:
+    """Read the header of an array; the file is then positioned at its first number.
+
+    Args:
+        objects: accept an array of pickled objects, which the caller must not unpickle.
+
+    Raises:
+        ValueError: a damaged header, or an array of pickled objects; other errors of DAMAGE for text that is no header.
+    """
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = read(file)
+    if dtype.hasobject and not objects:
+        raise ValueError("objects, which are never unpickled")
+    if min(shape, default=0) < 0 or not dtype.itemsize:
+        raise ValueError(f"an array of {dtype} {shape}")
+    return ArrayHeader(shape, fortran, dtype, file.tell())
+
+
+def check_array_size(header: ArrayHeader, size: int) -> None:
+    """Raise ValueError where a file or an entry of an archive, of `size` bytes, has not the numbers of its header."""
+    if header.size + header.nbytes > size:
+        raise ValueError(f"{size} bytes for an array {header.shape} of {header.dtype}")

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from ..core.animated_rig import AnimatedRig, RigAnimation
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh, check_clip, check_mesh
+from ..core.mesh import Clip, Mesh, check_clip, check_mesh, with_printable_names
 from .atomic import whole_file, writing
 from .bvh_write import save_bvh as save_bvh
 from .formats import (
@@ -217,7 +217,7 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
     Raises:
         InputError: a format that cannot be written, or a path that cannot be written to.
     """
-    path = Path(path)
+    path, mesh = Path(path), with_printable_names(mesh)
     if mesh.source is not None and mesh.source.suffix == path.suffix.lower():
         with writing(path):
             with whole_file(path) as temporary:
@@ -253,7 +253,7 @@ def save_clip(
     Raises:
         InputError: a format that cannot contain a clip, or a path that cannot be written to.
     """
-    path = Path(path)
+    path, clip = Path(path), dataclasses.replace(clip, mesh=with_printable_names(clip.mesh))
     is_folder = path.is_dir() or not path.suffix
     if blendshapes is not None:
         return _save_blend_shapes(clip, path, progress, blendshapes)
@@ -493,6 +493,14 @@ def _reading(path: Path) -> Iterator[None]:
         if path.is_file() and path.stat().st_size == 0:
             raise InputError(f"{path}: expected a mesh, found an empty file of 0 bytes; export it again")
         yield
+    except UnicodeEncodeError as error:
+        raise InputError(
+            f"{path}: expected a path of text for {path.suffix}, found bytes that are none; choose another name"
+        ) from error
+    except MemoryError as error:
+        raise InputError(
+            f"{path}: expected a file that fits into memory, found a larger one; split it, or take fewer frames"
+        ) from error
     except OSError as error:
         raise InputError(
             f"{path}: expected a readable file, found '{error.strerror}'; check its permissions"

@@ -57,6 +57,10 @@ def writing(path: Path) -> Iterator[None]:
     """Turn a failed write into an InputError of one line that names the cause."""
     try:
         yield
+    except UnicodeEncodeError as error:
+        raise InputError(
+            f"{path}: expected a path of text for {path.suffix}, found bytes that are none; choose another name"
+        ) from error
     except OSError as error:
         raise InputError(
             f"{path}: expected a place to write to, found '{error.strerror}'; choose another output"

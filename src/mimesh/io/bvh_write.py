@@ -39,7 +39,7 @@ def save_bvh(motion: Motion, body: RiggedBody, path: str | Path) -> Path:
     lines += [" ".join(f"{value:.5f}" for value in row) for row in rows]
     path = Path(path)
     with writing(path), whole_file(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", errors="replace", newline="\n")
     return path
 
 

@@ -30,6 +30,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from ..core.budgets import lift_limits, limits_are_lifted
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 
@@ -94,6 +95,10 @@ class Limits:
         return cls(2048 * MIB + 64 * size, 1024 * MIB + 32 * size, cpu_seconds + size // MIB, 180 + size / MIB)
 
 
+UNLIMITED = Limits(2**60, 2**60, 10**9, 1e9)
+"""Where the caller has lifted the budgets (`core.budgets`)."""
+
+
 @contextlib.contextmanager
 def watched(check: Callable[[], None]) -> Iterator[None]:
     """Call `check` every POLL_SECONDS while this context waits for a child; what it raises ends the child at once."""
@@ -120,19 +125,20 @@ def child_result(
             `target`, may write others beside it, and may raise InputError. `arguments` are values that JSON has.
         source: the file to read.
         name: file that error messages name.
-        limits: by default those for the size of `source`.
+        limits: by default those for the size of `source`; without effect where the budgets are lifted.
         progress: the function gets a further argument `progress`, and what it reports is passed on to this. The limits
             of time then start again with each report.
 
     Raises:
         InputError: the function raised one, crashed, ran out of memory or time, or wrote nothing.
     """
-    limits = limits or Limits.for_size(source.stat().st_size)
+    lifted = limits_are_lifted()
+    limits = UNLIMITED if lifted else limits or Limits.for_size(source.stat().st_size)
     with tempfile.TemporaryDirectory(prefix="mimesh-", ignore_cleanup_errors=True) as folder:
         target = Path(folder, "result")
         call = {"function": function, "source": str(source.absolute()), "target": str(target), "arguments": arguments}
         call |= {"limits": asdict(limits), "path": [str(Path(entry).absolute()) for entry in sys.path]}
-        call |= {"counts": None if progress is None else str(Path(folder, COUNTS_FILE))}
+        call |= {"lifted": lifted, "counts": None if progress is None else str(Path(folder, COUNTS_FILE))}
         code = _run(call, Path(folder), limits, name, progress)
         message = last_line(Path(folder, ERRORS_FILE)).replace(folder, tempfile.gettempdir())
         if code == REFUSED:
@@ -153,6 +159,8 @@ def run_call(call: dict[str, Any]) -> None:
     limits, arguments = Limits(**call["limits"]), call["arguments"]
     module, _, function = call["function"].partition(":")
     _end_with_parent()
+    if call["lifted"]:
+        lift_limits()
     try:
         imported = import_module(module)
         # After the imports, whose time depends on the machine and not on the file.

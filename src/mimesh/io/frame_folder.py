@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from ..core.budgets import check_clip_size
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh, check_mesh
@@ -48,6 +49,7 @@ def read_sequence(
     """
     paths = find_frames(folder, suffixes)
     first = read(paths[0])
+    check_clip_size(len(paths), len(first.vertices), folder)
     later = (read_frame(path, first, paths[0], read) for path in paths[1:])
     frames = itertools.chain([first.vertices], later)
     return Clip(first, store_frames(frames, len(paths), len(first.vertices), progress=progress), fps)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..core.budgets import check_clip_size
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, store_frames
 from ..core.mesh import Clip, Mesh
@@ -59,6 +60,7 @@ def read_hdf5_clip(
         clips = _clips(file, path)
         name = _chosen(list(clips), animation, path)
         vertices, _, frames = clips[name].shape
+        check_clip_size(frames, vertices, path)
         stored = store_frames(_frames(clips[name]), frames, vertices, np.float32, progress)
         faces = _faces(file, path)
     first = np.asarray(stored[0], np.float64) if frames else np.zeros((vertices, 3))

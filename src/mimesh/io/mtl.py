@@ -10,7 +10,7 @@ from pathlib import Path
 from ..core.mesh import Material, Mesh
 from .atomic import whole_file
 from .beside import is_there
-from .text import decoded
+from .text import decoded, encoded
 
 _SIGNATURE = "# written by mimesh\n"
 """First line of libraries written here; only those are overwritten."""
@@ -82,7 +82,7 @@ def write_library(mesh: Mesh, path: Path) -> Path:
         path, number = first_choice.with_stem(f"{first_choice.stem}-{number}"), number + 1
     text = _SIGNATURE + "".join(_material_text(name, material, path) for material, name in material_names(mesh).items())
     with whole_file(path) as temporary:
-        temporary.write_text(text, "utf-8")
+        temporary.write_bytes(encoded(text))
     return path
 
 

@@ -6,6 +6,7 @@ Pickled objects are never loaded.
 from __future__ import annotations
 
 import io
+import math
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,10 +15,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..core.budgets import CORNERS, FACES, VERTICES, check_clip_size
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh
-from ..core.npz_archive import POINTS, open_archive, read_array
+from ..core.npz_archive import POINTS, check_array_size, open_archive, read_array, read_array_header
 from .atomic import whole_file
 from .polygons import fan_corners
 from .timing import DEFAULT_FPS
@@ -36,7 +38,8 @@ class NpzSource:
     key: str
     """Name of the array of points."""
     points: np.ndarray
-    """The points as stored. A written file keeps their shape, and their type unless it is an integer type."""
+    """The points as stored. A written file keeps their shape, and their type unless it is an integer type or too
+    small."""
     suffix = ".npz"
 
     def write(self, mesh: Mesh, path: Path) -> None:
@@ -45,6 +48,8 @@ class NpzSource:
             raise ValueError(f"the file has {self.points.shape[-2]} vertices, the mesh {len(mesh.vertices)}")
         # New positions are no whole numbers, so integer points become float64.
         dtype = self.points.dtype if self.points.dtype.kind == "f" else np.dtype(np.float64)
+        if np.abs(mesh.vertices).max() > np.finfo(dtype).max:  # of half precision 65,504
+            dtype = np.dtype(np.float64)
         points = io.BytesIO()
         np.save(points, mesh.vertices.reshape(self.points.shape).astype(dtype), allow_pickle=False)
         with zipfile.ZipFile(io.BytesIO(self.data)) as old, zipfile.ZipFile(path, "w") as new:
@@ -68,6 +73,7 @@ def read_npz(path: Path) -> Mesh:
         key, faces = _find(POINTS, names, path), _read_faces(archive, names, path)
         points = read_array(archive, key)
     _check_points(key, points.dtype, points.shape, path)
+    VERTICES.check(points.shape[-2], path)
     if points.ndim == 3 and len(points) != 1:
         raise InputError(
             f"{path}: expected one mesh, found a clip of {len(points)} frames; "
@@ -89,11 +95,14 @@ def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = Non
         key, faces = _find(POINTS, names, path), _read_faces(archive, names, path)
         file_fps = float(read_array(archive, "fps")) if "fps" in names else DEFAULT_FPS
         with archive.open(f"{key}.npy") as member:
-            shape, fortran, dtype = _read_header(member)
+            header = read_array_header(member)
+            shape, dtype = header.shape, header.dtype
             _check_points(key, dtype, shape, path)
-            count, vertices = int(np.prod(shape[:-2])), shape[-2]
+            check_array_size(header, archive.getinfo(f"{key}.npy").file_size)
+            count, vertices = math.prod(shape[:-2]), shape[-2]
+            check_clip_size(count, vertices, path)
             # In Fortran order the numbers of one frame are spread over the whole array, so it is read at once.
-            if fortran:
+            if header.fortran:
                 frames = each_frame(read_array(archive, key).reshape(count, vertices, 3))
             else:
                 frames = _read_frames(member.read, count, vertices, dtype)
@@ -123,13 +132,6 @@ def write_npz_clip(clip: Clip, path: Path, progress: Progress | None = None) -> 
                 member.write(points.astype(clip.vertices.dtype).tobytes())
 
 
-def _read_header(member) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """Read shape, Fortran order and type of an array; the archive member is then positioned at its first number."""
-    version = np.lib.format.read_magic(member)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    return read(member)
-
-
 def _read_frames(
     read: Callable[[int], bytes], count: int, vertices: int, dtype: np.dtype
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
@@ -149,8 +151,6 @@ def _read_faces(archive: zipfile.ZipFile, names: list[str], path: Path) -> Int[n
 
 
 def _check_points(key: str, dtype: np.dtype, shape: tuple[int, ...], path: Path) -> None:
-    if dtype.hasobject:
-        raise ValueError("objects, which are never unpickled")
     if len(shape) not in (2, 3) or shape[-1] != 3 or dtype.kind not in "fiu":
         raise InputError(
             f"{path}: expected '{key}' to be numbers of shape (V, 3) or (T, V, 3), "
@@ -178,5 +178,7 @@ def _triangles(faces: np.ndarray, path: Path) -> Int[np.ndarray, "F 3"]:
             f"{path}: expected faces to be whole numbers of shape (F, 3), found {faces.dtype} {faces.shape}; "
             "save it in that shape"
         )
+    CORNERS.check(faces.shape[1], path)
+    FACES.check(len(faces) * (faces.shape[1] - 2), path)
     triangles, _ = fan_corners(np.full(len(faces), faces.shape[1]))
     return faces.astype(np.int64).reshape(-1)[triangles]

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..core.budgets import CORNERS
 from ..core.errors import InputError
 from ..core.geometry import unit_vectors, vertex_normals
 from ..core.mesh import Material, Mesh, Part
@@ -19,7 +20,7 @@ from .beside import is_there
 from .colors import linear_rgba, srgb_rgba
 from .obj_source import ObjSource
 from .polygons import fan_corners, polygon_sizes, polygons_of
-from .text import decoded, line_number, read_numbers, without_comments
+from .text import decoded, encoded, line_number, read_numbers, utf8_content, without_comments
 
 _KEYWORDS = (b"v", b"vt", b"vn", b"f", b"o", b"g", b"usemtl", b"mtllib")
 """Statements that are read; all others are only kept in the source."""
@@ -58,7 +59,7 @@ def read_obj_points(path: Path, like: ObjSource) -> Float[np.ndarray, "V 3"] | N
 
     This is the fast path for the later frames of a clip: faces are compared as text and not parsed.
     """
-    lines = path.read_bytes().splitlines(keepends=True)
+    lines = _read_text(path).splitlines(keepends=True)
     vertex_lines = [i for i, line in enumerate(lines) if line[:2] in (b"v ", b"v\t")]
     faces = [line for line in lines if line[:2] in (b"f ", b"f\t")]
     # Equal text is equal topology unless indices are relative; an indented or continued line fails this test too.
@@ -96,16 +97,19 @@ def write_obj(mesh: Mesh, path: Path) -> None:
         first, last = np.searchsorted(starts, [part.start, part.stop]).tolist()
         lines += ["f " + " ".join(polygon) for polygon in polygons[first:last]]
     with whole_file(path) as temporary:
-        temporary.write_bytes("\n".join([*lines, ""]).encode())
+        temporary.write_bytes(encoded("\n".join([*lines, ""])))
 
 
 def _read_source(path: Path) -> ObjSource:
     """Read the lines of an OBJ file and parse its vertices, normals, face corners and material libraries."""
-    lines = _logical_lines(path.read_bytes())
+    lines = _logical_lines(_read_text(path))
     line_index = _find_keywords(lines)
     sizes, raw = _read_corners(lines, line_index[b"f"], path)
     corner_lines = np.repeat(np.array(line_index[b"f"], int), sizes)
     definitions = [np.array(line_index[word], int) for word in (b"v", b"vt", b"vn")]
+    for k in (1, 2):
+        # Some exporters write indices of texture coordinates or normals that they leave out.
+        raw[:, k] = raw[:, k] if len(definitions[k]) else 0
     corners = [_absolute_indices(raw[:, k], definitions[k], corner_lines, lines, path) for k in range(3)]
     if len(raw) and corners[0].min() < 0:
         bad = int(corner_lines[corners[0].argmin()])
@@ -131,6 +135,16 @@ def _read_source(path: Path) -> ObjSource:
         companions=companions,
         missing_images=missing,
     )
+
+
+def _read_text(path: Path) -> bytes:
+    """Read a file; UTF-16 with a byte order mark, as some shells write it, becomes UTF-8."""
+    try:
+        return utf8_content(path.read_bytes())
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: expected text in UTF-8 or UTF-16, found damage at byte {error.start}; export it again"
+        ) from error
 
 
 def _find_keywords(lines: Sequence[bytes]) -> dict[bytes, list[int]]:
@@ -162,14 +176,13 @@ def _logical_lines(data: bytes) -> list[bytes]:
     if b"\\\n" not in data and b"\\\r" not in data:
         return lines
     joined: list[bytes] = []
-    continued = False  # whether the previous line ends in a backslash
+    pieces: list[bytes] = []  # of the logical line so far; joined once, since bytes are copied with every addition
     for line in lines:
-        if continued:
-            joined[-1] += line
-        else:
-            joined.append(line)
-        continued = line.rstrip(b"\r\n").endswith(b"\\") and b"#" not in joined[-1]
-    return joined
+        pieces.append(line)
+        if b"#" in line or not line.rstrip(b"\r\n").endswith(b"\\"):
+            joined.append(b"".join(pieces))
+            pieces = []
+    return [*joined, b"".join(pieces)] if pieces else joined
 
 
 def _read_corners(
@@ -181,14 +194,15 @@ def _read_corners(
     """
     words = [line.split()[1:] for line in without_comments([lines[i] for i in index])]
     sizes = np.array([len(row) for row in words], int)
+    CORNERS.check(int(sizes.max(initial=0)), path)
     try:
         return sizes, _parse_corners(list(chain.from_iterable(words)))
-    except (ValueError, IndexError):
+    except (ValueError, IndexError, OverflowError):
         pass  # the loop below finds the line for the message
     for i, row in zip(index, words, strict=True):
         try:
             _parse_corners(row)
-        except (ValueError, IndexError) as error:
+        except (ValueError, IndexError, OverflowError) as error:
             found = b" ".join(row).decode("utf-8", "replace")[:60]
             raise InputError(
                 f"{path}: expected face corners such as 1, 1/2 or 1/2/3 in line {line_number(lines, i)}, "

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..core.budgets import CORNERS
 from ..core.errors import InputError
 from ..core.geometry import unit_vectors
 from ..core.mesh import Mesh
@@ -19,6 +20,9 @@ from .text import line_number, read_numbers, replace_rows, without_comments
 
 _HEADER = re.compile(rb"\s*(?P<kind>(ST)?[CN]*(?P<other>4?n?)OFF)?(?P<binary>\s+BINARY)?(?P<rest>.*)", re.DOTALL)
 """First line: the keyword, which may be missing, and the counts, which may follow it without a space (ModelNet)."""
+
+LONGEST_COUNT = 19
+"""Digits of a count from which on it is damaged: larger ones do not fit into 64 bits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +101,7 @@ def _read_header(lines: list[bytes], non_empty: list[int], path: Path) -> tuple[
         or match["binary"]
         or match["other"]
         or len(counts) < 2
-        or not all(word.isdigit() for word in counts[:2])
+        or not all(word.isdigit() and len(word) < LONGEST_COUNT for word in counts[:2])
     ):
         found = lines[non_empty[0]].strip().decode("utf-8", "replace")[:40] if non_empty else ""
         raise InputError(
@@ -125,4 +129,5 @@ def _read_faces(
                 f"found {found!r} in line {line_number(lines, i)}; the file is damaged, export it again"
             )
     sizes = np.array([len(polygon) for polygon in polygons], int)
+    CORNERS.check(int(sizes.max(initial=0)), path)
     return np.array(list(chain.from_iterable(polygons)), np.int64)[fan_corners(sizes)[0]], sizes

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..core.budgets import CORNERS
 from ..core.errors import InputError
 from ..core.geometry import unit_vectors
 from ..core.mesh import Material, Mesh, Part
@@ -17,6 +18,7 @@ from .colors import linear_rgba, srgb_rgba
 from .mtl import read_image
 from .ply_layout import PlyColumn, PlyHeader, gather, locate_columns, read_header, read_units, scatter
 from .polygons import fan_corners, polygon_corners, polygon_sizes, scatter_corners
+from .text import encoded
 
 _COLOR_NAMES = ("red", "green", "blue", "alpha")
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
@@ -108,6 +110,7 @@ def read_ply(path: Path) -> Mesh:
         raise InputError(f"{path}: expected an element 'vertex' with x, y, z, found none; export it again")
     polygons = _polygon_column(columns, path)
     sizes = polygons.counts if polygons is not None and polygons.counts is not None else np.zeros(0, int)
+    CORNERS.check(int(sizes.max(initial=0)), path)
     corners = gather(units, polygons).astype(np.int64) if polygons is not None else np.zeros(0, np.int64)
     triangles, _ = fan_corners(sizes)
     faces = corners[triangles]
@@ -170,7 +173,7 @@ def write_ply(mesh: Mesh, path: Path) -> None:
         header += [f"element face {len(sizes)}", f"property list {count} int vertex_indices"]
         header += [f"property list {count} float texcoord"] if mesh.corner_uv is not None else []
     with whole_file(path) as temporary:
-        text = "\n".join([*header, "end_header", ""]).encode()
+        text = encoded("\n".join([*header, "end_header", ""]))
         temporary.write_bytes(text + rows.tobytes() + _polygon_bytes(mesh, sizes, count))
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..core.budgets import ELEMENTS
 from ..core.errors import InputError
 from .text import decoded
 
@@ -90,6 +91,7 @@ def read_header(data: bytes, path: Path) -> PlyHeader:
             f"{path}: expected a PLY header with a known format, elements and property types, "
             f"found {str(error) or 'no format'}; export it again as binary PLY"
         ) from error
+    ELEMENTS.check(sum(1 + len(element.properties) for element in elements), path)
     comments = tuple(text.strip().removeprefix("comment").strip() for text in texts if text.split()[:1] == ["comment"])
     # The header ends with one line end, which is CR LF only where the other lines end so too: after a bare CR, an LF is
     # the first byte of the body.
@@ -206,8 +208,7 @@ def _locate_rows(element: PlyElement, units: np.ndarray, start: int) -> tuple[di
 
     Returns the columns and the unit index after the element.
     """
-    numbers = units.tolist() if units.dtype != np.uint8 else None
-    raw = units.tobytes() if numbers is None else b""
+    raw = units.data if units.dtype == np.uint8 else None  # no copy: there may be many elements
     starts = np.zeros((len(element.properties), element.length), np.int64)
     counts = np.zeros_like(starts)
     position = start
@@ -219,19 +220,19 @@ def _locate_rows(element: PlyElement, units: np.ndarray, start: int) -> tuple[di
                 if position + width > len(units):
                     return None
                 # The length is read from bytes or from a number; a negative or absurd one means damage.
-                if numbers is None:
+                if raw is not None:
                     order = "big" if p.count.str[0] == ">" else "little"
                     count = int.from_bytes(raw[position : position + width], order)
-                elif 0 <= numbers[position] <= len(numbers):
-                    count = int(numbers[position])
+                elif 0 <= units[position] <= len(units):
+                    count = int(units[position])
                 else:
                     return None
                 counts[k, row] = count
                 position += width
             starts[k, row] = position
             position += count * _size(p.dtype, units)
-    if position > len(units):
-        return None
+        if position > len(units):
+            return None
     columns = {
         p.name: PlyColumn(starts[k], p.dtype, counts[k] if p.count is not None else None)
         for k, p in enumerate(element.properties)

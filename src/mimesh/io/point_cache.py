@@ -8,24 +8,29 @@ the positions, all big-endian, float32. NPY: one array (T, V, 3), or (V, 3) for 
 from __future__ import annotations
 
 import dataclasses
+import math
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from ..core.budgets import check_clip_size
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh
+from ..core.npz_archive import DAMAGE, check_array_size, read_array_header
 from .atomic import whole_file
 from .timing import DEFAULT_FPS, frame_count, sample_rate, surrounding_samples
 
 _PC2 = struct.Struct("<12siiffi")
 """PC2 header: signature, version, point count, start frame, frames per sample, sample count."""
 _PC2_SIGNATURE = b"POINTCACHE2\0"
+ARCHIVE = b"PK\3\4"
+"""First bytes of a .npz archive."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,15 +65,16 @@ def read_cache(
     mesh = _mesh_beside(path, vertices, suffixes, read)
     dtype = cache.frames.dtype.newbyteorder("=")
     # Without times, or without a wanted rate, the stored frames are the clip's frames.
-    if cache.times is None or not count:
+    if cache.times is None:
         frames, fps = each_frame(cache.frames), fps or DEFAULT_FPS
     elif fps is None:
         frames, fps = each_frame(cache.frames), sample_rate(cache.times) or DEFAULT_FPS
     else:
         count = frame_count(float(cache.times[-1] - cache.times[0]), fps)
+        check_clip_size(count, vertices, path)
         frames = _resample(cache, cache.times[0] + np.arange(count) / fps)
     stored = store_frames(frames, count, vertices, dtype, progress)
-    first = stored[0].astype(np.float64) if count else np.zeros((vertices, 3))
+    first = stored[0].astype(np.float64)
     if mesh is None:
         return Clip(Mesh(first, np.zeros((0, 3), np.int64), name=path.stem), stored, fps)
     # The points may have been written with other axes than those of the mesh file.
@@ -139,16 +145,22 @@ def _open_mdd(path: Path) -> PointCache:
 
 
 def _open_npy(path: Path) -> PointCache:
+    if _read_start(path, 4) == ARCHIVE:
+        raise InputError(f"{path}: expected an array (T, V, 3) or (V, 3), found an archive; name it .npz")
     try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError) as error:
+        with path.open("rb") as file:
+            header = read_array_header(file)
+        check_array_size(header, path.stat().st_size)
+    except DAMAGE as error:
         raise InputError(f"{path}: expected a plain NumPy array, found {error!r:.80}; save it again") from error
-    if not isinstance(array, np.ndarray) or array.ndim not in (2, 3) or array.shape[-1] != 3:
-        found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else "an archive; name it .npz"
-        raise InputError(f"{path}: expected an array (T, V, 3) or (V, 3), found {found}; save it in that shape")
-    if array.dtype.kind != "f":
-        raise InputError(f"{path}: expected floating-point numbers, found {array.dtype}; save it as float32")
-    return PointCache(array.reshape(-1, *array.shape[-2:]), None)
+    shape, dtype = header.shape, header.dtype
+    if len(shape) not in (2, 3) or shape[-1] != 3:
+        raise InputError(f"{path}: expected an array (T, V, 3) or (V, 3), found {dtype} {shape}; save it in that shape")
+    if dtype.kind != "f":
+        raise InputError(f"{path}: expected floating-point numbers, found {dtype}; save it as float32")
+    order = "F" if header.fortran else "C"
+    frames = _mapped(path, dtype, header.size, (math.prod(shape[:-2]), shape[-2], 3), order)
+    return PointCache(frames, None)
 
 
 def _read_start(path: Path, size: int) -> bytes:
@@ -158,15 +170,26 @@ def _read_start(path: Path, size: int) -> bytes:
 
 def _map_frames(path: Path, dtype: str, offset: int, count: int, points: int) -> Float[np.ndarray, "T V 3"]:
     """Map the frames of a file into memory; raises InputError where it is too short for the counts of its header."""
-    size, needed = path.stat().st_size, offset + 12 * count * points
+    size, needed = path.stat().st_size, offset + 12 * max(count, 0) * max(points, 0)
     if count < 0 or points < 0 or size < needed:
         raise InputError(
             f"{path}: expected {needed} bytes for {count} frames of {points} points, found {size}; "
             "the file is cut short or of another format, export it again"
         )
+    return _mapped(path, np.dtype(dtype), offset, (count, points, 3))
+
+
+def _mapped(
+    path: Path, dtype: np.dtype, offset: int, shape: tuple[int, int, int], order: Literal["C", "F"] = "C"
+) -> Float[np.ndarray, "T V 3"]:
+    """Map the numbers of a file, which must be there, into memory; raises InputError for empty or too many frames."""
+    count, points, _ = shape
     if not count or not points:
-        return np.zeros((count, points, 3), np.float32)
-    return np.memmap(path, dtype, "r", offset, (count, points, 3))
+        raise InputError(
+            f"{path}: expected at least one frame with points, found {count} frames of {points}; export it again"
+        )
+    check_clip_size(count, points, path)
+    return np.memmap(path, dtype, "r", offset, shape, order)
 
 
 def _mesh_beside(path: Path, vertices: int, suffixes: Sequence[str], read: Callable[[Path], Mesh]) -> Mesh | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Iterable, Sequence
 from itertools import chain
@@ -12,6 +13,7 @@ from jaxtyping import Float, Int
 
 from ..core.errors import InputError
 
+UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _GAP = rb"(?:\s|\\\r?\n|\\\r)+"  # white space, or a backslash that continues the line
 _WORD = rb"[^\s\\#]+"
 # By the number of words before three numbers: groups of what stays before the first number and between the numbers.
@@ -32,6 +34,26 @@ def decoded(name: bytes) -> str:
         return name.decode("utf-8")
     except UnicodeDecodeError:
         return name.decode("latin-1")
+
+
+def encoded(text: str) -> bytes:
+    """Encode text as UTF-8. Bytes of file names that are no text come back as they were, other lone surrogates as `?`.
+
+    Python decodes such bytes to lone surrogates, of which UTF-8 has none.
+    """
+    try:
+        return text.encode("utf-8", "surrogateescape")
+    except UnicodeEncodeError:
+        return text.encode("utf-8", "replace")
+
+
+def utf8_content(data: bytes) -> bytes:
+    """Return text of UTF-16 that begins with its byte order mark as UTF-8, and anything else as it is.
+
+    Raises:
+        UnicodeDecodeError: it has the mark, and is no text.
+    """
+    return data.decode("utf-16").encode("utf-8") if data.startswith(UTF16_MARKS) else data
 
 
 def line_number(lines: Sequence[bytes], index: int) -> int:

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from ..core.errors import InputError
-from ..methods.onnx_models import MAX_WINDOW
+from ..methods.onnx_metadata import MAX_WINDOW
 from .export import FULL_BITS, STORED_BITS, check_output, save_card, save_network
 from .models.aniformer import AniFormer, AniFormerConfig
 from .models.npt import NPT, NPTConfig

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies.sampling import rotvec_to_rotmat
+from ..core.budgets import FRAMES, POSED_JOINTS
 from ..core.errors import InputError
 from ..core.npz_archive import POINTS, open_archive, read_array
 from .bvh import Bvh
@@ -224,6 +225,8 @@ def _rows(values: np.ndarray, name: str, width: int, path: Path) -> Float[np.nda
             f"{path}: expected '{name}' to be numbers of shape (T, {width}) or wider, found {values.dtype} "
             f"{values.shape}; save it in that shape"
         )
+    FRAMES.check(len(flat), path)
+    POSED_JOINTS.check(len(flat) * (flat.shape[1] // 3), path, path.stat().st_size)
     if not np.isfinite(flat).all():
         bad = int(np.flatnonzero(~np.isfinite(flat).all(axis=1))[0])
         raise InputError(

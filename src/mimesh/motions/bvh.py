@@ -13,7 +13,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from ..core.budgets import DEPTH, FRAMES, JOINTS, POSED_JOINTS
 from ..core.errors import InputError
+
+SHORTEST, LONGEST = 1e-6, 3600.0
+"""Frame times (seconds) between which a file is not damaged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +39,8 @@ class Bvh:
     fps: float
     moved: dict[int, Float[np.ndarray, "T 3"]] = field(default_factory=dict)
     """Positions in the parent's frame of other joints that are translated; they replace the offset."""
+    notes: tuple[str, ...] = ()
+    """What was wrong with the file and how it was read, one line each."""
 
     def rest(self) -> Float[np.ndarray, "J 3"]:
         """Compute joint positions at rest, with the root at the origin."""
@@ -76,9 +82,11 @@ def load_bvh(path: str | Path) -> Bvh:
     if not found or header.split()[:1] != ["HIERARCHY"]:
         raise InputError(f"{path}: expected a BVH file with HIERARCHY and MOTION, found neither; export it as BVH")
     names, parents, offsets, ends, channels = _read_hierarchy(header.split()[1:], path)
-    fps, values = _read_rows(rows, sum(map(len, channels)), path)
+    fps, values, notes = _read_rows(rows, sum(map(len, channels)), path)
+    # Joints without channels are posed in every frame, too: what they take is not in proportion to the file.
+    POSED_JOINTS.check(len(values) * len(names), path, len(text))
     rotmat, root, moved = _apply_channels(channels, values, offsets)
-    return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, fps, moved)
+    return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, fps, moved, notes)
 
 
 def bvh_joints(path: str | Path) -> int:
@@ -107,6 +115,7 @@ def _read_hierarchy(tokens: list[str], path: Path):
                     )
                 names.append(" ".join(tokens[i:brace]))
                 parents.append(stack[-1] if stack else -1)
+                DEPTH.check(len(stack), path)
                 offsets.append(np.zeros(3))
                 channels.append([])
                 stack.append(len(names) - 1)
@@ -139,6 +148,7 @@ def _read_hierarchy(tokens: list[str], path: Path):
             f"{path}: expected a whole HIERARCHY, found damage near word {i} ({' '.join(tokens[i - 1 : i + 3])[:60]}); "
             "export it again"
         ) from None
+    JOINTS.check(len(names), path)
     if stack or not names:
         raise InputError(f"{path}: expected a whole HIERARCHY, found {len(stack)} braces open; export it again")
     return names, parents, np.array(offsets), ends, channels
@@ -152,8 +162,8 @@ def _channel(word: str, path: Path) -> tuple[str, int]:
     return kind, "xyz".index(axis)
 
 
-def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.ndarray, "T C"]]:
-    """Parse the MOTION section: frame rate and one row of channel values per frame."""
+def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.ndarray, "T C"], tuple[str, ...]]:
+    """Parse the MOTION section: frame rate, one row of channel values per frame, and notes."""
     words = text.split()
     try:
         if [w.lower() for w in (words[0], *words[2:4])] != ["frames:", "frame", "time:"]:
@@ -165,12 +175,16 @@ def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.nd
             f"{path}: expected 'Frames: N', 'Frame Time: s' and numbers after MOTION, found damage ({error}); "
             "export it again"
         ) from None
-    if not frame_time > 0 or frames < 1:
+    if not SHORTEST <= frame_time <= LONGEST or frames < 1:
         raise InputError(
-            f"{path}: expected frames and a positive frame time, found {frames} and {frame_time:g}; export it again"
+            f"{path}: expected frames and a frame time of {SHORTEST:g} to {LONGEST:g} s, "
+            f"found {frames} and {frame_time:g}; export it again"
         )
     # A missing number would shift all later values, so a wrong count is an error. Whole rows after the last frame shift
     # nothing: some exporters count one frame too few.
+    if not channels:
+        raise InputError(f"{path}: expected joints with channels, found none; export the animation again")
+    FRAMES.check(frames, path)
     if values.size < frames * channels or values.size % channels:
         raise InputError(
             f"{path}: expected {frames} frames of {channels} values, found {values.size} values; "
@@ -179,7 +193,13 @@ def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.nd
     if not np.isfinite(values).all():
         bad = int(np.flatnonzero(~np.isfinite(values))[0]) // channels
         raise InputError(f"{path}: expected finite numbers, found NaN or infinity in frame {bad}; export it again")
-    return _rate(words[4]), values[: frames * channels].reshape(frames, channels)
+    rows = values.size // channels
+    notes = (
+        ()
+        if rows == frames
+        else (f"{path.name} has {rows} rows and states {frames} frames: the first {frames} are read",)
+    )
+    return _rate(words[4]), values[: frames * channels].reshape(frames, channels), notes
 
 
 def _rate(frame_time: str) -> float:

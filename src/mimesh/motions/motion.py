@@ -18,6 +18,7 @@ from ..bodies.anatomy import anatomy_of_joints
 from ..bodies.joint_names import other_side
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core.animated_rig import frames_around
+from ..core.budgets import FRAMES, LARGEST_PRINTED
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, store_frames
 from ..core.geometry import MIRROR, mirrored_rotations, slerp
@@ -81,6 +82,7 @@ def resample(motion: Motion, fps: float) -> Motion:
     """
     if not fps > 0:
         raise InputError(f"{motion.name}: expected a positive frame rate, found {fps:g}; give for example 30")
+    FRAMES.check(int(min(len(motion) / motion.fps * fps, LARGEST_PRINTED)), motion.name)
     before, after, fraction = frames_around(len(motion), motion.fps, fps)
     rotmat = slerp(motion.rotmat[before], motion.rotmat[after], fraction[:, None])
     root = motion.root[before] * (1 - fraction[:, None]) + motion.root[after] * fraction[:, None]

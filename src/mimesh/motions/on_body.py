@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..bodies import load_body
+from ..core.budgets import check_clip_size
 from ..core.frame_buffer import Progress, store_frames
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import archive_names
@@ -49,7 +50,12 @@ def motion_of_file(path: str | Path) -> Motion:
     Raises:
         InputError: a damaged file, or a skeleton in which the hips and limbs are not found by name.
     """
-    return on_body(load_bvh(path) if Path(path).suffix.lower() == BVH else load_amass(path), path)
+    return on_body(_load(path), path)
+
+
+def _load(path: str | Path) -> Bvh:
+    """Load the skeleton and motion of a motion file."""
+    return load_bvh(path) if Path(path).suffix.lower() == BVH else load_amass(path)
 
 
 def motion_file_clip(path: str | Path, fps: float | None = None, progress: Progress | None = None) -> Clip:
@@ -60,8 +66,11 @@ def motion_file_clip(path: str | Path, fps: float | None = None, progress: Progr
     Raises:
         InputError: as `motion_of_file`, or a frame rate that is not positive.
     """
-    motion = motion_of_file(path)
-    return played(motion if fps is None else resample(motion, fps), progress)
+    source = _load(path)
+    motion = on_body(source, path)
+    motion = motion if fps is None else resample(motion, fps)
+    check_clip_size(len(motion), len(load_body().vertices), path)
+    return dataclasses.replace(played(motion, progress), notes=source.notes)
 
 
 def motion_file_mesh(path: str | Path) -> Mesh:

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from ..bodies.sampling import rotvec_to_rotmat
 from ..bodies.smpl_model import SmplModel
+from ..core.budgets import check_clip_size
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, store_frames
 from ..core.mesh import Clip, Mesh
@@ -77,6 +78,7 @@ def recorded_clip(
     if first_alone:
         motion = dataclasses.replace(motion, rotmat=motion.rotmat[:1], root=motion.root[:1])
     frames = (vertices @ axes.T for vertices in model.frames(shape, motion.rotmat, motion.root))
+    check_clip_size(len(motion), len(model.template), path)
     vertices = store_frames(frames, len(motion), len(model.template), np.float32, progress)
     mesh = Mesh(np.asarray(vertices[0], np.float64), model.faces, path.stem, up="+y" if is_archive else None)
     headings = (axes @ motion.rotmat[:, 0])[:, :, 2] if is_archive else None

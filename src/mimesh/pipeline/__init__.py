@@ -171,7 +171,7 @@ def animate(
     options = MotionOptions(root, ground, smooth, skinned, _usable_rig(rig, model), body)
     moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32, corrections)
     _name_axis_sources(moved.report, up, driving_up)
-    notes = moved.notes
+    notes = clip.notes + moved.notes
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose: give an animated .glb or a folder of frames",)
     mesh = identity.with_vertices(moved.vertices[0].astype(np.float64))

@@ -35,6 +35,7 @@ from .run import (
     MotionOptions,
     MovedIdentity,
     Prepared,
+    check_identity,
     first_frame,
     fitted_norms,
     play,
@@ -135,6 +136,7 @@ def prepare_move(
     Raises:
         InputError: an axis, the model, its options or the corrections cannot be used.
     """
+    check_identity(identity)
     if options.body == OTHER and corrections.given:
         raise InputError(
             "--joints: expected people or four-legged animals, found --body other, which has no joints to correct; "

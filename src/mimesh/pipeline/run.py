@@ -54,6 +54,8 @@ KEYFRAMES = 16
 MOTION_FRAMES = 120
 """Largest number of frames, evenly spread, in which a method that asks for it gets points of the surface."""
 ROOTS = ("scale", "keep", "drop")
+FEWEST_VERTICES = 4
+"""Vertices of the smallest solid, a tetrahedron; two points and one triangle have no pose."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,7 @@ def prepare(
     Raises:
         InputError: an axis, the model, its options or the corrections cannot be used.
     """
+    check_identity(identity)
     # The normalisation of the first frame is used for the whole clip, so that the driving's displacement is kept.
     first = first_frame(clip)
     rigs = read_rigs(identity, clip, options, corrections, copy=False) if rigs is None else rigs
@@ -222,6 +225,15 @@ def _corrected_norms(
         reorient(method, meshes[0], norms[0], axes[:2], drive.confidence[0]),
         reorient(method, meshes[1], norms[1], axes[2:], drive.confidence[1]),
     )
+
+
+def check_identity(identity: Mesh) -> None:
+    """Raise InputError for a mesh to move that has too few points for a pose: they have no volume."""
+    if len(identity.vertices) < FEWEST_VERTICES:
+        raise InputError(
+            f"{identity.name}: expected at least {FEWEST_VERTICES} vertices in the mesh to move, found "
+            f"{len(identity.vertices)}; check that it is the whole character"
+        )
 
 
 def first_frame(clip: Clip) -> Mesh:

@@ -163,7 +163,8 @@ def read_clip(
         InputError: a file cannot be read.
     """
     if body_model is None:
-        return load_clip(path, fps, animation, progress), ()
+        clip = load_clip(path, fps, animation, progress)
+        return clip, clip.notes
     return load_recorded_clip(path, body_model, fps, animation, progress)
 
 

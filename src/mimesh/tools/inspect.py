@@ -114,6 +114,7 @@ def inspect_file(path: str | Path) -> FileFacts:
 
     clip = load_clip(path, animation="0" if Path(path).suffix.lower() in COLLECTIONS else None)
     facts = facts_of(clip.mesh, clip, path)
+    facts = dataclasses.replace(facts, details=facts.details + tuple(("note", note) for note in clip.notes))
     if clip.mesh.source is not None:
         return facts
     animations, details = _other_facts(Path(path), clip)

@@ -210,7 +210,7 @@ def test_contradictory_draco_is_refused(fault, plain, tmp_path):
 
 def test_huge_count_is_refused_before_anything_is_allocated(plain, tmp_path):
     path = draco_glb(plain, tmp_path / "small.glb")
-    with pytest.raises(InputError, match=r"up to 4 GiB of data"):
+    with pytest.raises(InputError, match="bytes when it is unpacked"):
         load_mesh(
             altered(path, lambda gltf: [a.update(count=2**31) for a in gltf["accessors"] if "bufferView" not in a])
         )

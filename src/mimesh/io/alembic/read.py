@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...core.budgets import check_clip_size
 from ...core.errors import InputError
 from ...core.mesh import Material, Mesh, Part
 from ..guarded import ClipStream
@@ -46,6 +47,7 @@ def read_clip(path: Path, fps: float | None = None) -> ClipStream:
     abc_meshes, others = _open_meshes(path)
     mesh = _join(abc_meshes, _start_time(abc_meshes), others, path)
     times, rate = frame_times(abc_meshes, fps)
+    check_clip_size(len(times), len(mesh.vertices), path)
     return ClipStream(mesh, _frames(abc_meshes, _vertex_counts(abc_meshes), times, path), len(times), rate)
 
 

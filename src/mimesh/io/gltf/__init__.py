@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...core.budgets import check_clip_size
 from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Mesh, check_mesh
 from ..timing import DEFAULT_FPS
@@ -93,6 +94,7 @@ def read_gltf_clip(
     own_fps = frame_rate(channels) or DEFAULT_FPS
     fps = fps or own_fps
     count, frames = bake_frames(document, mesh.source.rest, channels, fps)
+    check_clip_size(count, len(mesh.vertices), path)
     vertices = store_frames(frames, count, len(mesh.vertices), progress=progress)
     skeleton = GltfJoints(document, channels, np.arange(count) / fps, mesh, whole=fps == own_fps)
     return Clip(mesh.with_vertices(vertices[0]), vertices, fps, skeleton=skeleton)

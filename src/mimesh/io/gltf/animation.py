@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...core.budgets import KEYS
 from ...core.errors import InputError
 from ..timing import RATES, lie_on, sample_rate, usual_rate
 from .document import Document, read_floats
@@ -176,13 +177,15 @@ def read_channels(document: Document, animation: int) -> list[AnimationChannel]:
     Raises:
         InputError: keys without values, times that do not increase, or an unknown interpolation.
     """
-    channels = []
+    channels, numbers = [], 0
     try:
         entry = document.gltf["animations"][animation]
         for channel in entry["channels"]:
             target = channel["target"]
             if target["path"] in PATH_WIDTHS and target.get("node") is not None:
                 read = _read_channel(document, target, entry["samplers"][channel["sampler"]])
+                numbers += read.times.size + read.values.size
+                KEYS.check(numbers, document.path, len(document.binary))
                 if read.path != "weights" or target_count(document, read.node):
                     channels.append(read)
     except (KeyError, IndexError, TypeError) as error:

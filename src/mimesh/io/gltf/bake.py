@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...core.budgets import FRAMES, POSED_JOINTS
 from ...core.errors import InputError
 from ..timing import LONGEST, frame_count
 from .animation import AnimationChannel
@@ -60,12 +61,16 @@ def frame_times(document: Document, channels: list[AnimationChannel], fps: float
     """Return the times of an animation's frames in seconds, from zero to its last key.
 
     Raises:
-        InputError: the last key is later than an hour, which only damaged times are.
+        InputError: the last key is later than an hour, which only damaged times are, or there are too many frames.
     """
     last = max((float(channel.times[-1]) for channel in channels), default=0.0)
     if last > LONGEST:
         raise InputError(f"{document.path}: expected an animation of up to an hour, found {last:.0f} s; cut it")
-    return np.arange(frame_count(last, fps)) / fps
+    count = frame_count(last, fps)
+    FRAMES.check(count, document.path)
+    moved = len({channel.node for channel in channels})
+    POSED_JOINTS.check(count * moved, document.path, len(document.binary))
+    return np.arange(count) / fps
 
 
 def sample_nodes(

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from ...core.budgets import JOINTS
 from ...core.errors import InputError
 
 TEXTURE_TRANSFORM = "extensions KHR_texture_transform"
@@ -177,6 +178,8 @@ def check_document(gltf: Any, path: Path) -> None:
         raise InputError(
             f"{path}: expected a JSON object, found {type(gltf).__name__}; export the file again as glTF 2.0"
         )
+    if isinstance(gltf.get("nodes"), list):
+        JOINTS.check(len(gltf["nodes"]), path)
     _check_version(gltf, path)
     _check_extensions(gltf, path)
     # In this order: required properties first, so that the checks after them need not ask whether these are there.

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ...core.budgets import UNPACKED
 from ...core.errors import InputError
 from ..child_process import Limits, child_result
 from .accessor_types import COMPONENT_COUNTS, COMPONENT_TYPES, element_size
@@ -25,8 +26,6 @@ PACKAGES = {"draco": ("DracoPy", "Draco"), "meshopt": ("meshopt", "meshopt compr
 """Module that decodes each codec, and the codec's name in messages."""
 FILTERS = ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR")
 """Values of `filter` of both meshopt extensions."""
-LARGEST = 2**32
-"""Bytes of all decoded data of a file: a damaged or malicious count of a few characters could ask for any amount."""
 
 
 @dataclass(eq=False)
@@ -104,8 +103,7 @@ def decompress(
     dead -= {accessor.get("bufferView") for accessor in gltf["accessors"]}
     if not (work.jobs or dead or any(_is_meshopt(view) for view in gltf["bufferViews"])):
         return gltf, binary
-    if work.size > LARGEST:
-        raise InputError(f"{path}: expected up to 4 GiB of data, found {work.size:,} bytes; the file is damaged")
+    UNPACKED.check(work.size, path, sum(map(len, work.blobs)))
     decoded = bytearray(_decode(work, path) if work.jobs else b"")
     new = {id(view) for view in work.views}
     correct_decoded(gltf, decoded, {k for k, view in enumerate(gltf["bufferViews"]) if id(view) in new})

@@ -17,6 +17,7 @@ from urllib.parse import unquote
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
+from ...core.budgets import EMPTY, JOINED, UNPACKED
 from ...core.errors import InputError
 from ..fbx import fbx_as_glb
 from .accessor_types import COMPONENT_TYPES, element_size
@@ -24,12 +25,10 @@ from .check import COMPRESSION_EXTENSIONS, MESHOPT, check_document
 from .compression import compressed_views, decompress, is_fallback
 from .mapped_files import MappedFiles
 from .node_tree import cut_broken_links
+from .sizes import check_sizes
 
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 """Chunk types of a GLB file (4.4.3 Chunks): "JSON" and "BIN"."""
-MAX_ZERO_BYTES = 2**30
-"""Largest accessor without a buffer view, in bytes: it stands for zeros, so a damaged or malicious count of a few
-characters could otherwise allocate any amount of memory."""
 IMAGE_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp", b"\xabKTX": "image/ktx2"}
 """MIME type by the first bytes of an image: PNG and JPEG (3.8.3 Images), WebP and KTX2 through extensions."""
 
@@ -76,7 +75,8 @@ def open_document(path: Path) -> Document:
     gltf, binary = _join_buffers(gltf, chunk, path, mapped_files)
     gltf, binary = decompress(gltf, binary, compressed, path)
     gltf = _drop_compression(gltf)
-    images = tuple(_read_image(image, gltf, binary, path, mapped_files) for image in gltf.get("images", []))
+    check_sizes(gltf, len(binary), path)
+    images = _read_images(gltf, binary, path, mapped_files)
     document = Document(path, gltf, binary, images, mapped_files, damage)
     for index in sorted(_used_accessors(gltf)):
         element_bytes(document, index)  # reports a damaged accessor on reading, not later on writing
@@ -87,18 +87,15 @@ def element_bytes(document: Document, index: int) -> UInt8[np.ndarray, "N S"]:
     """Return the bytes of each element of an accessor, one element a row, without strides and with sparse values.
 
     Raises:
-        InputError: the accessor has an unknown type, reaches beyond its buffer view, or is large without having one.
+        InputError: the accessor has an unknown type, reaches beyond its buffer view, or is large without having one
+            (it then stands for zeros).
     """
     accessor = document.gltf["accessors"][index]
     count, size = accessor["count"], element_size(accessor, index, document.path)
     if "bufferView" in accessor:
         rows = _read_rows(document, accessor, count, size, f"accessor {index}")
     else:
-        if count * size > MAX_ZERO_BYTES:
-            raise InputError(
-                f"{document.path}: expected data behind accessor {index}, found {count:,} elements without any; "
-                "the file is damaged, export it again"
-            )
+        EMPTY.check(count, document.path)
         rows = np.zeros((count, size), np.uint8)
     if "sparse" not in accessor:
         return rows
@@ -252,6 +249,7 @@ def _join_buffers(
     for index, buffer in enumerate(gltf.get("buffers", [])):
         content = _read_buffer(buffer, index, chunk, path, mapped_files)
         padding = bytes(-len(content) % 4)
+        JOINED.check(total + len(content), path)
         starts.append(total)
         parts += [content, padding]
         total += len(content) + len(padding)
@@ -301,6 +299,21 @@ def _rebase_view(
         inner = {name: _rebase_view(view["extensions"][name], index, buffers, starts, path) for name in names}
         rebased["extensions"] = {**view["extensions"], **inner}
     return rebased
+
+
+def _read_images(
+    gltf: dict[str, Any], binary: bytes | memoryview, path: Path, mapped_files: MappedFiles
+) -> tuple[bytes | None, ...]:
+    """Read all images; those of one buffer view or file are read once."""
+    keys = [(image.get("bufferView"), image.get("uri", "")) for image in gltf.get("images", [])]
+    contents: dict[tuple[int | None, str], bytes | None] = {}
+    size = 0
+    for key, image in zip(keys, gltf.get("images", []), strict=True):
+        if key not in contents:
+            content = contents[key] = _read_image(image, gltf, binary, path, mapped_files)
+            size += len(content) if content and key[0] is not None else 0
+            UNPACKED.check(size, path, len(binary))  # views may overlap
+    return tuple(contents[key] for key in keys)
 
 
 def _read_image(

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from ...core.errors import InputError
 from .accessor_types import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
@@ -44,7 +44,7 @@ class Spool:
 
     def append(self, values: Float[np.ndarray, "N C"]) -> None:
         """Append an array, as float32."""
-        values = np.ascontiguousarray(values, "<f4")
+        values = _as_float32(values)
         self.bounds.append(accessor_bounds(values))
         self.nbytes += self.file.write(values.data)
 
@@ -87,7 +87,7 @@ class Draft:
 
         `bounds` adds `min` and `max`, which positions and animation times must have (3.6.2.5 Accessors Bounds).
         """
-        values = np.asarray(values, "<f4")
+        values = _as_float32(values)
         view = self.add_view(values, target=target)
         accessor = {
             "bufferView": view,
@@ -227,6 +227,22 @@ def _as_bytes(content: bytes | memoryview | np.ndarray) -> memoryview:
     return chunk.cast("B") if chunk.nbytes else memoryview(b"")
 
 
+def _as_float32(values: Float[np.ndarray, "N C"]) -> Float32[np.ndarray, "N C"]:
+    """Return values in the type of glTF.
+
+    Raises:
+        InputError: one is not finite in this type.
+    """
+    with np.errstate(over="ignore"):
+        stored = np.ascontiguousarray(values, "<f4")
+    if not np.isfinite(stored).all():
+        raise InputError(
+            "glTF: expected numbers up to 3.4e38, the largest of its type, found larger ones in the frame of a node; "
+            "write another format, or scale the mesh"
+        )
+    return stored
+
+
 def accessor_bounds(values: Float[np.ndarray, "N C"]) -> dict[str, list[float]]:
     """Return the properties `min` and `max` of an accessor; they must equal its float32 values (3.6.2.5)."""
     if not len(values):
@@ -237,4 +253,6 @@ def accessor_bounds(values: Float[np.ndarray, "N C"]) -> dict[str, list[float]]:
 def _to_json(gltf: dict[str, Any]) -> bytes:
     """Serialize to compact JSON without empty top-level lists, which the glTF JSON schema does not allow."""
     without_empty = {key: value for key, value in gltf.items() if value != []}
-    return json.dumps(without_empty, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
+    return json.dumps(without_empty, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode(
+        "utf-8", "replace"
+    )

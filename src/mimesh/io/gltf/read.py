@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...core.budgets import VERTICES
 from ...core.errors import InputError
 from ...core.geometry import unit_vectors
 from ...core.mesh import Material, Mesh, Part
@@ -166,6 +167,7 @@ def _find_vertex_ranges(document: Document) -> tuple[VertexRange, ...]:
         count = document.gltf["accessors"][get_primitive(document, group[0])["attributes"]["POSITION"]]["count"]
         vertex_ranges.append(VertexRange(group[0][0], start, start + count, tuple(index for _, index in group)))
         start += count
+    VERTICES.check(start, document.path)
     return tuple(vertex_ranges)
 
 

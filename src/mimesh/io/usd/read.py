@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from pxr import Sdf, Usd, UsdGeom
 
+from ...core.budgets import check_clip_size
 from ...core.errors import InputError
 from ...core.geometry import turn_normals, unit_vectors
 from ...core.mesh import Material, Mesh, Part
@@ -91,6 +92,7 @@ def read_clip(path: Path, fps: float | None = None) -> ClipStream:
             "export a shorter range"
         )
     count, step = frame_count((stop - start) / codes, fps or codes), codes / (fps or codes)
+    check_clip_size(count, len(mesh.vertices), path)
     time_codes = [start + k * step for k in range(count)]
     frames = _frames(stage, mesh_prims, time_codes, path)
     first = next(frames)

@@ -1,0 +1,97 @@
+"""Metadata of networks may be anything: those that are not a model's are refused with one line."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from networks import write_mime_network
+
+from mimesh.core.errors import InputError
+from mimesh.methods.find import find_method
+
+onnx = pytest.importorskip("onnx")
+
+TEXTS = ["", "{", "null", "3", '"mime"', "[]", '["model"]', "[" * 100_000, '{"model": NaN}', "{}"]
+CARDS = [
+    {"model": None},
+    {"model": ["mime"]},
+    {"model": {"mime": 1}},
+    {"model": "npt"},
+    {"points": "512"},
+    {"points": 0},
+    {"points": True},
+    {"points": 10**9},
+    {"joints": "Hips"},
+    {"joints": {"Hips": 0}},
+    {"joints": []},
+    {"joints": [1, 2, 3]},
+    {"joints": ["Hips", "Hips"]},
+    {"parents": None},
+    {"parents": [-1, 0]},
+    {"parents": "cycle"},
+    {"parents": "two roots"},
+    {"parents": "text"},
+    {"legs": 3},
+    {"legs": [3]},
+    {"legs": [[0]]},
+    {"legs": [[0, 1, 10**6]]},
+    {"legs": [[0, 1, "2"]]},
+    {"body": 7},
+]
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory):
+    return onnx.load(str(write_mime_network(tmp_path_factory.mktemp("networks") / "mime.onnx")))
+
+
+def refusal(network, text: str, path) -> str:
+    network.metadata_props[0].value = text
+    onnx.save(network, str(path))
+    with pytest.raises(InputError) as caught:
+        find_method(str(path))
+    message = str(caught.value)
+    assert message.startswith(f"{path}: expected ")
+    assert len(message) < 400 + len(str(path))
+    return message
+
+
+@pytest.mark.parametrize("text", TEXTS, ids=range(len(TEXTS)))
+def test_text_that_is_no_metadata_is_refused(network, text, tmp_path):
+    card = network.metadata_props[0].value
+    try:
+        refusal(network, text, tmp_path / "odd.onnx")
+    finally:
+        network.metadata_props[0].value = card
+
+
+@pytest.mark.parametrize("change", CARDS, ids=str)
+def test_metadata_of_other_shapes_are_refused(network, change, tmp_path):
+    card = json.loads(network.metadata_props[0].value)
+    parents = card["parents"]
+    odd = {
+        "cycle": [-1, 2, 1, *parents[3:]],
+        "two roots": [-1, -1, *parents[2:]],
+        "text": [-1, "0", *parents[2:]],
+    }
+    (key, value), text = next(iter(change.items())), json.dumps(card)
+    value = odd.get(value, value) if isinstance(value, str) else value
+    try:
+        message = refusal(network, json.dumps(card | {key: value}), tmp_path / "odd.onnx")
+    finally:
+        network.metadata_props[0].value = text
+    assert {"model": "model", "legs": "leg"}.get(key, key.rstrip("s")) in message or value == "npt"
+
+
+def test_joints_are_those_of_the_network(network, tmp_path):
+    """A joint more than the network's outputs have would fail in the middle of a transfer."""
+    text = network.metadata_props[0].value
+    card = json.loads(text)
+    longer = card | {"joints": [*card["joints"], "Tail"], "parents": [*card["parents"], 0]}
+    try:
+        assert f"{len(longer['joints'])} joints" in refusal(network, json.dumps(longer), tmp_path / "odd.onnx")
+    finally:
+        network.metadata_props[0].value = text
+    onnx.save(network, str(tmp_path / "good.onnx"))
+    assert find_method(str(tmp_path / "good.onnx")).name
