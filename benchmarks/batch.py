@@ -30,7 +30,7 @@ from mimesh.bodies import character, load_body
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import save_bvh, save_clip, save_mesh
 from mimesh.io.atomic import whole_file
-from mimesh.io.child_process import THREADS as LIBRARY_THREADS
+from mimesh.io.child_process import VARIABLES as LIBRARY_THREADS
 from mimesh.methods.mime.kept_results import keep_results
 from mimesh.methods.onnx_runtime import THREADS
 from mimesh.motions import load_motion, motion_clip

@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
-from ..io.child_process import THREADS as LIBRARY_THREADS
+from ..io.child_process import VARIABLES as LIBRARY_THREADS
 from ..methods.onnx_runtime import THREADS
 
 Answer = Callable[[int, dict[str, Any]], None]
