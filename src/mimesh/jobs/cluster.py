@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any
 
 from ..core.errors import InputError
-from ..io.child_process import THREADS as LIBRARY_THREADS
+from ..io.child_process import VARIABLES as LIBRARY_THREADS
 from ..methods.mime.kept_results import keep_results
 from ..methods.onnx_runtime import THREADS
 from .table import FAILED
