@@ -19,6 +19,7 @@ import typer
 
 from .commands import about, learn, measure, move, show, studio
 from .commands.terminal import Stop
+from .core.printable import say
 from .jobs.command import batch
 
 app = typer.Typer(
@@ -147,13 +148,12 @@ def _report_bug(error: Exception) -> int:
     import traceback
 
     last = traceback.extract_tb(error.__traceback__)[-4:]
-    print("".join(traceback.format_list(last)), end="", file=sys.stderr)
-    kind = f"{type(error).__name__}: {error}".splitlines()[0]
-    return _print_error(
-        f"{kind}\nThis is a bug of mimesh; please report it with the lines above and `mimesh doctor`'s.", 1
-    )
+    say(*"".join(traceback.format_list(last)).splitlines(), error=True)
+    _print_error(f"{type(error).__name__}: {error}".splitlines()[0], 1)
+    say("This is a bug of mimesh; please report it with the lines above and `mimesh doctor`'s.", error=True)
+    return 1
 
 
 def _print_error(message: str, code: int) -> int:
-    print(f"mimesh: {message}", file=sys.stderr)
+    say(f"mimesh: {message}", error=True)
     return code

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ..core.printable import say
 from .terminal import Json, Open, Quiet, Stop, open_page, print_json, print_next, progress
 
 
@@ -31,9 +32,9 @@ def demo(
         print_json(facts)
     elif not quiet:
         seconds = facts["seconds"]["drive"]
-        print(f"{facts['motion']}: {facts['frames']} frames moved by {facts['model']} in {seconds:.1f} s")
-        print("\n".join(facts["files"]))
-        print(f"open {facts['player']} in a browser to see it move, or: mimesh demo --open")
+        say(f"{facts['motion']}: {facts['frames']} frames moved by {facts['model']} in {seconds:.1f} s")
+        say(*facts["files"])
+        say(f"open {facts['player']} in a browser to see it move, or: mimesh demo --open")
         print_next("transfer", output / "identity.obj", output / "driving.obj")
 
 
@@ -48,9 +49,9 @@ def models(json: Json = False) -> None:
         print_json({"models": [shipped.get(name, {"name": name}) for name in names]})
         return
     for name in MODELS:
-        print(f"{name:<22}{DESCRIPTIONS[name]}")
+        say(f"{name:<22}{DESCRIPTIONS[name]}")
         if name in SHIPPED_NETWORKS:
-            print(f"{'':<22}{_describe(shipped[name]) if name in shipped else MISSING}")
+            say(f"{'':<22}{_describe(shipped[name]) if name in shipped else MISSING}")
     print_next("evaluate", "human-npt", "-m", "mime,npt,copy")
 
 
@@ -92,7 +93,7 @@ def doctor(json: Json = False) -> None:
         print_json({"ok": healthy, "checks": [vars(check) for check in checks]})
     else:
         for check in checks:
-            print(f"{'ok  ' if check.ok else 'FAIL'}  {check.name:<20}{check.found}")
-        print_next("demo") if healthy else print("next: pip install --force-reinstall mimesh")
+            say(f"{'ok  ' if check.ok else 'FAIL'}  {check.name:<20}{check.found}")
+        print_next("demo") if healthy else say("next: pip install --force-reinstall mimesh")
     if not healthy:
         raise Stop(1)

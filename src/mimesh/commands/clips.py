@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..core.printable import say
 from .terminal import output_beside, print_next
 
 if TYPE_CHECKING:
@@ -178,14 +179,14 @@ def print_clips(facts: dict[str, Any]) -> None:
 
     clips, seconds = facts["clips"], sum(facts["seconds"].values())
     by = moved_by({**facts, "report": clips[0]["report"]})
-    print(f"{facts['output']}: {facts['vertices']} vertices, {len(clips)} clips, {by}, {seconds:.1f} s")
+    say(f"{facts['output']}: {facts['vertices']} vertices, {len(clips)} clips, {by}, {seconds:.1f} s")
     for clip in clips:
-        print(f"clip: {clip['name']}, {frames_at(clip['frames'], clip['fps'])}")
+        say(f"clip: {clip['name']}, {frames_at(clip['frames'], clip['fps'])}")
     for line in dict.fromkeys(line for clip in clips for line in clip["report"].get("joints", ())):
-        print(f"joints: {line}")
+        say(f"joints: {line}")
     for note in facts["report"]["notes"]:
         about = [clip["name"] for clip in clips if note in clip["report"]["notes"]]
-        print(f"note: {note}" if len(about) == len(clips) else f"note: {', '.join(about)}: {note}")
+        say(f"note: {note}" if len(about) == len(clips) else f"note: {', '.join(about)}: {note}")
     for clip in clips:
         print_previews(clip["report"])
     print_viewing(facts)
@@ -194,16 +195,16 @@ def print_clips(facts: dict[str, Any]) -> None:
 def print_previews(report: dict[str, Any]) -> None:
     """Print the paths of the picture and the page of a result, if they were written."""
     for path in report["pictures"]:
-        print(f"picture: {path}")
+        say(f"picture: {path}")
     if report["page"]:
-        print(f"page: {report['page']}")
+        say(f"page: {report['page']}")
 
 
 def print_viewing(facts: dict[str, Any]) -> None:
     """Print how to look at a result: its page, or the command that makes a page or a picture of it."""
     output = Path(facts["output"])
     if facts["report"]["page"]:
-        print(f"next: open {facts['report']['page']} in a browser")
+        say(f"next: open {facts['report']['page']} in a browser")
     elif facts["fps"] is None and "clips" not in facts:
         print_next("render", output, "-o", output.with_suffix(".png"))
     elif output.suffix.lower() == ".vrma":

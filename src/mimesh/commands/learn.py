@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ..core.printable import say
 from .terminal import Json, print_json, print_next, progress, require
 
 
@@ -74,7 +75,7 @@ def train(
     if json:
         print_json({"output": str(folder), "last": str(last), "best": str(best) if validated else None})
     else:
-        print(f"{folder}: {'best.safetensors, ' if validated else ''}last.safetensors, log.jsonl")
+        say(f"{folder}: {'best.safetensors, ' if validated else ''}last.safetensors, log.jsonl")
         print_next("export", best if validated else last, "-o", f"{folder.name}.onnx")
 
 
@@ -95,7 +96,7 @@ def export(
     if json:
         print_json({"output": str(output), "checkpoint": str(checkpoint), "bytes": output.stat().st_size})
     else:
-        print(f"{output}: {output.stat().st_size / 2**20:.1f} MiB")
+        say(f"{output}: {output.stat().st_size / 2**20:.1f} MiB")
         print_next("evaluate", test_set(card), "-m", f"{output},copy")
 
 
@@ -123,11 +124,11 @@ def import_checkpoint(
         facts = {"kind": imported["kind"], "parameters": card["parameters"], "unused": imported["unused"]}
         print_json({"output": str(output), "vertices": vertices, "bytes": output.stat().st_size, **facts})
         return
-    print(f"{output}: {imported['kind']}, {card['parameters']:,} numbers, {output.stat().st_size / 2**20:.1f} MiB")
+    say(f"{output}: {imported['kind']}, {card['parameters']:,} numbers, {output.stat().st_size / 2**20:.1f} MiB")
     if imported["kind"] == "npt":
-        print("note: weights of the max-pool variant have the same names and shapes; --maxpool takes them as such")
+        say("note: weights of the max-pool variant have the same names and shapes; --maxpool takes them as such")
     if imported["unused"]:
-        print(f"note: {len(imported['unused'])} tensors that the public code never uses were left out")
+        say(f"note: {len(imported['unused'])} tensors that the public code never uses were left out")
     if vertices:
-        print(f"note: every mesh needs the {vertices:,} vertices of the training, in their order")
+        say(f"note: every mesh needs the {vertices:,} vertices of the training, in their order")
     print_next("animate" if vertices else "transfer", "IDENTITY", "DRIVING", "-m", output)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..core.errors import InputError
+from ..core.printable import say
 from .terminal import Json, Quiet, print_json, print_next, progress, require
 
 Protocol = Annotated[
@@ -85,10 +85,10 @@ def evaluate(
     if json:
         print_json(figures)
     elif not quiet:
-        print(markdown(figures))
-        print("± is half of the 95 % interval of the mean; columns: docs/conventions.md")
+        say(*markdown(figures).split("\n"))
+        say("± is half of the 95 % interval of the mean; columns: docs/conventions.md")
         for note in figures.get("notes", ()):
-            print(f"note: {note}")
+            say(f"note: {note}")
         if figures["protocol"] == "human-npt":
             print_next("table", "npt-1")
 
@@ -131,7 +131,7 @@ def table(
         with progress("starting", quiet or json):  # PyTorch takes seconds to load
             from ..learn.table_rows import train_table
 
-        trained = train_table(name, networks, minutes, seeds, long, lambda text: print(text, file=sys.stderr), left_out)
+        trained = train_table(name, networks, minutes, seeds, long, lambda text: say(text, error=True), left_out)
     elif seeds > 1 or long:
         raise InputError("--seeds, --long: expected them with --train, found them without; add --train")
     with progress("pairs", quiet or json) as advance:
@@ -139,7 +139,7 @@ def table(
     if json:
         print_json(figures)
     elif not quiet:
-        print(text)
+        say(*text.split("\n"))
         print_next("evaluate", "human-wide", "-m", "npt,copy")
 
 
@@ -172,7 +172,7 @@ def figure(
     if json:
         print_json({"output": str(output), "figure": name, "rows": drawn})
     elif not quiet:
-        print(f"{output}: {drawn} rows")
+        say(f"{output}: {drawn} rows")
         print_next("table", "npt-1")
 
 
@@ -203,5 +203,5 @@ def generate(
     if json:
         print_json({"output": str(output), "protocol": protocol, "split": split, **written})
     elif not quiet:
-        print(f"{output}: {written['files']} files")
+        say(f"{output}: {written['files']} files")
         print_next(*(("look", output) if split == "train" else ("evaluate", output, "-m", "mime,npt,copy")))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..core.printable import say
 from .clips import (
     check_clip_output,
     check_rig_layout,
@@ -371,11 +372,11 @@ def _print_summary(facts: dict[str, Any]) -> None:
 
     length = "" if facts["fps"] is None else f", {frames_at(facts['frames'], facts['fps'])}"
     seconds = sum(facts["seconds"].values())
-    print(f"{facts['output']}: {facts['vertices']} vertices{length}, {moved_by(facts)}, {seconds:.1f} s")
+    say(f"{facts['output']}: {facts['vertices']} vertices{length}, {moved_by(facts)}, {seconds:.1f} s")
     for line in facts["report"].get("joints", ()):
-        print(f"joints: {line}")
+        say(f"joints: {line}")
     for note in facts["report"]["notes"]:
-        print(f"note: {note}")
+        say(f"note: {note}")
     print_previews(facts["report"])
     if Path(facts["output"]).suffix.lower() not in MOVIES:
         print_viewing(facts)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..core.printable import say
 from .terminal import (
     Animation,
     BlendShapes,
@@ -45,9 +45,9 @@ def look(files: Files, no_limits: NoLimits = False, json: Json = False) -> None:
         print_json({"files": [fact.as_dict() for fact in facts.values()]})
         return
     for fact in facts.values():
-        print(fact.text(), end="\n\n" if len(files) > 1 else "\n")
+        say(*fact.text().split("\n"), *([""] if len(files) > 1 else []))
     for error in errors[:-1]:
-        print(f"mimesh: {error}", file=sys.stderr)
+        say(f"mimesh: {error}", error=True)
     if errors:
         raise errors[-1]
     print_next("render", *files, "-o", "sheet.png")
@@ -104,7 +104,7 @@ def render(
     if json:
         print_json({"output": str(output), "kind": kind, "files": [str(path) for path in files]})
     elif not quiet:
-        print(f"{output}: {kind} of {', '.join(names)}")
+        say(f"{output}: {kind} of {', '.join(names)}")
         print_next("look", *files)
 
 
@@ -165,7 +165,8 @@ def convert(
         print_json({**facts, "notes": list(written.notes)})
     elif not quiet:
         length = "" if written.fps is None else f", {frames_at(written.frames, written.fps)}"
-        print(f"{target}: {written.vertices} vertices{length}")
-        print("".join(f"note: {note}\n" for note in written.notes), end="")
+        say(f"{target}: {written.vertices} vertices{length}")
+        for note in written.notes:
+            say(f"note: {note}")
         if target.suffix.lower() not in MOVIES:
             print_next("look", target)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from ..core.printable import say
 from .terminal import Json, Model, Quiet, print_json, require
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -36,17 +37,17 @@ def studio(
     from ..studio import serve
 
     if host not in LOOPBACK:
-        print(
+        say(
             f"warning: others in the network of {host} can reach this studio, and read what passes; whoever has the "
             "address below can use it",
-            file=sys.stderr,
+            error=True,
         )
 
     def announce(address: str) -> None:
         if json:
             print_json({"address": address})
         else:
-            print(f"studio: {address}" if quiet else f"studio: {address}\nCtrl-C ends it")
+            say(f"studio: {address}", *([] if quiet else ["Ctrl-C ends it"]))
         sys.stdout.flush()
 
     serve(

@@ -12,6 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
+from ..core.printable import printable, say
+
 Model = Annotated[
     str,
     typer.Option(
@@ -69,7 +71,7 @@ def open_page(page: str | Path) -> None:
     import webbrowser
 
     if not webbrowser.open(Path(page).resolve().as_uri()):
-        print(f"warning: no browser was found; open {page} in one", file=sys.stderr)
+        say(f"warning: no browser was found; open {page} in one", error=True)
 
 
 class Stop(Exception):
@@ -82,12 +84,12 @@ class Stop(Exception):
 
 def print_json(value: dict[str, Any]) -> None:
     """Print one JSON object on one line of stdout; NaN and infinity, which JSON has not, become null."""
-    print(json.dumps(_finite(value), allow_nan=False, default=_plain))
+    say(json.dumps(_finite(value), allow_nan=False, default=_plain))
 
 
 def print_next(*words: str | Path) -> None:
     """Print the command that a user may want to run next, quoted for the shell."""
-    print("next: " + shlex.join(["mimesh", *map(str, words)]))
+    say("next: " + shlex.join(["mimesh", *map(str, words)]))
 
 
 @contextlib.contextmanager
@@ -99,9 +101,11 @@ def progress(what: str, quiet: bool) -> Iterator[Callable[[int, int], None] | No
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    # The words may have names in them: they are a value of the template, and no markup.
+    words = TextColumn("{task.description}", markup=False)
+    columns = (words, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=None)
+        task = bar.add_task(printable(what), total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 

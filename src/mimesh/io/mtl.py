@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ..core.mesh import Material, Mesh
+from ..core.printable import plain
 from .atomic import whole_file
 from .beside import is_there
 from .text import decoded, encoded
@@ -114,8 +115,11 @@ def _file_name(name: str) -> str:
 
 
 def safe_name(name: str) -> str:
-    """Return a name that is one word of an OBJ or MTL file: white space becomes `_`, an empty name `unnamed`."""
-    return "_".join(name.split()) or "unnamed"
+    """Return a name that is one word of an OBJ or MTL file: white space and what is not printable become `_`.
+
+    An empty name becomes `unnamed`.
+    """
+    return plain("_".join(name.split())).replace("\\", "_") or "unnamed"  # a backslash continues a line
 
 
 def _material_text(name: str, material: Material, path: Path) -> str:

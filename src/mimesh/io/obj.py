@@ -14,6 +14,7 @@ from ..core.budgets import CORNERS
 from ..core.errors import InputError
 from ..core.geometry import unit_vectors, vertex_normals
 from ..core.mesh import Material, Mesh, Part
+from ..core.printable import plain
 from . import mtl
 from .atomic import whole_file
 from .beside import is_there
@@ -74,7 +75,7 @@ def write_obj(mesh: Mesh, path: Path) -> None:
     lines = [f"o {mtl.safe_name(mesh.name)}"]
     material_names = mtl.material_names(mesh)
     if any(part.material for part in mesh.parts):
-        library = mtl.write_library(mesh, path.with_suffix(".mtl"))
+        library = mtl.write_library(mesh, path.with_name(f"{plain(path.stem)}.mtl"))
         lines.insert(0, f"mtllib {library.name}")
     points = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.astype(np.float64).tolist()]
     if mesh.vertex_colors is not None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..commands.terminal import Json, Model, Quiet, Stop, given_path, print_json, progress
+from ..core.printable import say
 
 if TYPE_CHECKING:
     from .summary import BatchResult
@@ -93,7 +94,7 @@ def batch(
         raise InputError("--workers: expected it without --cluster, which has workers of its own; leave one out")
     silent = quiet or json
     if not silent and not sys.stderr.isatty():
-        print("checking all jobs", file=sys.stderr, flush=True)
+        say("checking all jobs", error=True)
     with progress("jobs", silent) as advance:
         result = run_batch(
             str(jobs),
@@ -136,11 +137,11 @@ def print_lines() -> Callable[..., None]:
         if job is None:
             before = done
             earlier = f", {done} done before" if done else ""
-            print(f"{total} jobs{earlier}, workers: {outcome['workers']}", file=sys.stderr, flush=True)
+            say(f"{total} jobs{earlier}, workers: {outcome['workers']}", error=True)
             return
         left = (time.perf_counter() - begin) / (done - before) * (total - done)
         what = outcome.get("error") or f"{outcome['state']}, {outcome.get('seconds', 0.0):.1f} s"
-        print(f"[{done}/{total}, {left:.0f} s left] {job.name}: {what}", file=sys.stderr, flush=True)
+        say(f"[{done}/{total}, {left:.0f} s left] {job.name}: {what}", error=True)
 
     return report
 
@@ -148,18 +149,18 @@ def print_lines() -> Callable[..., None]:
 def print_summary(result: BatchResult) -> None:
     """Print how many jobs were done, the files, and the failed jobs."""
     counts = ", ".join(f"{count} {state}" for state, count in result.counts.items() if count)
-    print(f"{len(result.jobs)} jobs: {counts}; {result.seconds:.1f} s, workers: {result.workers}")
+    say(f"{len(result.jobs)} jobs: {counts}; {result.seconds:.1f} s, workers: {result.workers}")
     print_failures(result)
     names = {"csv": "table", "json": "facts", "png": "picture"}
     for kind, path in result.files.items():
-        print(f"{names[kind]}: {path}")
-    print(f"next: open {result.files.get('png') or result.files['csv']}")
+        say(f"{names[kind]}: {path}")
+    say(f"next: open {result.files.get('png') or result.files['csv']}")
 
 
 def print_failures(result: BatchResult) -> None:
     """Print the first failed jobs with their errors."""
     failed = [(job, outcome) for job, outcome in zip(result.jobs, result.outcomes, strict=True) if outcome.get("error")]
     for job, outcome in failed[:MOST_FAILURES]:
-        print(f"failed: {job.where}: {outcome['error']}")
+        say(f"failed: {job.where}: {outcome['error']}")
     if len(failed) > MOST_FAILURES:
-        print(f"failed: {len(failed) - MOST_FAILURES} more, see {result.files['csv']}")
+        say(f"failed: {len(failed) - MOST_FAILURES} more, see {result.files['csv']}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,6 +13,8 @@ from typing import TYPE_CHECKING, TextIO
 import torch
 from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
+
+from ..core.printable import say
 
 if TYPE_CHECKING:
     from .training_run import TrainingRun
@@ -80,4 +81,4 @@ class TrainingLog:
         self.lines.write(json.dumps(record) + "\n")
         self.lines.flush()
         if self.board:
-            print(f"{kind} {pairs:,} pairs: {text}", file=sys.stderr)
+            say(f"{kind} {pairs:,} pairs: {text}", error=True)

@@ -8,7 +8,6 @@ and an urgent job waits for one frame at most.
 
 from __future__ import annotations
 
-import sys
 import threading
 import traceback
 from collections.abc import Callable, Hashable
@@ -18,6 +17,7 @@ from typing import Any
 
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
+from ..core.printable import say
 from ..io.child_process import watched
 
 Work = Callable[[Progress], Any]
@@ -112,7 +112,7 @@ class Worker:
             job.future.set_exception(error)
         except Exception as error:
             # A bug must be visible in the terminal, and must not end the thread.
-            traceback.print_exc(file=sys.stderr)
+            say(*traceback.format_exc().splitlines(), error=True)
             job.future.set_exception(error)
         else:
             job.future.set_result(value)

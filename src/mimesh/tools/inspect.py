@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
+from ..core.printable import printable
 from ..io.beside import missing_images, missing_images_notes
 from ..pipeline.body_choice import recognised_body
 from ..pipeline.rigs import RigFacts, rig_facts
@@ -92,7 +93,8 @@ class FileFacts:
         rows = list(_rows(self))
         rows += [("on writing", note) for note in self.notes] + [("warning", warning) for warning in self.warnings()]
         width = max(len(key) for key, _ in rows) + 2
-        return "\n".join([self.name, *(f"  {key:<{width}}{value}" for key, value in rows)])
+        lines = [self.name, *(f"  {key:<{width}}{value}" for key, value in rows)]
+        return "\n".join(map(printable, lines))  # names in the file may contain line ends
 
     def warnings(self) -> list[str]:
         """Return problems that may spoil a transfer, most serious first, each with what to do."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.mesh import Clip, Mesh
+from ..core.printable import plain
 from ..io.atomic import whole_file, writing
 from ..pipeline.result import ClipResult, Result
 from ..player.pack import MotionLimits
@@ -16,7 +17,7 @@ from ..render.sheet import DRIVING_TINT, page, stack, strip
 if TYPE_CHECKING:
     from PIL import Image
 
-FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
+FORBIDDEN = re.compile(r'[<>:"/\\|?*]')
 """Characters that names of animations may have, and names of files on some system may not."""
 MOTION = MotionLimits(frames=250, characters=4 * 2**20, driving_vertices=2000)
 """Of a page beside a result: seconds to write, and 5 MB with the script, a small .glb and no textures."""
@@ -44,7 +45,7 @@ def names_beside(output: Path, clip: str | None = None, usual: str = ".glb") -> 
     """
     name = output.stem if output.suffix.lower() == usual.lower() else output.name
     if clip is not None:
-        name = f"{name}-{FORBIDDEN.sub('_', clip)}"
+        name = f"{name}-{plain(FORBIDDEN.sub('_', clip))}"
     return output.with_name(f"{name}.preview.png"), output.with_name(f"{name}.preview.html")
 
 

@@ -1,0 +1,30 @@
+"""Print lines, and names in files of text, without the control characters of names.
+
+An escape sequence in the name of a material can move a terminal's cursor, recolour or hide text; a mark of direction
+can show a name in another order than it is stored in (Boucher and Anderson 2021, "Trojan Source").
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+
+_UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
+"""C0 and C1 control characters, marks of direction, line separators, byte order marks, and surrogates, which are no
+text and which UTF-8 cannot encode."""
+
+
+def printable(text: str) -> str:
+    """Return a text as one line to be shown: what is not printable is escaped as in Python, such as `\\x1b`."""
+    return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+def plain(name: str) -> str:
+    """Return a name to be written to a file of text or used as a file name: what is not printable becomes `_`."""
+    return _UNPRINTABLE.sub("_", name)
+
+
+def say(*lines: str, error: bool = False) -> None:
+    """Print lines to stdout, or with `error` to stderr; every text for a terminal goes through here."""
+    stream = sys.stderr if error else sys.stdout
+    print(*map(printable, lines), sep="\n", file=stream, flush=error)

@@ -1,0 +1,145 @@
+"""Names in files reach neither the terminal nor a written file of text with their control characters."""
+
+from __future__ import annotations
+
+import ast
+import csv
+import dataclasses
+import io
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import zoo
+
+import mimesh
+from mimesh.cli import run
+from mimesh.commands.terminal import progress
+from mimesh.core.mesh import Material, Part
+from mimesh.core.printable import plain, printable
+from mimesh.io import load_mesh, save_mesh
+from mimesh.jobs.summary import BatchResult
+from mimesh.jobs.table import BatchJob
+
+NAME = "a\x1b]0;owned\x07\u202eb\n  looks         fine\r\x9b2J\u2066\x00"
+"""Sets the title of a terminal, reverses text, adds a line, goes back to its begin, and clears the screen."""
+BAD = set("\x1b\x07\u202e\r\x9b\u2066\x00\x85\u2028")
+SOURCE = Path(mimesh.__file__).parent
+
+
+@pytest.fixture
+def hostile(tmp_path):
+    """A .glb whose part and material have NAME."""
+    cube = dataclasses.replace(zoo.cube(), name=NAME, parts=(Part(NAME, 0, 12, Material(NAME, (1.0, 0.0, 0.0, 1.0))),))
+    save_mesh(cube, tmp_path / "cube.glb")
+    return tmp_path / "cube.glb"
+
+
+def test_look_escapes_names(hostile, capsys):
+    assert run(["look", str(hostile)]) == 0
+    out = capsys.readouterr().out
+    assert not BAD & set(out)
+    assert "a\\x1b]0;owned\\x07\\u202eb\\n  looks" in out
+    assert "\n  looks         fine" not in out
+
+
+def test_errors_escape_names(tmp_path, capsys):
+    assert run(["look", str(tmp_path / "no\x1b[31m\u202efile.obj")]) == 2
+    assert "no\\x1b[31m\\u202efile.obj: expected" in capsys.readouterr().err
+
+
+def test_usage_errors_escape_values(capsys):
+    assert run(["render", "--size", "\x1b[31m", "a.obj", "-o", "b.png"]) == 2
+    assert not BAD & set(capsys.readouterr().err)
+
+
+def test_bugs_escape_names(monkeypatch, capsys):
+    def fail(*_):
+        raise RuntimeError("\x1b[31m")
+
+    monkeypatch.setattr("mimesh.tools.inspect.inspect_file", fail)
+    assert run(["look", str(SOURCE)]) == 1
+    assert "RuntimeError: \\x1b[31m\n" in capsys.readouterr().err
+
+
+def test_file_names_are_escaped_in_all_lines(hostile, capsys):
+    named = hostile.with_name("h\x1bo\u202e.glb")
+    hostile.rename(named)
+    assert run(["convert", str(named), str(named.with_name("h\x1b.off"))]) == 0
+    printed = capsys.readouterr()
+    assert not BAD & set(printed.out + printed.err)
+    assert "next: mimesh look" in printed.out
+
+
+@pytest.mark.parametrize("title", ["{0}", "{task.nothing}", "[red]x[/nothing]", "\x1b]0;t\x07"])
+def test_progress_shows_a_name_as_it_is(title, monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    monkeypatch.setenv("TERM", "xterm")
+    with progress(f"frames of {title}", False) as advance:
+        assert advance is not None
+        advance(1, 2)
+    assert "\x1b]0;" not in terminal.getvalue()
+    assert f"frames of {printable(title)}"[:12] in terminal.getvalue()
+
+
+def test_obj_and_mtl_have_plain_names_that_belong_together(hostile):
+    assert run(["convert", str(hostile), str(hostile.with_name("o\x1b\u202eut.obj")), "-q"]) == 0
+    written = [path for path in hostile.parent.iterdir() if path.suffix in (".obj", ".mtl")]
+    for path in written:
+        assert not BAD & set(path.read_text())
+    [obj] = [path for path in written if path.suffix == ".obj"]
+    [part] = load_mesh(obj).parts
+    assert part.material is not None
+    assert part.material.base_color[0] == 1.0  # found in the library
+
+
+@pytest.mark.parametrize("name", ["back\\", "\ud800", "C:\\x\\"])
+def test_names_that_would_break_an_obj(name, tmp_path):
+    mesh = dataclasses.replace(zoo.cube(), parts=(Part(name, 0, 12, Material(name, (0.0, 1.0, 0.0, 1.0))),))
+    save_mesh(mesh, tmp_path / "a.obj")
+    again = load_mesh(tmp_path / "a.obj")
+    assert len(again.faces) == 12
+    assert again.parts[0].material.base_color[1] == 1.0
+
+
+def test_the_table_of_a_batch_has_escaped_text(tmp_path):
+    job = BatchJob("jobs.csv:3", "transfer", f"{NAME}.obj", "b.obj", "out.obj")
+    BatchResult([job], [{"state": "failed", "error": NAME, "notes": [NAME]}], 1.0, 1).save(
+        tmp_path / "a.csv", tmp_path / "a.json"
+    )
+    text = (tmp_path / "a.csv").read_text(encoding="utf-8")
+    assert not (BAD - {"\r"}) & set(text)
+    [row] = csv.DictReader(text.splitlines())
+    assert row["error"] == row["notes"] == printable(NAME)
+    assert json.loads((tmp_path / "a.json").read_text())["each"][0]["error"] == NAME
+
+
+def test_every_text_for_a_terminal_goes_through_say():
+    allowed = {"core/printable.py", "jobs/worker.py", "io/child_process.py"}  # to a pipe and to a file
+    found = set()
+    for path in SOURCE.rglob("*.py"):
+        calls = (node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call))
+        if any(isinstance(call.func, ast.Name) and call.func.id == "print" for call in calls):
+            found.add(path.relative_to(SOURCE).as_posix())
+    assert found == allowed
+
+
+def test_plain_names_keep_their_length_and_other_scripts():
+    assert plain("Ärmel 袖\x1b") == "Ärmel 袖_"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a pipe for stdout")
+def test_a_narrow_encoding_of_stdout_prints_escapes(hostile):
+    named = hostile.with_name("h袖.glb")
+    hostile.rename(named)
+    environment = {**os.environ, "PYTHONIOENCODING": "cp1252", "PYTHONUTF8": "0"}
+    done = subprocess.run([sys.executable, "-m", "mimesh", "look", str(named)], env=environment, capture_output=True)
+    assert done.returncode == 0, done.stderr
+    assert b"h\\u8896.glb" in done.stdout
