@@ -198,3 +198,26 @@ def test_every_control_has_a_label(watched):
 )
 def test_an_unsupported_browser_gets_a_message(watch, address, lacking, words):
     assert words in watch(address, script=lacking).page.locator(".refusal").inner_text()
+
+
+def test_the_policy_stops_foreign_scripts_and_requests(watch, tmp_path):
+    page = tmp_path / "page.html"
+    write_player(page, [Panel("result", Clip.still(textured_cube()))], title="A cube")
+    watched = watch(page.as_uri())
+    stopped = watched.page.evaluate("""async () => {
+      const stopped = [];
+      document.addEventListener("securitypolicyviolation", (event) => stopped.push(event.effectiveDirective));
+      const script = document.createElement("script");
+      script.textContent = "window.foreign = true";
+      document.body.append(script);
+      const image = document.createElement("img");
+      image.src = "http://127.0.0.1:9/a.png";
+      document.body.append(image);
+      await fetch("http://127.0.0.1:9/").catch(() => {});
+      await new Promise((done) => setTimeout(done, 200));
+      return [window.foreign === true, stopped.sort()];
+    }""")
+    assert stopped[0] is False
+    assert {"connect-src", "img-src", "script-src-elem"} <= set(stopped[1])
+    watched.errors.clear()  # the browser reports what it stopped
+    watched.requests[:] = [url for url in watched.requests if not url.startswith("http://127.0.0.1:9/")]

@@ -1,5 +1,6 @@
 """The player's page: one deterministic file, safe for any names, and built from the current web sources."""
 
+import base64
 import hashlib
 import html
 import json
@@ -124,3 +125,16 @@ def test_the_notice_names_the_bundled_version():
     notices = (WEB.parent / "THIRD_PARTY.md").read_text(encoding="utf-8")
     assert f"**three.js** {version}," in notices
     assert "`src/mimesh/player/web/player.js`" in notices
+
+
+def test_a_policy_admits_the_own_script_and_style_alone():
+    page = player_page([Panel("result", clip())], title=INJECTION)
+    policy = re.search(r'<meta http-equiv="Content-Security-Policy" content="(.*?)">', page)
+    assert policy is not None
+    assert page.index(policy[0]) < page.index("<title>")  # it counts for what comes after it
+    sources = dict(part.split(" ", 1) for part in policy[1].split("; "))
+    assert sources["default-src"] == "'none'"
+    for name in ("script", "style"):
+        [content] = re.findall(rf"<{name}>(.*?)</{name}>", page, re.DOTALL)
+        digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
+        assert sources[f"{name}-src"] == f"'sha256-{digest}'"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import html
 import json
 import os
@@ -24,6 +26,7 @@ PAGE = """<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="generator" content="mimesh">
 <title>{title}</title>
@@ -39,6 +42,15 @@ PAGE = """<!doctype html>
 </body>
 </html>
 """
+POLICY = (
+    "default-src 'none'",
+    "script-src {script}",
+    "style-src {style}",
+    "img-src data: blob:",
+    "base-uri 'none'",
+    "form-action 'none'",
+)
+"""Content security policy of the page: it runs its own script alone, and loads and sends nothing."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +93,8 @@ def player_page(
     scene["download"] = packed_download or None
     # File names may contain bytes that are not valid text (surrogate escapes).
     escaped_title = html.escape(title).encode("ascii", "xmlcharrefreplace").decode("ascii")
-    return PAGE.format(title=escaped_title, style=style, scene=embed_json(scene), script=script)
+    policy = "; ".join(POLICY).format(script=_source_hash(script), style=_source_hash(style))
+    return PAGE.format(policy=policy, title=escaped_title, style=style, scene=embed_json(scene), script=script)
 
 
 def write_player(path: str | Path, panels: Sequence[Panel], **options: Any) -> Path:
@@ -95,7 +108,7 @@ def write_player(path: str | Path, panels: Sequence[Panel], **options: Any) -> P
         raise InputError(f"{path}: expected a name that ends in .html, found '{found}'; name the page so")
     page = player_page(panels, **options)
     with writing(Path(path)), whole_file(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(page, encoding="utf-8", newline="\n")
     return Path(path)
 
 
@@ -114,6 +127,11 @@ def embed_json(value: Any) -> str:
 def web_file(name: str) -> str:
     """Read a file of the web bundle."""
     return (files("mimesh.player") / "web" / name).read_text(encoding="utf-8")
+
+
+def _source_hash(text: str) -> str:
+    """Return the source of a policy that admits the inline script or style of this text."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def _pack_download(download: Download | None, budget: int) -> dict[str, Any]:
