@@ -149,6 +149,7 @@ def transfer(
     By default the output is IDENTITY-DRIVING beside IDENTITY and in its format: the same file with its points moved.
     """
     from ..io import MESH_WRITERS, load_mesh
+    from ..io.atomic import together
     from ..pipeline import transfer as run_transfer
 
     # Not everybody has Blender, which writes FBX: by default the result of an .fbx is a .glb.
@@ -178,9 +179,12 @@ def transfer(
         driving_joints=corrected.driving,
     )
     result.seconds["load"] += seconds
-    result.save(output)
-    save_joint_files(result, identity, driving, save_joints, save_driving_joints)
-    shown = _write_preview(result, output, preview, open_it, usual=suffix)
+    with together():
+        result.save(output)
+        save_joint_files(result, identity, driving, save_joints, save_driving_joints)
+        shown = _write_preview(result, output, preview, usual=suffix)
+    if open_it:
+        open_page(shown["page"])
     return _print_facts(_facts(result, output, shown, notes, corrected.described()), json, quiet)
 
 
@@ -250,6 +254,7 @@ def animate(
     """
     from ..bodies.engine_rig import Layout
     from ..io import load_mesh
+    from ..io.atomic import together
     from ..pipeline import animate as run_animate
     from ..pipeline.run import MotionOptions
     from ..tools.convert import animations_note, first_frame_note, read_clip, resampled_note, taken_rate_note
@@ -302,18 +307,24 @@ def animate(
                 driving_joints=corrected.driving,
             )
         result.seconds["load"] += seconds
-        save_joint_files(result, identity, path, save_joints, save_driving_joints, start)
         of_clip += animations_note(chosen.animations, path, several=True) if chosen.animation is None else ()
         of_clip += taken_rate_note(clip, path) if fps is None else ()
         of_clip += first_frame_note(clip, start, path)
         notes.append(of_clip + resampled_note(result.clip, output_fps))
         results.append(result)
         corrections.append(corrected.described())
-    with progress("writing", quiet or json) as advance:
-        save_clips(results, output, [clip.name for clip in clips], as_joints, blendshapes, layout, advance)
+    with together():
+        with progress("writing", quiet or json) as advance:
+            save_clips(results, output, [clip.name for clip in clips], as_joints, blendshapes, layout, advance)
+        for result, chosen in zip(results, clips, strict=True):
+            save_joint_files(result, identity, chosen.path, save_joints, save_driving_joints, start)
+        shown = [_write_preview(result, output, preview, title) for result, title in zip(results, titles, strict=True)]
+    if open_it:
+        for page in shown:
+            open_page(page["page"])
     facts = [
-        _facts(result, output, _write_preview(result, output, preview, open_it, title), about, corrected, output_fps)
-        for result, title, about, corrected in zip(results, titles, notes, corrections, strict=True)
+        _facts(result, output, paths, about, corrected, output_fps)
+        for result, paths, about, corrected in zip(results, shown, notes, corrections, strict=True)
     ]
     return _print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), json, quiet)
 
@@ -386,11 +397,10 @@ def _write_preview(
     result: Result | ClipResult,
     output: Path,
     preview: bool,
-    open_it: bool,
     clip: str | None = None,
     usual: str = ".glb",
 ) -> dict[str, Any]:
-    """Write the picture and the page beside the output with `preview`, open the page with `open_it`; return paths.
+    """Write the picture and the page beside the output with `preview`; return paths.
 
     `clip` is the name of the result's animation where the output has several; `usual` is the default suffix of outputs.
     """
@@ -399,8 +409,6 @@ def _write_preview(
     if not preview:
         return {"pictures": [], "page": None}
     picture, page = write_preview(result, output, clip, usual)
-    if open_it:
-        open_page(page)
     return {"pictures": [str(picture)], "page": str(page)}
 
 

@@ -26,7 +26,7 @@ from pathlib import Path
 
 from ..core.errors import InputError
 from ..io import clip_suffixes, mesh_suffixes
-from ..io.atomic import whole_file
+from ..io.atomic import together, whole_file
 from ..io.text import decoded
 
 SUFFIX = ".txt"
@@ -121,10 +121,9 @@ def read_heights(path: Path) -> dict[str, float] | None:
 
 def write_list(path: Path, triples: Iterable[tuple[str, str, str]], heights: Mapping[str, float]) -> None:
     """Write a list, and beside it the heights of its identities by their names."""
-    with whole_file(heights_file(path)) as temporary:
+    with together(), whole_file(heights_file(path)) as temporary, whole_file(path) as listed:
         temporary.write_text(json.dumps(dict(heights), indent=2) + "\n", encoding="utf-8")
-    with whole_file(path) as temporary:
-        temporary.write_text("".join(" ".join(map(_quoted, names)) + "\n" for names in triples), encoding="utf-8")
+        listed.write_text("".join(" ".join(map(_quoted, names)) + "\n" for names in triples), encoding="utf-8")
 
 
 def heights_file(path: Path) -> Path:

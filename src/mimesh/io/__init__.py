@@ -19,7 +19,8 @@ from ..core.animated_rig import AnimatedRig, RigAnimation
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, with_printable_names
-from .atomic import whole_file, writing
+from ..core.system import refuse_pipe
+from .atomic import together, whole_file, writing
 from .bvh_write import save_bvh as save_bvh
 from .formats import (
     ANIMATED,
@@ -219,7 +220,7 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
     """
     path, mesh = Path(path), with_printable_names(mesh)
     if mesh.source is not None and mesh.source.suffix == path.suffix.lower():
-        with writing(path):
+        with writing(path), together():
             with whole_file(path) as temporary:
                 mesh.source.write(mesh, temporary)
             _copy_companions(mesh, path.parent)
@@ -229,7 +230,7 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
                 f"{path}: expected an output in one of {' '.join(MESH_WRITERS)}, {_found(path)}; name another"
             )
         writer = MESH_WRITERS[path.suffix.lower()]
-        with writing(path):
+        with writing(path), together():
             writer(mesh, path)
 
 
@@ -266,10 +267,10 @@ def save_clip(
             f"write {path.with_suffix('.glb').name}, or {path.stem}/ for one mesh per frame"
         )
     mesh_path = _mesh_path_of_cache(clip, path) if path.suffix.lower() in CACHES else None
-    with writing(path):
+    with writing(path), together():
         CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
-    if mesh_path is not None:
-        save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), mesh_path)
+        if mesh_path is not None:
+            save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), mesh_path)
     return None
 
 
@@ -283,7 +284,7 @@ def _save_folder(clip: Clip, path: Path, suffix: str | None, progress: Progress 
         )
     if path.is_file():
         raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
-    with writing(path):
+    with writing(path), together():
         write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh, progress)
         if source_suffix == suffix:
             _copy_companions(clip.mesh, path)
@@ -475,6 +476,7 @@ def _mesh_path_of_cache(clip: Clip, path: Path) -> Path | None:
 def _must_exist(path: Path) -> None:
     if not path.exists():
         raise InputError(f"{path}: expected a file or folder, found nothing of that name; check the path")
+    refuse_pipe(path)
 
 
 def _found(path: Path) -> str:

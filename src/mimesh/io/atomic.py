@@ -1,35 +1,167 @@
-"""Write files and folders atomically: to a temporary name beside the target, which is then renamed."""
+"""Write files and folders atomically: to a temporary name beside the target, which is then renamed.
+
+`together` does so with all files of a command. Temporary files are locked while they are written: those of a run that
+was killed are not, and the next run that writes to their folder deletes them.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import secrets
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
+from contextvars import ContextVar
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..core.errors import InputError
+from ..core.system import file_mode_mask, has_locks, lock, open_to_lock, rename
 
-PREFIX_LENGTH = 40
-"""Characters of the target's name that a temporary name begins with; file systems limit names to 255 bytes."""
+PREFIX = ".mimesh-tmp-"
+"""What names of temporary files and folders begin with; nothing else has such names."""
+STEM_LENGTH = 40
+"""Characters of the target's name in a temporary name; file systems limit names to 255 bytes."""
+STALE_SECONDS = 24 * 3600.0
+"""Age from which temporary files count as left over where the system has no locks."""
+
+
+@dataclass(eq=False)
+class _Temporary:
+    """A temporary file or folder, locked where the system has locks."""
+
+    path: Path
+    descriptor: int | None = None
+
+    @classmethod
+    def file(cls, folder: Path, stem: str, suffix: str) -> _Temporary:
+        """Make an empty one; again if another process, which takes it for a left over one, was faster to lock it."""
+        while True:
+            start = f"{PREFIX}{stem[:STEM_LENGTH]}-"
+            descriptor, name = tempfile.mkstemp(prefix=start, suffix=suffix, dir=folder)
+            os.close(descriptor)
+            temporary = cls(Path(name))
+            temporary.lock()
+            if temporary.path.exists():
+                return temporary
+            temporary.remove()
+
+    @classmethod
+    def folder(cls, parent: Path, stem: str) -> _Temporary:
+        """Return the name of a folder that is to be made."""
+        return cls(parent / f"{PREFIX}{stem[:STEM_LENGTH]}-{secrets.token_hex(8)}")
+
+    def lock(self) -> None:
+        """Lock what has the name now: some libraries replace the file that they write by another."""
+        self.unlock()
+        self.descriptor = open_to_lock(self.path)
+        if self.descriptor is not None:
+            lock(self.descriptor, wait=True)
+
+    def unlock(self) -> None:
+        if self.descriptor is not None:
+            os.close(self.descriptor)
+        self.descriptor = None
+
+    def remove(self) -> None:
+        """Delete it if it is still there."""
+        _delete(self.path)
+        self.unlock()
+
+
+@dataclass(eq=False)
+class _Outputs:
+    """Finished temporary files, and the names that they will get."""
+
+    files: dict[Path, Path] = field(default_factory=dict)
+    """Target -> temporary file."""
+    temporaries: list[_Temporary] = field(default_factory=list)
+
+    def publish(self) -> None:
+        """Rename all files; if one cannot be renamed, put back what was there before.
+
+        Raises:
+            InputError: the first that cannot be renamed.
+        """
+        earlier: dict[Path, Path | None] = {}
+        made: list[Path] = []
+        try:
+            for target, temporary in self.files.items():
+                if not target.parent.exists():
+                    made.append(target.parent)
+                with writing(target):
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    if (kept := _kept(target)) is not None or not target.exists():
+                        earlier[target] = kept
+                    rename(temporary, target)
+        except BaseException:
+            _restore(earlier)
+            for folder in reversed(made):
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
+            raise
+        finally:
+            for path in filter(None, earlier.values()):
+                path.unlink(missing_ok=True)
+
+
+_OUTPUTS: ContextVar[_Outputs | None] = ContextVar("outputs", default=None)
+
+
+@contextlib.contextmanager
+def together() -> Iterator[None]:
+    """Let the files that the block writes appear at its end, all of them, or none if it fails.
+
+    A block inside another belongs to the outer one. Only a crash between two renames, of microseconds each, leaves a
+    part of them. `written` finds a file before the end.
+
+    Raises:
+        InputError: a file cannot get its name.
+    """
+    if _OUTPUTS.get() is not None:
+        yield
+        return
+    outputs = _Outputs()
+    token = _OUTPUTS.set(outputs)
+    try:
+        yield
+        outputs.publish()
+    finally:
+        _OUTPUTS.reset(token)
+        for temporary in outputs.temporaries:
+            temporary.remove()
+
+
+def written(path: str | Path) -> Path:
+    """Return where an output is at the moment: inside `together` still under its temporary name."""
+    outputs = _OUTPUTS.get()
+    return Path(path) if outputs is None else outputs.files.get(_target(Path(path)), Path(path))
 
 
 @contextlib.contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` with the same suffix, which is renamed to `path` if the block succeeds."""
+    """Yield a temporary path beside `path` with the same suffix, which is renamed to `path` if the block succeeds.
+
+    Where `path` is a symbolic link, the file that it points to is replaced, and the link stays.
+
+    Raises:
+        InputError: `path` is a pipe or a device.
+    """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, name = tempfile.mkstemp(prefix=f".{path.stem[:PREFIX_LENGTH]}-", suffix=path.suffix, dir=path.parent)
-    os.close(descriptor)
-    temporary = Path(name)
+    target = _target(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    _remove_left_over(target.parent)
+    temporary = _Temporary.file(target.parent, path.stem, path.suffix)
     try:
-        yield temporary
-        temporary.chmod(0o666 & ~_umask())  # mkstemp makes files that only their owner can read
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+        yield temporary.path
+        temporary.path.chmod(0o666 & ~file_mode_mask())  # mkstemp makes files that only their owner can read
+        _finish({target: temporary.path}, temporary)
+    except BaseException:
+        temporary.remove()
+        raise
 
 
 @contextlib.contextmanager
@@ -41,15 +173,31 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     parent = path if path.is_dir() else path.parent
-    temporary = parent / f".{path.name[:PREFIX_LENGTH]}-{secrets.token_hex(8)}"
+    _remove_left_over(parent)
+    temporary = _Temporary.folder(parent, path.name)
     try:  # from before the folder exists: a signal may come as soon as it does
-        temporary.mkdir(mode=0o700)
-        yield temporary
-        path.mkdir(exist_ok=True)
-        for file in temporary.iterdir():
-            os.replace(file, path / file.name)
+        temporary.path.mkdir(mode=0o700)
+        temporary.lock()
+        yield temporary.path
+        files = {_target(path / file.name): file for file in sorted(temporary.path.iterdir())}
+        _finish(files, temporary)
+    except BaseException:
+        temporary.remove()
+        raise
+
+
+@contextlib.contextmanager
+def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Yield a folder in `parent`, by default the system's for temporary files, that is deleted after the block."""
+    parent = parent or Path(tempfile.gettempdir())
+    _remove_left_over(parent)
+    temporary = _Temporary.folder(parent, "work")
+    try:
+        temporary.path.mkdir(mode=0o700)
+        temporary.lock()
+        yield temporary.path
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        temporary.remove()
 
 
 @contextlib.contextmanager
@@ -67,8 +215,81 @@ def writing(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _umask() -> int:
-    """Return the process's file mode mask; the system can only report it by setting it."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def _target(path: Path) -> Path:
+    """Return the file that a path stands for: itself, or what a symbolic link points to, be it there or not."""
+    target = Path(os.path.realpath(path)) if path.is_symlink() else path
+    if target.exists() and not target.is_file() and not target.is_dir():
+        raise InputError(f"{path}: expected a file to write, found a pipe or a device; name a file")
+    return target
+
+
+def _finish(files: dict[Path, Path], temporary: _Temporary) -> None:
+    """Rename finished files, or leave that to the surrounding `together`.
+
+    What is written inside a temporary folder gets its name at once, because it is read there.
+    """
+    outputs = _OUTPUTS.get()
+    if outputs is None or any(part.startswith(PREFIX) for target in files for part in target.parent.parts):
+        if len(files) == 1:
+            [(target, path)] = files.items()
+            target.parent.mkdir(exist_ok=True)
+            rename(path, target)
+        else:
+            _Outputs(files).publish()
+        temporary.remove()
+        return
+    temporary.lock()
+    outputs.files |= files
+    outputs.temporaries.append(temporary)
+
+
+def _kept(target: Path) -> Path | None:
+    """Give what has a name now a second one, and return it; None if there is nothing, or no second name is possible."""
+    second = target.with_name(f"{PREFIX}{secrets.token_hex(8)}")
+    try:
+        os.link(target, second)
+    except OSError:
+        return None
+    return second
+
+
+def _restore(earlier: dict[Path, Path | None]) -> None:
+    """Give files their former contents; None is a file that was not there."""
+    for target, kept in reversed(earlier.items()):
+        with contextlib.suppress(OSError):
+            if kept is None:
+                target.unlink(missing_ok=True)
+            else:
+                rename(kept, target)
+
+
+@functools.cache
+def _remove_left_over(folder: Path) -> None:
+    """Delete temporary files and folders of killed runs, once for each folder that this process writes to."""
+    with contextlib.suppress(OSError):  # a folder that cannot be listed; the write itself will tell
+        for entry in os.scandir(folder):
+            if entry.name.startswith(PREFIX) and not entry.is_symlink():
+                _remove_if_left_over(Path(entry.path))
+
+
+def _remove_if_left_over(path: Path) -> None:
+    if not has_locks():
+        with contextlib.suppress(OSError):  # Windows deletes no file that is open
+            if time.time() - path.stat().st_mtime > STALE_SECONDS:
+                _delete(path)
+        return
+    descriptor = open_to_lock(path)
+    if descriptor is None:
+        return
+    try:
+        if lock(descriptor):
+            _delete(path)
+    finally:
+        os.close(descriptor)
+
+
+def _delete(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)

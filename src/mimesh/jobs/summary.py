@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.printable import printable
-from ..io.atomic import whole_file, writing
+from ..io.atomic import together, whole_file, writing
 from .table import FAILED, STATES, BatchJob
 
 COLUMNS = (
@@ -59,15 +59,16 @@ class BatchResult:
 
     def save(self, csv_path: Path, json_path: Path) -> None:
         """Write the summary in both formats."""
-        with (
-            writing(csv_path),
-            whole_file(csv_path) as temporary,
-            temporary.open("w", newline="", encoding="utf-8") as file,
-        ):
+        with together():
+            with writing(csv_path), whole_file(csv_path) as temporary:
+                self._write_table(temporary)
+            with writing(json_path), whole_file(json_path) as temporary:
+                temporary.write_text(json.dumps(self.facts(), indent=1) + "\n", encoding="utf-8")
+
+    def _write_table(self, path: Path) -> None:
+        with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, COLUMNS, extrasaction="ignore", restval="")
             writer.writeheader()
             for row in self.rows():
                 cells = {**row, "notes": " | ".join(row.get("notes") or ())}
                 writer.writerow({key: printable(x) if isinstance(x, str) else x for key, x in cells.items()})
-        with writing(json_path), whole_file(json_path) as temporary:
-            temporary.write_text(json.dumps(self.facts(), indent=1) + "\n", encoding="utf-8")

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from torch import nn
 
 from ..core.errors import InputError
-from ..io.atomic import whole_file
+from ..io.atomic import together, whole_file, written
 from ..methods.onnx_runtime import import_onnxruntime
 from . import checkpoint
 from .config import TrainConfig
@@ -82,9 +82,10 @@ def export_command(path: Path, out: Path, bits: int = 16) -> dict[str, Any]:
     model, trained = checkpoint.load_model(path)
     config = trained.config
     facts = {"target_scale": config.data.target_scale, "body": config.data.body}
-    save_network(model, config.network, facts, config.model, out, bits)
-    card = make_card(out, path, trained)
-    save_card(card, out)
+    with together():
+        save_network(model, config.network, facts, config.model, out, bits)
+        card = make_card(out, path, trained)
+        save_card(card, out)
     return card
 
 
@@ -155,7 +156,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
     return {
         "name": out.stem,
         "file": out.name,
-        "crc32": zlib.crc32(out.read_bytes()),
+        "crc32": zlib.crc32(written(out).read_bytes()),
         "license": "not stated" if trained.config.data.kind == "meshes" else "Apache-2.0",
         "data": described_data(trained.config),
         "config": config,

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from ..core.errors import InputError
+from ..io.atomic import together
 from ..methods.onnx_metadata import MAX_WINDOW
 from .export import FULL_BITS, STORED_BITS, check_output, save_card, save_network
 from .models.aniformer import AniFormer, AniFormerConfig
@@ -75,7 +76,6 @@ def import_command(path: Path, out: Path, maxpool: bool = False, bits: int = FUL
     # Published meshes are in metres. People in the poses of Table 6 have a radius of 1.00 m in the mean (standard
     # deviation 0.15; shipped body, `val`), so an identity of radius 1 has about the size that the network was trained
     # on; the result has the unit of the identity. The driving's size does not matter: InstanceNorm removes it.
-    save_network(model, network, {"target_scale": "identity"}, model.config, out, bits)
     with path.open("rb") as file:
         checksum = hashlib.file_digest(file, "sha256").hexdigest()
     card = {
@@ -87,7 +87,9 @@ def import_command(path: Path, out: Path, maxpool: bool = False, bits: int = FUL
         "parameters": sum(p.numel() for p in model.parameters()),
         "bits": bits,
     }
-    save_card(card, out)
+    with together():
+        save_network(model, network, {"target_scale": "identity"}, model.config, out, bits)
+        save_card(card, out)
     return card
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..io import refuse_vrm, save_clip, save_mesh, save_own_pose
+from ..io.atomic import scratch_folder, written
 from ..io.formats import JOINTED
 
 if TYPE_CHECKING:
@@ -142,13 +142,14 @@ class _Playable(Protocol):
         from ..player.page import Download
 
         if output.suffix.lower() == ".glb":
-            content = output.read_bytes() if output.stat().st_size <= LARGEST_DOWNLOAD else None
+            file = written(output)
+            content = file.read_bytes() if file.stat().st_size <= LARGEST_DOWNLOAD else None
             return Download(output.name, content)
         clip = self.moved
         if clip.vertices.size * 4 > LARGEST_DOWNLOAD:
             return Download(output.name, None)
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "result.glb"
+        with scratch_folder() as folder:
+            path = folder / "result.glb"
             if isinstance(self, ClipResult):
                 save_clip(clip, path)
             else:

@@ -14,6 +14,7 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..io import save_clip, save_mesh
+from ..io.atomic import together
 from ..motions import DEMO, load_motion, motion_clip
 from ..motions.gaits import gait_clip
 from ..pipeline import animate
@@ -44,12 +45,13 @@ def run_demo(folder: Path, progress: Progress | None = None, body: str = "human"
     identity, driving = inputs(body)
     result = animate(identity, driving, progress=progress)
     files = {name: folder / name for name in ("identity.obj", "driving.obj", "driving.glb", "result.glb")}
-    save_mesh(identity, files["identity.obj"])
-    save_mesh(_frame(driving, len(driving) // 2), files["driving.obj"])
-    save_clip(driving, files["driving.glb"])
-    result.save(files["result.glb"])
-    picture = draw(identity, driving, result.clip, folder / "preview.png")
-    page = result.player(folder / "player.html", output=files["result.glb"], title="mimesh demo")
+    with together():
+        save_mesh(identity, files["identity.obj"])
+        save_mesh(_frame(driving, len(driving) // 2), files["driving.obj"])
+        save_clip(driving, files["driving.glb"])
+        result.save(files["result.glb"])
+        picture = draw(identity, driving, result.clip, folder / "preview.png")
+        page = result.player(folder / "player.html", output=files["result.glb"], title="mimesh demo")
     return {
         "output": str(files["result.glb"]),
         "motion": driving.mesh.name,

@@ -12,7 +12,6 @@ exported from a temporary binary file, because a text layer stays in memory unti
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from pxr import Sdf, Usd, UsdGeom, Vt
 from ...core.frame_buffer import PAGED, Progress, each_frame
 from ...core.geometry import normal_turner
 from ...core.mesh import Clip, Mesh
+from ..atomic import scratch_folder
 from ..polygons import polygon_corners, polygon_sizes
 from .package import pack
 from .source import UsdSource
@@ -50,13 +50,13 @@ def write_new(clip: Clip, path: Path, final: Path, progress: Progress | None = N
     if suffix in (".usd", ".usdc"):
         _write_binary(clip, path, textures, f"./{textures.name}", progress)
         return
-    with tempfile.TemporaryDirectory(prefix=".usd-", dir=path.parent) as folder:
-        binary = Path(folder) / f"{final.stem}.usdc"
+    with scratch_folder(path.parent) as folder:
+        binary = folder / f"{final.stem}.usdc"
         if suffix == ".usdz":
-            packed_textures = Path(folder) / "textures"
+            packed_textures = folder / "textures"
             _write_binary(clip, binary, packed_textures, f"./{packed_textures.name}", progress)
             images = sorted(f"{packed_textures.name}/{image.name}" for image in packed_textures.glob("*"))
-            pack(Path(folder), [binary.name, *images], path)
+            pack(folder, [binary.name, *images], path)
         else:
             _write_binary(clip, binary, textures, f"./{textures.name}", progress)
             Sdf.Layer.FindOrOpen(str(binary)).Export(str(path))

@@ -9,7 +9,7 @@ from jaxtyping import Int
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, Vt
 
 from ...core.mesh import Material, Mesh
-from ..atomic import whole_file
+from ..atomic import whole_file, written
 from ..mtl import image_suffix
 
 # usd-core ships no types.
@@ -123,9 +123,9 @@ def _shader(material: UsdShade.Material, name: str, shader_id: str) -> UsdShade.
 def _write_image(content: bytes, folder: Path, stem: str) -> str:
     """Write an image into a folder under the first free name and return the name; an equal file there is reused."""
     name, number = f"{stem}{image_suffix(content)}", 2
-    while (folder / name).exists() and (folder / name).read_bytes() != content:
+    while (there := written(folder / name)).exists() and there.read_bytes() != content:
         name, number = f"{stem}-{number}{image_suffix(content)}", number + 1
-    if not (folder / name).exists():
+    if not there.exists():
         with whole_file(folder / name) as temporary:
             temporary.write_bytes(content)
     return name
