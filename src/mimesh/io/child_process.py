@@ -15,7 +15,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
-import math
 import os
 import signal
 import struct
@@ -33,6 +32,7 @@ from typing import Any
 from ..core.budgets import lift_limits, limits_are_lifted
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
+from ..core.system import end_with_parent, limit_process, limit_processor_time
 
 MIB = 2**20
 """Bytes."""
@@ -40,16 +40,12 @@ KEPT_VARIABLES = ("SYSTEMROOT", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH")
 """Environment variables that a Python interpreter may need to start and to load its libraries."""
 USE_PREAD = ("USDC_USE_PREAD", "1")
 """Variable for the library of USD, which else maps binary files: pages read of a long clip would stay in memory."""
-VARIABLES = {
-    USE_PREAD[0]: USE_PREAD[1],
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "PXR_WORK_THREAD_LIMIT": "1",
-}
-"""Variables that a child gets. The libraries of NumPy and USD reserve address space for each thread,
-which the limit on memory counts.
+THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "PXR_WORK_THREAD_LIMIT": "1"}
+"""Variables that give each library one thread. Those of NumPy and USD reserve address space for each thread, which the
+limit on memory counts.
 """
+VARIABLES = {USE_PREAD[0]: USE_PREAD[1], **THREADS}
+"""Variables that a child gets."""
 BOOT = "import json, sys; call = json.loads(sys.argv[1]); sys.path[:] = call.pop('path'); "
 BOOT += f"from {__name__} import run_call; run_call(call)"
 """Program of the child. It starts isolated (`python -I`), so the modules are found by the parent's search path."""
@@ -66,8 +62,6 @@ COUNTS = struct.Struct("<QQ")
 """Frames done and frames in all, as the child writes them."""
 ERRORS_FILE, COUNTS_FILE = "errors", "counts"
 """Files beside the result that the child writes: its errors, and its progress."""
-PR_SET_PDEATHSIG = 1
-"""Option of `prctl` on Linux: the signal that a process gets when its parent ends."""
 _CHECK: ContextVar[Callable[[], None] | None] = ContextVar("check", default=None)
 
 
@@ -158,7 +152,7 @@ def run_call(call: dict[str, Any]) -> None:
     """Run the call that the parent has sent, in the child: set the limits, call the function, and end the process."""
     limits, arguments = Limits(**call["limits"]), call["arguments"]
     module, _, function = call["function"].partition(":")
-    _end_with_parent()
+    end_with_parent()
     if call["lifted"]:
         lift_limits()
     try:
@@ -205,7 +199,7 @@ def _reporter(counts: Path, limits: Limits) -> Progress:
     def report(done: int, total: int) -> None:
         file.seek(0)
         file.write(COUNTS.pack(done, total))
-        _limit_cpu(limits)
+        limit_processor_time(limits.cpu_seconds)
 
     return report
 
@@ -259,51 +253,13 @@ def _wait(process: subprocess.Popen[bytes], counts: Path, limits: Limits, name: 
     return code
 
 
-def _end_with_parent() -> None:
-    """Have the system end this process when the parent is killed, which then cannot do it itself (Linux)."""
-    if sys.platform == "linux":
-        import ctypes
-
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
 def _limit_resources(limits: Limits) -> None:
     """Set the limits of this process, as far as the system has them.
 
-    macOS has no limit on the address space, Windows none at all: there the parent's clock ends a child, and the size of
-    the result is checked.
+    Where it has none, the parent's clock ends a child, and the size of the result is checked.
     """
-    try:
-        import resource
-    except ImportError:
-        return
-    wanted = {
-        "RLIMIT_AS": limits.memory,
-        "RLIMIT_FSIZE": limits.output,
-        "RLIMIT_CORE": 0,
-    }
-    for key, value in wanted.items():
-        kind = getattr(resource, key, None)
-        if kind is None:
-            continue
-        hard = resource.getrlimit(kind)[1]
-        value = value if hard == resource.RLIM_INFINITY else min(value, hard)
-        with contextlib.suppress(ValueError, OSError):  # macOS refuses some of them
-            resource.setrlimit(kind, (value, value))
-    _limit_cpu(limits)
-
-
-def _limit_cpu(limits: Limits) -> None:
-    """Limit the processor time of this process from now on, as far as the system can."""
-    try:
-        import resource
-    except ImportError:
-        return
-    usage, hard = resource.getrusage(resource.RUSAGE_SELF), resource.getrlimit(resource.RLIMIT_CPU)[1]
-    value = math.ceil(usage.ru_utime + usage.ru_stime) + limits.cpu_seconds
-    value = value if hard == resource.RLIM_INFINITY else min(value, hard)
-    with contextlib.suppress(ValueError, OSError):
-        resource.setrlimit(resource.RLIMIT_CPU, (value, hard))
+    limit_process(limits.memory, limits.output)
+    limit_processor_time(limits.cpu_seconds)
 
 
 def _reason(code: int, message: str, limits: Limits) -> str:

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError
+from ..core.system import usable_cores
 from ..io import mesh_suffixes
 from ..io.formats import ANIMATED, CLIP_READERS, COLLECTIONS
 from .check import check_jobs
-from .pool import run_calls, usable_cores
+from .pool import run_calls
 from .records import fingerprint, finished, record_path
 from .sheet import drawn_jobs, save_sheet
 from .summary import BatchResult

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError
+from ..core.system import refuse_pipe
 
 COMMANDS = ("animate", "transfer")
 FILES = ("identity", "driving", "output")
@@ -62,6 +63,7 @@ def read_table(path: Path, options: Mapping[str, str], pattern: str | None, comm
     Raises:
         InputError: no such file, or one without the columns that are needed; see `read_rows`.
     """
+    refuse_pipe(path)
     if not path.is_file():
         raise InputError(f"{path}: expected a table of jobs (CSV), found no such file; check the path")
     try:

@@ -8,10 +8,10 @@ import signal
 import sys
 import time
 import traceback
-from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError
+from ..core.system import resident_memory
 from ..methods.mime.kept_results import keep_results
 from .command_lines import run_command
 from .records import finished, record_path, write_record
@@ -70,7 +70,7 @@ def run_job(job: BatchJob, made_from: str) -> dict[str, Any]:
         write_record(job, made_from, outcome)
     except OSError as error:
         return _failed(job, f"{record_path(job)}: expected a place to write to, found '{error.strerror}'", begin)
-    return {**outcome, "memory_mib": _memory()}
+    return {**outcome, "memory_mib": resident_memory()}
 
 
 def _summary(facts: dict[str, Any]) -> dict[str, Any]:
@@ -89,19 +89,11 @@ def _summary(facts: dict[str, Any]) -> dict[str, Any]:
 
 
 def _failed(job: BatchJob, error: str, begin: float) -> dict[str, Any]:
-    return {"state": FAILED, "seconds": _since(begin), "error": error, "memory_mib": _memory()}
+    return {"state": FAILED, "seconds": _since(begin), "error": error, "memory_mib": resident_memory()}
 
 
 def _since(begin: float) -> float:
     return round(time.perf_counter() - begin, 3)
-
-
-def _memory() -> float | None:
-    """Return the resident memory of this process (MiB); None on systems that do not tell it this way."""
-    pages = Path("/proc/self/statm")
-    if not pages.exists():
-        return None
-    return round(int(pages.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20, 1)
 
 
 def _stop(*_: object) -> None:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from ..core.errors import InputError
+from ..core.system import has_ended
 from ..io.formats import ANIMATED, CACHES, CLIP_READERS, MESH_READERS
 
 MOST_FILES = 20_000
@@ -196,13 +197,9 @@ def remove_leftovers(folder: Path) -> None:
             and not leftover.is_symlink()
             and leftover.is_dir()
             and leftover.stat().st_uid == os.getuid()
+            and has_ended(int(number))
         ):
-            try:
-                os.kill(int(number), 0)  # signal 0 tests for the process
-            except ProcessLookupError:
-                shutil.rmtree(leftover, ignore_errors=True)
-            except (PermissionError, OverflowError):
-                continue
+            shutil.rmtree(leftover, ignore_errors=True)
 
 
 class _LimitedReads(io.FileIO):
