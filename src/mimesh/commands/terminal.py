@@ -129,7 +129,9 @@ def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
         InputError: the identity is not a file.
     """
     from ..core.errors import InputError
+    from ..core.system import refuse_pipe
 
+    refuse_pipe(identity)
     if not identity.is_file():
         found = "a folder" if identity.is_dir() else "nothing of that name"
         raise InputError(f"{identity}: expected the file of the mesh to move, found {found}; check the path")

@@ -91,7 +91,7 @@ def extra_inputs(method: str) -> str:
 def trained_on(method: str) -> str | None:
     """Give the kind of data (`data.kind`) that a network's card names; None without a card."""
     card = weights_path(method).with_suffix(".json")
-    return json.loads(card.read_text())["config"]["data"]["kind"] if card.exists() else None
+    return json.loads(card.read_text(encoding="utf-8"))["config"]["data"]["kind"] if card.exists() else None
 
 
 def training_facts(method: str) -> dict[str, Any]:
@@ -104,7 +104,7 @@ def training_facts(method: str) -> dict[str, Any]:
         return {"trained": "none"}
     if not path.with_suffix(".json").exists():
         return {"trained": "unknown"}
-    card = json.loads(path.with_suffix(".json").read_text())
+    card = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
     data = TRAINED_ON[card["config"]["data"]["kind"]]
     if card["config"]["data"].get("body") == "quadruped":
         data = data.replace("people", "animals")

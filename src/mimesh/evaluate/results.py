@@ -227,7 +227,7 @@ def read_reports(folder: Path) -> dict[str, dict[str, Any]]:
         InputError: a report of another split than `test` or of other pairs than the frozen ones, or a method that two
             reports have on the same pairs.
     """
-    reports = {path.stem: json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))}
+    reports = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*.json"))}
     found: dict[tuple[str, str, str], str] = {}
     for stem, report in reports.items():
         if report["provenance"]["config"].get("split") != "test":

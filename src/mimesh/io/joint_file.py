@@ -15,6 +15,7 @@ from typing import Any
 
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
+from ..core.system import refuse_pipe
 from .atomic import whole_file, writing
 
 FORMAT, VERSION = "mimesh joints", 1
@@ -38,6 +39,7 @@ def load_corrections(path: str | Path) -> JointCorrections:
         InputError: no such file, not one of this format and version, or positions that are not three finite numbers.
     """
     path = Path(path)
+    refuse_pipe(path)
     if not path.is_file():
         raise InputError(f"{path}: expected a file of joints, found none; check the path")
     if path.stat().st_size > MAX_BYTES:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Int
 
 from ..core.errors import InputError
+from ..core.system import refuse_pipe
 
 
 def load_markers(path: Path) -> Int[np.ndarray, "M 2"]:
@@ -16,6 +17,7 @@ def load_markers(path: Path) -> Int[np.ndarray, "M 2"]:
     Raises:
         InputError: no such file, no pairs in it, or a line that is not two whole numbers.
     """
+    refuse_pipe(path)
     if not path.is_file():
         raise InputError(f"{path}: expected a file of markers, found none; check the path")
     rows = []

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import yaml
 
 from ..core.errors import InputError
+from ..core.system import refuse_pipe
 from .tasks.base import TrainConfig
 from .tasks.find import NETWORKS, find_task
 
@@ -37,7 +38,8 @@ def load_config(name_or_path: str, model: str = "npt", changes: Sequence[str] = 
         raise InputError(
             f"{name_or_path}: expected a configuration ({', '.join(shipped)}) or a YAML file, found neither"
         )
-    values = yaml.safe_load(path.read_text()) or {}
+    refuse_pipe(path)
+    values = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
     for change in changes:
         _change(values, change)
     return config_from(values, str(path))

@@ -75,7 +75,7 @@ def load_exported(path: Path) -> tuple[nn.Module, Checkpoint]:
     """
     card_path = path.with_suffix(".json")
     try:
-        card = json.loads(card_path.read_text())
+        card = json.loads(card_path.read_text(encoding="utf-8"))
         config = config_from(card["config"], str(card_path))
         pairs, seconds = card["pairs"], float(card["seconds_trained"])
     except (OSError, ValueError, KeyError) as error:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..bodies.character_limbs import SIDES
 from ..core.errors import InputError
+from ..core.system import refuse_pipe
 from .aniformer import AniFormerMethod
 from .base import Method
 from .limp import LIMPMethod
@@ -49,6 +50,7 @@ def load_network(
     Raises:
         InputError: no such file, not an ONNX network, or one without valid metadata.
     """
+    refuse_pipe(path)
     if not path.is_file():
         raise InputError(f"{path}: expected the weights of model {name}, found no file; choose another model or path")
     session = _open_session(path)
