@@ -138,7 +138,7 @@ def evaluate_command(
         report["notes"] = list(chosen.axes_notes(pairs))
     if out is not None:
         with whole_file(out) as temporary:
-            temporary.write_text(report_text(report))
+            temporary.write_text(report_text(report), encoding="utf-8", newline="\n")
         ledger.close()
     return report
 
@@ -207,7 +207,7 @@ class PartialReport:
             path.replace(path.with_name(path.name + ".old"))
         valid = [question, *([json.loads(key), figures] for key, figures in self.metrics.items())]
         with whole_file(path) as temporary:
-            temporary.write_text("".join(json.dumps(line) + "\n" for line in valid))
+            temporary.write_text("".join(json.dumps(line) + "\n" for line in valid), encoding="utf-8", newline="\n")
 
     def get(self, key: list) -> dict[str, Any] | None:
         """Return the metrics of a pair; None if it has not been measured yet."""

@@ -122,8 +122,10 @@ def read_heights(path: Path) -> dict[str, float] | None:
 def write_list(path: Path, triples: Iterable[tuple[str, str, str]], heights: Mapping[str, float]) -> None:
     """Write a list, and beside it the heights of its identities by their names."""
     with together(), whole_file(heights_file(path)) as temporary, whole_file(path) as listed:
-        temporary.write_text(json.dumps(dict(heights), indent=2) + "\n", encoding="utf-8")
-        listed.write_text("".join(" ".join(map(_quoted, names)) + "\n" for names in triples), encoding="utf-8")
+        temporary.write_text(json.dumps(dict(heights), indent=2) + "\n", encoding="utf-8", newline="\n")
+        listed.write_text(
+            "".join(" ".join(map(_quoted, names)) + "\n" for names in triples), encoding="utf-8", newline="\n"
+        )
 
 
 def heights_file(path: Path) -> Path:

@@ -90,5 +90,5 @@ def save_corrections(corrections: JointCorrections, path: str | Path) -> Path:
     text = f'{{\n{head}  "joints": {{\n{rows}\n  }}\n}}\n' if joints else f'{{\n{head}  "joints": {{}}\n}}\n'
     path = Path(path)
     with writing(path), whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", newline="\n")
     return path

@@ -58,7 +58,7 @@ def write_record(job: BatchJob, made_from: str, outcome: dict[str, Any]) -> None
     """Write the record of a finished job."""
     record = {"format": FORMAT, "version": VERSION, "made_from": made_from, "outcome": outcome}
     with whole_file(record_path(job)) as temporary:
-        temporary.write_text(json.dumps(record) + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(record) + "\n", encoding="utf-8", newline="\n")
 
 
 def _contents(path: Path) -> list[str]:

@@ -63,7 +63,7 @@ class BatchResult:
             with writing(csv_path), whole_file(csv_path) as temporary:
                 self._write_table(temporary)
             with writing(json_path), whole_file(json_path) as temporary:
-                temporary.write_text(json.dumps(self.facts(), indent=1) + "\n", encoding="utf-8")
+                temporary.write_text(json.dumps(self.facts(), indent=1) + "\n", encoding="utf-8", newline="\n")
 
     def _write_table(self, path: Path) -> None:
         with path.open("w", newline="", encoding="utf-8") as file:

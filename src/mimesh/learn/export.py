@@ -116,7 +116,7 @@ def save_network(model: nn.Module, network: str, facts: dict[str, Any], config: 
 def save_card(card: dict[str, Any], out: Path) -> None:
     """Write a network's card beside it."""
     with whole_file(out.with_suffix(".json")) as temporary:
-        temporary.write_text(json.dumps(card, indent=2) + "\n")
+        temporary.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8", newline="\n")
 
 
 def to_onnx(interface: OnnxInterface) -> onnx.ModelProto:

@@ -88,7 +88,7 @@ def write_fbx(glb: Path, target: Path, name: Path) -> None:
         written = Path(folder, name.with_suffix(".fbx").name)
         files = {"glb": str(scene), "fbx": str(written), "errors": str(Path(folder, "errors"))}
         Path(files["errors"]).touch()
-        job.write_text(json.dumps(files | timeline | surfaces), encoding="utf-8")
+        job.write_text(json.dumps(files | timeline | surfaces), encoding="utf-8", newline="\n")
         seconds = SECONDS + SECONDS_PER_MIB * scene.stat().st_size / MIB
         code = _run([*command, str(SCRIPT), "--", str(job)], Path(folder), seconds, name)
         if code or not written.is_file():
