@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.core import geometry
+from mimesh.core.canonical_order import canonical_order, rank_order
 from mimesh.core.surface_points import at_barycentric, sample_surface
 
 FACED = [make for make in zoo.ZOO if make is not zoo.point_cloud]
@@ -169,3 +170,37 @@ def test_a_rigid_motion_is_found_from_points_of_any_weight():
     ):
         np.testing.assert_allclose(found, turn, atol=1e-12)
         np.testing.assert_allclose(offset, [1.0, -2.0, 0.5], atol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [np.int32, np.int64])
+def test_edges_are_the_distinct_sides_of_faces(dtype):
+    faces = np.random.default_rng(0).integers(60_000, size=(3000, 3)).astype(dtype)
+    faces[:1000] %= 30  # shared edges, and faces with equal corners; indices whose product exceeds 32 bits
+    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    rows, count = np.unique(sides, axis=0, return_counts=True)
+    np.testing.assert_array_equal(geometry.edges(faces), rows)
+    np.testing.assert_array_equal(geometry.border_edges(faces), rows[count == 1])
+    assert geometry.edges(faces).dtype == dtype
+    assert geometry.edges(faces[:0]).shape == (0, 2)
+
+
+def test_distinct_rows_are_those_of_unique():
+    rng = np.random.default_rng(0)
+    rows = rng.integers(-2, 2, size=(4000, 5)) * 0.25
+    rows[rng.random(4000) < 0.1] *= -1.0  # negative zeros are zeros
+    _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    found = geometry.distinct_rows(list(rows.T))
+    np.testing.assert_array_equal(found[0], first)
+    np.testing.assert_array_equal(found[1], number.reshape(-1))
+    assert [len(array) for array in geometry.distinct_rows(list(rows[:0].T))] == [0, 0]
+
+
+def test_positions_have_the_order_of_their_ranks():
+    rng = np.random.default_rng(0)
+    points = rng.integers(5, size=(500, 3)) * 0.3 + rng.choice([0.0, 3e-7, -3e-7], size=(500, 3))
+    merged, index = geometry.weld(points)
+    rank = np.argsort(rank_order(merged))
+    ranked = canonical_order(points)
+    np.testing.assert_array_equal(ranked.group, rank[index])
+    np.testing.assert_array_equal(ranked.group[ranked.order[ranked.start]], np.arange(len(merged)))
+    np.testing.assert_array_equal(ranked.merge(points)[ranked.group], points)

@@ -12,11 +12,11 @@ import zoo
 from PIL import Image
 
 from mimesh.core.errors import InputError
-from mimesh.core.geometry import vertex_normals
+from mimesh.core.geometry import border_edges, vertex_normals
 from mimesh.core.mesh import Clip, Material, Mesh, Part
 from mimesh.player.pack import MotionLimits, Panel, pack_scene
 from mimesh.player.split_vertices import split_vertices
-from mimesh.player.thinning import DENSE_VERTICES, simplify_clip
+from mimesh.player.thinning import DENSE_VERTICES, simplify_clip, subset
 
 
 def inflate(text):
@@ -193,3 +193,56 @@ def test_no_panels_and_unknown_roles_are_refused():
         pack_scene([])
     with pytest.raises(InputError, match="a role of identity"):
         pack_scene([Panel("hero", Clip.still(zoo.cube()))])
+
+
+def test_very_dense_meshes_are_simplified_alike_with_a_message():
+    mesh = zoo.grid(60)
+    half = len(mesh.faces) // 2
+    paint = [
+        Material(name, (*color, 1.0), png()) for name, color in (("red", (1.0, 0.0, 0.0)), ("blue", (0.0, 0.0, 1.0)))
+    ]
+    parts = (Part("a", 0, half, paint[0]), Part("b", half, len(mesh.faces), paint[1]))
+    uv = np.zeros((len(mesh.faces), 3, 2))
+    mesh = dataclasses.replace(mesh, parts=parts, corner_uv=uv, vertex_colors=np.ones((len(mesh.vertices), 4)))
+    clip = random_clip(mesh, 3)
+    panels = [Panel("identity", Clip.still(mesh)), Panel("result", clip)]
+    scene = pack_scene(panels, motion=MotionLimits(vertices=600))
+    shown = scene["panels"][0]["vertices"]
+    assert 300 < shown < 900
+    message = f"{shown:,} of {len(mesh.vertices):,} vertices are shown, to keep this page small, without textures"
+    assert scene["left_out"] == [message]
+    assert [panel["surface"] for panel in scene["panels"]] == [0, 0]  # identity and result keep the same vertices
+    groups = scene["surfaces"][0]["groups"]
+    assert [group["material"]["color"][0] for group in groups] == [1.0, 0.0]
+    assert groups[0]["stop"] == groups[1]["start"]
+    assert groups[1]["stop"] == scene["panels"][0]["triangles"]
+    assert scene["images"] == []
+    assert unpack(scene["surfaces"][0]["colors"]).shape == (shown, 4)
+    positions = decode_frames(scene["panels"][1])
+    distance = np.linalg.norm(positions[2][:, None] - clip.vertices[2], axis=-1).min(axis=1)
+    assert distance.max() < 2 * scene["panels"][1]["unit"]
+
+
+def test_a_page_has_its_size_whatever_the_mesh():
+    mesh = zoo.grid(200)
+    whole, small = (
+        len(json.dumps(pack_scene([Panel("mesh", Clip.still(mesh))], budget=size))) for size in (8_000_000, 200_000)
+    )
+    assert whole > 200_000 > small
+
+
+def test_every_nth_point_of_a_dense_cloud_is_shown():
+    points = zoo.grid(60).vertices
+    chosen, faces = subset(points, np.zeros((0, 3), np.int64), 100)
+    assert len(chosen) == 100
+    assert len(faces) == 0
+    assert np.diff(chosen).max() <= len(points) // 100 + 1
+
+
+def test_simplified_surfaces_do_not_open_at_seams():
+    sheet = zoo.grid(40)
+    unwelded, split = sheet.vertices[sheet.faces].reshape(-1, 3), np.arange(3 * len(sheet.faces)).reshape(-1, 3)
+    chosen, faces = subset(unwelded, split, 400)
+    sides = len(border_edges(faces))
+    assert 100 < len(chosen) < 700
+    assert sides < len(faces) / 2  # apart, every face would have three

@@ -57,11 +57,13 @@ def canonical_order(vertices: Float[np.ndarray, "V 3"]) -> CanonicalOrder:
     """Weld vertices at exactly equal positions and rank the welded ones (`rank_order`)."""
     merged, index = weld(vertices)
     rank = np.empty(len(merged), np.int64)
+    # The order of `rank_order`, in half its time: welded positions are sorted already, and lexsort is stable.
+    ranked = np.lexsort(np.round(merged.T[::-1] / TOLERANCE))
     # Invert the permutation: from the sorted position to its rank.
-    rank[rank_order(merged)] = np.arange(len(merged))
+    rank[ranked] = np.arange(len(merged))
     group = rank[index]
-    order = np.argsort(group, kind="stable")
-    return CanonicalOrder(group, order, np.searchsorted(group[order], np.arange(len(merged))))
+    count = np.bincount(group, minlength=len(merged))
+    return CanonicalOrder(group, np.argsort(group, kind="stable"), np.cumsum(count) - count)
 
 
 def file_order(count: int) -> CanonicalOrder:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -91,17 +91,44 @@ def gradient_operator(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray,
 
 def edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
     """List each undirected edge once, smaller index first, sorted."""
-    return np.unique(_edges_of_faces(faces), axis=0)
+    first, second, _ = _counted_edges(faces)
+    return np.stack([first, second], axis=1)
 
 
 def border_edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
     """List the undirected edges of one triangle only, smaller index first, sorted."""
-    pairs, count = np.unique(_edges_of_faces(faces), axis=0, return_counts=True)
-    return pairs[count == 1]
+    first, second, count = _counted_edges(faces)
+    return np.stack([first, second], axis=1)[count == 1]
 
 
-def _edges_of_faces(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "3*F 2"]:
-    return np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+def _counted_edges(
+    faces: Int[np.ndarray, "F 3"],
+) -> tuple[Int[np.ndarray, " E"], Int[np.ndarray, " E"], Int[np.ndarray, " E"]]:
+    """List the smaller and the larger index of each undirected edge, sorted, and how many sides of faces it is."""
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    width = np.int64(faces.max(initial=0)) + 1
+    # One number for each edge: numbers are sorted many times faster than rows.
+    keys = np.minimum(start, end) * width + np.maximum(start, end)
+    keys, count = np.unique(keys, return_counts=True)
+    return (keys // width).astype(faces.dtype), (keys % width).astype(faces.dtype), count
+
+
+def distinct_rows(columns: Sequence[np.ndarray]) -> tuple[Int[np.ndarray, " D"], Int[np.ndarray, " N"]]:
+    """Find the D distinct rows of a table given as columns of N numbers, sorted by the first column, then the next.
+
+    Returns:
+        The index of the first of the equal rows, and the number of each row among the distinct ones: what
+        `np.unique(..., axis=0)` returns, without comparing rows byte by byte, which takes several times as long.
+    """
+    order = np.lexsort(tuple(columns)[::-1])
+    new = np.zeros(len(order), bool)
+    new[:1] = True
+    for column in columns:
+        ordered = column[order]
+        new[1:] |= ordered[1:] != ordered[:-1]
+    number = np.empty(len(order), np.int64)
+    number[order] = np.cumsum(new) - 1
+    return order[new], number
 
 
 def links(pairs: Int[np.ndarray, "E 2"], count: int) -> csr_array:
@@ -220,9 +247,7 @@ def corner_fans(
     """Number the smooth fans: corners are in one fan if they have one position and one normal (to 1e-4)."""
     _, position = weld(vertices)
     # A key of welded position and rounded normal for each corner.
-    key = np.concatenate([position[faces.ravel()][:, None], np.round(corner_normals.reshape(-1, 3) * 1e4)], axis=1)
-    _, fans = np.unique(key, axis=0, return_inverse=True)
-    return fans.reshape(-1)
+    return distinct_rows([position[faces.ravel()], *np.round(corner_normals.reshape(-1, 3) * 1e4).T])[1]
 
 
 def rotate_between(

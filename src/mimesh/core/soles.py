@@ -108,13 +108,14 @@ def sole_points(
     on_foot = np.flatnonzero(rig.weights[:, below].sum(axis=1) > 0.5)
     if len(on_foot) < FEWEST:
         return None
-    joint = np.array(below)[rig.weights[on_foot][:, below].argmax(axis=1)]
+    strongest = rig.weights[on_foot][:, below].argmax(axis=1)
+    joint = np.array(below)[strongest]
     # In the frame of its own joint, at the place that joint has at rest, where all frames have the same axes.
     rest = {ankle: np.zeros(3)}
     for j in below[1:]:
         rest[j] = rest[parents[j]] + rig.rotation[parents[j]].T @ (rig.joints[j] - rig.joints[parents[j]])
     straight = np.einsum("nkl,nk->nl", rig.rotation[joint], points[on_foot] - rig.joints[joint])
-    straight += np.stack([rest[j] for j in joint])
+    straight += np.stack([rest[j] for j in below])[strongest]
     heel, toe = np.percentile(straight[:, 2], (1, 99))
     length = max(toe - heel, 1e-9)
     part = length / CONTACTS

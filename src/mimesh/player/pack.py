@@ -21,12 +21,14 @@ from ..render import camera
 from .encoding import Quantization, encode_frames, pack_array
 from .split_vertices import SplitMesh, split_vertices
 from .texture_store import TextureStore
-from .thinning import DENSE_VERTICES, drop_frames, simplify_clip, too_dense
+from .thinning import DENSE_VERTICES, drop_frames, simplify_clip, simplify_surfaces, too_dense
 
 ROLES = ("identity", "driving", "result", "truth", "mesh")
 """What a panel can show; `mesh` is a file on its own."""
 BUDGET = 24 * 2**20
 """Default size of a page in bytes."""
+VERTEX_CHARACTERS = 100
+"""Characters of the budget for each vertex of a mesh, with its triangles and positions in all panels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +54,8 @@ class MotionLimits:
     """Largest number of frames of a clip."""
     characters: int | None = None
     """Largest size in characters of JSON, about."""
+    vertices: int | None = None
+    """Largest number of vertices of a mesh, about; denser ones are simplified."""
     driving_vertices: int = DENSE_VERTICES
     """Vertices to which a driving clip without materials is simplified if it takes a third of the characters."""
 
@@ -70,8 +74,8 @@ def pack_scene(
 ) -> dict[str, Any]:
     """Pack panels, side by side in the order given, in about `budget` characters of JSON.
 
-    If that is too few, every n-th frame is kept, a dense driving clip is simplified, and large textures are reduced;
-    `left_out` lists messages about that. A single pose is never reduced, so that the budget can be exceeded.
+    If that is too few, every n-th frame is kept, a dense driving clip is simplified, and large textures are reduced.
+    Meshes with more vertices than a hundredth of the budget are simplified, too. `left_out` lists messages about that.
 
     Raises:
         InputError: no panel, or a role that is not one of ROLES.
@@ -83,6 +87,10 @@ def pack_scene(
             raise InputError(f"player: expected a role of {', '.join(ROLES)}, found {panel.role}; choose one of them")
     left_out: list[str] = []
     panels = [_simplify_driving(panel, budget, motion, left_out) for panel in panels]
+    most = budget // VERTEX_CHARACTERS
+    most = most if motion.vertices is None else min(most, motion.vertices)
+    thinned = simplify_surfaces([panel.clip for panel in panels], most, left_out)
+    panels = [dataclasses.replace(panel, clip=clip) for panel, clip in zip(panels, thinned, strict=True)]
     # A third of the budget each for textures and for a dense driving clip; frames share what is left.
     textures, surfaces, surface_indices = TextureStore(), [], []
     for panel in panels:

@@ -1,4 +1,4 @@
-"""Limits the size of a page: drops frames of long clips and simplifies dense driving clips."""
+"""Limits the size of a page: drops frames of long clips, simplifies dense driving clips and very dense meshes."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from ..core.frame_buffer import each_frame, store_frames
-from ..core.mesh import Clip, Mesh
+from ..core.geometry import distinct_rows, weld
+from ..core.mesh import Clip, Mesh, Part
 from .encoding import Quantization, estimate_size, fit_quantization
 
 DENSE_VERTICES = 20_000
@@ -61,9 +62,7 @@ def merge_equal_vertices(clip: Clip) -> tuple[Clip, Int[np.ndarray, " V"] | None
         The clip with fewer vertices, and for each vertex of the mesh its index among them; None where all are kept.
     """
     chosen = np.unique(np.linspace(0, len(clip) - 1, COMPARED_FRAMES).round().astype(int))
-    keys = np.concatenate([clip.vertices[t] for t in chosen], axis=1)
-    _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    index = index.reshape(-1)
+    first, index = distinct_rows([column for t in chosen for column in clip.vertices[t].T])
     apart = np.zeros(len(index), bool)
     for points in each_frame(clip.vertices):
         apart |= (points != points[first[index]]).any(axis=1)
@@ -87,24 +86,92 @@ def too_dense(clip: Clip, budget: int, count: int = DENSE_VERTICES) -> bool:
 
 
 def simplify_clip(clip: Clip, count: int) -> Clip:
-    """Reduce a clip to about `count` of its vertices, without materials.
+    """Reduce a clip to about `count` of its vertices, without materials; see `subset`."""
+    chosen, faces = subset(np.asarray(clip.vertices[0], np.float64), clip.mesh.faces, count)
+    vertices = _chosen_vertices(clip, chosen)
+    mesh = Mesh(vertices[0].astype(np.float64), faces, name=clip.mesh.name)
+    return dataclasses.replace(clip, mesh=mesh, vertices=vertices)
 
-    Its first frame is decimated. Decimation moves vertices, so each is replaced by the nearest vertex of the clip,
-    whose positions are known in all frames.
+
+def simplify_surfaces(clips: Sequence[Clip], most: int, left_out: list[str]) -> list[Clip]:
+    """Reduce every clip of more than `most` vertices to about `most`: surfaces as large as a scan's fill a page.
+
+    Clips with the same faces (identity and result) keep the same vertices. Colours stay, textures do not: their seams
+    are between vertices that are left out. A message about it is appended to `left_out`.
+    """
+    found: list[tuple[Mesh, Int[np.ndarray, " C"], Mesh]] = []
+    simplified, messages = [], {}
+    for clip in clips:
+        mesh, count = clip.mesh, len(clip.mesh.vertices)
+        if count <= most:
+            simplified.append(clip)
+            continue
+        known = next((entry for entry in found if _same_faces(entry[0], mesh)), None)
+        if known is None:
+            chosen, faces = subset(np.asarray(clip.vertices[0], np.float64), mesh.faces, most)
+            known = (mesh, chosen, _thin_mesh(mesh, chosen, faces))
+            found.append(known)
+        _, chosen, thin = known
+        textured = any(part.material and part.material.texture for part in mesh.parts)
+        without = ", without textures" if textured else ""
+        messages[f"{len(chosen):,} of {count:,} vertices are shown, to keep this page small{without}"] = None
+        vertices = _chosen_vertices(clip, chosen)
+        thin = dataclasses.replace(thin, vertices=vertices[0].astype(np.float64), name=mesh.name)
+        simplified.append(dataclasses.replace(clip, mesh=thin, vertices=vertices))
+    left_out += messages
+    return simplified
+
+
+def subset(
+    points: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int
+) -> tuple[Int[np.ndarray, " C"], Int[np.ndarray, "G 3"]]:
+    """Choose about `count` vertices of a surface, sorted, and faces between them; of a point cloud every n-th point.
+
+    The surface is decimated, welded at its seams so that none opens. Decimation moves vertices, so each is replaced by
+    the nearest vertex there was, whose positions are known in all frames.
     """
     import fast_simplification
     from scipy.spatial import KDTree
 
-    first = np.asarray(clip.vertices[0], np.float64)
-    points, faces = fast_simplification.simplify(first, clip.mesh.faces.astype(np.int32), target_count=2 * count)[:2]
-    nearest = KDTree(first).query(np.asarray(points))[1]
+    if len(faces) == 0:
+        return np.unique(np.linspace(0, len(points) - 1, count).round().astype(int)), np.zeros((0, 3), np.int64)
+    welded, index = weld(points)
+    first = np.full(len(welded), len(points))
+    np.minimum.at(first, index, np.arange(len(points)))
+    decimated = fast_simplification.simplify(welded, index[faces].astype(np.int32), target_count=2 * count)
+    nearest = first[np.asarray(KDTree(welded).query(np.asarray(decimated[0]))[1])]
     chosen, new_index = np.unique(nearest, return_inverse=True)
-    faces = new_index[np.asarray(faces, np.int64)]
-    distinct = (faces != np.roll(faces, 1, axis=1)).all(axis=1)  # not collapsed to an edge or a point
+    corners = new_index[np.asarray(decimated[1], np.int64)]
+    distinct = (corners != np.roll(corners, 1, axis=1)).all(axis=1)  # not collapsed to an edge or a point
+    return chosen, corners[distinct]
+
+
+def _chosen_vertices(clip: Clip, chosen: Int[np.ndarray, " C"]) -> Float[np.ndarray, "T C 3"]:
     frames = (points[chosen] for points in each_frame(clip.vertices))
-    vertices = store_frames(frames, len(clip), len(chosen), np.float32)
-    mesh = Mesh(vertices[0].astype(np.float64), faces[distinct], name=clip.mesh.name)
-    return dataclasses.replace(clip, mesh=mesh, vertices=vertices)
+    return store_frames(frames, len(clip), len(chosen), np.float32)
+
+
+def _thin_mesh(mesh: Mesh, chosen: Int[np.ndarray, " C"], faces: Int[np.ndarray, "G 3"]) -> Mesh:
+    """Return the mesh of chosen vertices with its colours; each new face is of the part of its first corner."""
+    colors = None if mesh.vertex_colors is None else mesh.vertex_colors[chosen]
+    thin = Mesh(mesh.vertices[chosen], faces, mesh.name, vertex_colors=colors, up=mesh.up)
+    if not mesh.parts or len(faces) == 0:
+        return thin
+    part_of = np.zeros(len(mesh.vertices), np.int64)
+    for number, part in enumerate(mesh.parts):
+        part_of[mesh.faces[part.start : part.stop]] = number
+    number = part_of[chosen][faces[:, 0]]
+    stops = np.cumsum(np.bincount(number, minlength=len(mesh.parts)))
+    parts = [
+        Part(part.name, int(start), int(stop), part.material and dataclasses.replace(part.material, texture=None))
+        for part, start, stop in zip(mesh.parts, [0, *stops], stops, strict=False)
+        if stop > start
+    ]
+    return dataclasses.replace(thin, faces=faces[np.argsort(number, kind="stable")], parts=tuple(parts))
+
+
+def _same_faces(a: Mesh, b: Mesh) -> bool:
+    return len(a.vertices) == len(b.vertices) and (a.faces is b.faces or np.array_equal(a.faces, b.faces))
 
 
 def _ordinal(number: int) -> str:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FORBIDDEN = re.compile(r'[<>:"/\\|?*]')
 """Characters that names of animations may have, and names of files on some system may not."""
-MOTION = MotionLimits(frames=250, characters=4 * 2**20, driving_vertices=2000)
+MOTION = MotionLimits(frames=250, characters=4 * 2**20, vertices=50_000, driving_vertices=2000)
 """Of a page beside a result: seconds to write, and 5 MB with the script, a small .glb and no textures."""
 TILE = (360, 440)
 """Width and height of one picture in pixels."""

@@ -15,6 +15,7 @@ from mimesh.core.surface_points import at_barycentric, sample_surface
 from mimesh.evaluate.measure import AXES
 from mimesh.evaluate.metrics import pmd_of_pair
 from mimesh.evaluate.protocols import PROTOCOLS
+from mimesh.methods.mime import body_fit
 from mimesh.methods.mime.body_fit import BodyFit, SurfaceSample, fit_body
 from mimesh.pipeline import transfer
 
@@ -72,6 +73,16 @@ def test_weights_are_the_bodys_where_it_has_the_shape_of_the_surface():
     np.testing.assert_allclose(close[hand == 0], nearest.weights[hand == 0], atol=0.01)
     np.testing.assert_allclose(close[hand > 0.999], thigh[hand > 0.999], atol=0.01)
     np.testing.assert_allclose(far, thigh, atol=0.01)
+
+
+def test_nearest_points_are_the_same_in_chunks(monkeypatch):
+    surface, *true = person()
+    fit = fit_body(surface, *predicted(*true))
+    whole = fit.nearest(surface.points)
+    monkeypatch.setattr(body_fit, "CHUNK", 100)
+    chunked = fit.nearest(surface.points)
+    np.testing.assert_array_equal(chunked.distance, whole.distance)
+    np.testing.assert_array_equal(chunked.weights, whole.weights)
 
 
 def test_joints_are_found_without_normals():

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...core.geometry import distinct_rows
 from ...core.mesh import Material, Mesh, Part
 from ..usd import stage_axes
 from .document import image_type
@@ -76,25 +77,22 @@ def _split_corners(mesh: Mesh, part: Part, loose: Int[np.ndarray, " L"]) -> tupl
 
     `loose` vertices, which no face uses, become elements without a corner.
     """
-    # One row of keys for each corner: vertex index, uv, normal. Equal rows are one element.
+    # Keys of each corner: vertex index, uv, normal. Corners with equal keys are one element.
     corner = np.arange(3 * part.start, 3 * part.stop)
     vertex = mesh.faces.ravel()[corner]
-    columns = [vertex[:, None].astype(np.float64)]
-    columns += [
-        values.reshape(3 * len(mesh.faces), -1)[corner]
-        for values in (mesh.corner_uv, mesh.corner_normals)
-        if values is not None
-    ]
-    keys = np.concatenate(columns, axis=1)
-    _, first, element = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    columns = [vertex]
+    for values in (mesh.corner_uv, mesh.corner_normals):
+        if values is not None:
+            columns += list(values.reshape(3 * len(mesh.faces), -1)[corner].T)
+    first, element = distinct_rows(columns)
     vertex_of, corner_of = (
         np.concatenate([vertex[first], loose]),
         np.concatenate([corner[first], np.full(len(loose), -1)]),
     )
-    # np.unique sorts by all keys; sort by vertex alone, so that a part without seams keeps its numbering.
+    # Elements are sorted by all keys; sort by vertex alone, so that a part without seams keeps its numbering.
     order = np.argsort(vertex_of, kind="stable")
     new_index = np.argsort(order)
-    return vertex_of[order], corner_of[order], new_index[element.reshape(-1)]
+    return vertex_of[order], corner_of[order], new_index[element]
 
 
 def _add_primitive(

@@ -45,6 +45,8 @@ RELIABLE_MISMATCH, MISMATCH_EXPONENT, MISMATCH_POINTS = 0.0022, 6, 16
 """Mismatch of the shapes (see `_mismatch`, metres of the body) at which fit and prediction count alike, how fast that
 changes, and the neighbours that are averaged. People of the shipped body have 0.1 mm, dressed ones 0.5, those with
 noise of up to 5 % 1.9, realistic and stylised characters of others 1.6, figures of blocks 3 (docs/LOG.md)."""
+CHUNK = 65_536
+"""Points of a surface whose nearest points of the fitted body are found at once; bounds the memory."""
 NEAREST = 3
 """Vertices of the fitted body from which its weights at a point of the surface are interpolated."""
 SAME_SHAPE, SHAPE_EXPONENT = 0.0004, 4
@@ -107,11 +109,17 @@ class BodyFit:
         from scipy.spatial import KDTree
 
         body = whole_body(self.posed.body.name)
-        distance, index = KDTree(PosedBody(body, self.posed.state).points).query(points, k=NEAREST)
-        share = 1 / np.maximum(distance, 1e-9 * self.posed.state.size) ** 2
-        share /= share.sum(axis=1, keepdims=True)
-        weights = np.einsum("vn,vnj->vj", share, body.weights[index])
-        return NearestBody(distance[:, 0] / self.posed.state.size, weights, body.name)
+        tree = KDTree(PosedBody(body, self.posed.state).points)
+        nearest, weights = np.empty(len(points)), np.empty((len(points), body.weights.shape[1]))
+        # CHUNK points at a time: the weights of all their neighbours take several times the memory of the result.
+        for start in range(0, len(points), CHUNK):
+            chunk = slice(start, start + CHUNK)
+            distance, index = tree.query(points[chunk], k=NEAREST)
+            share = 1 / np.maximum(distance, 1e-9 * self.posed.state.size) ** 2
+            share /= share.sum(axis=1, keepdims=True)
+            nearest[chunk] = distance[:, 0] / self.posed.state.size
+            weights[chunk] = np.einsum("vn,vnj->vj", share, body.weights[index])
+        return NearestBody(nearest, weights, body.name)
 
     def blended_weights(self, predicted: Float[np.ndarray, "V J"], nearest: NearestBody) -> Float[np.ndarray, "V J"]:
         """Mix predicted weights with those of the fitted body as far as it has the shape of the surface.

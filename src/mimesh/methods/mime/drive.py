@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...bodies.anatomy import anatomy_of
-from ...core.canonical_order import canonical_faces, canonical_order
+from ...core.canonical_order import CanonicalOrder, canonical_faces, canonical_order
 from ...core.geometry import vertex_normals
 from ...core.joint_tracks import JointTrack
 from ...core.mesh import Clip, Mesh
@@ -297,9 +297,10 @@ class MimeMethod:
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict once: mean entropy (nats) of the skinning weights of a mesh, and world rotation of its root joint."""
         mesh = face_outward(mesh)
-        mesh = dataclasses.replace(mesh, vertices=Denoiser.of(mesh)(mesh.vertices))
-        samples = SurfacePoints.of(mesh, self.points, generator(self.seed, 0))
-        sampled = NetworkPoints.of(samples, mesh.vertices)
+        ranked = canonical_order(mesh.vertices)
+        denoised = Denoiser.of(mesh, ranked)(mesh.vertices)
+        samples = _samples(mesh, denoised, ranked, self.points, generator(self.seed, 0))
+        sampled = NetworkPoints.of(samples, denoised)
         rig = self.network.predict(sampled, sampled)
         return Confidence.of(0.0, rig.weights, self.joints, self.parents).weight_entropy, rig.rotation[0]
 
@@ -310,10 +311,8 @@ class MimeMethod:
         vertices = ranked.merge(mesh.vertices)
         faces = ranked.group[canonical_faces(mesh.faces, ranked.group)]
         normals = vertex_normals(vertices, faces) if len(faces) else np.zeros_like(vertices)
-        denoised = Denoiser.of(mesh)(mesh.vertices)
-        samples = SurfacePoints.of(
-            dataclasses.replace(mesh, vertices=denoised), ENSEMBLE * self.points, generator(self.seed, 0)
-        )
+        denoised = Denoiser.of(mesh, ranked)(mesh.vertices)
+        samples = _samples(mesh, denoised, ranked, ENSEMBLE * self.points, generator(self.seed, 0))
         # Confidence is measured at samples, which are spread evenly over the surface; vertices are not.
         queries = NetworkPoints(vertices, normals).joined(NetworkPoints.of(samples.part(0, ENSEMBLE), denoised))
         rigs = [self._predict(samples, denoised, k) for k in range(ENSEMBLE)]
@@ -345,7 +344,11 @@ class MimeMethod:
     ) -> Float[np.ndarray, "V J"]:
         """Predict the weights of the queries: the mean of WEIGHT_ENSEMBLE of the predictions that agree."""
         kept = agreeing(rigs)[:WEIGHT_ENSEMBLE]
-        return np.mean([self._predict(samples, vertices, k, queries).weights for k in kept], axis=0)
+        total = np.ascontiguousarray(self._predict(samples, vertices, kept[0], queries).weights)
+        for k in kept[1:]:  # one after the other: those of all take several times the memory
+            total += self._predict(samples, vertices, k, queries).weights
+        total /= len(kept)
+        return total
 
     def _with_fit(
         self, rig: Rig, confidence: Confidence, sample: SurfaceSample
@@ -397,10 +400,10 @@ class MimeMethod:
         jitter. The first frame is the first choice of reference, because its facing is known; others are tried if the
         predictions disagree. Where the user has corrected joints, the reference is the keyframe that this was done in.
         """
-        denoiser, frames = Denoiser.of(keyframes.mesh), list(keyframes.vertices)
+        ranked, frames = canonical_order(keyframes.mesh.vertices), list(keyframes.vertices)
+        denoiser = Denoiser.of(keyframes.mesh, ranked)
         denoised = [denoiser(vertices) for vertices in frames]
-        mesh = dataclasses.replace(keyframes.mesh, vertices=denoised[0])
-        samples = SurfacePoints.of(mesh, ENSEMBLE * self.points, generator(self.seed, 1))
+        samples = _samples(keyframes.mesh, denoised[0], ranked, ENSEMBLE * self.points, generator(self.seed, 1))
         tracked = samples.part(0, TRACKED)
         targets = self.driving_targets
         best = self._predict_keyframes(samples, frames, denoised, 0 if targets is None else len(frames) - 1)
@@ -465,6 +468,18 @@ def _feet(mine: IdentityReading, theirs: DrivingReading, skinned: SkinnedMesh) -
         return None
     soles = find_soles(mine.vertices, mine.rig, mine.legs, mine.parents)
     return Feet.of(mine.legs, theirs.leg, soles, skinned, theirs.soles, theirs.samples)
+
+
+def _samples(
+    mesh: Mesh,
+    denoised: Float[np.ndarray, "V 3"],
+    ranked: CanonicalOrder,
+    count: int,
+    rng: np.random.Generator,
+) -> SurfacePoints:
+    """Draw points of a mesh on its denoised vertices; `ranked` is the canonical order of its own ones."""
+    unchanged = np.array_equal(denoised, mesh.vertices)
+    return SurfacePoints.of(dataclasses.replace(mesh, vertices=denoised), count, rng, ranked if unchanged else None)
 
 
 def _unread(vertices: Float[np.ndarray, "U 3"]) -> Pose:

@@ -86,8 +86,8 @@ def _rigid_pieces(
     vertex_area = vertex_areas(vertices, faces)
     area = np.bincount(piece, vertex_area, minlength=count)
     mixed = weights if nearest is None else (1 - BODY_SHARE) * weights + BODY_SHARE * nearest.weights
-    summed = np.zeros((count, weights.shape[1]))
-    np.add.at(summed, piece, mixed * vertex_area[:, None])
+    columns = (np.bincount(piece, column * vertex_area, minlength=count) for column in mixed.T)
+    summed = np.stack(list(columns), axis=1)
     joint, share = summed.argmax(axis=1), summed.max(axis=1) / np.maximum(area, 1e-30)
     small = area < SMALL_AREA * area.sum()
     rigid = (area > 0) & ((share > RIGID_SHARE) | (small & (share > SMALL_SHARE)))
@@ -101,7 +101,12 @@ def _rigid_pieces(
         members = np.split(np.argsort(piece, kind="stable"), np.cumsum(size)[:-1])
         for k in np.flatnonzero(far):
             joint[k], rigid[k] = _attachment(members[k], mixed, nearest.distance), True
-    return np.where(rigid[piece][:, None], np.eye(weights.shape[1])[joint[piece]], weights)
+    if not rigid.any():
+        return weights
+    moved_by_one = np.flatnonzero(rigid[piece])
+    weights = weights.copy()
+    weights[moved_by_one] = np.eye(weights.shape[1])[joint[piece[moved_by_one]]]
+    return weights
 
 
 def _block_joint(weights: Float[np.ndarray, " J"], body: str) -> int:
