@@ -405,8 +405,9 @@ def _influence_deviation(prepared: Prepared, motion: _JointMotion) -> float:
     """
     assert isinstance(prepared.drive, SkinnedDrive)
     poses = [(motion.posed.rotation[t], motion.posed.root[t]) for t in _evenly_spread(prepared.clip, KEYFRAMES)]
-    differences = [motion.drive.posed(*pose) - prepared.drive.posed(*pose) for pose in poses]
-    return float(np.linalg.norm(differences, axis=-1).max() / np.ptp(prepared.rest.vertices, axis=0).max())
+    differences = (motion.drive.posed(*pose) - prepared.drive.posed(*pose) for pose in poses)
+    largest = max(float(np.linalg.norm(difference, axis=-1).max()) for difference in differences)
+    return largest / float(np.ptp(prepared.rest.vertices, axis=0).max())
 
 
 def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], height: float) -> tuple[str, ...]:
