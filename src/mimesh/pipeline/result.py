@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..player.pack import MotionLimits, Panel
     from ..player.page import Download
 
-LARGEST_DOWNLOAD = 32 * 2**20
+LARGEST_DOWNLOAD = 8 * 2**20
 """Bytes up to which a page contains the file for download; to larger files it links."""
 
 
@@ -146,7 +146,7 @@ class _Playable(Protocol):
             content = file.read_bytes() if file.stat().st_size <= LARGEST_DOWNLOAD else None
             return Download(output.name, content)
         clip = self.moved
-        if clip.vertices.size * 4 > LARGEST_DOWNLOAD:
+        if 4 * (clip.vertices.size + clip.mesh.faces.size) > LARGEST_DOWNLOAD:
             return Download(output.name, None)
         with scratch_folder() as folder:
             path = folder / "result.glb"
