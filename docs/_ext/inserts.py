@@ -134,6 +134,39 @@ def speed() -> str:
     return f"{markdown_table(head, rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
 
 
+LARGE_CASES = {
+    "mime": "`transfer`, driving of 6,890 vertices",
+    "dense": "`transfer`, driving of as many vertices",
+    "copy": "`transfer -m copy`",
+    "animate": "`animate`",
+    "large-clip": "`animate`, large identity",
+    "parts": "`transfer`, identity of 500 objects",
+    "morphs": "`transfer`, identity with 200 morph targets",
+}
+"""Cases of scripts/measure_large.py, as the table names them."""
+
+
+def large() -> str:
+    """Return the table of large inputs and the fitted exponents, from benchmarks/large.json."""
+    report = json.loads((DOCS.parent / "benchmarks" / "large.json").read_text())
+    rows, commits = [], {}
+    for case, label in LARGE_CASES.items():
+        for figures in report["cases"].get(case, {}).values():
+            commits[f"{figures['commit']}, {figures['machine']}"] = None
+            seconds = (f"{figures['seconds'][step]:.2f}" for step in ("read", "moved", "write", "preview"))
+            sizes = [f"{figures['vertices']:,}", f"{figures['frames']:,}"]
+            rows.append([label, *sizes, *seconds, f"{figures['peak_mib']:,}", f"{figures['page_mib']:.1f}"])
+    head = ["case", "vertices", "frames", "read", "move", "write", "preview", "peak memory", "page"]
+    slopes = "; ".join(
+        f"{LARGE_CASES[case]}: {slope['all']:.2f} (move {slope['moved']:.2f}, memory {slope['peak_mib']:.2f})"
+        for case, slope in report["exponents"].items()
+    )
+    return (
+        f"{markdown_table(head, rows)}\n\nSeconds of processor time; memory and page in MiB. "
+        f"Fitted exponents of the time over the sizes above: {slopes}. Measured at commit {' and '.join(commits)}."
+    )
+
+
 def live(part: str) -> str:
     """Return a table of live sessions, from benchmarks/live.json: their errors, or times and memory."""
     report = json.loads((DOCS.parent / "benchmarks" / "live.json").read_text())
@@ -333,6 +366,7 @@ def _memory(figures: dict[str, float]) -> str:
 INSERTS = {
     "batch": batch_figures,
     "plan": batch_plan,
+    "large": large,
     "live": live,
     "minute": minute,
     "models": models,
