@@ -205,10 +205,10 @@ def test_the_slider_shows_poses_while_the_clip_is_computed(fresh, files, studio,
 
     page, proceed, compute = fresh.page, threading.Event(), operations.compute_result
 
-    def wait(prepared, options, progress):
+    def wait(*arguments):
         while not proceed.wait(0.01):
-            progress(0, 1)
-        return compute(prepared, options, progress)
+            arguments[-1](0, 1)
+        return compute(*arguments)
 
     monkeypatch.setattr(operations, "compute_result", wait)
     choose(page, "identity", files / "hero.glb")
@@ -254,6 +254,7 @@ def test_animals_and_other_creatures_are_chosen_and_moved(fresh, tmp_path):
     from creatures import BIRD, Boxes, flapping
 
     page = fresh.page
+    page.set_viewport_size({"width": 1100, "height": 600})
     page.get_by_role("button", name="Try animals").click()
     page.wait_for_selector("#identities .row[data-state=done]:has-text('cow')", timeout=60_000)
     assert "horse gallop" in page.inner_text("#driving .rows")
@@ -268,7 +269,6 @@ def test_animals_and_other_creatures_are_chosen_and_moved(fresh, tmp_path):
     page.wait_for_selector("#identities .row:has-text('moved as a creature (confidence 0.84) in')", timeout=60_000)
     assert "8 joints follow those of large.glb" in page.inner_text("#identities .note")
     wait_and_pause(page)
-    page.set_viewport_size({"width": 1100, "height": 600})
     page.click("[data-name=joints]")
     page.wait_for_selector("text=These rigs are followed as they are: no joints to correct.", timeout=60_000)
     page.click("[data-name=joints]")
@@ -310,7 +310,8 @@ def test_joints_are_dragged_moved_by_keys_and_reset(fresh, files, studio):
     page.mouse.up()
     page.wait_for_function("() => 'LeftForeArm' in mimesh.live.state.identities[0].joints.corrected")
     page.wait_for_selector(HERO, timeout=30_000)
-    np.testing.assert_allclose(joint_place(page, "LeftForeArm") - before, [20, 12], atol=2)
+    # The joint of the new fit lies near the place it was dragged to, not at it.
+    np.testing.assert_allclose(joint_place(page, "LeftForeArm") - before, [20, 12], atol=3)
     assert page.locator("circle.corrected").count() == 1
     assert "Corrected by hand: LeftForeArm" in page.inner_text("#identities")
     # The keyboard: choose a joint in the list, then use the arrow keys; they do not move the time.

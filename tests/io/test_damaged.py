@@ -63,7 +63,8 @@ def outcome(path: Path) -> str:
         assert len(found) < 2000
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < SECONDS
-    assert after.ru_maxrss * 1024 < MEMORY  # of the largest child so far
+    # Of the largest child so far, which may be that of another test.
+    assert after.ru_maxrss == before.ru_maxrss or after.ru_maxrss * 1024 < MEMORY
     return found
 
 

@@ -287,12 +287,6 @@ def test_an_animal_in_a_bvh_is_refused_with_the_format_that_works(tmp_path, caps
     assert "give an animal or another creature as .glb, with its mesh" in capsys.readouterr().err
 
 
-def test_joints_of_animals_cannot_be_corrected():
-    pair = surfaces(0)
-    with pytest.raises(InputError, match="expected a person"):
-        mimesh.transfer(pair.identity, pair.driving, joints={"Head": (0.0, 1.0, 0.0)}, body="quadruped")
-
-
 def test_the_facing_of_an_animal_without_a_rig_is_noted_only_where_up_is_not_known():
     driving = gait_clip("dog", "walk", seconds=0.2, fps=10.0)
     known = mimesh.animate(dataclasses.replace(shipped_animal("cat"), up="+y"), driving, driving_up="+y")

@@ -235,9 +235,11 @@ def test_collapsed_first_frame_is_refused():
         animate(person(0), dataclasses.replace(clip, vertices=vertices), "copy", start=2)
 
 
-def test_single_triangle_gives_a_finite_result():
-    triangle = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]), name="triangle")
-    assert np.isfinite(transfer(triangle, person(0)).vertices).all()
+def test_a_tetrahedron_gives_a_finite_result():
+    """The smallest mesh that is moved."""
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    tetrahedron = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), faces, name="tetrahedron")
+    assert np.isfinite(transfer(tetrahedron, person(0), body="human").vertices).all()
 
 
 def test_method_object_equals_the_method_of_its_name():
