@@ -36,7 +36,7 @@ WITHIN = np.radians(60)
 """Largest angle between a given front and the heading that is taken out."""
 LEVEL = 0.5
 """Smallest horizontal part of a front that has a heading."""
-FRONT_DIGITS = 2
+FRONT_DIGITS = 1
 """Decimals of the angle of a predicted front (radians) that are kept."""
 QUARTERS = ("+z", "+x", "-z", "-x")
 """Axes at 0, 1, 2 and 3 right angles from z towards x."""
@@ -97,7 +97,7 @@ def turned_to_front(
     """
     if np.hypot(front[0], front[2]) < LEVEL:
         return norm
-    # Rounded, because inputs that differ in their last bits give predictions that differ a little more.
+    # Rounded: inputs that differ in their last bits give predictions that differ by some thousandths.
     heading = norm.heading + np.round(np.arctan2(front[0], front[2]), FRONT_DIGITS)
     heading = (heading + np.pi) % (2 * np.pi) - np.pi
     if front_known and abs(heading) > np.pi / 2:
