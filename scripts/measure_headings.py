@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from mimesh import transfer
 from mimesh.bodies.character_pool import PoolCharacter, read_pool
+from mimesh.core.geometry import turned
 from mimesh.core.heading import turn
 from mimesh.core.mesh import Mesh
 from mimesh.evaluate.run import provenance
@@ -79,16 +80,16 @@ def measure_pair(identity: Mesh, driving: Mesh, body: str) -> dict[str, list[flo
     plain = transfer(identity, driving, body=body).mesh.vertices
     moves: dict[str, list[float]] = {"of_identity": [], "of_driving": []}
     for angle in np.radians(ANGLES):
-        of_identity = transfer(turned(identity, angle), driving, body=body).mesh.vertices
-        of_driving = transfer(identity, turned(driving, angle), body=body).mesh.vertices
+        of_identity = transfer(headed(identity, angle), driving, body=body).mesh.vertices
+        of_driving = transfer(identity, headed(driving, angle), body=body).mesh.vertices
         moves["of_identity"].append(largest_distance(of_identity, plain))
         moves["of_driving"].append(largest_distance(of_driving @ turn(-angle).T, plain))
     return moves
 
 
-def turned(mesh: Mesh, angle: float) -> Mesh:
+def headed(mesh: Mesh, angle: float) -> Mesh:
     """Turn a mesh about the vertical by an angle (radians)."""
-    return mesh.with_vertices(mesh.vertices @ turn(angle).T)
+    return mesh.with_vertices(turned(mesh.vertices, angle))
 
 
 def largest_distance(vertices: Float[np.ndarray, "V 3"], plain: Float[np.ndarray, "V 3"]) -> float:

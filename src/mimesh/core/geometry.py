@@ -16,6 +16,16 @@ MIRROR = np.array([-1.0, 1.0, 1.0])
 """Factors on coordinates for the reflection at the plane x = 0."""
 
 
+def turned(vertices: Float[np.ndarray, "*T V 3"], angle: float) -> Float[np.ndarray, "*T V 3"]:
+    """Turn points about y by an angle (radians) from z towards x.
+
+    Number by number: products of matrices may round rows of equal points differently, and `weld` would separate them.
+    """
+    sine, cosine = np.sin(angle), np.cos(angle)
+    x, y, z = (vertices[..., k] for k in range(3))
+    return np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
+
+
 def face_vectors(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "*T F 3"]:
     """Compute the cross product of two edges of each face: its normal times twice its area."""
     a, b, c = (np.take(vertices, faces[:, k], axis=-2) for k in range(3))

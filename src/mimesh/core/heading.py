@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from .geometry import face_areas
+from .geometry import face_areas, turned
 from .mesh import Mesh
 from .normalization import (
     ORIENTATIONS,
@@ -102,9 +102,8 @@ def turned_to_front(
     heading = (heading + np.pi) % (2 * np.pi) - np.pi
     if front_known and abs(heading) > np.pi / 2:
         heading -= np.sign(heading) * np.pi
-    rotation = (turn(norm.heading) @ norm.rotation).round()
-    upright = mesh.with_vertices(rotate_axes(np.asarray(mesh.vertices, np.float64), rotation))
-    return _turned(upright, norm, rotation, heading)
+    upright = mesh.with_vertices(rotate_axes(np.asarray(mesh.vertices, np.float64), norm.axes))
+    return _turned(upright, norm, norm.axes, heading)
 
 
 def principal_heading(upright: Mesh) -> float | None:
@@ -135,15 +134,15 @@ def _front_scores(upright: Mesh, principal: float) -> Float[np.ndarray, "8"]:
     scores = np.empty(8)
     fronts = [ORIENTATIONS.index(("+y", axis)) for axis in QUARTERS]
     for k in range(2):
-        turned = upright.with_vertices(upright.vertices @ turn(-principal - k * np.pi / 4).T)
-        scores[k::2] = orientation_scores(mesh_occupancy(turned), detector())[fronts]
+        aligned = upright.with_vertices(turned(upright.vertices, -principal - k * np.pi / 4))
+        scores[k::2] = orientation_scores(mesh_occupancy(aligned), detector())[fronts]
     # Rounded, so that the rounding of a sum cannot decide between the equal fronts of a symmetric shape.
     return np.round(scores, 6)
 
 
 def _turned(upright: Mesh, norm: Normalization, rotation: Float[np.ndarray, "3 3"], heading: float) -> Normalization:
     """Return a normalization that applies an axis rotation, then takes out a heading, then centres and scales."""
-    vertices = upright.vertices @ turn(-heading).T
+    vertices = turned(upright.vertices, -heading)
     centre = bbox_centre(vertices)
     return dataclasses.replace(
         norm,

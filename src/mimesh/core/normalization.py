@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .errors import InputError
-from .geometry import face_areas
+from .geometry import face_areas, turned
 from .mesh import Mesh
 
 AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
@@ -93,17 +93,18 @@ class Normalization:
 
     def apply(self, vertices: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T V 3"]:
         """Transform file coordinates to normalised ones (float64)."""
-        return (self._rotate(vertices.astype(np.float64), self.rotation) - self.centre) / self.radius
+        upright = rotate_axes(vertices.astype(np.float64), self.axes)
+        return ((turned(upright, -self.heading) if self.heading else upright) - self.centre) / self.radius
 
     def undo(self, vertices: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T V 3"]:
         """Transform normalised coordinates to file coordinates (float64): the inverse of `apply` up to rounding."""
-        return self._rotate(vertices.astype(np.float64) * self.radius + self.centre, self.rotation.T)
+        upright = vertices.astype(np.float64) * self.radius + self.centre
+        return rotate_axes(turned(upright, self.heading) if self.heading else upright, self.axes.T)
 
-    def _rotate(
-        self, vertices: Float[np.ndarray, "*T V 3"], rotation: Float[np.ndarray, "3 3"]
-    ) -> Float[np.ndarray, "*T V 3"]:
-        """Rotate vertices, exactly where the mesh is not turned further than by an axis rotation."""
-        return rotate_axes(vertices, rotation) if self.heading == 0.0 else vertices @ rotation.T
+    @property
+    def axes(self) -> Float[np.ndarray, "3 3"]:
+        """The axis rotation alone, without the heading."""
+        return (turned(self.rotation.T, self.heading).T if self.heading else self.rotation).round()
 
     @property
     def unsure(self) -> bool:
