@@ -59,3 +59,19 @@ def test_tumbling_rotates_a_share_of_driving_meshes_and_changes_nothing_else():
     up = poses[1][1][~same[1]][:, 0, 1, 1]
     assert up.min() < -0.5 < 0.5 < up.max()
     assert torch.allclose(poses[0][:, :, 1:], poses[1][:, :, 1:])
+
+
+def test_recombined_poses_have_limbs_of_poses_of_the_table_and_the_trunk_of_one():
+    body, share = shipped_body(), 0.5
+    source = BodySampler(DataConfig("table6", 64, recombine=share), body, torch.device("cpu"), seed=0)
+    whole = source.table_poses[:200]
+    mixed = source._recombine(whole, torch.Generator().manual_seed(0))
+    kept = (mixed == whole).flatten(1).all(1)
+    assert 70 <= kept.sum() <= 130
+    joints = [body.joint(name) for name in ("Hips", "Spine1", "LeftShoulder", "RightShoulder")]
+    assert torch.equal(mixed[:, joints], whole[:, joints])
+    for chain in (("LeftUpLeg", "LeftLeg", "LeftFoot"), ("RightArm", "RightForeArm", "RightHand"), ("Neck", "Head")):
+        limb = [body.joint(name) for name in chain]
+        same = (mixed[~kept][:, None, limb] == source.table_poses[None, :, limb]).flatten(2).all(-1)
+        assert same.any(1).all(), "a limb that no pose of the table has"
+        assert (same.int().argmax(1) != torch.arange(200)[~kept]).float().mean() > 0.9

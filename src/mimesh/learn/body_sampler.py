@@ -13,8 +13,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..bodies import RiggedBody
+from ..bodies.anatomy import anatomy_of_joints
 from ..bodies.sampling import limits_rotvec, sample_pose
 from ..bodies.sampling import rotvec_to_rotmat as numpy_rotmat
+from ..core.rig import descendants
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER
 from ..evaluate.protocols import HUMAN_NPT
 from .bodies import TorchBody, rotvec_to_rotmat
@@ -57,6 +59,8 @@ class DataConfig:
     between: float = 0.0
     """`clips80`: share of windows and frames that lie on a straight way between two poses within the joint limits,
     instead of in one of the 80 motions."""
+    recombine: float = 0.0
+    """`table6`: share of poses whose head, arms and legs are each turned as in another of the 400 poses."""
     pattern: str = ""
     """`meshes`: how the files are named, such as "{person}-{pose}.ply"; empty: found (`mesh_layouts.LAYOUTS`)."""
     up: str = ""
@@ -104,6 +108,7 @@ class BodySampler(VertexSampler):
             # (motions, frames, J, 3, 3); a pose of Table 6 is a motion of one frame.
             self.motions = self._tensor(CLIPS_ANIFORMER.train_motions(body)) if clips else self.table_poses[:, None]
             self.limits = self._tensor(limits_rotvec(body, ranges_of(body)[1]))
+            self.limbs = torch.from_numpy(limb_masks(body)).to(self.device)
         else:
             sources = pose_sources(body)
             self.usual, self.limits = self._tensor(sources.usual), self._tensor(sources.limits)
@@ -125,7 +130,22 @@ class BodySampler(VertexSampler):
         driving = self._random_index(len(frames), (size,), rng)
         nobody = torch.zeros(2, size, dtype=torch.bool, device=self.device)
         pose = self._replace_by_straight(frames[driving][:, None], rng)[:, 0]
-        return self.table_shapes[who], torch.stack([self.table_poses[identity], pose]), nobody
+        poses = self._recombine(torch.cat([self.table_poses[identity], pose]), rng)
+        return self.table_shapes[who], poses.unflatten(0, (2, size)), nobody
+
+    def _recombine(self, pose: Float[Tensor, "B J 3 3"], rng: torch.Generator) -> Float[Tensor, "B J 3 3"]:
+        """Turn each limb of the configured share of the poses as in another pose of the table.
+
+        400 poses are too few to learn how any pose maps to any other: new ones have two to three times the error of
+        these. Their limbs make far more.
+        """
+        if not self.config.recombine:
+            return pose
+        some = torch.rand(len(pose), 1, generator=rng, device=self.device) < self.config.recombine
+        for limb in self.limbs:
+            other = self.table_poses[self._random_index(len(self.table_poses), (len(pose),), rng)]
+            pose = torch.where((some & limb)[..., None, None], other, pose)
+        return pose
 
     def _replace_by_straight(self, window: Float[Tensor, "B T J 3 3"], rng: torch.Generator):
         """Replace the configured share of the windows by straight ways between two poses."""
@@ -232,6 +252,13 @@ class BodySampler(VertexSampler):
         if radius is None:
             radius = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
         return (points - centre) / radius, radius
+
+
+def limb_masks(body: RiggedBody) -> Bool[np.ndarray, "L J"]:
+    """Tell which joints belong to head, arms and legs: those of each limb from its first joint on."""
+    tops = [body.joint(top) for top in anatomy_of_joints(body.joint_names).regions.values()]
+    joints = np.arange(len(body.joint_names))
+    return np.stack([np.isin(joints, list(descendants([top], body.parents))) for top in tops])
 
 
 def random_headings(size: int, reach: float, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:

@@ -60,6 +60,8 @@ ANIMAL_DATA = (
     "headings, some turned over; noise, one-sided surfaces, missing parts"
 )
 """Description of `wide` where `mime` is."""
+RECOMBINED = ", in {share:.0%} of the cases with head, arms and legs each of another of these poses"
+"""What is added to `table6` where poses are recombined."""
 CHARACTERS = "; characters of others (`characters`) and people of primitives, in these poses and those of their clips"
 """What is added to it where characters are part of the data."""
 NPT_CHARACTERS = "; characters of others (`characters`) in these poses and those of their clips"
@@ -184,6 +186,7 @@ def described_data(config: TrainConfig) -> str:
         data = {"npt": ANIMAL_PAIRS, "aniformer": ANIMAL_CLIPS}[config.network] if animals else of_people
         more = NPT_CHARACTERS if config.network == "npt" else ""
     more = more.replace("people", "animals") if animals else more
+    data += RECOMBINED.format(share=config.data.recombine) if config.data.recombine else ""
     return data + (more if characters else "")
 
 

@@ -38,8 +38,8 @@ ON_CLIPS = (
 )
 """NPT on AniFormer's data: frames of its motions as pairs, as many vertices; three eighths of the paper's width."""
 FULL_ON_CLIPS = (
-    *("data.kind=clips80", "data.between=0.4", "batch=48", "pairs=120000", "warmup=3000", "decay=0.75"),
-    *("doublings=[0.75,0.92]", "ema=0.99"),
+    *("data.kind=clips80", "data.between=0.4", "data.recombine=0", "batch=48", "pairs=120000", "warmup=3000"),
+    *("decay=0.75", "doublings=[0.75,0.92]", "ema=0.99"),
 )
 """NPT at full width on the frames of as many windows as `aniformer-full` sees, drawn and learned in the same way."""
 ON_ANIMALS = ("data.body=quadruped", "ema=0.99")

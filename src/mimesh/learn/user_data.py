@@ -42,7 +42,8 @@ class Folders:
                     f"--pattern {self.pattern}: expected it with --meshes, found it without; name the folder"
                 )
             return []
-        return ["data.kind=meshes", "data.between=0", *([f"data.pattern={self.pattern}"] if self.pattern else [])]
+        pattern = [f"data.pattern={self.pattern}"] if self.pattern else []
+        return ["data.kind=meshes", "data.between=0", "data.recombine=0", *pattern]
 
 
 def read_user_data(config: TrainConfig, folders: Folders, bar: ProgressBar) -> UserData | None:

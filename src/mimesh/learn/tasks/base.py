@@ -94,6 +94,8 @@ class TrainConfig:
             )
         if self.data.between and self.data.kind != "clips80":
             raise InputError(f"{where}: expected data.between 0 with {self.data.kind}, found {self.data.between}")
+        if self.data.recombine and self.data.kind != "table6":
+            raise InputError(f"{where}: expected data.recombine 0 with {self.data.kind}, found {self.data.recombine}")
         if self.data.kind == "meshes" and self.network not in ("npt", "aniformer"):
             raise InputError(f"{where}: expected data.kind meshes with npt or aniformer, found it with {self.network}")
         if self.doublings and not self.data.vertices:
@@ -110,7 +112,7 @@ class TrainConfig:
             share = getattr(self.data, name)
             if share and (self.network != "mime" or self.data.kind != "wide"):
                 raise InputError(f"{where}: expected data.{name} with mime and data.kind wide only, found {share}")
-        for name in ("low_poly", "scans", "reflect", "between"):
+        for name in ("low_poly", "scans", "reflect", "between", "recombine"):
             share = getattr(self.data, name)
             if not 0.0 <= share <= 1.0:
                 raise InputError(f"{where}: expected data.{name} from 0 to 1, found {share}")
