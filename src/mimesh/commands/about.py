@@ -49,7 +49,8 @@ def models(json: Json = False) -> None:
         print_json({"models": [shipped.get(name, {"name": name}) for name in names]})
         return
     for name in MODELS:
-        say(f"{name:<22}{DESCRIPTIONS[name]}")
+        for number, line in enumerate(DESCRIPTIONS[name].splitlines()):
+            say(f"{'' if number else name:<22}{line}")
         if name in SHIPPED_NETWORKS:
             say(f"{'':<22}{_describe(shipped[name]) if name in shipped else MISSING}")
     print_next("evaluate", "human-npt", "-m", "mime,npt,copy")
@@ -60,7 +61,7 @@ DESCRIPTIONS = {
     "deformation-transfer": "Sumner and Popovic 2004; needs --reference, and --markers where topologies differ",
     "skeleton": "fits the shipped body to both meshes and skins the identity to its bones; slow",
     "mime": "ours, the default: predicts the joints of both meshes, fits a body to each, and skins the identity;\n"
-    f"{'':<22}people, and four-legged animals by a second network, mime-quadruped",
+    "people, and four-legged animals by a second network, mime-quadruped",
     "npt": "Neural Pose Transfer, trained on generated people and poses",
     "npt-maxpool": "its variant with one pose code for the whole driving mesh, of any vertex count",
     "aniformer": "AniFormer: three frames at once, trained on generated people and motions",
