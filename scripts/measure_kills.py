@@ -2,11 +2,12 @@
 
     python scripts/measure_kills.py [-o benchmarks/kills.json] [--kills 300] [--seed 0] [--commands convert ...]
 
-Each kill begins with a command in a process group of its own; in half of them the outputs of an earlier run exist. The
-process gets SIGKILL, or in three of ten cases SIGTERM or SIGINT: at a random moment of its run (`time`), up to 2 ms
-after a name in its output folder appeared, went or changed (`file`), or just before an operation on a file there
-(`operation`; see kill_at_operation.py). Half of the SIGKILLs go to the whole group, the others to the first process
-alone. Then these must hold, and what does not is listed under `violations`:
+Each kill begins with a command in a process group of its own; in half of them the outputs of an earlier run exist.
+Processes are forks of this one, which has imported the package: a start writes nothing, and would take most of the
+time. The first process gets SIGKILL, or in three of ten cases SIGTERM or SIGINT: at a random moment of its run
+(`time`), up to 2 ms after a name in its output folder appeared, went or changed (`file`), or just before an operation
+on a file there (`operation`, as Python reports them: PEP 578). Half of the SIGKILLs go to the whole group, the others
+to the first process alone. Then these must hold, and what does not is listed under `violations`:
 
 * Inputs are unchanged. Every output is the old one or the new one, whole, and there is nothing else but temporary
   files. No process is left.
@@ -16,8 +17,8 @@ alone. Then these must hold, and what does not is listed under `violations`:
   is the same command, train with --resume, which must give what an undisturbed run gives, weights to the last bit; for
   the others it writes another file to the same folder.
 
-New outputs are compared with those of an undisturbed run, without times and dates. Inputs are meshes of the shipped
-body and six frames of a shipped motion.
+New outputs are compared with those of an undisturbed run, without times and dates. Inputs are the shipped body with 300
+vertices and six frames of a shipped motion.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import csv
+import getpass
 import hashlib
 import io
 import json
@@ -32,12 +34,12 @@ import os
 import random
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -45,23 +47,31 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from mimesh import cli, pipeline  # noqa: F401 (imported once for all forks)
 from mimesh.bodies import load_body
 from mimesh.core.mesh import Clip, Material, Mesh, Part
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import save_clip, save_mesh
-from mimesh.io.atomic import PREFIX, whole_file
+from mimesh.io.atomic import PREFIX, _remove_left_over, whole_file
 from mimesh.motions import load_motion, motion_clip
+from mimesh.player.thinning import simplify_clip
 
 MOTION, FRAMES = "walk", 6
-KILLER = Path(__file__).with_name("kill_at_operation.py")
+MOMENTS = ("time", "file", "operation")
 SHARE_KILL = 0.7
 """Share of SIGKILL; the rest is SIGTERM and SIGINT, half each."""
 AFTER_FILE = 2e-3
 """Longest time (seconds) between a change of the folder and the signal."""
 SURVIVAL = 30.0
 """Seconds after which a process that is left counts as one: a worker of a batch may end its job."""
-VARYING = ("seconds", "steps", "memory_mib", "date", "s", "ms", "frame_s", "time")
+VARYING = ("seconds", "steps", "memory_mib", "date", "s", "seconds_per_frame")
 """Keys of reports that are other in every run."""
+VERTICES = 300
+"""Of the meshes."""
+STAYING = (f"torchinductor_{getpass.getuser()}",)
+"""What PyTorch leaves in the temporary folder, empty (docs/privacy.md)."""
+OPERATIONS = ("os.rename", "os.link", "os.remove", "os.mkdir", "os.rmdir", "os.chmod")
+"""Audit events that are counted, beside files opened to write."""
 TINY = ("model.encoder=[8,16,16]", "model.decoder=[16,8,8]", "data.vertices=64", "batch=2", "pairs=48", "warmup=4")
 TINY += ("validate_every=16", "validation_pairs=1", "precision=fp32")
 """Changes of the configuration npt-small that make a training of a few seconds."""
@@ -88,10 +98,12 @@ class Command:
 
 
 COMMANDS = {
-    "transfer": Command(("transfer", "hero.obj", "drivings/pose.obj", "-m", "copy", "-o", "{out}/moved.obj"), 60, (("*",),)),
-    "animate": Command(("animate", "hero.obj", "walk.npz", "-m", "copy", "-o", "{out}/moved.glb"), 50, (("*",),)),
-    "convert": Command(("convert", "pose.glb", "{out}/pose.obj"), 60, (("*",),)),
-    "convert, frames": Command(("convert", "walk.npz", "{out}/frames", "--frames-as", "ply"), 30, (("*",),)),
+    "transfer": Command(
+        ("transfer", "hero.obj", "drivings/pose.obj", "-m", "copy", "-o", "{out}/moved.obj"), 70, (("*",),)
+    ),
+    "animate": Command(("animate", "hero.obj", "walk.npz", "-m", "copy", "-o", "{out}/moved.glb"), 40, (("*",),)),
+    "convert": Command(("convert", "pose.glb", "{out}/pose.obj"), 80, (("*",),)),
+    "convert, frames": Command(("convert", "walk.npz", "{out}/frames", "--frames-as", "ply"), 40, (("*",),)),
     "convert, USD": Command(("convert", "walk.usdc", "{out}/walk.glb"), 30, (("*",),)),
     "batch": Command(
         (
@@ -106,12 +118,12 @@ COMMANDS = {
             "-w",
             "2",
         ),
-        30,
+        14,
         resumable=True,
     ),
     "train": Command(
         ("train", "npt", "-o", "{out}", *(word for change in TINY for word in ("--set", change))),
-        20,
+        8,
         resumable=True,
         resume=("--resume", "{out}"),
         made="last.safetensors",
@@ -120,7 +132,7 @@ COMMANDS = {
     ),
     "evaluate": Command(
         ("evaluate", "human-npt", "--pairs", "2", "-m", "copy,identity", "-o", "{out}/report.json"),
-        20,
+        8,
         resumable=True,
         beside=("report.json.partial",),
     ),
@@ -134,47 +146,110 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--commands", nargs="+", default=list(COMMANDS), choices=list(COMMANDS))
+    parser.add_argument("--moments", nargs="+", default=MOMENTS, choices=MOMENTS)
     args = parser.parse_args()
     report: dict[str, Any] = {"commit": commit(), "machine": machine(), "libraries": libraries(), "seed": args.seed}
     shares = {name: COMMANDS[name].share for name in args.commands}
     with tempfile.TemporaryDirectory() as root:
-        measured = {}
+        measured: dict[str, Any] = {}
         for name, share in shares.items():
             rng = random.Random(f"{args.seed} {name}")
             count = max(1, round(args.kills * share / sum(shares.values())))
-            measured[name] = Killings(COMMANDS[name], Path(root, name.replace(", ", "-")), rng).run(name, count)
-    report["kills"] = sum(figures["kills"] for figures in measured.values())
-    report["violations"] = sum(len(figures["violations"]) for figures in measured.values())
-    report["commands"] = measured
+            killings = Killings(COMMANDS[name], Path(root, name.replace(", ", "-")), rng)
+            measured[name] = killings.run(name, count, args.moments)
+            report["kills"] = sum(figures["kills"] for figures in measured.values())
+            report["violations"] = sum(len(figures["violations"]) for figures in measured.values())
+            report["commands"] = measured
+            if args.output:
+                with whole_file(args.output) as temporary:
+                    temporary.write_text(json.dumps(report, indent=2) + "\n")
     print(json.dumps(report, indent=2))
-    if args.output:
-        with whole_file(args.output) as temporary:
-            temporary.write_text(json.dumps(report, indent=2) + "\n")
 
 
 def write_inputs(folder: Path, old: bool) -> None:
     """Write meshes and a clip; the `old` ones have the same names and other contents."""
     body = load_body()
-    clip = motion_clip(body, None, load_motion(MOTION))
+    moving = motion_clip(body, None, load_motion(MOTION))
     first = 60 if old else 0
-    frames = clip.vertices[first : first + FRAMES]
+    frames = np.concatenate([body.vertices[None], moving.vertices[first : first + FRAMES]])
+    simple = simplify_clip(Clip(body.mesh(), frames), VERTICES)
+    rest, clip, faces = simple.vertices[0] * (1 - 0.1 * old), simple.vertices[1:], simple.mesh.faces
     image = io.BytesIO()
     Image.new("RGB", (4, 4), (200, 150, 120 + old)).save(image, "PNG")
-    halves = len(body.faces) // 2, len(body.faces)
-    red = Material("red", (1.0, 0.0, 0.0, 1.0 - 0.5 * old))
-    skin = Material("skin", (1.0, 1.0, 1.0, 1.0), image.getvalue())
-    parts = (Part("lower", 0, halves[0], red), Part("upper", *halves, skin))
-    rest, pose = (np.asarray(points, np.float64) for points in (body.vertices * (1 - 0.1 * old), frames[-1]))
-    uv = np.zeros((len(body.faces), 3, 2))
-    save_mesh(Mesh(rest, body.faces, "hero"), folder / "hero.obj")
-    save_mesh(Mesh(pose, body.faces, "pose", parts=parts, corner_uv=uv), folder / "pose.glb")
+    half = len(faces) // 2
+    red, skin = Material("red", (1.0, 0.0, 0.0, 1.0)), Material("skin", (1.0, 1.0, 1.0, 1.0), image.getvalue())
+    parts = (Part("lower", 0, half, red), Part("upper", half, len(faces), skin))
+    pose = Mesh(clip[-1], faces, "pose", parts=parts, corner_uv=np.zeros((len(faces), 3, 2)))
+    save_mesh(pose, folder / "pose.glb")
+    save_mesh(Mesh(clip[-1], faces, "pose"), folder / "drivings" / "pose.obj")
     for suffix in (".npz", ".usdc"):
-        save_clip(
-            Clip(Mesh(np.asarray(frames[0], np.float64), body.faces, "walk"), frames, 30.0), folder / f"walk{suffix}"
-        )
-    for name in ("a", "b"):
-        save_mesh(Mesh(rest * (1.1 if name == "b" else 1.0), body.faces, name), folder / "identities" / f"{name}.obj")
-    save_mesh(Mesh(pose, body.faces, "pose"), folder / "drivings" / "pose.obj")
+        save_clip(Clip(Mesh(clip[0], faces, "walk"), clip, 30.0), folder / f"walk{suffix}")
+    for name, scale in (("hero", 1.0), ("identities/a", 1.1), ("identities/b", 1.2)):
+        save_mesh(Mesh(scale * rest, faces, name), folder / f"{name}.obj")
+
+
+class Operations:
+    """Counts operations on files of some folders, as an audit hook; before number `at` the process gets a signal."""
+
+    def __init__(self, folders: list[str], at: int, signal: int) -> None:
+        self.folders, self.at, self.signal, self.count = tuple(folders), at, signal, 0
+
+    def __call__(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if event == "open":
+            path, _, flags = arguments
+            paths = (path,) if (flags or 0) & (os.O_WRONLY | os.O_RDWR) else ()
+        else:
+            paths = arguments if event in OPERATIONS else ()
+        if any(isinstance(path, (str, Path)) and str(path).startswith(self.folders) for path in paths):
+            self.count += 1
+            if self.count == self.at:
+                os.kill(os.getpid(), self.signal)
+
+
+class Fork:
+    """A fork of this process that does some work, in a process group of its own."""
+
+    def __init__(self, work: Callable[[], None], folder: Path, temporary: Path, errors: Path) -> None:
+        self.path = errors
+        self.code: int | None = None
+        """Exit code, negative for a signal; None while it runs."""
+        self.number = os.fork()
+        if self.number:
+            return
+        code = 1
+        try:
+            os.setsid()
+            os.chdir(folder)
+            for target, path in ((1, os.devnull), (2, errors)):
+                os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), target)
+            os.environ["TMPDIR"] = tempfile.tempdir = str(temporary)
+            _remove_left_over.cache_clear()
+            work()
+            code = 0
+        except SystemExit as error:
+            code = int(error.code or 0)
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stderr.flush()
+            os._exit(code)
+
+    def running(self) -> bool:
+        """Return whether it still runs."""
+        if self.code is None:
+            number, status = os.waitpid(self.number, os.WNOHANG)
+            self.code = os.waitstatus_to_exitcode(status) if number else None
+        return self.code is None
+
+    def wait(self, seconds: float = float("inf")) -> None:
+        """Wait for its end, or so long."""
+        until = time.monotonic() + seconds
+        while self.running() and (left := until - time.monotonic()) > 0:
+            time.sleep(min(left, 5e-4))
+
+    def errors(self) -> str:
+        """Return what it has written on stderr."""
+        return self.path.read_text(errors="replace")
 
 
 @dataclass
@@ -195,13 +270,13 @@ class Killings:
     new: dict[str, str] = field(default_factory=dict)
     """Digests of outputs by their names, of the earlier run and of an undisturbed one."""
 
-    def run(self, name: str, kills: int) -> dict[str, Any]:
+    def run(self, name: str, kills: int, moments: Sequence[str]) -> dict[str, Any]:
         """Measure undisturbed runs, then kill; return figures."""
         self.prepare()
         begin, outcomes, violations, missed, k = time.perf_counter(), Counter(), [], 0, 0
         done: Counter[str] = Counter()
         while done.total() < kills and missed < kills:
-            moment = ("time", "file", "operation")[k % 3]
+            moment = moments[k % len(moments)]
             outcome, found = self.kill(moment)
             k += 1
             violations += [f"{moment}: {text}" for text in found]
@@ -234,13 +309,12 @@ class Killings:
         for _ in range(2):
             self.clear(False)
             begin = time.perf_counter()
-            process = self.start(self.arguments(), at=0)
+            process = self.start(self.arguments())
             self.changes = sum(1 for _ in changes(process, self.out))
             self.seconds = time.perf_counter() - begin
-            errors = process.communicate()[1]
-            self.operations = int(errors.split()[-1])
+            assert process.code == 0, process.errors()
+            self.operations = int(process.errors().split()[-1])
             before, self.new = self.new, digests(self.out, self.command.beside)
-            assert process.returncode == 0, errors
         assert before == self.new, [name for name in self.new if before.get(name) != self.new[name]]
 
     @property
@@ -267,27 +341,30 @@ class Killings:
         words = (*self.command.arguments[:2], *self.command.resume) if resumed else self.command.arguments
         return [word.replace("{out}", str(self.out)) for word in words]
 
-    def start(self, arguments: list[str], at: int | None, sent: int = 0, inputs: str = "new") -> subprocess.Popen[str]:
-        """Start a command in a process group of its own; with `at` under kill_at_operation.py."""
-        options = {"at": at, "signal": sent, "folders": [str(self.out), str(self.temporary)]}
-        program = ["-m", "mimesh"] if at is None else [str(KILLER), json.dumps(options)]
-        return subprocess.Popen(
-            [sys.executable, *program, *arguments],
-            cwd=self.root / inputs,
-            env={**os.environ, "TMPDIR": str(self.temporary)},
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+    def start(self, arguments: list[str], at: int = 0, sent: int = 0, inputs: str = "new") -> Fork:
+        """Start a command; before operation `at` on files of its folders it gets a signal."""
+        operations = Operations([str(self.out), str(self.temporary)], at, sent)
+
+        def work() -> None:
+            sys.addaudithook(operations)
+            try:
+                cli.main(arguments)
+            finally:
+                print(operations.count, file=sys.stderr, flush=True)
+
+        return self.fork(work, inputs)
+
+    def fork(self, work: Callable[[], None], inputs: str = "new") -> Fork:
+        """Fork a process that does some work in a folder of inputs."""
+        return Fork(work, self.root / inputs, self.temporary, self.root / "errors")
 
     def finish(self, inputs: str = "new") -> str:
         """Run the command to its end; return what it wrote on stderr if it failed."""
         if inputs == "old":
             self.clear(False)
-        process = self.start(self.arguments(), None, inputs=inputs)
-        errors = process.communicate()[1]
-        return errors if process.returncode else ""
+        process = self.start(self.arguments(), inputs=inputs)
+        process.wait()
+        return process.errors() if process.code else ""
 
     def kill(self, moment: str) -> tuple[str, list[str]]:
         """Start the command, send a signal, and check; return the outcome and what does not hold."""
@@ -297,23 +374,22 @@ class Killings:
         if self.rng.random() > SHARE_KILL:
             sent = self.rng.choice([signal.SIGTERM, signal.SIGINT])
         at = self.next_operation() if moment == "operation" else None
-        process = self.start(self.arguments(), at, sent)
+        process = self.start(self.arguments(), at or 0, sent)
         if moment == "time":
-            wait_for_end(process, self.rng.uniform(0, self.seconds))
+            process.wait(self.rng.uniform(0, self.seconds))
         elif moment == "file":
             wanted = self.rng.randint(1, max(1, self.changes))
             for _ in zip(range(wanted), changes(process, self.out), strict=False):
                 pass
-            wait_for_end(process, self.rng.uniform(0, AFTER_FILE))
-        if process.poll() is not None and at is None:
-            process.communicate()
-            return "ended before", []
+            process.wait(self.rng.uniform(0, AFTER_FILE))
         if at is None:
+            if not process.running():
+                return "ended before", []
             whole_group = sent == signal.SIGINT or self.rng.random() < 0.5
             with contextlib.suppress(ProcessLookupError):
-                (os.killpg if whole_group else os.kill)(process.pid, sent)
-        process.communicate()
-        if process.returncode == 0:
+                (os.killpg if whole_group else os.kill)(process.number, sent)
+        process.wait()
+        if process.code == 0:
             return "ended before", []
         found = [f"process {number} is left after {sent.name}" for number in survivors(self.root)]
         outcome, more = self.check(sent, self.old if again else {})
@@ -369,22 +445,25 @@ class Killings:
             found += [f"{n} differs after the next run" for n in self.new if state.get(n) != self.new[n]]
             found += [f"{n} is left after the next run" for n in state if n not in self.new]
         else:
-            self.write_small_mesh()
+            self.write_other_file()
             if mixed and self.mixed(digests(self.out), old):
                 found.append("outputs are still mixed after the next run")
-        left = [path for folder in (self.out, self.temporary) for path in folder.rglob("*")]
+        left = [path for folder in (self.out, self.temporary) for path in folder.rglob("*") if path.name not in STAYING]
         found += [f"{path.name} is left" for path in left if PREFIX in path.name or path.is_relative_to(self.temporary)]
         lines = (self.out / "log.jsonl").read_text().splitlines() if (self.out / "log.jsonl").exists() else []
         for line in lines:
             json.loads(line)
         return found
 
-    def write_small_mesh(self) -> None:
-        """Write a mesh to the output folder, and delete it: what any other command does there."""
-        other = self.out / "other.off"
-        command = "import sys; from mimesh.io.atomic import whole_file\nwith whole_file(sys.argv[1]) as t: t.touch()"
-        environment = {**os.environ, "TMPDIR": str(self.temporary)}
-        subprocess.run([sys.executable, "-c", command, str(other)], check=True, env=environment)
+    def write_other_file(self) -> None:
+        """Write a file to the output folder in another process, and delete it: what any other command does there."""
+        other = self.out / "other"
+
+        def work() -> None:
+            with whole_file(other) as temporary:
+                temporary.touch()
+
+        self.fork(work).wait()
         other.unlink()
 
 
@@ -400,21 +479,15 @@ def summaries_agree(folder: Path) -> bool:
     return states == [row["state"] for row in json.loads(facts.read_text(encoding="utf-8"))["each"]]
 
 
-def changes(process: subprocess.Popen[str], folder: Path) -> Iterator[None]:
+def changes(process: Fork, folder: Path) -> Iterator[None]:
     """Yield when names in a folder change, until the process ends."""
     before = set(os.listdir(folder))
-    while process.poll() is None:
+    while process.running():
         now = set(os.listdir(folder))
         if now != before:
             before = now
             yield
         time.sleep(5e-5)
-
-
-def wait_for_end(process: subprocess.Popen[str], seconds: float) -> None:
-    """Wait for the end of a process, or so long."""
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(seconds)
 
 
 def survivors(root: Path) -> list[int]:

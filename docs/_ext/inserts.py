@@ -163,7 +163,25 @@ def large() -> str:
     )
     return (
         f"{markdown_table(head, rows)}\n\nSeconds of processor time; memory and page in MiB. "
-        f"Fitted exponents of the time over the sizes above: {slopes}. Measured at commit {' and '.join(commits)}."
+        f"Fitted exponents over the sizes above: {slopes}. {' '.join(map(_growth, report['growth'].values()))} "
+        f"Measured at commit {' and '.join(commits)}."
+    )
+
+
+def _growth(figures: dict) -> str:
+    """Return a sentence on how time and memory grow in vertices or frames."""
+    linear = "linear" if figures["linear"] else "more than linear"
+    flat = (
+        ""
+        if figures["in"] == "vertices"
+        else " (flat: at most 0.1): " + ("flat" if figures["memory_flat"] else "growing")
+    )
+    missing = " and ".join(f"{size:,}" for size in figures["missing"])
+    return (
+        f"**In {figures['in']}** the time has the exponent {figures['exponent']:.2f}, and "
+        f"{figures['exponent_largest']:.2f} between the two largest sizes (linear: at most 1.05): {linear}. "
+        f"Peak memory has the exponent {figures['memory_exponent']:.2f}{flat}."
+        + (f" Not measured yet: {missing} {figures['in']}." if missing else "")
     )
 
 
@@ -321,6 +339,8 @@ def batch_figures() -> str:
     ]
     pairs = f"{report['identities']} identities of 9,564 vertices, {report['drivings']} clips of about 60 frames"
     where = f"Measured at commit {report['commit']}, {report['machine']}, with a load of {report['load']} at the start."
+    if "memory_mib_in_1000_jobs" in small:
+        rows.insert(8, ["growth of that memory in 1,000 jobs", f"{small['memory_mib_in_1000_jobs']:+.1f} MiB"])
     what = "Times are processor time for a job, if they are not wall time."
     return f"{markdown_table([pairs, ''], rows)}\n\n{what} {where}"
 

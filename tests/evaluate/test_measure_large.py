@@ -41,6 +41,21 @@ def test_exponents_are_slopes(script):
     assert script["exponents"]({"mime": rows, "parts": {"500": rows["10"]}}) == {"mime": {"all": 1.5, "peak_mib": 0.0}}
 
 
+@pytest.mark.parametrize(("power", "linear"), [(1.0, True), (1.2, False)])
+def test_growth_tells_whether_time_is_linear_and_memory_flat(script, power, linear):
+    rows = {str(n): {"seconds": {"all": 1e-5 * n**power}, "peak_mib": 5e-3 * n**0.5} for n in (100_000, 300_000)}
+    still = {str(n): {"seconds": {"all": 4.0 + 0.01 * n}, "peak_mib": 400} for n in (100, 1000, 10_000)}
+    found = script["growth"]({"mime": rows, "animate": still, "copy": rows})
+    assert set(found) == {"mime", "animate"}
+    assert found["mime"]["exponent"] == found["mime"]["exponent_largest"] == pytest.approx(power)
+    assert (found["mime"]["linear"], found["mime"]["memory_flat"]) == (linear, False)
+    assert found["mime"]["missing"] == [1_000_000, 3_000_000]
+    assert found["animate"]["memory_flat"]
+    assert found["animate"]["missing"] == []
+    # The constant part hides growth in the fit over all sizes, less between the largest ones.
+    assert found["animate"]["exponent"] < found["animate"]["exponent_largest"] <= 1
+
+
 def test_a_case_is_measured_in_a_process_of_its_own(tmp_path):
     output = tmp_path / "large.json"
     command = [sys.executable, str(SCRIPT), "-o", str(output), "--cases", "copy", "--vertices", "7000", "8000"]
@@ -53,4 +68,5 @@ def test_a_case_is_measured_in_a_process_of_its_own(tmp_path):
     assert seconds["all"] == pytest.approx(parts, abs=0.03)
     assert parts > 0
     assert 50 < figures["peak_mib"] < 4000
+    assert 10 < figures["own_mib"] <= figures["peak_mib"]
     assert set(report["exponents"]["copy"]) >= {"all", "moved", "peak_mib"}

@@ -316,13 +316,13 @@ def _finish_renames(listed: Path) -> None:
     """Do the renames that a killed run has left, if it did some and no file has changed since."""
     folder = listed.parent
     try:
-        rows = [tuple(row) for row in json.loads(listed.read_text(encoding="utf-8"))]
-    except (OSError, ValueError):  # killed before the list was whole, and so before the first rename
+        rows = [(Path(name), Path(target), *files) for name, target, *files in json.loads(listed.read_bytes())]
+    except (OSError, ValueError, TypeError):  # killed before the list was whole, and so before the first rename
         return
-    if any(name.is_absolute() or ".." in name.parts for row in rows for name in map(Path, row[:2])):
+    if any(path.is_absolute() or ".." in path.parts for row in rows for path in row[:2]):
         return
     left = [row for row in rows if _identity(folder / row[1]) != row[2]]
-    unchanged = all((_identity(folder / row[0]), _identity(folder / row[1])) == row[2:] for row in left)
+    unchanged = all([_identity(folder / row[0]), _identity(folder / row[1])] == [*row[2:]] for row in left)
     if unchanged and len(left) < len(rows):
         for temporary, target, *_ in left:
             rename(folder / temporary, folder / target)
@@ -370,7 +370,7 @@ def _remove_if_left_over(path: Path) -> None:
 
 def _remove_left(path: Path) -> None:
     if path.suffix == RENAMES:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, ValueError, IndexError):
             _finish_renames(path)
     _delete(path)
 
