@@ -317,6 +317,26 @@ def minute() -> str:
     )
 
 
+def kills() -> str:
+    """Return the table of killed commands, from benchmarks/kills.json."""
+    report = json.loads((DOCS.parent / "benchmarks" / "kills.json").read_text())
+    states = ("as before", "some new", "mixed", "new")
+    rows = []
+    for name, figures in report["commands"].items():
+        counts = dict.fromkeys(states, 0)
+        for outcome, count in figures["outcomes"].items():
+            counts[outcome.partition(", ")[2]] += count
+        violations = len(figures["violations"])
+        cells = (figures["kills"], *counts.values(), violations, f"{figures['undisturbed_s']:.1f}")
+        rows.append([f"`{name}`" if ", " not in name else name, *map(str, cells)])
+    head = ["killed", "times", "outputs as before", "some of several results new", "between two renames", "all new"]
+    return (
+        f"{markdown_table([*head, 'something lost', 'seconds undisturbed'], rows)}\n\n{report['kills']} kills, "
+        f"{report['violations']} in which something was lost, differed or was left after the next run. "
+        f"Seed {report['seed']}, commit {report['commit']}, {report['machine']}."
+    )
+
+
 def batch_figures() -> str:
     """Return the table of what batches cost, from benchmarks/batch.json."""
     report = _batch_report()
@@ -386,6 +406,7 @@ def _memory(figures: dict[str, float]) -> str:
 INSERTS = {
     "batch": batch_figures,
     "plan": batch_plan,
+    "kills": kills,
     "large": large,
     "live": live,
     "minute": minute,
