@@ -15,9 +15,10 @@ to the first process alone. Then these must hold, and what does not is listed un
   that writes to the folder must finish them.
 * The next run leaves no temporary file, in the output folder and in the temporary one. For batch, train and evaluate it
   is the same command, train with --resume, which must give what an undisturbed run gives, weights to the last bit; for
-  the others it writes another file to the same folder.
+  the others it writes another file to each folder that has outputs.
 
-New outputs are compared with those of an undisturbed run, without times and dates. Inputs are the shipped body with 300
+New outputs are compared with those of an undisturbed run, without times and dates. Figures of commands that are given
+with -o replace those that the file has. Inputs are the shipped body with 300
 vertices and six frames of a shipped motion.
 """
 
@@ -148,18 +149,20 @@ def main() -> None:
     parser.add_argument("--commands", nargs="+", default=list(COMMANDS), choices=list(COMMANDS))
     parser.add_argument("--moments", nargs="+", default=MOMENTS, choices=MOMENTS)
     args = parser.parse_args()
-    report: dict[str, Any] = {"commit": commit(), "machine": machine(), "libraries": libraries(), "seed": args.seed}
+    report = {"machine": machine(), "libraries": libraries(), "seed": args.seed, "kills": 0, "violations": 0}
+    measured: dict[str, Any] = {}
+    if args.output and args.output.exists():
+        measured = json.loads(args.output.read_text())["commands"]
     shares = {name: COMMANDS[name].share for name in args.commands}
     with tempfile.TemporaryDirectory() as root:
-        measured: dict[str, Any] = {}
         for name, share in shares.items():
             rng = random.Random(f"{args.seed} {name}")
             count = max(1, round(args.kills * share / sum(shares.values())))
             killings = Killings(COMMANDS[name], Path(root, name.replace(", ", "-")), rng)
-            measured[name] = killings.run(name, count, args.moments)
+            measured[name] = killings.run(name, count, args.moments) | {"commit": commit()}
             report["kills"] = sum(figures["kills"] for figures in measured.values())
             report["violations"] = sum(len(figures["violations"]) for figures in measured.values())
-            report["commands"] = measured
+            report["commands"] = {name: measured[name] for name in COMMANDS if name in measured}
             if args.output:
                 with whole_file(args.output) as temporary:
                     temporary.write_text(json.dumps(report, indent=2) + "\n")
@@ -456,15 +459,18 @@ class Killings:
         return found
 
     def write_other_file(self) -> None:
-        """Write a file to the output folder in another process, and delete it: what any other command does there."""
-        other = self.out / "other"
+        """Write a file to every folder of outputs in another process, and delete it: what any command does there."""
+        inner = [path for path in self.out.rglob("*") if path.is_dir() and PREFIX not in str(path)]
+        others = [folder / "other" for folder in (self.out, *inner)]
 
         def work() -> None:
-            with whole_file(other) as temporary:
-                temporary.touch()
+            for other in others:
+                with whole_file(other) as temporary:
+                    temporary.touch()
 
         self.fork(work).wait()
-        other.unlink()
+        for other in others:
+            other.unlink()
 
 
 def summaries_agree(folder: Path) -> bool:

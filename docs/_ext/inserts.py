@@ -329,11 +329,12 @@ def kills() -> str:
         violations = len(figures["violations"])
         cells = (figures["kills"], *counts.values(), violations, f"{figures['undisturbed_s']:.1f}")
         rows.append([f"`{name}`" if ", " not in name else name, *map(str, cells)])
+    commits = dict.fromkeys(figures["commit"] for figures in report["commands"].values())
     head = ["killed", "times", "outputs as before", "some of several results new", "between two renames", "all new"]
     return (
         f"{markdown_table([*head, 'something lost', 'seconds undisturbed'], rows)}\n\n{report['kills']} kills, "
         f"{report['violations']} in which something was lost, differed or was left after the next run. "
-        f"Seed {report['seed']}, commit {report['commit']}, {report['machine']}."
+        f"Seed {report['seed']}, {report['machine']}, commit {' and '.join(commits)}."
     )
 
 
