@@ -309,6 +309,7 @@ class Killings:
             self.finish("old")
             shutil.copytree(self.out, self.root / "earlier")
             self.old = digests(self.out)
+        before = self.new
         for _ in range(2):
             self.clear(False)
             begin = time.perf_counter()
