@@ -184,6 +184,19 @@ def test_renames_that_a_killed_run_has_left_are_done_by_the_next(number, tmp_pat
 
 
 @posix
+@pytest.mark.parametrize("number", [1, 2])
+def test_frames_of_a_new_folder_are_renamed_by_the_next_run(number, tmp_path):
+    head, _, _ = KILL_AT_RENAME.partition("with together")
+    code = f"import sys; from pathlib import Path; from mimesh.io.atomic import *; p = Path(sys.argv[1])\n{head}"
+    code += "with whole_folder(p / 'f') as folder:\n    for name in 'abc': (folder / name).write_text('new')"
+    assert subprocess.run([sys.executable, "-c", code, str(tmp_path), str(number)]).returncode == -9
+    assert names(tmp_path / "f") == ["a", "b", "c"][:number]
+    write(tmp_path / "c.txt", "c")
+    assert names(tmp_path / "f") == ["a", "b", "c"]
+    assert names(tmp_path) == ["c.txt", "f"]
+
+
+@posix
 @pytest.mark.parametrize("change", ["replaced", "deleted", "made"])
 def test_renames_are_not_done_over_what_has_changed_since(change, tmp_path):
     killed_at_rename(tmp_path, 1)

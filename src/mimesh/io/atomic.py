@@ -288,16 +288,18 @@ def _restore(earlier: dict[Path, Path | None]) -> None:
 def _list_renames(files: dict[Path, Path]) -> _Temporary | None:
     """List renames in a locked file, each with the facts that identify both files; None where it would be of no use.
 
-    It lies in the folder that holds all files, if that is the folder of one of them: only there the next run looks.
+    It lies in the folder that holds all files, if one of them or a temporary folder lies directly in it: only there the
+    next run looks.
     """
     if len(files) < 2:
         return None
     targets = [target.absolute() for target in files]
+    places = {target.parent for target in targets} | {_place(temporary.absolute()) for temporary in files.values()}
     try:
-        folder = Path(os.path.commonpath([target.parent for target in targets]))
+        folder = Path(os.path.commonpath(places))
     except ValueError:  # several drives
         return None
-    if all(target.parent != folder for target in targets):
+    if folder not in places:
         return None
     rows = [
         (os.path.relpath(temporary, folder), os.path.relpath(target, folder), _identity(temporary), _identity(target))
@@ -310,6 +312,12 @@ def _list_renames(files: dict[Path, Path]) -> _Temporary | None:
     with contextlib.suppress(OSError):  # a list that is cut off is none
         listed.path.write_text(json.dumps(rows), encoding="utf-8")
     return listed
+
+
+def _place(temporary: Path) -> Path:
+    """Return the folder in which a temporary file lies, or the temporary folder that holds it."""
+    inside = [path for path in temporary.parents if path.name.startswith(PREFIX)]
+    return inside[-1].parent if inside else temporary.parent
 
 
 def _finish_renames(listed: Path) -> None:
