@@ -1,11 +1,12 @@
 """Measure `mimesh batch`: speed-up by workers, memory of workers, and what preparing an identity once saves.
 
-    python benchmarks/batch.py [-o benchmarks/batch.json] [--identities 20] [--drivings 5] [--small 200]
+    python benchmarks/batch.py [-o benchmarks/batch.json] [--identities 20] [--drivings 5] [--small 1000]
 
 Identities are people of the shipped body with other shapes, 9,564 vertices each; half of the drivings are motion files
-(.bvh), half are clips of meshes without joints (.npz), 60 frames each. Small jobs transfer a pose by `copy`. Every
-batch is a process of its own; files are temporary. Costs are seconds of processor time, of all processes and threads,
-so that other programs on the machine change them little; `seconds` and the speed-up are wall time.
+(.bvh), half are clips of meshes without joints (.npz), 60 frames each. Small jobs transfer a pose by `copy`, by one
+worker: its memory is reported over time, and as the slope fitted over the last nine tenths of the jobs. Every batch is
+a process of its own; files are temporary. Costs are seconds of processor time, of all processes and threads, so that
+other programs on the machine change them little; `seconds` and the speed-up are wall time.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path)
     parser.add_argument("--identities", type=int, default=20)
     parser.add_argument("--drivings", type=int, default=5)
-    parser.add_argument("--small", type=int, default=200)
+    parser.add_argument("--small", type=int, default=1000)
     args = parser.parse_args()
     report: dict[str, Any] = {"commit": commit(), "machine": machine(), "libraries": libraries()}
     report |= {"load": round(os.getloadavg()[0], 1), "identities": args.identities, "drivings": args.drivings}
@@ -153,16 +154,27 @@ def large(folder: Path, workers: int) -> dict[str, Any]:
     return figures_of(facts) | {"steps": steps}
 
 
-def small(folder: Path, jobs: int) -> dict[str, float]:
-    """Return what many small jobs cost one worker, and its memory (MiB) after the first tenth and at the end."""
+def small(folder: Path, jobs: int) -> dict[str, Any]:
+    """Return what many small jobs cost one worker, and its memory over time."""
     table = folder / "small.csv"
     rows = [f"{folder}/poses/rest.obj,{folder}/poses/rest.obj,{folder}/small/{k}.obj,copy" for k in range(jobs)]
     table.write_text("\n".join(("identity,driving,output,model", *rows)) + "\n")
     facts = run_batch(folder, str(table), None, None, 1, "--transfer", "--no-sheet")
-    return figures_of(facts)
+    return figures_of(facts) | memory_over_time([row["memory_mib"] for row in facts["each"]])
 
 
-def figures_of(facts: dict) -> dict[str, float]:
+def memory_over_time(memory: list[float]) -> dict[str, Any]:
+    """Return the memory (MiB) of one worker in ten equal parts of its jobs, and its growth in a thousand jobs.
+
+    The first tenth is left out of the slope: libraries and networks are loaded in it.
+    """
+    settled = memory[len(memory) // 10 :]
+    slope = np.polyfit(np.arange(len(settled)), settled, 1)[0] if len(settled) > 1 else 0.0
+    parts = [round(float(part.max()), 1) for part in np.array_split(np.array(memory), min(10, len(memory)))]
+    return {"memory_mib": parts, "memory_mib_in_1000_jobs": round(1000 * float(slope), 2)}
+
+
+def figures_of(facts: dict) -> dict[str, Any]:
     """Return seconds, jobs, and the memory (MiB) of the workers after the first tenth of the jobs and at the end."""
     memory = [row["memory_mib"] for row in facts["each"]]
     tenth = max(1, len(memory) // 10)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import doc_transcripts
 import numpy as np
+from draw_growth import growth_chart
 from PIL import Image, ImageDraw, ImageFont
 from trouble_cases import BODY, CASES, DRIVING_PERSON, IDENTITY_PERSON, Case, hero, step
 
@@ -53,6 +54,10 @@ def main() -> None:
     for draw in (first, models, inside):
         if not selected or draw.__name__ in selected:
             save(draw(), draw.__name__)
+    if not selected or "growth" in selected:
+        report = json.loads((DOCS.parent / "benchmarks" / "large.json").read_text())
+        with whole_file(IMAGES / "growth.svg") as temporary:
+            temporary.write_text(growth_chart(report), encoding="utf-8")
     write(NOTES, {make.__name__: notes[make.__name__] for make in CASES})
     if not selected or "transcripts" in selected:
         write(DOCS / "transcripts.json", doc_transcripts.transcripts())

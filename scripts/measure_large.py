@@ -9,8 +9,11 @@ an identity of a million vertices by 100 frames; `parts` moves an identity of 50
 targets. Identities are the shipped body, subdivided to exactly the wanted number of vertices.
 
 Each case runs in a process of its own. Times are those of all its processor cores, so other programs do not count;
-`moved` is the whole `transfer` or `animate` between reading and writing, with the steps in it beside it. Figures that
-are given with -o are added to those the file has; `exponents` are the slopes of log(time) over log(size), fitted.
+`moved` is the whole `transfer` or `animate` between reading and writing, with the steps in it beside it. `peak_mib` is
+resident memory, `own_mib` the part that is not mapped from a file, which the system cannot reclaim. Figures that are
+given with -o are added to those the file has. `exponents` are the slopes of log(time) over log(size), fitted; `growth`
+has the exponent of the whole time in the vertices (`mime`) and in the frames (`animate`), the one between the two
+largest sizes alone, where the part that does not depend on the size counts least, and by how much memory grew.
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -46,7 +49,13 @@ from mimesh.tools.preview import write_preview
 MOTION, FRAME = "walk", 20
 """The shipped motion, and its frame that is the driving pose."""
 CASES = ("mime", "dense", "copy", "animate", "large-clip", "parts", "morphs")
+POLL_SECONDS = 0.02
+"""Between two looks at the memory of a running case."""
 LARGE, CLIP_FRAMES, PARTS, MORPHS = 1_000_000, 100, 500, 200
+LINEAR, FLAT = 1.05, 0.1
+"""Largest exponents of a time that is linear, and of a memory that is flat, in the size."""
+GROWTH = {"mime": ("vertices", (100_000, 300_000, 1_000_000, 3_000_000)), "animate": ("frames", (100, 1000, 10_000))}
+"""Cases of `growth` with what grows, and the sizes to measure."""
 STEPS = {
     "normalise": ("mimesh.pipeline.run", "fitted_norms"),
     "choose_body": ("mimesh.pipeline.run", "with_body"),
@@ -61,8 +70,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path)
     parser.add_argument("--cases", nargs="+", default=CASES, choices=CASES)
-    parser.add_argument("--vertices", nargs="+", type=int, default=[100_000, 300_000, 1_000_000, 3_000_000])
-    parser.add_argument("--frames", nargs="+", type=int, default=[100, 1000, 10_000])
+    parser.add_argument("--vertices", nargs="+", type=int, default=GROWTH["mime"][1])
+    parser.add_argument("--frames", nargs="+", type=int, default=GROWTH["animate"][1])
     parser.add_argument("--child", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.child:
@@ -75,11 +84,11 @@ def main() -> None:
             figures = measure(case, size)
             report["cases"].setdefault(case, {})[str(size)] = figures
             print(f"{case:12}{size:9}  {json.dumps(figures)}", flush=True)
-            report |= {"exponents": exponents(report["cases"])}
+            report |= {"exponents": exponents(report["cases"]), "growth": growth(report["cases"])}
             if args.output:
                 with whole_file(args.output) as temporary:
                     temporary.write_text(json.dumps(report, indent=2) + "\n")
-    print(json.dumps(report.get("exponents"), indent=2))
+    print(json.dumps({key: report.get(key) for key in ("exponents", "growth")}, indent=2))
 
 
 def measure(case: str, size: int) -> dict[str, Any]:
@@ -87,21 +96,33 @@ def measure(case: str, size: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         result = child({"case": case, "size": size, "folder": folder, "make": True})[0]
         result, memory = child({"case": case, "size": size, "folder": folder, "make": False})
-    return {**result, "peak_mib": memory, "commit": commit(), "machine": machine(), "libraries": libraries()}
+    return {**result, **memory, "commit": commit(), "machine": machine(), "libraries": libraries()}
 
 
-def child(arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
-    """Run this script with a case; return what it prints, and its peak resident memory (MiB)."""
+def child(arguments: dict[str, Any]) -> tuple[dict[str, Any], dict[str, int]]:
+    """Run this script with a case; return what it prints, and its peak resident and anonymous memory (MiB)."""
     command = [sys.executable, __file__, "--child", json.dumps(arguments)]
     reading, writing = os.pipe()
     process = os.posix_spawn(sys.executable, command, os.environ, file_actions=[(os.POSIX_SPAWN_DUP2, writing, 1)])
     os.close(writing)
-    with os.fdopen(reading) as output:
+    own = 0
+    while True:
+        done, status, usage = os.wait4(process, os.WNOHANG)
+        if done:
+            break
+        own = max(own, anonymous_memory(process))
+        time.sleep(POLL_SECONDS)
+    with os.fdopen(reading) as output:  # a line, which the pipe holds until here
         printed = output.read()
-    _, status, usage = os.wait4(process, 0)
     if status:
         raise SystemExit(f"{arguments['case']} of {arguments['size']} failed")
-    return json.loads(printed.splitlines()[-1]), usage.ru_maxrss // 1024
+    return json.loads(printed.splitlines()[-1]), {"peak_mib": usage.ru_maxrss // 1024, "own_mib": own}
+
+
+def anonymous_memory(process: int) -> int:
+    """Return the anonymous memory (MiB) of a running process (Linux)."""
+    lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    return next((int(line.split()[1]) // 1024 for line in lines if line.startswith("RssAnon")), 0)
 
 
 def run_case(case: str, size: int, folder: str, make: bool) -> dict[str, Any]:
@@ -222,13 +243,39 @@ def exponents(cases: dict[str, dict[str, Any]]) -> dict[str, dict[str, float]]:
             continue
         rows = [by_size[str(size)] for size in sizes]
         values = {name: [row["seconds"].get(name, 0.0) for row in rows] for name in rows[0]["seconds"]}
-        values["peak_mib"] = [row["peak_mib"] for row in rows]
-        fitted[case] = {
-            name: round(float(np.polyfit(np.log(sizes), np.log(of_step), 1)[0]), 3)
-            for name, of_step in values.items()
-            if min(of_step) > 0
-        }
+        values |= {name: [row.get(name, 0) for row in rows] for name in ("peak_mib", "own_mib")}
+        fitted[case] = {name: slope(sizes, of_step) for name, of_step in values.items() if min(of_step) > 0}
     return fitted
+
+
+def growth(cases: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return for the cases of GROWTH how time and memory grow, and what of the sizes has not been measured."""
+    found = {}
+    for case, (what, wanted) in GROWTH.items():
+        sizes = sorted(map(int, cases.get(case, {})))
+        if len(sizes) < 2:
+            continue
+        seconds, memory = (
+            [read(cases[case][str(size)]) for size in sizes]
+            for read in (lambda row: row["seconds"]["all"], lambda row: row["peak_mib"])
+        )
+        exponent, last, of_memory = slope(sizes, seconds), slope(sizes[-2:], seconds[-2:]), slope(sizes, memory)
+        found[case] = {
+            "in": what,
+            "sizes": sizes,
+            "missing": [size for size in wanted if size not in sizes],
+            "exponent": exponent,
+            "exponent_largest": last,
+            "linear": max(exponent, last) <= LINEAR,
+            "memory_exponent": of_memory,
+            "memory_flat": of_memory <= FLAT,
+        }
+    return found
+
+
+def slope(sizes: Sequence[int], values: Sequence[float]) -> float:
+    """Fit the slope of log(value) over log(size)."""
+    return round(float(np.polyfit(np.log(sizes), np.log(values), 1)[0]), 3)
 
 
 if __name__ == "__main__":

@@ -163,7 +163,25 @@ def large() -> str:
     )
     return (
         f"{markdown_table(head, rows)}\n\nSeconds of processor time; memory and page in MiB. "
-        f"Fitted exponents of the time over the sizes above: {slopes}. Measured at commit {' and '.join(commits)}."
+        f"Fitted exponents over the sizes above: {slopes}. {' '.join(map(_growth, report['growth'].values()))} "
+        f"Measured at commit {' and '.join(commits)}."
+    )
+
+
+def _growth(figures: dict) -> str:
+    """Return a sentence on how time and memory grow in vertices or frames."""
+    linear = "linear" if figures["linear"] else "more than linear"
+    flat = (
+        ""
+        if figures["in"] == "vertices"
+        else " (flat: at most 0.1): " + ("flat" if figures["memory_flat"] else "growing")
+    )
+    missing = " and ".join(f"{size:,}" for size in figures["missing"])
+    return (
+        f"**In {figures['in']}** the time has the exponent {figures['exponent']:.2f}, and "
+        f"{figures['exponent_largest']:.2f} between the two largest sizes (linear: at most 1.05): {linear}. "
+        f"Peak memory has the exponent {figures['memory_exponent']:.2f}{flat}."
+        + (f" Not measured yet: {missing} {figures['in']}." if missing else "")
     )
 
 
@@ -299,6 +317,27 @@ def minute() -> str:
     )
 
 
+def kills() -> str:
+    """Return the table of killed commands, from benchmarks/kills.json."""
+    report = json.loads((DOCS.parent / "benchmarks" / "kills.json").read_text())
+    states = ("as before", "some new", "mixed", "new")
+    rows = []
+    for name, figures in report["commands"].items():
+        counts = dict.fromkeys(states, 0)
+        for outcome, count in figures["outcomes"].items():
+            counts[outcome.partition(", ")[2]] += count
+        violations = len(figures["violations"])
+        cells = (figures["kills"], *counts.values(), violations, f"{figures['undisturbed_s']:.1f}")
+        rows.append([f"`{name}`" if ", " not in name else name, *map(str, cells)])
+    commits = dict.fromkeys(figures["commit"] for figures in report["commands"].values())
+    head = ["killed", "times", "outputs as before", "some of several results new", "between two renames", "all new"]
+    return (
+        f"{markdown_table([*head, 'something lost', 'seconds undisturbed'], rows)}\n\n{report['kills']} kills, "
+        f"{report['violations']} in which something was lost, differed or was left after the next run. "
+        f"Seed {report['seed']}, {report['machine']}, commit {' and '.join(commits)}."
+    )
+
+
 def batch_figures() -> str:
     """Return the table of what batches cost, from benchmarks/batch.json."""
     report = _batch_report()
@@ -321,6 +360,8 @@ def batch_figures() -> str:
     ]
     pairs = f"{report['identities']} identities of 9,564 vertices, {report['drivings']} clips of about 60 frames"
     where = f"Measured at commit {report['commit']}, {report['machine']}, with a load of {report['load']} at the start."
+    if "memory_mib_in_1000_jobs" in small:
+        rows.insert(8, ["growth of that memory in 1,000 jobs", f"{small['memory_mib_in_1000_jobs']:+.1f} MiB"])
     what = "Times are processor time for a job, if they are not wall time."
     return f"{markdown_table([pairs, ''], rows)}\n\n{what} {where}"
 
@@ -366,6 +407,7 @@ def _memory(figures: dict[str, float]) -> str:
 INSERTS = {
     "batch": batch_figures,
     "plan": batch_plan,
+    "kills": kills,
     "large": large,
     "live": live,
     "minute": minute,

@@ -1,12 +1,15 @@
 """A mesh has the same normalised points for every heading."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from people import boxes_person, person
 
 from mimesh.bodies.animals import animal
+from mimesh.core import geometry
 from mimesh.core.geometry import edges
-from mimesh.core.heading import principal_heading, turn, without_heading
+from mimesh.core.heading import principal_heading, turn, turned_to_front, without_heading
 from mimesh.core.mesh import Mesh, permute_vertices
 from mimesh.core.normalization import Normalization
 from mimesh.evaluate.remesh import split_faces
@@ -102,3 +105,15 @@ def test_the_body_of_an_animal_lies_along_its_front():
     plain, turned = without_heading(cow, norms[0], True, False), without_heading(headed(cow, 30), norms[1], True, False)
     assert plain.heading == pytest.approx(0, abs=0.02)
     assert np.degrees(turned.heading - plain.heading) == pytest.approx(30)
+
+
+def test_normals_change_nothing_and_are_not_turned(monkeypatch):
+    mesh = headed(person(1), 30.0)
+    normals = np.broadcast_to([0.0, 1.0, 0.0], (len(mesh.faces), 3, 3)).copy()
+    shaded = dataclasses.replace(mesh, corner_normals=normals)
+    expected, points = normalised_points(mesh)
+    monkeypatch.setattr(geometry, "turn_normals", lambda *_: pytest.fail("normals are turned"))
+    norm, shaded_points = normalised_points(shaded)
+    assert (points == shaded_points).all()
+    front = np.array([0.3, 0.0, 1.0])
+    assert turned_to_front(shaded, norm, front, False).heading == turned_to_front(mesh, expected, front, False).heading

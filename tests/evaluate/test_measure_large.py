@@ -1,9 +1,11 @@
 """scripts/measure_large.py: its inputs have the wanted sizes, its exponents are slopes, a small case runs."""
 
 import json
+import re
 import runpy
 import subprocess
 import sys
+import xml.etree.ElementTree
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +43,21 @@ def test_exponents_are_slopes(script):
     assert script["exponents"]({"mime": rows, "parts": {"500": rows["10"]}}) == {"mime": {"all": 1.5, "peak_mib": 0.0}}
 
 
+@pytest.mark.parametrize(("power", "linear"), [(1.0, True), (1.2, False)])
+def test_growth_tells_whether_time_is_linear_and_memory_flat(script, power, linear):
+    rows = {str(n): {"seconds": {"all": 1e-5 * n**power}, "peak_mib": 5e-3 * n**0.5} for n in (100_000, 300_000)}
+    still = {str(n): {"seconds": {"all": 4.0 + 0.01 * n}, "peak_mib": 400} for n in (100, 1000, 10_000)}
+    found = script["growth"]({"mime": rows, "animate": still, "copy": rows})
+    assert set(found) == {"mime", "animate"}
+    assert found["mime"]["exponent"] == found["mime"]["exponent_largest"] == pytest.approx(power)
+    assert (found["mime"]["linear"], found["mime"]["memory_flat"]) == (linear, False)
+    assert found["mime"]["missing"] == [1_000_000, 3_000_000]
+    assert found["animate"]["memory_flat"]
+    assert found["animate"]["missing"] == []
+    # The constant part hides growth in the fit over all sizes, less between the largest ones.
+    assert found["animate"]["exponent"] < found["animate"]["exponent_largest"] <= 1
+
+
 def test_a_case_is_measured_in_a_process_of_its_own(tmp_path):
     output = tmp_path / "large.json"
     command = [sys.executable, str(SCRIPT), "-o", str(output), "--cases", "copy", "--vertices", "7000", "8000"]
@@ -53,4 +70,29 @@ def test_a_case_is_measured_in_a_process_of_its_own(tmp_path):
     assert seconds["all"] == pytest.approx(parts, abs=0.03)
     assert parts > 0
     assert 50 < figures["peak_mib"] < 4000
+    assert 10 < figures["own_mib"] <= figures["peak_mib"]
     assert set(report["exponents"]["copy"]) >= {"all", "moved", "peak_mib"}
+
+
+def test_the_drawing_shows_the_figures_that_are_stored(monkeypatch):
+    monkeypatch.syspath_prepend(str(SCRIPT.parent))
+    from draw_growth import growth_chart
+
+    root = SCRIPT.parents[1]
+    drawn = growth_chart(json.loads((root / "benchmarks" / "large.json").read_text()))
+    assert drawn == (root / "docs" / "images" / "growth.svg").read_text(), "run python scripts/draw_docs.py growth"
+    xml.etree.ElementTree.fromstring(drawn)
+
+
+def test_a_chart_has_a_straight_line_where_time_is_linear(monkeypatch):
+    monkeypatch.syspath_prepend(str(SCRIPT.parent))
+    from draw_growth import chart
+
+    rows = {size: {"seconds": {"all": size / 2e4}, "peak_mib": 2048} for size in (100_000, 300_000, 1_000_000)}
+    dashed, seconds, memory = (
+        np.array([[float(number) for number in point.split(",")] for point in points.split()])
+        for points in re.findall(r'polyline points="([^"]*)"', "".join(chart(50, "vertices", rows)))
+    )
+    slopes = np.diff(seconds[:, 1]) / np.diff(seconds[:, 0])
+    assert slopes == pytest.approx(np.divide(*np.diff(dashed, axis=0)[0, ::-1]), rel=0.01)
+    assert np.ptp(memory[:, 1]) == 0

@@ -173,6 +173,14 @@ def damaged(vertices: np.ndarray, value: float) -> np.ndarray:
     return vertices
 
 
+def test_a_frame_whose_first_and_last_vertex_coincide_is_used(driving, session):
+    vertices = driving.vertices[2].copy()
+    vertices[-1] = vertices[0]
+    almost = vertices.copy()
+    almost[-1] += 1e-6
+    np.testing.assert_allclose(session.pose(vertices), session.pose(almost), atol=1e-4)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

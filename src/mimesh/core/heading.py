@@ -59,7 +59,7 @@ def without_heading(mesh: Mesh, norm: Normalization, front_known: bool, person: 
         person: whether the mesh is a person, which the detector knows. The body of an animal lies along its front: of
             the principal axes the one that is nearest to the front is taken.
     """
-    upright = mesh.with_vertices(rotate_axes(np.asarray(mesh.vertices, np.float64), norm.rotation))
+    upright = _at(mesh, rotate_axes(np.asarray(mesh.vertices, np.float64), norm.rotation))
     principal = principal_heading(upright)
     if principal is None:
         return norm
@@ -79,7 +79,7 @@ def without_heading(mesh: Mesh, norm: Normalization, front_known: bool, person: 
     margin = float((1 - np.sort(probability)[-2]) / probability.sum())
     margin = margin if norm.up_from != "shape" else min(margin, up_margin(mesh, norm.up))
     detected = dataclasses.replace(norm, front=axis_name(rotation.T @ np.array([0.0, 0.0, 1.0])), margin=margin)
-    upright = mesh.with_vertices(rotate_axes(np.asarray(mesh.vertices, np.float64), rotation))
+    upright = _at(mesh, rotate_axes(np.asarray(mesh.vertices, np.float64), rotation))
     return _turned(upright, detected, rotation, headings[best] - quarter * np.pi / 2)
 
 
@@ -102,7 +102,7 @@ def turned_to_front(
     heading = (heading + np.pi) % (2 * np.pi) - np.pi
     if front_known and abs(heading) > np.pi / 2:
         heading -= np.sign(heading) * np.pi
-    upright = mesh.with_vertices(rotate_axes(np.asarray(mesh.vertices, np.float64), norm.axes))
+    upright = _at(mesh, rotate_axes(np.asarray(mesh.vertices, np.float64), norm.axes))
     return _turned(upright, norm, norm.axes, heading)
 
 
@@ -134,10 +134,15 @@ def _front_scores(upright: Mesh, principal: float) -> Float[np.ndarray, "8"]:
     scores = np.empty(8)
     fronts = [ORIENTATIONS.index(("+y", axis)) for axis in QUARTERS]
     for k in range(2):
-        aligned = upright.with_vertices(turned(upright.vertices, -principal - k * np.pi / 4))
+        aligned = _at(upright, turned(upright.vertices, -principal - k * np.pi / 4))
         scores[k::2] = orientation_scores(mesh_occupancy(aligned), detector())[fronts]
     # Rounded, so that the rounding of a sum cannot decide between the equal fronts of a symmetric shape.
     return np.round(scores, 6)
+
+
+def _at(mesh: Mesh, vertices: Float[np.ndarray, "V 3"]) -> Mesh:
+    """Replace the points of a mesh without its normals, which nothing here reads: turning them costs more than all."""
+    return dataclasses.replace(mesh, vertices=vertices, corner_normals=None)
 
 
 def _turned(upright: Mesh, norm: Normalization, rotation: Float[np.ndarray, "3 3"], heading: float) -> Normalization:

@@ -1,13 +1,15 @@
 """Write files and folders atomically: to a temporary name beside the target, which is then renamed.
 
 `together` does so with all files of a command. Temporary files are locked while they are written: those of a run that
-was killed are not, and the next run that writes to their folder deletes them.
+was killed are not, and the next run that writes to their folder deletes them. A run that is killed between two renames
+has listed them: the next one does those that are left.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import json
 import os
 import secrets
 import shutil
@@ -25,6 +27,8 @@ PREFIX = ".mimesh-tmp-"
 """What names of temporary files and folders begin with; nothing else has such names."""
 STEM_LENGTH = 40
 """Characters of the target's name in a temporary name; file systems limit names to 255 bytes."""
+RENAMES = ".renames"
+"""Suffix of the temporary file that lists renames under way; no format has it."""
 STALE_SECONDS = 24 * 3600.0
 """Age from which temporary files count as left over where the system has no locks."""
 
@@ -88,22 +92,30 @@ class _Outputs:
         """
         earlier: dict[Path, Path | None] = {}
         made: list[Path] = []
+        renames: _Temporary | None = None
         try:
-            for target, temporary in self.files.items():
+            for target in self.files:
                 if not target.parent.exists():
                     made.append(target.parent)
                 with writing(target):
                     target.parent.mkdir(parents=True, exist_ok=True)
                     if (kept := _kept(target)) is not None or not target.exists():
                         earlier[target] = kept
+            renames = _list_renames(self.files)
+            for target, temporary in self.files.items():
+                with writing(target):
                     rename(temporary, target)
         except BaseException:
+            if renames is not None:
+                renames.remove()  # a run that is killed from here on has nothing to be finished
             _restore(earlier)
             for folder in reversed(made):
                 with contextlib.suppress(OSError):
                     folder.rmdir()
             raise
         finally:
+            if renames is not None:
+                renames.remove()
             for path in filter(None, earlier.values()):
                 path.unlink(missing_ok=True)
 
@@ -116,7 +128,7 @@ def together() -> Iterator[None]:
     """Let the files that the block writes appear at its end, all of them, or none if it fails.
 
     A block inside another belongs to the outer one. Only a crash between two renames, of microseconds each, leaves a
-    part of them. `written` finds a file before the end.
+    part of them, until the next run that writes to their folder. `written` finds a file before the end.
 
     Raises:
         InputError: a file cannot get its name.
@@ -154,6 +166,7 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     target = _target(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     _remove_left_over(target.parent)
+    _remove_left_over(None)
     temporary = _Temporary.file(target.parent, path.stem, path.suffix)
     try:
         yield temporary.path
@@ -189,7 +202,7 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
 @contextlib.contextmanager
 def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
     """Yield a folder in `parent`, by default the system's for temporary files, that is deleted after the block."""
-    parent = parent or Path(tempfile.gettempdir())
+    parent = parent or temporary_folder()
     _remove_left_over(parent)
     temporary = _Temporary.folder(parent, "work")
     try:
@@ -198,6 +211,15 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
         yield temporary.path
     finally:
         temporary.remove()
+
+
+def temporary_folder() -> Path:
+    """Return the system's folder for temporary files, as TMPDIR may say.
+
+    Raises:
+        OSError: there is none that can be written to.
+    """
+    return Path(tempfile.gettempdir())
 
 
 @contextlib.contextmanager
@@ -263,11 +285,76 @@ def _restore(earlier: dict[Path, Path | None]) -> None:
                 rename(kept, target)
 
 
+def _list_renames(files: dict[Path, Path]) -> _Temporary | None:
+    """List renames in a locked file, each with the facts that identify both files; None where it would be of no use.
+
+    It lies in the folder that holds all files, if one of them or a temporary folder lies directly in it: only there the
+    next run looks.
+    """
+    if len(files) < 2:
+        return None
+    targets = [target.absolute() for target in files]
+    places = {target.parent for target in targets} | {_place(temporary.absolute()) for temporary in files.values()}
+    try:
+        folder = Path(os.path.commonpath(places))
+    except ValueError:  # several drives
+        return None
+    if folder not in places:
+        return None
+    rows = [
+        (os.path.relpath(temporary, folder), os.path.relpath(target, folder), _identity(temporary), _identity(target))
+        for target, temporary in zip(targets, files.values(), strict=True)
+    ]
+    try:
+        listed = _Temporary.file(folder, "all", RENAMES)
+    except OSError:  # the renames themselves will tell
+        return None
+    with contextlib.suppress(OSError):  # a list that is cut off is none
+        listed.path.write_text(json.dumps(rows), encoding="utf-8")
+    return listed
+
+
+def _place(temporary: Path) -> Path:
+    """Return the folder in which a temporary file lies, or the temporary folder that holds it."""
+    inside = [path for path in temporary.parents if path.name.startswith(PREFIX)]
+    return inside[-1].parent if inside else temporary.parent
+
+
+def _finish_renames(listed: Path) -> None:
+    """Do the renames that a killed run has left, if it did some and no file has changed since."""
+    folder = listed.parent
+    try:
+        rows = [(Path(name), Path(target), *files) for name, target, *files in json.loads(listed.read_bytes())]
+    except (OSError, ValueError, TypeError):  # killed before the list was whole, and so before the first rename
+        return
+    if any(path.is_absolute() or ".." in path.parts for row in rows for path in row[:2]):
+        return
+    left = [row for row in rows if _identity(folder / row[1]) != row[2]]
+    unchanged = all([_identity(folder / row[0]), _identity(folder / row[1])] == [*row[2:]] for row in left)
+    if unchanged and len(left) < len(rows):
+        for temporary, target, *_ in left:
+            rename(folder / temporary, folder / target)
+
+
+def _identity(path: Path) -> list[int] | None:
+    """Return what identifies a file and its contents, and stays when it is renamed; None if there is none."""
+    try:
+        facts = path.stat()
+    except OSError:
+        return None
+    return [facts.st_dev, facts.st_ino, facts.st_mtime_ns, facts.st_size]
+
+
 @functools.cache
-def _remove_left_over(folder: Path) -> None:
-    """Delete temporary files and folders of killed runs, once for each folder that this process writes to."""
+def _remove_left_over(folder: Path | None) -> None:
+    """Delete temporary files and folders of killed runs, once for each folder that this process writes to.
+
+    Before, renames that a run has left are done. None is the system's folder for temporary files.
+    """
     with contextlib.suppress(OSError):  # a folder that cannot be listed; the write itself will tell
-        for entry in os.scandir(folder):
+        for entry in sorted(
+            os.scandir(folder or temporary_folder()), key=lambda entry: not entry.name.endswith(RENAMES)
+        ):
             if entry.name.startswith(PREFIX) and not entry.is_symlink():
                 _remove_if_left_over(Path(entry.path))
 
@@ -276,16 +363,24 @@ def _remove_if_left_over(path: Path) -> None:
     if not has_locks():
         with contextlib.suppress(OSError):  # Windows deletes no file that is open
             if time.time() - path.stat().st_mtime > STALE_SECONDS:
-                _delete(path)
+                _remove_left(path)
         return
     descriptor = open_to_lock(path)
     if descriptor is None:
         return
     try:
-        if lock(descriptor):
-            _delete(path)
+        # Renames under way are waited for: they take microseconds.
+        if lock(descriptor, wait=path.suffix == RENAMES):
+            _remove_left(path)
     finally:
         os.close(descriptor)
+
+
+def _remove_left(path: Path) -> None:
+    if path.suffix == RENAMES:
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            _finish_renames(path)
+    _delete(path)
 
 
 def _delete(path: Path) -> None:

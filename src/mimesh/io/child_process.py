@@ -20,7 +20,6 @@ import signal
 import struct
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
@@ -33,6 +32,7 @@ from ..core.budgets import lift_limits, limits_are_lifted
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.system import end_with_parent, limit_process, limit_processor_time
+from .atomic import scratch_folder, temporary_folder
 
 MIB = 2**20
 """Bytes."""
@@ -128,13 +128,13 @@ def child_result(
     """
     lifted = limits_are_lifted()
     limits = UNLIMITED if lifted else limits or Limits.for_size(source.stat().st_size)
-    with tempfile.TemporaryDirectory(prefix="mimesh-", ignore_cleanup_errors=True) as folder:
-        target = Path(folder, "result")
+    with scratch_folder() as folder:
+        target = folder / "result"
         call = {"function": function, "source": str(source.absolute()), "target": str(target), "arguments": arguments}
         call |= {"limits": asdict(limits), "path": [str(Path(entry).absolute()) for entry in sys.path]}
-        call |= {"lifted": lifted, "counts": None if progress is None else str(Path(folder, COUNTS_FILE))}
-        code = _run(call, Path(folder), limits, name, progress)
-        message = last_line(Path(folder, ERRORS_FILE)).replace(folder, tempfile.gettempdir())
+        call |= {"lifted": lifted, "counts": None if progress is None else str(folder / COUNTS_FILE)}
+        code = _run(call, folder, limits, name, progress)
+        message = last_line(folder / ERRORS_FILE).replace(str(folder), str(folder.parent))
         if code == REFUSED:
             raise InputError(message.replace(str(source.absolute()), str(name)))
         if code != 0:
@@ -274,7 +274,7 @@ def _reason(code: int, message: str, limits: Limits) -> str:
     if code < 0 or code != FAILED:
         return f"that its decoder crashed (exit code {code}); the file is damaged, export it again"
     if message == FULL_DISK:
-        return f"no room for its frames in {tempfile.gettempdir()}; free some, or set TMPDIR to another folder"
+        return f"no room for its frames in {temporary_folder()}; free some, or set TMPDIR to another folder"
     return f"{message}; the file is damaged, export it again"
 
 

@@ -7,14 +7,13 @@ A reader takes a Path and returns a Mesh or Clip. A writer takes the Mesh or Cli
 from __future__ import annotations
 
 import contextlib
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import archive_names
-from .atomic import whole_file
+from .atomic import scratch_folder, whole_file
 from .npz import read_npz, write_npz, write_npz_clip
 from .npz import read_npz_clip as read_points_clip
 from .obj import read_obj, write_obj
@@ -34,8 +33,8 @@ def gltf_file(path: Path) -> Iterator[Path]:
             return
         from .fbx.write import write_fbx
 
-        with tempfile.TemporaryDirectory(prefix="mimesh-") as folder:
-            glb = Path(folder, "scene.glb")
+        with scratch_folder() as folder:
+            glb = folder / "scene.glb"
             yield glb
             write_fbx(glb, temporary, path)
 

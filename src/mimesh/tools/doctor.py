@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
@@ -122,7 +121,9 @@ def _networks() -> str:
 
 
 def _writable() -> str:
-    with tempfile.NamedTemporaryFile(dir=".", prefix=".mimesh-"):
+    from ..io.atomic import scratch_folder
+
+    with scratch_folder(Path.cwd()):
         return f"{Path.cwd()} can be written to"
 
 
@@ -133,12 +134,13 @@ def _transfer() -> str:
     from ..bodies import load_body
     from ..bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
     from ..io import load_mesh, save_mesh
+    from ..io.atomic import scratch_folder
     from ..pipeline import transfer
 
     body = load_body()
     posed = body.posed(sample_shape(body, 0, 0), rotvec_to_rotmat(sample_pose(body, 0, 0)))
-    with tempfile.TemporaryDirectory() as folder:
-        paths = [Path(folder) / f"{name}.obj" for name in ("identity", "driving", "result")]
+    with scratch_folder() as folder:
+        paths = [folder / f"{name}.obj" for name in ("identity", "driving", "result")]
         save_mesh(body.mesh(), paths[0])
         save_mesh(body.mesh(posed), paths[1])
         result = transfer(paths[0], paths[1])

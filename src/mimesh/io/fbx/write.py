@@ -16,10 +16,10 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 from ...core.errors import InputError
+from ..atomic import scratch_folder
 from ..child_process import MIB, last_line
 from ..gltf.document import open_document
 from .plain_materials import plain_materials
@@ -81,18 +81,18 @@ def write_fbx(glb: Path, target: Path, name: Path) -> None:
     document = open_document(glb)
     draft, timeline = joined_animations(document)
     surfaces = plain_materials(draft, document)
-    with tempfile.TemporaryDirectory(prefix="mimesh-", ignore_cleanup_errors=True) as folder:
-        scene, job = Path(folder, "scene.glb"), Path(folder, "job.json")
+    with scratch_folder() as folder:
+        scene, job = folder / "scene.glb", folder / "job.json"
         draft.save(scene)
         # The folder of embedded images is named after the file.
-        written = Path(folder, name.with_suffix(".fbx").name)
-        files = {"glb": str(scene), "fbx": str(written), "errors": str(Path(folder, "errors"))}
+        written = folder / name.with_suffix(".fbx").name
+        files = {"glb": str(scene), "fbx": str(written), "errors": str(folder / "errors")}
         Path(files["errors"]).touch()
         job.write_text(json.dumps(files | timeline | surfaces), encoding="utf-8", newline="\n")
         seconds = SECONDS + SECONDS_PER_MIB * scene.stat().st_size / MIB
-        code = _run([*command, str(SCRIPT), "--", str(job)], Path(folder), seconds, name)
+        code = _run([*command, str(SCRIPT), "--", str(job)], folder, seconds, name)
         if code or not written.is_file():
-            message = last_line(Path(files["errors"])) or last_line(Path(folder, "output")) or f"exit code {code}"
+            message = last_line(Path(files["errors"])) or last_line(folder / "output") or f"exit code {code}"
             raise InputError(
                 f"{name}: expected Blender ({command[0]}) to write FBX, found '{message[:300]}'; "
                 "try another version of Blender, or write a .glb"

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ...core.budgets import UNPACKED
 from ...core.errors import InputError
+from ..atomic import scratch_folder
 from ..child_process import Limits, child_result
 from .accessor_types import COMPONENT_COUNTS, COMPONENT_TYPES, element_size
 from .check import DRACO, MESHOPT
@@ -231,8 +231,8 @@ def _decode(work: _Work, path: Path) -> bytes:
                 "pip install 'mimesh[compressed]', or export without compression"
             )
     head = json.dumps([{**job, "bytes": len(blob)} for job, blob in zip(work.jobs, work.blobs, strict=True)]).encode()
-    with tempfile.TemporaryDirectory(prefix="mimesh-", ignore_cleanup_errors=True) as folder:
-        request = Path(folder, "request")
+    with scratch_folder() as folder:
+        request = folder / "request"
         with request.open("wb") as file:
             file.write(len(head).to_bytes(8, "little") + head)
             file.writelines(work.blobs)

@@ -8,7 +8,6 @@ new points.
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, UsdUtils, Vt
 from ...core.errors import InputError
 from ...core.geometry import unit_vectors
 from ...core.mesh import Mesh
+from ..atomic import scratch_folder
 from .appearance import authored_normals, corner_values
 from .package import pack, unpack
 from .skinning import MeshPrim
@@ -51,13 +51,13 @@ def write_again(source: UsdSource, mesh: Mesh, path: Path) -> None:
         _export(source, path)
         _write_points(source, mesh, path)
         return
-    with tempfile.TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         if source.suffix == ".usdz":
-            files = unpack(source.path, Path(folder))
-            _write_points(source, mesh, Path(folder) / files[0])
-            pack(Path(folder), files, path)
+            files = unpack(source.path, folder)
+            _write_points(source, mesh, folder / files[0])
+            pack(folder, files, path)
         else:
-            root = Path(folder) / f"{source.path.stem}.usdc"
+            root = folder / f"{source.path.stem}.usdc"
             _export(source, root)
             _write_points(source, mesh, root)
             UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(root)), str(path))

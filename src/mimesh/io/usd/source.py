@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import glob
 import itertools
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from jaxtyping import Float, Int
 
 from ...core.errors import InputError
 from ...core.mesh import Mesh
+from ..atomic import scratch_folder
 from ..child_process import Limits, child_result
 from ..guarded import Values, hand_over_mesh
 
@@ -77,8 +77,8 @@ class UsdSource:
             raise InputError(f"{self.path}: expected the file that was read, found none; put it back to write its copy")
         moved = dataclasses.replace(mesh, corner_uv=None, vertex_colors=None, parts=(), source=None)
         limits = Limits.for_size(layer_bytes(self.path) + mesh.vertices.nbytes)
-        with tempfile.TemporaryDirectory(prefix="mimesh-", ignore_cleanup_errors=True) as folder:
-            request = Path(folder, "request")
+        with scratch_folder() as folder:
+            request = folder / "request"
             hand_over_mesh(request, moved, self.values())
             try:
                 with child_result(REWRITER, self.path, self.path, limits, request=str(request), output=str(path)):
