@@ -22,7 +22,7 @@ from mimesh.evaluate.pairs import Pair
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.evaluate.quadruped import QUADRUPED
 from mimesh.io import load_clip
-from mimesh.motions.gaits import gait_clip
+from mimesh.motions.animal_clips import gait_clip
 
 OTHER = proportioned(
     BODY,
