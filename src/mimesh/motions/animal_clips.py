@@ -75,7 +75,7 @@ class Style(NamedTuple):
     head: float
     """Degrees by which the neck is turned down."""
     tail: float
-    """Degrees by which the tail is turned down."""
+    """Degrees by which the tail is raised."""
     sway: float
     """Degrees that the tail swings to either side."""
     start: float
@@ -123,7 +123,7 @@ def animal_clip(name: str) -> Clip:
 def random_style(gait: str, index: int) -> Style:
     """Draw pace, stride, lift and bearing of a motion."""
     rng = np.random.default_rng(np.random.SeedSequence([SEEDS["test"], index, 4, list(RUNS).index(gait)]))
-    between = (RUNS[gait].pace, RUNS[gait].stride, (0.8, 1.3), (-18, 18), (-35, 15), (2, 10), (0, 1))
+    between = (RUNS[gait].pace, RUNS[gait].stride, (0.8, 1.3), (-18, 18), (-5, 30), (2, 10), (0, 1))
     return Style(*(rng.uniform(low, high) for low, high in between))
 
 
