@@ -4,8 +4,8 @@
 
 Gaits: for which share of the time no foot is on the ground (lower than AIR of the height), how fast feet slide that
 should stand, in heights and in paths of the animal, how high these are, and by how many degrees the path leaves the
-direction in which the animal faces. Tails: of the vertices that are a tail's, on meshes with triangles of their own, how
-many `mime` gives mostly to joints of the tail, with and without `with_whole_tail`.
+direction in which the animal faces. Tails: of the vertices that are a tail's, on meshes with triangles of their own,
+how many `mime` gives mostly to joints of the tail, with and without `with_whole_tail`.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ def test_a_tail_that_is_held_by_both_legs_gets_its_own_weights(halves):
 def test_what_lies_between_tip_and_tail_is_repaired_too():
     """Vertices of one leg, or of the trunk, between those of both and those of the tail."""
     weights = taken(part=np.isin(STRONGEST, TAIL[4:]))
-    weights[STRONGEST == TAIL[3]] = np.eye(len(BODY.parents))[BODY.joint("Spine4")]
+    weights[np.isin(STRONGEST, TAIL[3:4])] = np.eye(len(BODY.parents))[BODY.joint("Spine4")]
     assert whole(weights)[HANGING][:, TAIL].sum(axis=1).min() > 0.5
 
 
