@@ -168,8 +168,8 @@ ENTRIES = (
         "gallop",
         "A horse's gallop",
         "A generated gallop (blue, at half its speed) drives a cow, a cat, a dog and a rhino-like animal. None has a "
-        "rig, and no two have the same triangles. They carry head and tail as the horse does: the cat's long tail goes "
-        "through the ground. The cow's tail hangs between its legs and is taken for them, which tears it.",
+        "rig, and no two have the same triangles. Once a stride no foot is on the ground. They carry head and tail as "
+        "the horse does; the cow's tail, which hangs between its hind legs, bends little below its root.",
         tuple(_animate(name, "gallop.glb") for name in GALLOPING),
         lambda folder: _animals(folder, GALLOPING, "gallop", "driving: a horse"),
     ),
@@ -177,7 +177,7 @@ ENTRIES = (
         "dog-walk",
         "A dog's walk",
         "The same with a dog's walk and a horse. Poses are taken over as they are: cow and rhino raise their heads as "
-        "the dog does, which folds the skin of the rhino's neck. The cow's tail is torn as above.",
+        "the dog does, which folds the skin of the rhino's neck.",
         tuple(_animate(name, "dog-walk.glb") for name in WALKING),
         lambda folder: _animals(folder, WALKING, "dog-walk", "driving: a dog"),
     ),

@@ -19,7 +19,7 @@ from mimesh.evaluate import remesh
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.io import save_bvh, save_clip, save_mesh
 from mimesh.motions import load_motion, motion_clip, resample, spline_motion, walk_motion
-from mimesh.motions.gaits import gait_clip
+from mimesh.motions.animal_clips import gait_clip
 
 DRIVING_SHAPE = np.array((0.8, -0.6, -0.4, 0.7))
 """Shape coefficients of the driving person."""

@@ -9,7 +9,7 @@ from people import person, walk
 
 from mimesh import animate, load_clip, save_clip, save_mesh
 from mimesh.bodies.animals import animal
-from mimesh.motions.gaits import gait_clip
+from mimesh.motions.animal_clips import gait_clip
 from mimesh.studio import make_server, make_session, open_socket
 from mimesh.studio.security import new_token
 

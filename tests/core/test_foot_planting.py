@@ -112,6 +112,23 @@ def test_contact_points_are_on_the_sole_from_heel_to_toes():
         assert (np.sign(points[:, 0]) == np.sign(rig.joints[leg[2], 0])).all()
 
 
+def test_of_a_leg_without_an_ankle_the_lowest_part_is_its_sole():
+    vertices, rig = rig_of(np.zeros(0))
+    for soles in find_soles(vertices, rig, tuple(leg[:2] for leg in LEGS), BODY.parents):
+        assert soles is not None
+        assert (vertices[soles].mean(axis=1)[:, 1] < vertices[:, 1].min() + 0.03).all()
+
+
+def test_legs_without_ankles_are_measured_but_not_planted():
+    whole = case()
+    without = dataclasses.replace(whole, feet=dataclasses.replace(whole.feet, legs=tuple(leg[:2] for leg in LEGS)))
+    posed = without.posed()
+    np.testing.assert_array_equal(without.planted().rotation, posed.rotation)
+    np.testing.assert_array_equal(without.planted().root, posed.root)
+    assert without.skate(posed) == whole.skate(posed)
+    assert without.skate(posed)[0] > 0
+
+
 def test_a_surface_without_feet_has_no_soles():
     vertices, rig = rig_of(np.zeros(0))
     above = rig.weights[:, [BODY.joint("LeftFoot"), BODY.joint("LeftToeBase")]].sum(axis=1) < 0.01

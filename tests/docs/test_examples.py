@@ -19,7 +19,7 @@ from people import person, walk
 from mimesh.bodies.animals import animal
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
-from mimesh.motions.gaits import gait_clip
+from mimesh.motions.animal_clips import gait_clip
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))

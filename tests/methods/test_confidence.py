@@ -260,3 +260,11 @@ def test_a_note_on_limbs_says_that_the_mesh_may_be_something_else_where_the_erro
     assert not large.is_other_kind
     assert "may not be a person" not in " ".join(small.notes("it"))
     assert "may not be a person" in " ".join(large.notes("it"))
+
+
+@pytest.mark.parametrize(("lacking", "doubted"), [(1, False), (2, False), (3, True), (5, True)])
+def test_a_note_says_that_a_mesh_without_surface_for_several_limbs_may_be_something_else(lacking, doubted):
+    unmatched = dict.fromkeys(MIN_SHARE, 0.0) | dict.fromkeys(list(MIN_SHARE)[:lacking], 0.9 * MISSING_LIMB)
+    lacks = fitted(fit_angle=8.0, prediction_spread=40.0, unmatched_body=unmatched, unmatched_surface=0.1)
+    assert lacks.expected_error < DOUBTFUL_ERROR
+    assert ("may not be a person" in " ".join(lacks.notes("it"))) == doubted

@@ -40,10 +40,19 @@ def test_the_leg_of_the_body_is_the_mean_of_its_legs():
     assert rig_of(animal())[0].leg == pytest.approx(leg_length(BODY.joints, indices), rel=0.01)
 
 
-def test_only_legs_with_all_three_joints_are_planted():
-    assert len(rig_of(animal(0))[0].legs) == 4
-    assert len(rig_of(animal(0, bones(3)))[0].legs) == 4
-    assert rig_of(animal(0, bones(2)))[0].legs == ()
+def test_legs_have_the_joints_from_hip_to_ankle_that_the_animal_has():
+    assert [len(leg) for leg in rig_of(animal(0))[0].legs] == [3, 3, 3, 3]
+    assert [len(leg) for leg in rig_of(animal(0, bones(3)))[0].legs] == [3, 3, 3, 3]
+    rig = rig_of(animal(0, bones(2)))[0]
+    assert all(0 < len(leg) < 3 for leg in rig.legs)
+    assert all(set(leg) <= set(rig.joints.values()) for leg in rig.legs)
+
+
+def test_the_known_joints_are_in_an_order_in_which_parents_come_first():
+    names = rig_of(animal(0, bones(2)))[0].person
+    body = rig_of(animal(0))[0].body
+    assert list(names) == sorted(names, key=body.joint)
+    assert names[0] == "Hips"
 
 
 @pytest.mark.parametrize(

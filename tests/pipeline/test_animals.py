@@ -22,7 +22,7 @@ from mimesh.evaluate.pairs import Pair
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.evaluate.quadruped import QUADRUPED
 from mimesh.io import load_clip
-from mimesh.motions.gaits import gait_clip
+from mimesh.motions.animal_clips import gait_clip
 
 OTHER = proportioned(
     BODY,
@@ -157,6 +157,17 @@ def test_feet_of_the_result_stay_on_the_ground_where_the_driving_stands(tmp_path
     np.testing.assert_allclose(lowest, identity.mesh.vertices[:, 1].min(), atol=0.005 * size)
     assert result.report["foot_skate"] is not None
     assert result.report["foot_skate"] < 0.01
+
+
+def test_feet_of_legs_of_two_bones_are_measured(tmp_path):
+    identity, driving = animal(0, bones(2)), animal(1, bones(2))
+    still = [(random_turns(t, ("Neck1", "Head")), np.zeros(3)) for t in range(FRAMES)]
+    one = identity.write(tmp_path / "identity.glb")
+    two = driving.write(tmp_path / "driving.glb", {"look": still}, spell=str)
+    report = mimesh.animate(str(one), str(two)).report
+    assert report["rig"] == "own"
+    assert report["foot_skate"] < 1e-3
+    assert report["foot_skate_driving"] < 1e-3
 
 
 def test_the_written_file_has_the_identitys_bones_and_the_motion(tmp_path, capsys):

@@ -14,7 +14,7 @@ from mimesh.core.joint_corrections import JointCorrections
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.evaluate.measure import AXES
 from mimesh.io.joint_file import load_corrections, save_corrections
-from mimesh.motions.gaits import gait_clip
+from mimesh.motions.animal_clips import gait_clip
 from mimesh.pipeline.corrections import Corrections
 
 BODY = load_body()

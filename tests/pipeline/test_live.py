@@ -17,7 +17,7 @@ from mimesh import InputError, LiveSession
 from mimesh.bodies.animals import animal
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import save_clip, save_mesh
-from mimesh.motions.gaits import gait_clip
+from mimesh.motions.animal_clips import gait_clip
 
 CLOSE = 1e-3
 """Largest difference over the size of the identity."""

@@ -10,7 +10,7 @@ from starlette.testclient import TestClient
 
 from mimesh import animate, load_clip, save_mesh
 from mimesh.bodies.animals import ANIMALS
-from mimesh.motions.gaits import ANIMAL_MOTIONS
+from mimesh.motions.animal_clips import ANIMAL_MOTIONS
 from mimesh.studio import make_session
 from mimesh.studio.app import make_app
 from mimesh.studio.security import AccessControl

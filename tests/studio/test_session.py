@@ -12,7 +12,7 @@ from people import person, walk
 
 from mimesh import InputError, animate, save_clip, save_mesh, transfer
 from mimesh.bodies.animals import animal
-from mimesh.motions.gaits import gait_clip
+from mimesh.motions.animal_clips import gait_clip
 from mimesh.studio import make_session
 from mimesh.studio.jobs import Cancelled, Worker
 from mimesh.studio.state import describe

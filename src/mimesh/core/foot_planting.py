@@ -85,6 +85,8 @@ def plant_feet(
 ) -> PosedJoints:
     """Correct a motion so that soles stand where the driving's do; nothing changes if those never stand.
 
+    Nor if a leg of the identity has no ankle.
+
     Args:
         posed: the motion of the identity.
         track: the motion of the driving.
@@ -95,7 +97,7 @@ def plant_feet(
             does.
         slides: whether to correct slides, or heights only.
     """
-    contacts = find_contacts(track, feet)
+    contacts = find_contacts(track, feet) if feet.can_be_planted else None
     if contacts is None:
         return posed
     leg, cyclic = feet.driving_leg * scale[1], is_cyclic(track, feet.driving_leg)

@@ -20,6 +20,8 @@ DEPTH = 0.1
 OUTSIDE = 3.0
 """Points outside a part of the foot count as higher by this multiple of their distance from it, so that parts without
 points take the nearest ones."""
+LOWEST_PART = 0.2
+"""Of a leg without an ankle, the foot is the part below this share of the height of its last joint's surface."""
 FEWEST = 4
 """A foot with fewer points than this is not found."""
 
@@ -33,7 +35,7 @@ class Feet:
     """The F feet that driving and identity both have, with C contact points each."""
 
     legs: tuple[tuple[int, ...], ...]
-    """Hip, knee and ankle joint of each foot."""
+    """Of each foot hip, knee and ankle joint, or those of them that the identity has: the last one moves the foot."""
     driving_leg: float
     """Leg length of the driving."""
     driving: SurfacePoints
@@ -51,7 +53,7 @@ class Feet:
         driving: Soles,
         surface: SurfacePoints,
     ) -> Feet | None:
-        """Select the feet that both meshes have; None if there is none, or if legs are not hip, knee and ankle.
+        """Select the feet that both meshes have; None if there is none.
 
         Args:
             legs: joints of each leg, from hip to ankle.
@@ -64,7 +66,7 @@ class Feet:
         both = [
             (leg, mine, other)
             for leg, mine, other in zip(legs, identity, driving, strict=True)
-            if mine is not None and other is not None and len(leg) == 3
+            if mine is not None and other is not None
         ]
         if not both:
             return None
@@ -75,6 +77,11 @@ class Feet:
             SurfacePoints(surface.corners[points], surface.barycentric[points]),
             skinned.part(np.concatenate([mine.ravel() for _, mine, _ in both])),
         )
+
+    @property
+    def can_be_planted(self) -> bool:
+        """Whether each leg has two bones and an ankle, as inverse kinematics needs."""
+        return all(len(leg) == 3 for leg in self.legs)
 
     def driving_soles(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "F C 3"]:
         """Return the driving's contact points in a frame."""
@@ -93,16 +100,20 @@ def find_soles(
     points: Float[np.ndarray, "N 3"], rig: Rig, legs: tuple[tuple[int, ...], ...], parents: tuple[int, ...]
 ) -> Soles:
     """Find the contact points of the foot of each leg; see `sole_points`."""
-    return tuple(sole_points(points, rig, leg[-1], parents) for leg in legs)
+    return tuple(sole_points(points, rig, leg[-1], parents, len(leg) == 3) if leg else None for leg in legs)
 
 
 def sole_points(
-    points: Float[np.ndarray, "N 3"], rig: Rig, ankle: int, parents: tuple[int, ...]
+    points: Float[np.ndarray, "N 3"], rig: Rig, ankle: int, parents: tuple[int, ...], whole: bool = True
 ) -> Int[np.ndarray, "C M"] | None:
     """Find the contact points of a foot: indices of the M points whose mean each of them is (some repeated).
 
     In each of CONTACTS parts of the foot's length, they are the lowest points in the frame of the ankle, with the toes
     straightened. None if the surface has no such foot.
+
+    Args:
+        ankle: the joint, or the last one of a leg that has no ankle.
+        whole: whether it is an ankle; else its surface is that of a leg, of which the lowest part is the foot.
     """
     below = descendants([ankle], parents)
     on_foot = np.flatnonzero(rig.weights[:, below].sum(axis=1) > 0.5)
@@ -116,6 +127,9 @@ def sole_points(
         rest[j] = rest[parents[j]] + rig.rotation[parents[j]].T @ (rig.joints[j] - rig.joints[parents[j]])
     straight = np.einsum("nkl,nk->nl", rig.rotation[joint], points[on_foot] - rig.joints[joint])
     straight += np.stack([rest[j] for j in below])[strongest]
+    if not whole:
+        low = straight[:, 1] <= straight[:, 1].min() + LOWEST_PART * np.ptp(straight[:, 1])
+        on_foot, straight = on_foot[low], straight[low]
     heel, toe = np.percentile(straight[:, 2], (1, 99))
     length = max(toe - heel, 1e-9)
     part = length / CONTACTS

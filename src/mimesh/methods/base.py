@@ -109,7 +109,7 @@ class KnownIdentity:
     """The rotations are those from the T-pose to rest of the person's joint that each joint is, or belongs to."""
     skinned: SkinnedMesh
     legs: tuple[tuple[int, ...], ...]
-    """Hip, knee and ankle of each leg that has all three."""
+    """Of each leg hip, knee and ankle, those of them that it has."""
     leg: float
     """Length of a leg."""
     person: Mapping[str, int]
@@ -144,7 +144,7 @@ class KnownDriving:
     weights: Float[np.ndarray, "U J"] | None
     """Skinning weights of the clip's vertices."""
     legs: tuple[tuple[int, ...], ...]
-    """Hip, knee and ankle of each leg that has all three."""
+    """Of each leg hip, knee and ankle, those of them that it has."""
     parents: tuple[int, ...]
 
     def soles(self, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"]) -> Soles:

@@ -59,6 +59,8 @@ OTHER_KIND_ERROR = 0.15
 of EXPECTED_ERROR. Their true error is not defined."""
 DOUBTFUL_ERROR = 0.04
 """Expected error (heights of the identity) from which on a note says that the mesh may be something else."""
+MOST_LACKING = 3
+"""Limbs without a surface from which on a note says so, too: a chair taken for an animal lacks a head and two legs."""
 IF_IT_IS = (
     "if it is a person or a four-legged animal, say which with --body, and how it stands with --up and --front (of the "
     "driving: --driving-up, --driving-front); other things need rigs in both files, or --body other"
@@ -244,7 +246,7 @@ class Confidence:
         large = self.fitted and self.expected_error > self.standards.max_error
         error = f" (about {self.expected_error:.0%} of the height)" if large else ""
         feet = ", and feet are not planted" if self.lacks_leg else ""
-        other = large and self.expected_error > DOUBTFUL_ERROR
+        other = (large and self.expected_error > DOUBTFUL_ERROR) or len(self._without_surface()) >= MOST_LACKING
         doubt = f". It may not be {self.standards.kind}: {IF_IT_IS}" if other else ""
         note = (
             f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}{doubt}"
@@ -254,9 +256,7 @@ class Confidence:
     def _reasons(self) -> list[str]:
         """List in words which figures are bad."""
         incomplete = self._incomplete()
-        uncovered = self.unmatched_surface > MAX_UNMATCHED_SURFACE
-        unmatched = [limb for limb, share in self.unmatched_body.items() if share > MAX_UNMATCHED_LIMB and uncovered]
-        reasons = []
+        unmatched, reasons = self._without_surface(), []
         if self.prediction_spread > MAX_SPREAD:
             reasons.append(f"predictions for it differ by {self.prediction_spread:.0f} degrees")
         if self.weight_entropy > self.standards.max_entropy:
@@ -268,6 +268,11 @@ class Confidence:
         if self.flexion > self.standards.folded:
             reasons.append(f"an elbow or a knee is folded by {self.flexion:.0f} degrees")
         return reasons
+
+    def _without_surface(self) -> list[str]:
+        """List the limbs of the fitted body that are far from the surface, if parts of the surface are far from it."""
+        uncovered = self.unmatched_surface > MAX_UNMATCHED_SURFACE
+        return [limb for limb, share in self.unmatched_body.items() if share > MAX_UNMATCHED_LIMB and uncovered]
 
     def _incomplete(self) -> list[str]:
         """List the limbs that were not found."""

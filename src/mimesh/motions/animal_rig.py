@@ -34,6 +34,11 @@ class AnimalRig(HumanoidRig):
     body_name: ClassVar[str] = "quadruped"
 
     @property
+    def person(self) -> tuple[str, ...]:
+        """Names of the joints that are known, parents before their children."""
+        return tuple(name for name in self.body.joint_names if name in self.joints)
+
+    @property
     def leg(self) -> float:
         """Mean length of the legs from the top to wrist or ankle, from all bones down to the ground."""
         body, facing = self.body, self.character.turned(self.turn)

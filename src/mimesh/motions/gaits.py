@@ -6,17 +6,13 @@ standing: positive ones turn what hangs down backwards, and what points forwards
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32
 
 from ..bodies import RiggedBody
-from ..bodies.animals import ANIMALS, animal, animal_body, standing
 from ..bodies.sampling import rotvec_to_rotmat
-from ..core.errors import InputError
-from ..core.mesh import Clip
 from .motion import Motion, rotmat_to_rotvec
 from .procedural import planted
 
@@ -25,8 +21,6 @@ LEGS = ("LeftHind", "LeftFront", "RightHind", "RightFront")
 
 
 SEEDS = {"train": 0, "val": 1, "test": 2}
-FINER = 8
-"""Steps to a frame in which the path of a clip is computed: feet of a gallop are on the ground for less than 0.1 s."""
 TAKES = 40
 """Motions of each gait and posture in a split."""
 
@@ -54,7 +48,9 @@ GAITS = {
     "gallop": Gait((0.0, 0.12, 0.48, 0.6), 0.3, (2.0, 3.0), (28, 42), 22.0),
     "bound": Gait((0.0, 0.45, 0.0, 0.45), 0.3, (1.6, 2.6), (26, 40), 26.0),
 }
-"""Phases after Hildebrand (1965, 1989); canter and gallop lead with the right foreleg."""
+"""Phases after Hildebrand (1965, 1989); the canter leads with the right foreleg. Those of the gallop are in the order
+left hind, right hind, left fore, right fore, which is not that of LEGS: its feet land in the order of an amble. They
+stay because networks were trained on these gaits, and test sets are made of them. Clips: `animal_clips.py`."""
 POSTURES: dict[str, dict[str, float]] = {
     "sit": {
         **{"Hips": -38, "Spine1": 2, "Spine4": 6, "Chest": 8, "Neck1": 10, "Head": 12, "Tail1": 25},
@@ -78,21 +74,6 @@ POSTURES: dict[str, dict[str, float]] = {
     },
 }
 """Angles of the joints from standing, by their names without a side."""
-ANIMAL_MOTIONS = {
-    "dog walk": ("dog", "walk", 2),
-    "camel pace": ("camel", "pace", 0),
-    "dog trot": ("dog", "trot", 0),
-    "horse canter": ("horse", "canter", 0),
-    "horse gallop": ("horse", "gallop", 4),
-    "cat bound": ("cat", "bound", 0),
-    "dog sits": ("dog", "sit", 0),
-    "lion lies": ("lion", "lie", 0),
-    "cow eats": ("cow", "eat", 0),
-    "cat stretches": ("cat", "stretch", 0),
-}
-"""Name of a motion for demos -> species of ANIMALS, key of GAITS or POSTURES, and number of the random motion."""
-DEMO_FRAMES = 36
-"""Frames of these motions."""
 
 
 def gait_motion(
@@ -101,42 +82,6 @@ def gait_motion(
     """Generate a gait of random pace, stride, lift, bearing of head and tail; the feet on the ground give the path."""
     rotmat = gait_rotations(body, name, seed, index, seconds, fps)
     return Motion(f"{name}-{seed}-{index}", body.joint_names, rotmat, planted(body, rotmat), float(fps))
-
-
-def gait_clip(name: str, gait: str, index: int = 0, *, seconds: float = 2.0, fps: float = 30.0) -> Clip:
-    """Make a clip of a shipped animal in a gait or posture of the split `test`: metres, y up, walking towards +z.
-
-    The feet of this animal give the path. No gait has a time without a foot on the ground.
-
-    Args:
-        name: a key of `bodies.animals.ANIMALS`.
-        gait: a key of GAITS or POSTURES.
-        index: chooses among random motions of that kind.
-
-    Raises:
-        InputError: no animal has this name.
-    """
-    body, size = animal_body(name), ANIMALS[name].size
-    rotations = gait_rotations if gait in GAITS else posture_rotations
-    rotmat = rotations(body, gait, SEEDS["test"], index, seconds, fps * FINER) @ standing(body, name)
-    root = planted(body, rotmat)[::FINER]
-    vertices = size * body.posed(np.zeros(0), rotmat[::FINER], root)
-    return Clip(dataclasses.replace(animal(name), name=f"{name}-{gait}"), vertices, float(fps))
-
-
-def animal_clip(name: str) -> Clip:
-    """Make the clip of one of ANIMAL_MOTIONS: gaits at 30 frames a second, postures at 15.
-
-    Raises:
-        InputError: no such motion.
-    """
-    if name not in ANIMAL_MOTIONS:
-        raise InputError(
-            f"{name}: expected a motion of an animal ({', '.join(ANIMAL_MOTIONS)}), found another name; use one of them"
-        )
-    species, motion, index = ANIMAL_MOTIONS[name]
-    fps = 30.0 if motion in GAITS else 15.0
-    return gait_clip(species, motion, index, seconds=DEMO_FRAMES / fps, fps=fps)
 
 
 def gait_rotations(

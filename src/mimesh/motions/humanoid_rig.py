@@ -61,9 +61,9 @@ class HumanoidRig:
 
     @property
     def legs(self) -> tuple[tuple[int, ...], ...]:
-        """Hip, knee and ankle of each leg that has all three; of forelegs shoulder, elbow and wrist."""
-        chains = (tuple(self.joints.get(name, -1) for name in leg) for leg in anatomy_of(self.body_name).legs)
-        return tuple(chain for chain in chains if -1 not in chain)
+        """Of each leg hip, knee and ankle, those of them that it has; of forelegs shoulder, elbow and wrist."""
+        chains = anatomy_of(self.body_name).legs
+        return tuple(tuple(self.joints[name] for name in leg if name in self.joints) for leg in chains)
 
     @property
     def leg(self) -> float:

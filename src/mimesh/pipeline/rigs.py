@@ -308,8 +308,8 @@ def known_driving(motion: PersonMotion, fps: float, norm: Normalization) -> Know
     positions = norm.apply(motion.positions.reshape(-1, 3)).reshape(motion.positions.shape)
     track = JointTrack(norm.rotation @ motion.rotation, positions, fps)
     index = {name: k for k, name in enumerate(motion.joints)}
-    chains = (tuple(index.get(name, -1) for name in leg) for leg in anatomy_of_joints(motion.joints).legs)
-    legs = tuple(chain for chain in chains if -1 not in chain)
+    chains = anatomy_of_joints(motion.joints).legs
+    legs = tuple(tuple(index[name] for name in leg if name in index) for leg in chains)
     return KnownDriving(
         motion.joints, track, motion.leg / norm.radius, motion.weights, legs, person_parents(motion.joints)
     )

@@ -159,7 +159,7 @@ class Routes:
         from ..bodies.animals import ANIMALS
         from ..bodies.characters import CHARACTERS
         from ..motions import load_motion
-        from ..motions.gaits import ANIMAL_MOTIONS
+        from ..motions.animal_clips import ANIMAL_MOTIONS
 
         body = await _json(request)
         what, name, motion = (str(body.get(key, default)) for key, default in DEMO.items())

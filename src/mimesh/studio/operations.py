@@ -20,7 +20,7 @@ from ..core.normalization import Normalization
 from ..io import load_clip, load_mesh
 from ..io.beside import confined
 from ..methods.find import find_method
-from ..motions.gaits import ANIMAL_MOTIONS, animal_clip
+from ..motions.animal_clips import ANIMAL_MOTIONS, animal_clip
 from ..pipeline import driving_axes
 from ..pipeline.corrections import Corrections
 from ..pipeline.move import PreparedMove, frame_of_move, play_move, prepare_move, refined_move

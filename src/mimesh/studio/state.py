@@ -10,8 +10,8 @@ from ..bodies.characters import CHARACTERS
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import AXES, UNSURE
 from ..methods.find import MODELS, REDUCED_MODELS
+from ..motions.animal_clips import ANIMAL_MOTIONS
 from ..motions.clips import SEGMENTS
-from ..motions.gaits import ANIMAL_MOTIONS
 from ..pipeline.result import ClipResult
 from ..pipeline.run import ROOTS
 from ..player.pack import Panel, pack_scene

@@ -16,7 +16,7 @@ from ..core.mesh import Clip, Mesh
 from ..io import save_clip, save_mesh
 from ..io.atomic import together
 from ..motions import DEMO, load_motion, motion_clip
-from ..motions.gaits import gait_clip
+from ..motions.animal_clips import gait_clip
 from ..pipeline import animate
 from ..render.sheet import DRIVING_TINT, page, stack, strip
 from .preview import save_picture, still

@@ -41,6 +41,7 @@ from .joint_network import JointNetwork, NetworkPoints
 from .joint_targets import JointTargets
 from .kept_results import kept
 from .part_tracking import PartTracker
+from .tail_weights import with_whole_tail
 from .weight_cleanup import clean_weights
 
 if TYPE_CHECKING:
@@ -329,6 +330,7 @@ class MimeMethod:
         if fit:
             nearest = fit.nearest(vertices)
             weights = fit.blended_weights(weights, nearest)
+        weights = with_whole_tail(weights, vertices, faces, self.joints, self.parents)
         weights = clean_weights(weights, vertices, faces, self.parents, nearest, self.trunk)
         return dataclasses.replace(rig, weights=weights), confidence
 

@@ -67,7 +67,7 @@ def clean_weights(
     # Far influences are removed first: they would spread from the border into the components that are inpainted.
     near = np.where(distance[strongest] < MAX_BONES, weights, 0.0)
     near /= near.sum(axis=1, keepdims=True)
-    whole = _inpainted(near, wrong, pairs) if wrong.any() else near
+    whole = inpainted(near, wrong, pairs) if wrong.any() else near
     return _rigid_pieces(whole, vertices, faces, pairs, nearest)
 
 
@@ -166,7 +166,7 @@ def _disconnected(
     return component_area[component] < largest_area[surface]
 
 
-def _inpainted(
+def inpainted(
     weights: Float[np.ndarray, "V J"], wrong: Bool[np.ndarray, " V"], pairs: Int[np.ndarray, "E 2"]
 ) -> Float[np.ndarray, "V J"]:
     """Replace wrong weights by the solution of Laplace's equation, the weights of all other vertices being fixed.
