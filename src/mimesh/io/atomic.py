@@ -310,7 +310,7 @@ def _list_renames(files: dict[Path, Path]) -> _Temporary | None:
     except OSError:  # the renames themselves will tell
         return None
     with contextlib.suppress(OSError):  # a list that is cut off is none
-        listed.path.write_text(json.dumps(rows), encoding="utf-8")
+        listed.path.write_text(json.dumps(rows), encoding="utf-8", newline="\n")
     return listed
 
 
