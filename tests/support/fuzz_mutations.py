@@ -291,8 +291,8 @@ def some_network(data: bytes, rng: Random, seeds: Sequence[bytes]) -> bytes:
     except Exception:  # what protobuf raises for a network that was damaged before
         return some_bytes(data, rng, seeds)
     for entry in network.metadata_props:
-        value = some_json(entry.value.encode("utf-8", "replace"), rng, [entry.value.encode("utf-8", "replace")])
-        entry.value = value.decode("utf-8", "replace")
+        value = entry.value if isinstance(entry.value, bytes) else entry.value.encode()  # bytes that are no UTF-8
+        entry.value = some_json(value, rng, [value]).decode("utf-8", "replace")
     return network.SerializeToString()
 
 

@@ -24,7 +24,7 @@ from fuzz_seeds import Seed
 from mimesh.core.errors import InputError
 from mimesh.core.joint_corrections import JointCorrections
 from mimesh.core.mesh import Clip, Mesh
-from mimesh.io import child_process, list_animations, load_clip, load_mesh, load_recorded_clip
+from mimesh.io import list_animations, load_clip, load_mesh, load_recorded_clip
 from mimesh.io.joint_file import load_corrections
 from mimesh.io.markers import load_markers
 from mimesh.pipeline.rigs import rig_facts
@@ -140,8 +140,7 @@ def in_this_process(
                 warnings.simplefilter("ignore")  # those of a child are not shown
                 getattr(import_module(module), attribute)(source.absolute(), target, **arguments)
         except InputError as error:
-            message = child_process._one_line(str(error)).replace(str(source.absolute()), str(name))
-            raise InputError(message) from None
+            raise InputError(str(error).replace(str(source.absolute()), str(name))) from None
         except Exception as error:  # as in the child: whatever a library raises
             raise GuardRefusalError(f"{name}: expected a sound file, found {type(error).__name__}") from error
         if not target.is_file() or not target.stat().st_size:
