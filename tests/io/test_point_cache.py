@@ -123,3 +123,15 @@ def test_cache_is_refused_as_a_mesh(suffix, tmp_path):
     save_clip(clip(), tmp_path / f"a{suffix}")
     with pytest.raises(InputError, match="expected one mesh, found a clip of 5 frames"):
         load_mesh(tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [".pc2", ".mdd"])
+def test_signalling_nan_is_refused_without_a_warning(suffix, tmp_path):
+    """The conversion of such a number to another precision is an invalid operation."""
+    path = tmp_path / f"a{suffix}"
+    save_clip(clip(2), path)
+    content = path.read_bytes()
+    path.write_bytes(content[:-4] + (b"\x01\x00\xa0\x7f" if suffix == ".pc2" else b"\x7f\xa0\x00\x01"))
+    for fps in (None, 20.0):
+        with pytest.raises(InputError, match="expected finite coordinates, found NaN or infinity"):
+            load_clip(path, fps=fps)

@@ -14,6 +14,7 @@ import json
 import pickletools
 import re
 import struct
+import warnings
 import zipfile
 from collections.abc import Callable, Sequence
 from random import Random
@@ -241,7 +242,8 @@ def some_zip(data: bytes, rng: Random, seeds: Sequence[bytes]) -> bytes:
 def packed_zip(members: list[tuple[str, bytes]], method: int = zipfile.ZIP_STORED) -> bytes:
     """Pack an archive whose contents begin at multiples of 64 bytes, as USD wants them."""
     file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", method) as archive:
+    with warnings.catch_warnings(), zipfile.ZipFile(file, "w", method) as archive:
+        warnings.simplefilter("ignore")  # two members of one name
         for name, content in members:
             info = zipfile.ZipInfo(name)
             info.compress_type = method

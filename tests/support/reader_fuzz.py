@@ -22,7 +22,6 @@ import json
 import os
 import re
 import resource
-import select
 import subprocess
 import sys
 import tempfile
@@ -41,6 +40,12 @@ from mimesh.io import load_clip
 
 CLOCK_SECONDS = 60.0
 """Time on the clock after which a worker that says nothing is ended: the machine may have other work."""
+POLL_SECONDS = 0.1
+LINES = "lines"
+VARIABLES = {"PXR_WORK_THREAD_LIMIT": "1", "OMP_NUM_THREADS": "1"}
+"""Variables that a worker gets."""
+PROGRAM = Path(__file__)
+"""What a worker runs."""
 RECYCLED = 2000
 """Cases of a native library after which its process is replaced, as some libraries keep what they have read."""
 
@@ -53,15 +58,17 @@ def working_folder() -> Iterator[Path]:
         yield Path(folder)
 
 
-def work(target: Target, first: int, stop: int, seed: int, guarded: bool, pipe: int) -> None:
-    """Run cases in a worker, and write a line of JSON about each to a pipe."""
+def work(target: Target, first: int, stop: int, seed: int, guarded: bool, folder: Path) -> None:
+    """Run cases in a worker, and write a line of JSON about each to the file LINES of a folder."""
     decoding = without_children() if target.native and not guarded else contextlib.nullcontext()
-    with working_folder() as folder, decoding, os.fdopen(pipe, "w", buffering=1) as lines:
+    (folder / "files").mkdir()
+    # A file, as a pipe would wake the parent for each line.
+    with decoding, (folder / LINES).open("wb", buffering=0) as lines:
         _limit_memory()
         start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        for number, outcome in run_cases(target, range(first, stop), seed, folder):
+        for number, outcome in run_cases(target, range(first, stop), seed, folder / "files"):
             grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - start
-            lines.write(json.dumps([number, *dataclasses.astuple(outcome), grown >> 10]) + "\n")
+            lines.write(json.dumps([number, *dataclasses.astuple(outcome), grown >> 10]).encode() + b"\n")
 
 
 def _limit_memory() -> None:
@@ -136,51 +143,55 @@ def fuzz(target: Target, cases: int, seed: int, seconds: float, guarded: bool, f
 
 def _run_worker(target: Target, first: int, stop: int, tally: Tally, until: float, guarded: bool) -> int:
     """Run one worker, and count what it says; returns the number of the next case."""
-    read_end, write_end = os.pipe()
-    words = [target.name, "--work", str(first), str(stop), str(write_end), "--seed", str(tally.seed)]
-    process = subprocess.Popen(
-        [sys.executable, __file__, *words, *(["--guarded"] if guarded else [])],
-        pass_fds=[write_end],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, "PXR_WORK_THREAD_LIMIT": "1", "OMP_NUM_THREADS": "1"},
-    )
-    os.close(write_end)
     number, reason = first, ""
-    try:
-        for line in _lines(read_end, until):
-            done, kind, text, took, grown = json.loads(line)
-            tally.add(done, Outcome(kind, text, took), grown)
-            number = done + 1
-        if number < stop and time.monotonic() < until:
-            reason = "its end" if process.poll() is not None or _ends(process) else f"{CLOCK_SECONDS:.0f} s"
-    finally:
-        process.kill()
-        process.wait()
-        os.close(read_end)
+    with working_folder() as folder:
+        words = [target.name, "--work", str(first), str(stop), str(folder), "--seed", str(tally.seed)]
+        process = subprocess.Popen(
+            [sys.executable, str(PROGRAM), *words, *(["--guarded"] if guarded else [])],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, **VARIABLES, "PYTHONPATH": os.pathsep.join(sys.path)},
+        )
+        try:
+            for line in _lines(folder / LINES, process, until):
+                done, kind, text, took, grown = json.loads(line)
+                tally.add(done, Outcome(kind, text, took), grown)
+                number = done + 1
+            if number < stop and time.monotonic() < until:
+                reason = f"{CLOCK_SECONDS:.0f} s" if process.poll() is None else f"its end ({process.returncode})"
+        finally:
+            process.kill()
+            process.wait()
     if reason:
-        _count_death(target, number, tally, f"{reason} ({process.returncode})", guarded)
+        _count_death(target, number, tally, reason, guarded)
         number += 1
     return number
 
 
-def _ends(process: subprocess.Popen[bytes]) -> bool:
-    """Whether a process whose pipe is closed ends on its own."""
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(2)
-    return process.poll() is not None
-
-
-def _lines(pipe: int, until: float) -> Iterator[bytes]:
-    """Yield the lines of a pipe until it is closed, silent for CLOCK_SECONDS, or the time is over."""
-    rest = b""
-    while time.monotonic() < until and select.select([pipe], [], [], CLOCK_SECONDS)[0]:
-        content = os.read(pipe, 1 << 16)
-        if not content:
-            return
+def _lines(path: Path, process: subprocess.Popen[bytes], until: float) -> Iterator[bytes]:
+    """Yield the lines that a process writes, until it ends, says nothing for CLOCK_SECONDS, or the time is over."""
+    rest, place, heard = b"", 0, time.monotonic()
+    while True:
+        ended = process.poll() is not None
+        content = _read_from(path, place)
         *lines, rest = (rest + content).split(b"\n")
         yield from lines
+        place, heard = place + len(content), time.monotonic() if content else heard
+        now = time.monotonic()
+        if not content and (ended or now > until or now > heard + CLOCK_SECONDS):
+            return
+        if now > until:
+            process.kill()
+        time.sleep(0 if ended else POLL_SECONDS)
+
+
+def _read_from(path: Path, place: int) -> bytes:
+    if not path.exists():
+        return b""
+    with path.open("rb") as file:
+        file.seek(place)
+        return file.read()
 
 
 def _count_death(target: Target, number: int, tally: Tally, reason: str, guarded: bool) -> None:
@@ -274,7 +285,7 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="folder for the files of that case")
     parser.add_argument("--files", type=Path, nargs="+", help="read these files instead")
     parser.add_argument("--atheris", action="store_true")
-    parser.add_argument("--work", type=int, nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--work", nargs=3, help=argparse.SUPPRESS)
     args, options = parser.parse_known_args()
     if unknown := [name for name in args.readers if name not in TARGETS] or (options if not args.atheris else []):
         parser.error(f"unknown: {', '.join(unknown)}")
@@ -282,7 +293,8 @@ def main() -> None:
     if args.files:
         read_files(args.files)
     elif args.work:
-        work(targets[0], *args.work[:2], args.seed, args.guarded, args.work[2])
+        first, stop, folder = args.work
+        work(targets[0], int(first), int(stop), args.seed, args.guarded, Path(folder))
     elif args.atheris:
         guided(targets[0], options)
     elif args.only is not None:
