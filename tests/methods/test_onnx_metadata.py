@@ -97,10 +97,11 @@ def test_joints_are_those_of_the_network(network, tmp_path):
     assert find_method(str(tmp_path / "good.onnx")).name
 
 
-def test_name_that_is_no_text_is_refused(network, tmp_path):
+def test_name_that_is_no_text_is_refused(network, tmp_path, capsys):
     """The library's message quotes the name, and Python's exception is then that of the text."""
-    content = network.read_bytes()
+    content = network.SerializeToString()
     assert content.count(b"distance") > 1
     (tmp_path / "a.onnx").write_bytes(content.replace(b"distance", b"dist\x88nce", 1))
     with pytest.raises(InputError, match="expected a network in ONNX format"):
         find_method(str(tmp_path / "a.onnx"))
+    assert capsys.readouterr() == ("", "")

@@ -155,7 +155,7 @@ def changed_json(root: Any, rng: Random) -> Any:
     elif isinstance(value, str):
         holder[key] = rng.choice((*TEXTS, value + value, value[:-1]))
     elif isinstance(value, float | int):
-        small = (value + 1, value - 1, -value, value * 2, value / 3)
+        small = (value + 1, value - 1, -value, value * 2, value * 0.3 if abs(value) < 1e300 else 7)
         holder[key] = rng.choice((*WHOLE, *small, *small, 0.5, 1e30, 1e300, -1e300, 10**400, float("nan")))
     elif isinstance(value, list):
         rng.shuffle(value)

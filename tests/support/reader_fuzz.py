@@ -244,11 +244,14 @@ def save_report(path: Path, tallies: list[Tally], guarded: bool) -> None:
 
 def guided(target: Target, options: list[str]) -> None:
     """Run atheris, which keeps mutations that reach new code; a failure ends it, with the content in a file."""
+    import gc
+    from random import Random
+    from types import FunctionType
+
     import atheris
 
     sound, folder = target.seeds(), Path(tempfile.mkdtemp(prefix="fuzz-"))
     contents, count = [seed.content for seed in sound], 0
-    from random import Random
 
     def read(data: bytes) -> None:
         nonlocal count
@@ -266,7 +269,9 @@ def guided(target: Target, options: list[str]) -> None:
     for number, content in enumerate(contents):
         (corpus / str(number)).write_bytes(content)
     with without_children() if target.native else contextlib.nullcontext():
-        atheris.instrument_all()
+        for function in gc.get_objects():
+            if isinstance(function, FunctionType) and function.__module__.startswith("mimesh."):
+                atheris.instrument_func(function)
         atheris.Setup([sys.argv[0], str(corpus), "-max_len=65536", *options], read, custom_mutator=mutate)
         atheris.Fuzz()
 

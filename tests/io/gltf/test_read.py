@@ -11,6 +11,7 @@ from gltf_reference import ReferenceReader
 
 from mimesh.io.gltf import read_gltf, write_gltf
 from mimesh.io.gltf.edit import GltfSource
+from mimesh.pipeline.rigs import rig_facts
 
 
 @pytest.fixture(params=["hero", "props"])
@@ -266,3 +267,21 @@ def test_memory_mapped_files_give_the_same_mesh(suffix, tmp_path, monkeypatch):
     write_gltf(paged, tmp_path / f"c{suffix}")
     write_gltf(whole, tmp_path / f"d{suffix}")
     assert (tmp_path / f"c{suffix}").read_bytes() == (tmp_path / f"d{suffix}").read_bytes()
+
+
+def test_last_row_of_matrices_is_that_of_the_standard(tmp_path):
+    """Other rows come from damage; with zeros there the matrix would have no inverse."""
+    sound, damaged = samples.hero(), samples.hero()
+    accessor = damaged.gltf["accessors"][damaged.gltf["skins"][0]["inverseBindMatrices"]]
+    start = damaged.gltf["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    matrices = np.frombuffer(damaged.data, "<f4", 32, start).reshape(2, 16).copy()
+    matrices[:, [3, 7, 11, 15]] = [[0, 0, 0, 0], [0.5, 0, 0, 1]]
+    damaged.data[start : start + matrices.nbytes] = matrices.tobytes()
+    meshes = [read_gltf(sample.glb(tmp_path / f"{k}.glb")) for k, sample in enumerate((sound, damaged))]
+    np.testing.assert_array_equal(*(mesh.vertices for mesh in meshes))
+    assert rig_facts(meshes[1]) == rig_facts(meshes[0])
+
+    nodes, mirrored = samples.props(), samples.props()
+    mirrored.gltf["nodes"][2]["matrix"][3::4] = [0, 0.25, 0, 0]
+    found = [read_gltf(sample.glb(tmp_path / f"n{k}.glb")).vertices for k, sample in enumerate((nodes, mirrored))]
+    np.testing.assert_array_equal(*found)
