@@ -270,7 +270,7 @@ def guided(target: Target, options: list[str]) -> None:
         (corpus / str(number)).write_bytes(content)
     with without_children() if target.native else contextlib.nullcontext():
         for function in gc.get_objects():
-            if isinstance(function, FunctionType) and function.__module__.startswith("mimesh."):
+            if isinstance(function, FunctionType) and (function.__module__ or "").startswith("mimesh."):
                 atheris.instrument_func(function)
         atheris.Setup([sys.argv[0], str(corpus), "-max_len=65536", *options], read, custom_mutator=mutate)
         atheris.Fuzz()

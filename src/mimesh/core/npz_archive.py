@@ -22,6 +22,8 @@ from .errors import InputError
 
 POINTS = ("vertices", "v", "verts", "points")
 """Array names that stand for the points of a mesh or clip, in order of preference."""
+LARGEST_HEADER = 1 << 16
+"""Bytes of the header of an array; NumPy itself parses up to 10,000."""
 # What NumPy and zipfile raise for a damaged, encrypted or pickled archive. The headers of arrays are Python literals.
 DAMAGE = (
     ValueError, TypeError, LookupError, OverflowError, OSError, EOFError, RuntimeError, MemoryError, SyntaxError,
@@ -106,11 +108,17 @@ def read_array_header(file: IO[bytes] | io.BufferedIOBase, objects: bool = False
         ValueError: a damaged header, or an array of pickled objects; other errors of DAMAGE for text that is no header.
     """
     version = np.lib.format.read_magic(file)
+    start = file.tell()
+    length = int.from_bytes(file.read(2 if version == (1, 0) else 4), "little")
+    if length > LARGEST_HEADER:  # before NumPy asks for so many bytes
+        raise ValueError(f"a header of {length} bytes")
+    file.seek(start)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, fortran, dtype = read(file)
     if dtype.hasobject and not objects:
         raise ValueError("objects, which are never unpickled")
-    if min(shape, default=0) < 0 or not dtype.itemsize:
+    whole = all(type(number) is int for number in shape)  # the header may say True
+    if not whole or min(shape, default=0) < 0 or not dtype.itemsize:
         raise ValueError(f"an array of {dtype} {shape}")
     return ArrayHeader(shape, fortran, dtype, file.tell())
 
