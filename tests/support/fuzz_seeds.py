@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import struct
 import tempfile
+import zipfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -17,6 +18,7 @@ import nasty
 import numpy as np
 import smpl_files
 import zoo
+from fuzz_mutations import packed_zip
 from gltf_samples import Sample
 from motion_files import Z_UP, write_amass, write_bvh
 
@@ -55,10 +57,19 @@ def seeds_of(write: Callable[[Path], None], suffix: str) -> list[Seed]:
     """Run a function that writes files into a folder; those of the suffix are seeds, others of their name go along."""
     with tempfile.TemporaryDirectory() as folder:
         write(Path(folder))
-        files = {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir()) if path.is_file()}
+        files = {path.name: _content(path) for path in sorted(Path(folder).iterdir()) if path.is_file()}
     mains = [name for name in files if name.endswith(suffix)]
     beside = {main: {name for name in files if name.split(".")[0] == main.split(".")[0]} for main in mains}
     return [Seed(main, {name: files[name] for name in (main, *sorted(beside[main] - {main}))}) for main in mains]
+
+
+def _content(path: Path) -> bytes:
+    """Read a file; archives are packed again, as they hold the time at which they were made."""
+    if path.suffix not in (".npz", ".usdz"):
+        return path.read_bytes()
+    with zipfile.ZipFile(path) as archive:
+        members = [(name, archive.read(name)) for name in archive.namelist()]
+        return packed_zip(members, archive.infolist()[0].compress_type)
 
 
 @cache
