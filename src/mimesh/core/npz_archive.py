@@ -8,6 +8,7 @@ import lzma
 import math
 import struct
 import tokenize
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -95,7 +96,8 @@ def read_array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
         header = read_array_header(member)
         check_array_size(header, archive.getinfo(f"{name}.npy").file_size)
         member.seek(0)
-        return np.lib.format.read_array(member, allow_pickle=False)
+        with _without_advice():
+            return np.lib.format.read_array(member, allow_pickle=False)
 
 
 def read_array_header(file: IO[bytes] | io.BufferedIOBase, objects: bool = False) -> ArrayHeader:
@@ -114,13 +116,22 @@ def read_array_header(file: IO[bytes] | io.BufferedIOBase, objects: bool = False
         raise ValueError(f"a header of {length} bytes")
     file.seek(start)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, fortran, dtype = read(file)
+    with _without_advice():
+        shape, fortran, dtype = read(file)
     if dtype.hasobject and not objects:
         raise ValueError("objects, which are never unpickled")
     whole = all(type(number) is int for number in shape)  # the header may say True
     if not whole or min(shape, default=0) < 0 or not dtype.itemsize:
         raise ValueError(f"an array of {dtype} {shape}")
     return ArrayHeader(shape, fortran, dtype, file.tell())
+
+
+@contextlib.contextmanager
+def _without_advice() -> Iterator[None]:
+    """Have NumPy not advise the user to save again what Python 2 wrote, whose headers have numbers such as 3L."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Reading `.npy` or `.npz` file required additional header parsing")
+        yield
 
 
 def check_array_size(header: ArrayHeader, size: int) -> None:
