@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gltf_reference import ReferenceReader
 
+from mimesh.io import load_clip
 from mimesh.io.gltf import read_gltf, write_gltf
 from mimesh.io.gltf.edit import GltfSource
 from mimesh.pipeline.rigs import rig_facts
@@ -285,3 +286,14 @@ def test_last_row_of_matrices_is_that_of_the_standard(tmp_path):
     mirrored.gltf["nodes"][2]["matrix"][3::4] = [0, 0.25, 0, 0]
     found = [read_gltf(sample.glb(tmp_path / f"n{k}.glb")).vertices for k, sample in enumerate((nodes, mirrored))]
     np.testing.assert_array_equal(*found)
+
+
+def test_animation_whose_keys_are_before_zero_has_one_frame(tmp_path):
+    """Keys begin at zero by the standard; here the last one stays."""
+    sample, still = samples.hero(), samples.hero()
+    sampler = sample.gltf["animations"][0]["samplers"][0]
+    sampler["input"] = sample.accessor([-2.0, -1.0])
+    still.gltf["nodes"][1]["rotation"] = [0, 0, 0.6, 0.8]
+    clip = load_clip(sample.glb(tmp_path / "a.glb"))
+    assert len(clip) == 1
+    np.testing.assert_allclose(clip.vertices[0], read_gltf(still.glb(tmp_path / "b.glb")).vertices, atol=1e-6)
