@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gltf_reference import ReferenceReader
 
+from mimesh.core.errors import InputError
 from mimesh.io import load_clip
 from mimesh.io.gltf import read_gltf, write_gltf
 from mimesh.io.gltf.edit import GltfSource
@@ -297,3 +298,17 @@ def test_animation_whose_keys_are_before_zero_has_one_frame(tmp_path):
     clip = load_clip(sample.glb(tmp_path / "a.glb"))
     assert len(clip) == 1
     np.testing.assert_allclose(clip.vertices[0], read_gltf(still.glb(tmp_path / "b.glb")).vertices, atol=1e-6)
+
+
+@pytest.mark.parametrize(("node", "times"), [(1.0, [0, 1]), (True, [0, 1]), (1, [np.nan]), (1, [0, np.inf])])
+def test_nodes_and_times_of_channels_are_checked(node, times, tmp_path):
+    sample = samples.hero()
+    animation = sample.gltf["animations"][0]
+    animation["channels"][0]["target"]["node"] = node
+    output = sample.accessor([[0, 0, 0, 1.0]] * len(times))
+    animation["samplers"][0] = {"input": sample.accessor(np.zeros(len(times))), "output": output}
+    accessor = sample.gltf["accessors"][animation["samplers"][0]["input"]]
+    start = sample.gltf["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    sample.data[start : start + 4 * len(times)] = np.array(times, "<f4").tobytes()
+    with pytest.raises(InputError, match="expected rising times with a value each"):
+        load_clip(sample.glb(tmp_path / "a.glb"))
