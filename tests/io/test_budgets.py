@@ -185,6 +185,7 @@ REFUSED = {
         lambda: archive(vertices=b"\x93NUMPY\x03\x00" + struct.pack("<I", 2**32 - 1) + bytes(60)),
         "a header of 4294967295 bytes",
     ),
+    "escape.npy": (lambda: array("(3, '\\8')", data=bytes(12)), "plain NumPy array"),
     "boolean.npy": (lambda: array("(True, 3)", data=bytes(12)), "plain NumPy array"),
     "version.npy": (lambda: b"\x93NUMPY\x09\x00" + bytes(60), "plain NumPy array"),
     "open.npz": (lambda: archive(vertices=array("(3, (", data=bytes(36))), "NumPy archive of plain arrays"),

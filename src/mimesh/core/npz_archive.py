@@ -96,7 +96,7 @@ def read_array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
         header = read_array_header(member)
         check_array_size(header, archive.getinfo(f"{name}.npy").file_size)
         member.seek(0)
-        with _without_advice():
+        with _without_warnings():
             return np.lib.format.read_array(member, allow_pickle=False)
 
 
@@ -116,7 +116,7 @@ def read_array_header(file: IO[bytes] | io.BufferedIOBase, objects: bool = False
         raise ValueError(f"a header of {length} bytes")
     file.seek(start)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    with _without_advice():
+    with _without_warnings():
         shape, fortran, dtype = read(file)
     if dtype.hasobject and not objects:
         raise ValueError("objects, which are never unpickled")
@@ -127,10 +127,10 @@ def read_array_header(file: IO[bytes] | io.BufferedIOBase, objects: bool = False
 
 
 @contextlib.contextmanager
-def _without_advice() -> Iterator[None]:
-    """Have NumPy not advise the user to save again what Python 2 wrote, whose headers have numbers such as 3L."""
+def _without_warnings() -> Iterator[None]:
+    """Have nobody warn of a header: NumPy of numbers such as 3L, as Python 2 wrote them, Python of escapes in it."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Reading `.npy` or `.npz` file required additional header parsing")
+        warnings.simplefilter("ignore")
         yield
 
 
