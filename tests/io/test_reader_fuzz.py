@@ -18,9 +18,9 @@ from fuzz_targets import TARGETS, case_of
 
 from mimesh.core.errors import InputError
 
-CASES = {"bvh": 30, "amass": 30, "vrma": 30, "glb": 60, "gltf": 60, "vrm": 60, "onnx": 60}
+CASES = {"bvh": 80, "amass": 80, "vrma": 60, "glb": 200, "gltf": 200, "vrm": 150, "onnx": 200}
 """Cases of the slower readers; the limit is a number of cases, so that every machine reads the same."""
-OTHERS, NATIVE = 100, 60
+OTHERS, NATIVE = 300, 250
 PLAIN = [name for name, target in TARGETS.items() if not target.native]
 LIBRARIES = [name for name, target in TARGETS.items() if target.native]
 
