@@ -133,6 +133,7 @@ def test_truncated_files_are_refused(suffix, fraction, tmp_path):
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1 3//2\n", "found 2 in line 5"),
         ("# nothing\n", "found no vertices"),
         ("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "all 3 vertices at one point"),
+        ("v inf 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1 3\n", "found NaN or infinity in 1 of 3"),
         ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "found only zero-area ones"),
     ],
 )
@@ -204,6 +205,8 @@ def test_damaged_files_are_read_or_refused_with_an_input_error(suffix, seed, tmp
         (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n-3 0 1 2\n", "found the file cut short"),
         (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\nnan 0 1 2\n", "found the file cut short"),
         (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n3 0 1 3\n", "expected face indices in 0..2, found 3"),
+        (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n3 0 1 nan\n", "expected face indices in 0..2, found -"),
+        (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n3 0 1 1e300\n", "expected face indices in 0..2, found -"),
         (
             ASCII_PLY.replace("vertex_indices", "corners").format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n3 0 1 2",
             "found corners",

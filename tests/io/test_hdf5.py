@@ -131,6 +131,13 @@ def test_a_file_cut_short_is_refused(tmp_path):
         assert "\n" not in str(error.value)
 
 
+def test_a_dataset_whose_name_is_no_text_is_no_clip(tmp_path):
+    path = write_with(tmp_path / "a.hdf5", a=POINTS, other=POINTS, faces=FACES)
+    path.write_bytes(path.read_bytes().replace(b"other", b"oth\xffr"))
+    assert list_animations(path) == ("a",)
+    assert len(load_clip(path)) == 2
+
+
 def test_a_dataset_that_claims_more_than_it_stores_is_refused(tmp_path):
     with h5py.File(tmp_path / "a.hdf5", "w") as file:
         file.create_dataset("a", shape=(6890, 3, 10**9), dtype="f4", chunks=(6890, 3, 1))

@@ -50,6 +50,7 @@ def test_the_side_file_is_named_after_the_mesh_or_the_folder(tmp_path):
         ('{"joints": {}, "version": 2}', "version 2; update mimesh"),
         ('{"joints": {"Head": [1, 2]}}', "three finite numbers for Head"),
         ('{"joints": {"Head": [1, 2, NaN]}}', "three finite numbers for Head"),
+        ('{"joints": {"Head": [1, 2, 1' + "0" * 400 + "]}}", "three finite numbers for Head"),
         ('{"joints": {}, "frame": -1}', "whole number for frame, found '-1'"),
         ('{"joints": {}, "frame": true}', "whole number for frame"),
         ('{"joints": {}, "vertices": 1.5}', "whole number for vertices"),

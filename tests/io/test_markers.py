@@ -19,6 +19,8 @@ def test_pairs_are_read_and_comments_skipped(tmp_path):
         ("1 2\n3\n", "line 2: .* found '3'"),
         ("1 2 3\n", "line 1"),
         ("-1 2\n", "line 1: .* found '-1 2'"),
+        ("0 99999999999999999999\n", "line 1: .* found '0 99999999999999999999'"),
+        ("1" * 5000 + " 0\n", "line 1"),
         ("a b\n", "line 1"),
         ("# nothing\n", "found no line"),
         ("", "found no line"),

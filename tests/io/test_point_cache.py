@@ -1,6 +1,7 @@
 """PC2, MDD and NPY: points round trip exactly with the mesh beside them; damaged or unrelated files are refused."""
 
 import struct
+import zipfile
 
 import numpy as np
 import pytest
@@ -123,3 +124,29 @@ def test_cache_is_refused_as_a_mesh(suffix, tmp_path):
     save_clip(clip(), tmp_path / f"a{suffix}")
     with pytest.raises(InputError, match="expected one mesh, found a clip of 5 frames"):
         load_mesh(tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [".pc2", ".mdd"])
+def test_signalling_nan_is_refused_without_a_warning(suffix, tmp_path):
+    """The conversion of such a number to another precision is an invalid operation."""
+    path = tmp_path / f"a{suffix}"
+    save_clip(clip(2), path)
+    content = path.read_bytes()
+    path.write_bytes(content[:-4] + (b"\x01\x00\xa0\x7f" if suffix == ".pc2" else b"\x7f\xa0\x00\x01"))
+    for fps in (None, 20.0):
+        with pytest.raises(InputError, match="expected finite coordinates, found NaN or infinity"):
+            load_clip(path, fps=fps)
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+def test_arrays_of_python_2_are_read_without_a_warning(suffix, tmp_path):
+    """Their headers have whole numbers such as 3L, of which NumPy warns."""
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (1L, 4L, 3L), }\n"
+    data = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + np.eye(4, 3, dtype="<f4").tobytes()
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".npy":
+        path.write_bytes(data)
+    else:
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("vertices.npy", data)
+    np.testing.assert_array_equal(load_clip(path).vertices, np.eye(4, 3)[None])

@@ -95,3 +95,13 @@ def test_joints_are_those_of_the_network(network, tmp_path):
         network.metadata_props[0].value = text
     onnx.save(network, str(tmp_path / "good.onnx"))
     assert find_method(str(tmp_path / "good.onnx")).name
+
+
+def test_name_that_is_no_text_is_refused(network, tmp_path, capsys):
+    """The library's message quotes the name, and Python's exception is then that of the text."""
+    content = network.SerializeToString()
+    assert content.count(b"distance") > 1
+    (tmp_path / "a.onnx").write_bytes(content.replace(b"distance", b"dist\x88nce", 1))
+    with pytest.raises(InputError, match="expected a network in ONNX format"):
+        find_method(str(tmp_path / "a.onnx"))
+    assert capsys.readouterr() == ("", "")

@@ -104,7 +104,8 @@ def test_archives_with_poses_and_without_points_are_motions():
         ({"poses": np.zeros((0, 66))}, r"found float64 \(0, 66\)"),
         ({"poses": np.array([{}, {}])}, "expected a NumPy archive of plain arrays"),
         ({"poses": None, "pose_body": np.zeros((2, 63))}, "save 'root_orient' as well"),
-        ({"mocap_framerate": 0.0}, "expected a positive frame rate, found array"),
+        ({"mocap_framerate": 0.0}, "expected a positive frame rate, found 0.0;"),
+        ({"mocap_framerate": np.zeros((4, 3))}, r"expected a positive frame rate, found float64 \(4, 3\);"),
     ],
 )
 def test_errors_of_damaged_archives_are_one_line(changes, message, tmp_path):
@@ -113,3 +114,21 @@ def test_errors_of_damaged_archives_are_one_line(changes, message, tmp_path):
     with pytest.raises(InputError, match=message) as error:
         load_amass(tmp_path / "a.npz")
     assert "\n" not in str(error.value)
+
+
+def test_numbers_that_no_motion_has_are_refused(tmp_path):
+    """They would overflow in the forward kinematics, and a matrix of NaN has no rotation."""
+    poses = np.zeros((2, 66))
+    np.savez(tmp_path / "a.npz", poses=poses, trans=np.full((2, 3), 1e300))
+    np.savez(tmp_path / "b.npz", poses=poses + 1e200, trans=np.zeros((2, 3)))
+    for name in ("a.npz", "b.npz"):
+        with pytest.raises(InputError, match=r"expected positions and rotations of joints that are finite") as error:
+            load_clip(tmp_path / name, fps=20.0)
+        assert str(tmp_path / name) in str(error.value)
+
+
+def test_refusal_of_too_many_frames_names_the_file(tmp_path):
+    np.savez(tmp_path / "a.npz", poses=np.zeros((2, 66)), trans=np.zeros((2, 3)), mocap_framerate=1e-30)
+    with pytest.raises(InputError, match="at most 1,000,000 frames, found far more") as error:
+        load_clip(tmp_path / "a.npz", fps=20.0)
+    assert str(error.value).startswith(str(tmp_path / "a.npz"))

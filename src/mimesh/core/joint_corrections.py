@@ -70,7 +70,7 @@ def _position(name: str, value: Any, source: str) -> Float[np.ndarray, " 3"]:
     """Convert to a position of three finite numbers."""
     try:
         position = np.asarray(value, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         position = np.zeros(0)
     if position.shape != (3,) or not np.isfinite(position).all():
         raise InputError(f"{source}: expected three finite numbers for {name}, found {str(value)[:60]}; correct them")

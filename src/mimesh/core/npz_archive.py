@@ -8,6 +8,7 @@ import lzma
 import math
 import struct
 import tokenize
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -22,6 +23,8 @@ from .errors import InputError
 
 POINTS = ("vertices", "v", "verts", "points")
 """Array names that stand for the points of a mesh or clip, in order of preference."""
+LARGEST_HEADER = 1 << 16
+"""Bytes of the header of an array; NumPy itself parses up to 10,000."""
 # What NumPy and zipfile raise for a damaged, encrypted or pickled archive. The headers of arrays are Python literals.
 DAMAGE = (
     ValueError, TypeError, LookupError, OverflowError, OSError, EOFError, RuntimeError, MemoryError, SyntaxError,
@@ -93,7 +96,8 @@ def read_array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
         header = read_array_header(member)
         check_array_size(header, archive.getinfo(f"{name}.npy").file_size)
         member.seek(0)
-        return np.lib.format.read_array(member, allow_pickle=False)
+        with _without_warnings():
+            return np.lib.format.read_array(member, allow_pickle=False)
 
 
 def read_array_header(file: IO[bytes] | io.BufferedIOBase, objects: bool = False) -> ArrayHeader:
@@ -106,13 +110,28 @@ def read_array_header(file: IO[bytes] | io.BufferedIOBase, objects: bool = False
         ValueError: a damaged header, or an array of pickled objects; other errors of DAMAGE for text that is no header.
     """
     version = np.lib.format.read_magic(file)
+    start = file.tell()
+    length = int.from_bytes(file.read(2 if version == (1, 0) else 4), "little")
+    if length > LARGEST_HEADER:  # before NumPy asks for so many bytes
+        raise ValueError(f"a header of {length} bytes")
+    file.seek(start)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, fortran, dtype = read(file)
+    with _without_warnings():
+        shape, fortran, dtype = read(file)
     if dtype.hasobject and not objects:
         raise ValueError("objects, which are never unpickled")
-    if min(shape, default=0) < 0 or not dtype.itemsize:
+    whole = all(type(number) is int for number in shape)  # the header may say True
+    if not whole or min(shape, default=0) < 0 or not dtype.itemsize:
         raise ValueError(f"an array of {dtype} {shape}")
     return ArrayHeader(shape, fortran, dtype, file.tell())
+
+
+@contextlib.contextmanager
+def _without_warnings() -> Iterator[None]:
+    """Have nobody warn of a header: NumPy of numbers such as 3L, as Python 2 wrote them, Python of escapes in it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 def check_array_size(header: ArrayHeader, size: int) -> None:

@@ -490,11 +490,15 @@ def _copy_companions(mesh: Mesh, folder: Path) -> None:
 
 @contextlib.contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Turn a failed read into an InputError of one line that names the cause; an empty file is refused at once."""
+    """Turn a failed read into an InputError of one line that names the cause; an empty file is refused at once.
+
+    NumPy does not warn of the numbers of a damaged file, which may be NaN or huge: what is read is checked in the end.
+    """
     try:
         if path.is_file() and path.stat().st_size == 0:
             raise InputError(f"{path}: expected a mesh, found an empty file of 0 bytes; export it again")
-        yield
+        with np.errstate(all="ignore"):
+            yield
     except UnicodeEncodeError as error:
         raise InputError(
             f"{path}: expected a path of text for {path.suffix}, found bytes that are none; choose another name"

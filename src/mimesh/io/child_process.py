@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.budgets import lift_limits, limits_are_lifted
-from ..core.errors import InputError
+from ..core.errors import LONGEST_MESSAGE, InputError, one_line
 from ..core.frame_buffer import Progress
 from ..core.system import end_with_parent, limit_process, limit_processor_time
 from .atomic import scratch_folder, temporary_folder
@@ -52,8 +52,6 @@ BOOT += f"from {__name__} import run_call; run_call(call)"
 FULL_DISK = "a full disk"
 REFUSED, NO_MEMORY, FAILED = 3, 4, 5
 """Exit codes of the child: InputError, MemoryError, any other exception."""
-LONGEST_MESSAGE = 1000
-"""Characters of an error of the child that are shown: names in a damaged file may have any length."""
 LAST_BYTES = 4 * LONGEST_MESSAGE + 100
 """Bytes at the end of the file of errors that are read; a character has up to four."""
 POLL_SECONDS = 0.05
@@ -165,13 +163,13 @@ def run_call(call: dict[str, Any]) -> None:
         code = 0
     except InputError as error:
         code = REFUSED
-        print(_one_line(str(error)), file=sys.stderr)
+        print(str(error), file=sys.stderr)
     except MemoryError:
         code = NO_MEMORY
     except Exception as error:
         # Whatever a library raises on a damaged file: the parent makes one line of it.
         code = FAILED
-        print(_one_line(_cause(error)), file=sys.stderr)
+        print(one_line(_cause(error)), file=sys.stderr)
     sys.stderr.flush()
     # Destructors of native objects may crash after a result was written; nothing of this process is needed any more.
     os._exit(code)
@@ -182,14 +180,6 @@ def _cause(error: Exception) -> str:
     if isinstance(error, UnicodeError):
         return "text that is no UTF-8"
     return FULL_DISK if isinstance(error, OSError) and error.errno == errno.ENOSPC else f"'{repr(error)[:200]}'"
-
-
-def _one_line(message: str) -> str:
-    """Join the lines of a message, and leave out the middle of a long one: its end says what to do."""
-    line = " ".join(message.splitlines())
-    return (
-        line if len(line) <= LONGEST_MESSAGE else f"{line[: LONGEST_MESSAGE // 2]} ... {line[-LONGEST_MESSAGE // 3 :]}"
-    )
 
 
 def _reporter(counts: Path, limits: Limits) -> Progress:

@@ -131,11 +131,13 @@ def _frames_at_once(data: Any) -> int:
     return max(BLOCK, min(data.chunks[2], LARGEST_CHUNK // max(frame, 1)))
 
 
-def _is_own_dataset(file: Any, name: str) -> bool:
+def _is_own_dataset(file: Any, name: str | bytes) -> bool:
     """Whether an entry is a dataset with a name that can be printed and values that lie in this file."""
     import h5py
 
-    if not name.isprintable() or not isinstance(file.get(name, getlink=True), h5py.HardLink):
+    if not isinstance(name, str) or not name.isprintable():  # h5py gives a name that is no UTF-8 as bytes
+        return False
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         return False
     entry = file[name]
     return isinstance(entry, h5py.Dataset) and not entry.is_virtual and not entry.external

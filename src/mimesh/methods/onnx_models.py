@@ -91,10 +91,11 @@ def load_hand_finder(joints: tuple[str, ...], seed: int = 0) -> HandFinder | Non
 
 def _open_session(path: Path) -> InferenceSession:
     """Open a file with onnxruntime on the CPU, or raise InputError if it cannot be read."""
-    errors = import_onnxruntime().capi.onnxruntime_pybind11_state
+    library = vars(import_onnxruntime().capi.onnxruntime_pybind11_state).values()
+    errors = [kind for kind in library if isinstance(kind, type) and issubclass(kind, Exception)]
     try:
         return open_session(path)
-    except (errors.Fail, errors.InvalidProtobuf, errors.InvalidGraph, errors.InvalidArgument, errors.NotImplemented):
+    except (*errors, UnicodeDecodeError):  # the library's message may quote bytes of the file
         raise InputError(
             f"{path}: expected a network in ONNX format, found something else; write one with mimesh export"
         ) from None

@@ -54,4 +54,5 @@ def _opened(path: Path, modified: int, size: int, threads: int) -> InferenceSess
     options.intra_op_num_threads = threads
     options.log_severity_level = 3  # warnings about graph clean-up are not for users
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads would take time from others
-    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    # Without a fallback, as there is no other provider: it would print the error of a damaged file.
+    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0)

@@ -239,7 +239,8 @@ def _rate(arrays: dict[str, np.ndarray], path: Path) -> float:
     """Read the frame rate; raise InputError if it is not a positive number."""
     found = next((arrays[name] for name in RATES if name in arrays), np.array(DEFAULT_RATE))
     if found.size != 1 or found.dtype.kind not in "fiu" or not 0 < found.item() < np.inf:
-        raise InputError(f"{path}: expected a positive frame rate, found {found!r:.60}; save one as mocap_framerate")
+        wrong = f"{found.item()!r:.60}" if found.size == 1 else f"{found.dtype} {found.shape}"
+        raise InputError(f"{path}: expected a positive frame rate, found {wrong}; save one as mocap_framerate")
     return float(found.item())
 
 

@@ -74,15 +74,19 @@ def mirror(motion: Motion) -> Motion:
     return dataclasses.replace(motion, name=f"{motion.name}-mirrored", rotmat=rotmat, root=motion.root * MIRROR)
 
 
-def resample(motion: Motion, fps: float) -> Motion:
+def resample(motion: Motion, fps: float, source: str | None = None) -> Motion:
     """Sample a motion at another frame rate: rotations by slerp, the root linearly, without a low-pass filter.
 
+    Args:
+        source: the file that errors name; by default the motion's name.
+
     Raises:
-        InputError: `fps` is not positive.
+        InputError: `fps` is not positive, or there would be too many frames.
     """
+    source = source or motion.name
     if not fps > 0:
-        raise InputError(f"{motion.name}: expected a positive frame rate, found {fps:g}; give for example 30")
-    FRAMES.check(int(min(len(motion) / motion.fps * fps, LARGEST_PRINTED)), motion.name)
+        raise InputError(f"{source}: expected a positive frame rate, found {fps:g}; give for example 30")
+    FRAMES.check(int(min(len(motion) / motion.fps * fps, LARGEST_PRINTED)), source)
     before, after, fraction = frames_around(len(motion), motion.fps, fps)
     rotmat = slerp(motion.rotmat[before], motion.rotmat[after], fraction[:, None])
     root = motion.root[before] * (1 - fraction[:, None]) + motion.root[after] * fraction[:, None]

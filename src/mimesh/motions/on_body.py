@@ -68,7 +68,7 @@ def motion_file_clip(path: str | Path, fps: float | None = None, progress: Progr
     """
     source = _load(path)
     motion = on_body(source, path)
-    motion = motion if fps is None else resample(motion, fps)
+    motion = motion if fps is None else resample(motion, fps, str(path))
     check_clip_size(len(motion), len(load_body().vertices), path)
     return dataclasses.replace(played(motion, progress), notes=source.notes)
 

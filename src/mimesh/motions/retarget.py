@@ -18,6 +18,7 @@ from ..bodies import RiggedBody
 from ..bodies.joint_names import named_joints, require_joints
 from ..core.errors import InputError
 from ..core.geometry import unit_vectors
+from ..core.mesh import LARGEST
 from .bvh import Bvh
 from .motion import LEG, Motion, leg_length, lowest
 from .rest_calibration import axes_from_motion, calibrated_joints, rotation_between
@@ -46,11 +47,17 @@ def retarget(source: Bvh, body: RiggedBody, name: str | None = None, grounded: b
         grounded: find the floor, which poses every vertex; without, only the rotations of the result are meant.
 
     Raises:
-        InputError: the hips or a limb joint are not found by name, or a limb bone has no length at rest.
+        InputError: the hips or a limb joint are not found by name, a limb bone has no length at rest, or numbers are
+            not finite.
     """
     index = named_joints(source.joint_names, source.parents)
     require_joints(index, NEEDED, source.joint_names, name or source.name)
     rest, (rotation, position) = source.rest(), source.world()
+    if not all(np.abs(values).max() <= LARGEST for values in (rest, rotation, position)):
+        raise InputError(
+            f"{name or source.name}: expected positions and rotations of joints that are finite and up to {LARGEST:g}, "
+            "found others; the file is damaged, export it again"
+        )
     zero_length = [joint for joint, tail in BONES.items() if not (rest[index[tail]] - rest[index[joint]]).any()]
     if zero_length:
         raise InputError(

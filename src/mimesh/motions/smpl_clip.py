@@ -72,7 +72,7 @@ def recorded_clip(
     motion = Motion(
         path.stem, tuple(map(str, range(len(model.parents)))), rotvec_to_rotmat(rotvec), recording.trans, recording.fps
     )
-    motion = motion if fps is None or len(motion) == 1 else resample(motion, fps)
+    motion = motion if fps is None or len(motion) == 1 else resample(motion, fps, str(path))
     # The parameters are in the world of the file, so its axes are changed after posing.
     axes = upright(motion.rotmat[:, 0]) if is_archive else np.eye(3)
     if first_alone:

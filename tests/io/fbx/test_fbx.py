@@ -327,6 +327,14 @@ def test_damaged_files_are_refused_or_read(tmp_path):
     assert not any("\n" in message for message in messages)
 
 
+def test_numbers_beyond_single_precision_are_refused_by_name(tmp_path):
+    path = samples.arm(root=samples.translation([1e60, 0, 0])).save(tmp_path / "a.fbx")
+    path.write_text(path.read_text().replace(" a: 0.25,", " a: 1e300,", 1))
+    with pytest.raises(InputError, match=r"expected finite numbers up to 3.4e38, found others") as caught:
+        load_mesh(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
 def test_missing_library_names_the_extra(tmp_path, monkeypatch):
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "ufbx" else find(name, *rest))

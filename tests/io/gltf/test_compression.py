@@ -155,6 +155,11 @@ def every_view(**changes):
     return change
 
 
+def with_extensions_inside(gltf):
+    every_view(extensions=1)(gltf)
+    every_view(count=10**9)(gltf)
+
+
 def without_extension(gltf):
     del gltf["bufferViews"][0]["extensions"]
 
@@ -167,6 +172,7 @@ MESHOPT_FAULTS = {
     "range": (every_view(byteLength=10**9), "inside its buffer"),
     "buffer": (every_view(buffer=7), "to be one of 2 buffers, found 7"),
     "negative": (every_view(byteOffset=-4), "a count in"),
+    "extensions inside": (with_extensions_inside, "bytes of ATTRIBUTES"),
     "no data": (without_extension, "compressed data in buffer view 0, found none"),
     "data": (every_view(byteOffset=4), "expected a file that can be read, found"),
 }
@@ -197,6 +203,14 @@ DRACO_FAULTS = {
         "in indices of its Draco data",
     ),
 }
+
+
+def test_draco_without_indices_gives_its_attributes(plain, tmp_path):
+    """Without an accessor of indices the vertices are drawn in order."""
+    path = altered(draco_glb(plain, tmp_path / "small.glb"), every_primitive(lambda g, e, p: p.pop("indices")))
+    found, expected = load_mesh(path).vertices, load_mesh(plain).vertices
+    for bound in (np.min, np.max):
+        np.testing.assert_allclose(bound(found, axis=0), bound(expected, axis=0), atol=1e-3)
 
 
 @pytest.mark.parametrize("fault", DRACO_FAULTS)

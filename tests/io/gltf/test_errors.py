@@ -37,6 +37,10 @@ JSON_CHANGES: dict[str, tuple[JsonChange, str]] = {
     "negative": (lambda g: g["accessors"][0].update(count=-1), "a count in 'accessors \\[\\] count', found -1"),
     "type number": (lambda g: g["accessors"][0].update(type=3), "text in 'accessors \\[\\] type'"),
     "strange type": (lambda g: g["accessors"][0].update(type="VEC9"), "24 VEC3 in POSITION, found '24 VEC9'"),
+    "strange colours": (
+        lambda g: g["accessors"][g["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]].update(type="VEC2"),
+        "24 VEC4 in COLOR_0, found '24 VEC2'",
+    ),
     "strange index type": (
         lambda g: g["accessors"][g["meshes"][0]["primitives"][0]["indices"]].update(type="VEC9"),
         "unsigned indices, found '5123 VEC9'",

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from gltf_reference import ReferenceReader
 
+from mimesh.core.errors import InputError
+from mimesh.io import load_clip
 from mimesh.io.gltf import read_gltf, write_gltf
 from mimesh.io.gltf.edit import GltfSource
+from mimesh.pipeline.rigs import rig_facts
 
 
 @pytest.fixture(params=["hero", "props"])
@@ -266,3 +269,46 @@ def test_memory_mapped_files_give_the_same_mesh(suffix, tmp_path, monkeypatch):
     write_gltf(paged, tmp_path / f"c{suffix}")
     write_gltf(whole, tmp_path / f"d{suffix}")
     assert (tmp_path / f"c{suffix}").read_bytes() == (tmp_path / f"d{suffix}").read_bytes()
+
+
+def test_last_row_of_matrices_is_that_of_the_standard(tmp_path):
+    """Other rows come from damage; with zeros there the matrix would have no inverse."""
+    sound, damaged = samples.hero(), samples.hero()
+    accessor = damaged.gltf["accessors"][damaged.gltf["skins"][0]["inverseBindMatrices"]]
+    start = damaged.gltf["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    matrices = np.frombuffer(damaged.data, "<f4", 32, start).reshape(2, 16).copy()
+    matrices[:, [3, 7, 11, 15]] = [[0, 0, 0, 0], [0.5, 0, 0, 1]]
+    damaged.data[start : start + matrices.nbytes] = matrices.tobytes()
+    meshes = [read_gltf(sample.glb(tmp_path / f"{k}.glb")) for k, sample in enumerate((sound, damaged))]
+    np.testing.assert_array_equal(*(mesh.vertices for mesh in meshes))
+    assert rig_facts(meshes[1]) == rig_facts(meshes[0])
+
+    nodes, mirrored = samples.props(), samples.props()
+    mirrored.gltf["nodes"][2]["matrix"][3::4] = [0, 0.25, 0, 0]
+    found = [read_gltf(sample.glb(tmp_path / f"n{k}.glb")).vertices for k, sample in enumerate((nodes, mirrored))]
+    np.testing.assert_array_equal(*found)
+
+
+def test_animation_whose_keys_are_before_zero_has_one_frame(tmp_path):
+    """Keys begin at zero by the standard; here the last one stays."""
+    sample, still = samples.hero(), samples.hero()
+    sampler = sample.gltf["animations"][0]["samplers"][0]
+    sampler["input"] = sample.accessor([-2.0, -1.0])
+    still.gltf["nodes"][1]["rotation"] = [0, 0, 0.6, 0.8]
+    clip = load_clip(sample.glb(tmp_path / "a.glb"))
+    assert len(clip) == 1
+    np.testing.assert_allclose(clip.vertices[0], read_gltf(still.glb(tmp_path / "b.glb")).vertices, atol=1e-6)
+
+
+@pytest.mark.parametrize(("node", "times"), [(1.0, [0, 1]), (True, [0, 1]), (1, [np.nan]), (1, [0, np.inf])])
+def test_nodes_and_times_of_channels_are_checked(node, times, tmp_path):
+    sample = samples.hero()
+    animation = sample.gltf["animations"][0]
+    animation["channels"][0]["target"]["node"] = node
+    output = sample.accessor([[0, 0, 0, 1.0]] * len(times))
+    animation["samplers"][0] = {"input": sample.accessor(np.zeros(len(times))), "output": output}
+    accessor = sample.gltf["accessors"][animation["samplers"][0]["input"]]
+    start = sample.gltf["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    sample.data[start : start + 4 * len(times)] = np.array(times, "<f4").tobytes()
+    with pytest.raises(InputError, match="expected rising times with a value each"):
+        load_clip(sample.glb(tmp_path / "a.glb"))

@@ -16,7 +16,7 @@ import ufbx
 
 from ...core.errors import InputError
 from ..beside import confined
-from ..gltf.draft import Draft
+from ..gltf.draft import Draft, NumberTooLarge
 from ..gltf.scene import DEFAULT_TRS
 from .animation import add_animations
 from .elements import items, own
@@ -65,7 +65,12 @@ def write_glb(source: Path, target: Path, confined_to: str | None = None) -> Non
         raise InputError(f"{source}: expected an FBX file, found '{found}'; export it again") from error
     folder = contextlib.nullcontext() if confined_to is None else confined(Path(confined_to))
     with folder:
-        _draft(scene, source).save(target.with_suffix(".glb"))
+        try:
+            _draft(scene, source).save(target.with_suffix(".glb"))
+        except NumberTooLarge as error:
+            raise InputError(
+                f"{source}: expected finite numbers up to 3.4e38, found others; the file is damaged, export it again"
+            ) from error
     target.with_suffix(".glb").rename(target)
 
 

@@ -270,8 +270,9 @@ def _read_channel(document: Document, target: dict[str, Any], sampler: dict[str,
     rows_per_key = 3 if interpolation == "CUBICSPLINE" else 1  # in-tangent, value, out-tangent
     width = rows_per_key * PATH_WIDTHS[target["path"]]
     fits = per_key == width or (target["path"] == "weights" and per_key and not per_key % rows_per_key)
-    node_exists = 0 <= target["node"] < len(document.gltf.get("nodes", []))
-    if not (fits and node_exists and values.size == keys * per_key and (np.diff(times) > 0).all()):
+    node_exists = type(target["node"]) is int and 0 <= target["node"] < len(document.gltf.get("nodes", []))
+    rising = np.isfinite(times).all() and (np.diff(times) > 0).all()
+    if not (fits and node_exists and rising and values.size == keys * per_key):
         raise InputError(
             f"{document.path}: expected rising times with a value each, found {keys} times and {values.size} numbers; "
             "the file is damaged, export it again"

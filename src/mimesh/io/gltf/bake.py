@@ -64,6 +64,7 @@ def frame_times(document: Document, channels: list[AnimationChannel], fps: float
         InputError: the last key is later than an hour, which only damaged times are, or there are too many frames.
     """
     last = max((float(channel.times[-1]) for channel in channels), default=0.0)
+    last = max(last, 0.0)  # of keys before zero, which damaged files have, the last one is played
     if last > LONGEST:
         raise InputError(f"{document.path}: expected an animation of up to an hour, found {last:.0f} s; cut it")
     count = frame_count(last, fps)

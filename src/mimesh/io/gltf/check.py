@@ -151,8 +151,9 @@ ATTRIBUTE_TYPES = {
     "TEXCOORD": "VEC2",
     "JOINTS": "VEC4",
     "WEIGHTS": "VEC4",
+    "COLOR": "VEC4",
 }
-"""Accessor type of each attribute; of TEXCOORD_n, JOINTS_n, WEIGHTS_n by the part before the underscore (3.7.2.1)."""
+"""Accessor type of each attribute by its name before the underscore (3.7.2.1); colours may also be VEC3."""
 MORPH_TARGET_TYPES = {"POSITION": "VEC3", "NORMAL": "VEC3", "TANGENT": "VEC3"}
 """Accessor type of each attribute that a morph target may have (3.7.2.2 Morph Targets)."""
 INDEX_TYPES = (5121, 5123, 5125)
@@ -239,6 +240,7 @@ def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path
     for name, index, kinds in ((name, index, kinds) for owner, kinds in owners for name, index in owner.items()):
         accessor = accessors[index]
         kind = kinds.get(name.partition("_")[0], accessor["type"])
+        kind = "VEC3" if name.startswith("COLOR_") and accessor["type"] == "VEC3" else kind
         found = f"{accessor['count']} {accessor['type']}"
         _expect(found == f"{count} {kind}", path, f"{count} {kind} in {name}", found)
     if "indices" in primitive:

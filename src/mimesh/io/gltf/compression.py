@@ -182,7 +182,7 @@ def _plan_draco(work: _Work, gltf: dict[str, Any], binary: bytes | memoryview, p
         extension = primitive["extensions"][DRACO]
         ids = extension["attributes"]
         wanted = {name: index for name, index in primitive["attributes"].items() if name in ids}
-        accessors = [primitive["indices"]] * ("indices" in primitive) + list(wanted.values())
+        accessors = [primitive[key] for key in ("indices",) if key in primitive] + list(wanted.values())
         # Where Draco is optional, the accessors have the data uncompressed.
         has_data = all("bufferView" in gltf["accessors"][index] for index in accessors)
         if planned.issuperset(accessors) or (has_data and not required):

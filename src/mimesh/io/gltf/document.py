@@ -286,19 +286,26 @@ def _rebase_view(
     view: dict[str, Any], index: int, buffers: list[dict[str, Any]], starts: list[int], path: Path
 ) -> dict[str, Any]:
     """Return a buffer view with its offset in the joined buffer; `starts` are the offsets of the buffers in it."""
+    rebased = _rebase_range(view, index, buffers, starts, path)
+    names = [name for name in MESHOPT if name in view.get("extensions", {})]
+    if names:
+        # Compressed data has a range of its own, with the same properties.
+        inner = {name: _rebase_range(view["extensions"][name], index, buffers, starts, path) for name in names}
+        rebased["extensions"] = {**view["extensions"], **inner}
+    return rebased
+
+
+def _rebase_range(
+    view: dict[str, Any], index: int, buffers: list[dict[str, Any]], starts: list[int], path: Path
+) -> dict[str, Any]:
+    """Return a range of bytes as `_rebase_view` does, whatever extensions it has."""
     offset, size = view.get("byteOffset", 0), buffers[view["buffer"]]["byteLength"]
     if offset + view["byteLength"] > size:
         raise InputError(
             f"{path}: expected buffer view {index} inside its buffer of {size} bytes, found an end at "
             f"{offset + view['byteLength']}; the file is damaged, export it again"
         )
-    rebased = {**view, "buffer": 0, "byteOffset": starts[view["buffer"]] + offset}
-    names = [name for name in MESHOPT if name in view.get("extensions", {})]
-    if names:
-        # Compressed data has a range of its own, with the same properties.
-        inner = {name: _rebase_view(view["extensions"][name], index, buffers, starts, path) for name in names}
-        rebased["extensions"] = {**view["extensions"], **inner}
-    return rebased
+    return {**view, "buffer": 0, "byteOffset": starts[view["buffer"]] + offset}
 
 
 def _read_images(

@@ -221,6 +221,10 @@ class AccessorCopier:
             self.draft.gltf["images"] = images
 
 
+class NumberTooLarge(InputError):
+    """A number that glTF has no type for."""
+
+
 def _as_bytes(content: bytes | memoryview | np.ndarray) -> memoryview:
     """Return a view of the bytes of `content`, without a copy where it is contiguous."""
     chunk = np.ascontiguousarray(content).data if isinstance(content, np.ndarray) else memoryview(content)
@@ -231,12 +235,12 @@ def _as_float32(values: Float[np.ndarray, "N C"]) -> Float32[np.ndarray, "N C"]:
     """Return values in the type of glTF.
 
     Raises:
-        InputError: one is not finite in this type.
+        NumberTooLarge: one is not finite in this type.
     """
     with np.errstate(over="ignore"):
         stored = np.ascontiguousarray(values, "<f4")
     if not np.isfinite(stored).all():
-        raise InputError(
+        raise NumberTooLarge(
             "glTF: expected numbers up to 3.4e38, the largest of its type, found larger ones in the frame of a node; "
             "write another format, or scale the mesh"
         )

@@ -228,7 +228,8 @@ def _read_inverse_bind_matrices(document: Document, skin: int) -> Float[np.ndarr
             f"{len(columns)} x {columns.shape[1]} numbers; export it again"
         )
     # Accessors of matrices are column-major (glTF 2.0, 3.6.2.4 Data Alignment).
-    return columns[:count].reshape(-1, 4, 4).transpose(0, 2, 1)
+    matrices = columns[:count].reshape(-1, 4, 4).transpose(0, 2, 1)
+    return with_last_row(matrices)
 
 
 def transform_points(
@@ -272,13 +273,23 @@ def normalized_quaternions(quat_xyzw: Float[np.ndarray, "*N 4"]) -> Float[np.nda
 def local_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
     """Return the local transform of a node, T * R * S; its translation, rotation and scale may have leading axes."""
     if "matrix" in node:
-        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+        return with_last_row(np.array(node["matrix"], np.float64).reshape(4, 4).T)
     values = {path: np.array(node.get(path, default), np.float64) for path, default in DEFAULT_TRS.items()}
     matrix = np.zeros((*np.broadcast_shapes(*(value.shape[:-1] for value in values.values())), 4, 4))
     matrix[..., :3, :3] = _rotation_matrix(values["rotation"]) * values["scale"][..., None, :]
     matrix[..., :3, 3] = values["translation"]
     matrix[..., 3, 3] = 1.0
     return matrix
+
+
+def with_last_row(matrices: Float[np.ndarray, "*N 4 4"]) -> Float[np.ndarray, "*N 4 4"]:
+    """Return matrices with 0 0 0 1 as their fourth row, which they must have (3.5.3, 3.7.3.1).
+
+    Damaged files have others, and with them matrices that have no inverse.
+    """
+    result = matrices.copy()
+    result[..., 3, :] = [0.0, 0.0, 0.0, 1.0]
+    return result
 
 
 def _rotation_matrix(quat_xyzw: Float[np.ndarray, "*T 4"]) -> Float[np.ndarray, "*T 3 3"]:
