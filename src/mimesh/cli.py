@@ -164,7 +164,7 @@ def _missing_arguments(error, context) -> list[str]:
     """Name the arguments that are missing, as the usage does; none for other errors."""
     first = getattr(error, "param", None)
     # Typer's versions define this error in different modules, too.
-    if type(error).__name__ != "MissingParameter" or first not in context.command.params or first.opts[0][:1] == "-":
+    if type(error).__name__ != "MissingParameter" or first is None or first.opts[0].startswith("-"):
         return []
     rest = context.command.params[context.command.params.index(first) :]
     return [argument.make_metavar(context) for argument in rest if argument.required and argument.opts[0][:1] != "-"]

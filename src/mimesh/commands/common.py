@@ -36,6 +36,7 @@ def _common_options() -> list[TyperOption]:
         TyperOption(
             param_decls=["--verbose", "-v"],
             is_flag=True,
+            default=False,
             expose_value=False,
             callback=_verbose,
             help="Tell the times of the steps, and what was chosen and why, on stderr.",
@@ -47,7 +48,9 @@ def _common_options() -> list[TyperOption]:
             expose_value=False,
             callback=_log_level,
             help="Lines of the log on stderr: debug, info (as --verbose), warning or error.",
-            autocompletion=lambda incomplete: [level for level in LEVELS if level.startswith(incomplete)],
+            autocompletion=lambda _context, _words, incomplete: [
+                level for level in LEVELS if level.startswith(incomplete)
+            ],
         ),
         TyperOption(
             param_decls=["--threads"],

@@ -262,7 +262,7 @@ def refuse_existing(no_clobber: bool, *outputs: Path | None) -> None:
             )
 
 
-def tell_size(size: float, output: Path, quiet: bool) -> None:
+def tell_size(size: int, output: Path, quiet: bool) -> None:
     """Tell on stderr the expected size (bytes) of a large output before it is made."""
     from ..core.output_size import TOLD_OUTPUT
 

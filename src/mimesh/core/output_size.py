@@ -30,7 +30,7 @@ def frames_size(suffix: str, vertices: int, frames: int) -> int:
     return FRAME_BYTES.get(suffix.lower(), POINT_BYTES) * vertices * frames
 
 
-def check_output_size(size: float, path: str | Path, advice: str, estimated: bool = True) -> None:
+def check_output_size(size: int, path: str | Path, advice: str, estimated: bool = True) -> None:
     """Check the size (bytes) of an output where outputs are limited.
 
     Raises:
