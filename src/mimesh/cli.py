@@ -146,12 +146,10 @@ def _report_usage(error) -> int:
         return error.exit_code
     if context is None:
         return _print_error(f"{message}; see mimesh --help", 2)
-    if close := getattr(error, "possibilities", None):
-        from difflib import get_close_matches
+    if known := getattr(error, "possibilities", None):
+        from .core.errors import did_you_mean
 
-        meant = get_close_matches(error.option_name, close, 1, cutoff=0.0)[0]
-        message = f"expected an option of {context.command_path}, found {error.option_name}; did you mean {meant}?"
-        return _print_error(message, 2)
+        message = f"no such option: {error.option_name}{did_you_mean(error.option_name, known)}"
     missing = _missing_arguments(error, context)
     if not missing:
         return _print_error(f"{message}; see {context.command_path} --help", 2)

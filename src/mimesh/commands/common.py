@@ -20,7 +20,9 @@ NETWORKS = "MIMESH_THREADS"
 LINEAR_ALGEBRA = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of the threads of linear algebra, which its libraries read when they are loaded."""
 ALL_CORES = ("train",)
-"""Commands that use all cores by default: their matrix products are large."""
+"""Commands that use all cores by default: their matrix products are large. Elsewhere a second thread of linear algebra
+waits for the first by spinning: with other programs on two cores, transfers took 2.5 times as long, and 2.5 times the
+processor time (benchmarks/threads.json)."""
 
 
 class Command(TyperCommand):
@@ -58,7 +60,7 @@ def _common_options() -> list[TyperOption]:
             metavar="N",
             expose_value=False,
             callback=_threads,
-            help="Threads of networks and linear algebra; by default 1, of a training one a core.",
+            help="Threads of networks (2) and linear algebra (1; in training one a core).",
         ),
     ]
 
