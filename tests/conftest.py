@@ -10,3 +10,9 @@ def model(tmp_path_factory) -> str:
     from networks import write_mime_network
 
     return str(write_mime_network(tmp_path_factory.mktemp("network") / "mime.onnx"))
+
+
+@pytest.fixture(autouse=True)
+def no_progress_lines(monkeypatch):
+    """Keep the lines that tell the progress of slow commands away: how many there are depends on the machine."""
+    monkeypatch.setattr("mimesh.commands.terminal.LINE_SECONDS", 3600.0)

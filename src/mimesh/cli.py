@@ -18,6 +18,7 @@ from typing import Annotated
 import typer
 
 from .commands import about, learn, measure, move, show, studio
+from .commands.common import Command
 from .commands.terminal import Stop
 from .core.printable import say
 from .jobs.command import batch
@@ -27,7 +28,6 @@ app = typer.Typer(
     help="Give a mesh the pose or motion of another: no rig, no markers, no correspondence, no GPU.",
     epilog="First steps: mimesh demo, then mimesh transfer IDENTITY DRIVING. Every command has --help and --json.",
     no_args_is_help=True,
-    add_completion=False,
     # Rich's help costs 60 ms at every start.
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -62,7 +62,7 @@ def command_name(command: Callable[..., object]) -> str:
 
 
 for _command in COMMANDS:
-    app.command(command_name(_command))(_command)
+    app.command(command_name(_command), cls=Command)(_command)
 
 
 def _version(requested: bool) -> bool:
@@ -135,12 +135,37 @@ def _report_error(error: Exception) -> int:
 
 
 def _report_usage(error) -> int:
+    """Print what is wrong with the usage; where arguments are missing the usage, for `mimesh` alone the help."""
     context = getattr(error, "ctx", None)
-    command = context.command_path if context else "mimesh"
-    message = " ".join(error.format_message().split()).rstrip(".")
-    if not message:  # `mimesh` alone: Typer has printed the help
-        return 2
-    return _print_error(f"{message}; see {command} --help", 2)
+    message = error.format_message()
+    if context is not None and message.strip() == context.get_help().strip():
+        say(*message.rstrip().splitlines(), error=True)
+        return error.exit_code
+    message = " ".join(message.split()).rstrip(".")
+    if not message:  # older versions of Typer have printed the help
+        return error.exit_code
+    if context is None:
+        return _print_error(f"{message}; see mimesh --help", 2)
+    if known := getattr(error, "possibilities", None):
+        from .core.errors import did_you_mean
+
+        message = f"no such option: {error.option_name}{did_you_mean(error.option_name, known)}"
+    missing = _missing_arguments(error, context)
+    if not missing:
+        return _print_error(f"{message}; see {context.command_path} --help", 2)
+    code = _print_error(f"expected {' and '.join(missing)}, found nothing; see {context.command_path} --help", 2)
+    say(*context.get_usage().splitlines(), error=True)
+    return code
+
+
+def _missing_arguments(error, context) -> list[str]:
+    """Name the arguments that are missing, as the usage does; none for other errors."""
+    first = getattr(error, "param", None)
+    # Typer's versions define this error in different modules, too.
+    if type(error).__name__ != "MissingParameter" or first is None or first.opts[0].startswith("-"):
+        return []
+    rest = context.command.params[context.command.params.index(first) :]
+    return [argument.make_metavar(context) for argument in rest if argument.required and argument.opts[0][:1] != "-"]
 
 
 def _report_bug(error: Exception) -> int:

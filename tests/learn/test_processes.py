@@ -93,7 +93,9 @@ def test_two_processes_take_the_steps_of_one(tmp_path, optimizer):
         torch.testing.assert_close(states[0].tensors[key], value, rtol=1e-4, atol=1e-6, msg=key)
     assert states[0].metrics == pytest.approx(states[1].metrics, rel=1e-4)
     logs = [[json.loads(line) for line in (f / "log.jsonl").read_text().splitlines()] for f in (shared, alone)]
-    assert [line["kind"] for line in logs[0]] == [line["kind"] for line in logs[1]]
+    timed = ("pace", "training")  # lines that depend on the speed of the machine
+    kinds = [[line["kind"] for line in log if line["kind"] not in timed] for log in logs]
+    assert kinds[0] == kinds[1]
     assert done.stdout.count("last.safetensors") == 1
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import torch
 from trainings import TINY, losses
 
 from mimesh.core.errors import InputError
-from mimesh.learn import checkpoint
+from mimesh.learn import checkpoint, training_log
 from mimesh.learn.config import load_config
 from mimesh.learn.precision import choose_precision, product_rate
 from mimesh.learn.stop_request import StopRequest
@@ -21,6 +22,24 @@ from mimesh.learn.tasks.npt import NPTTrainConfig
 from mimesh.learn.train import train, train_command
 from mimesh.learn.training_run import TrainingRun, schedule
 from mimesh.learn.validation import Validation
+
+
+def test_what_a_training_will_reach_is_told_after_some_seconds(tmp_path, monkeypatch):
+    monkeypatch.setattr(training_log, "FIRST_SECONDS", 0.0)
+    folder = train(TINY, tmp_path / "run")
+    log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    (pace,) = [line for line in log if line["kind"] == "pace"]
+    assert (pace["step"], log[log.index(pace) + 1]["kind"]) == (training_log.PACE_STEPS, "training")
+    assert re.search(r"[\d,]+ pairs an hour .* expected end \d{4}-\d\d-\d\d \d\d:\d\d, ", pace["text"])
+
+
+def test_the_expected_end_of_a_training(tmp_path):
+    run = TrainingRun.start(TINY, tmp_path)  # 16 pairs in 8 steps
+    run.step = 2
+    told = training_log.expected_end(run, 1, 10.0, 1 / 8)
+    assert told.startswith("720 pairs an hour")
+    assert "after 1 minutes more (validations not counted) and 16 pairs" in told
+    assert "in more than a year" in training_log.expected_end(run, 1, 10.0, 1e-9)
 
 
 @pytest.mark.parametrize("optimizer", ["adam", "muon"])

@@ -12,9 +12,10 @@ from mimesh.bodies import load_body
 from mimesh.core import frame_buffer
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import cut_clip
+from mimesh.core.skinning import SkinnedMesh
 from mimesh.io import load_clip, load_mesh
 from mimesh.motions import load_bvh, load_motion, motion_clip, resample, window
-from mimesh.motions.motion import joint_tracks
+from mimesh.motions.motion import joint_tracks, lowest
 from mimesh.motions.on_body import is_motion_file, motion_file_clip, motion_of_file
 from mimesh.motions.retarget import BONES, rests_standing
 from mimesh.pipeline import driving_axes
@@ -146,6 +147,37 @@ def test_frames_of_long_takes_are_stored_on_disk(body, motion, tmp_path, monkeyp
     clip = motion_file_clip(write_bvh(tmp_path / "a.bvh", body, motion))
     assert isinstance(clip.vertices, np.memmap)
     assert clip.vertices.dtype == np.float32
+
+
+def test_frames_of_a_cut_capture_are_those_of_the_whole(body, motion, tmp_path):
+    path = write_bvh(tmp_path / "a.bvh", body, motion)
+    expected = cut_clip(load_clip(path), 2, 20, 3)
+    clip = load_clip(path, frames=slice(2, 20, 3))
+    np.testing.assert_array_equal(clip.vertices, expected.vertices)
+    np.testing.assert_array_equal(clip.headings, expected.headings)
+    np.testing.assert_array_equal(clip.skeleton.person().positions, expected.skeleton.person().positions)
+    assert (clip.fps, len(clip)) == (expected.fps, 6)
+    for frames, message in ((slice(999, None), "leaves none"), (slice(0, None, 0), "--step: expected 1 or more")):
+        with pytest.raises(InputError, match=message):
+            load_clip(path, frames=frames)
+
+
+def test_only_chosen_frames_of_a_capture_are_posed(body, motion, tmp_path, monkeypatch):
+    posed = []
+    pose = SkinnedMesh.posed
+    monkeypatch.setattr(SkinnedMesh, "posed", lambda *args: posed.append(0) or pose(*args))
+    path = write_bvh(tmp_path / "a.bvh", body, motion)
+    load_clip(path, frames=slice(0, 2))
+    assert len(posed) == 2
+    write_bvh(path, body, window(motion, 0.0, 0.5))
+    assert len(load_clip(path)) == len(window(motion, 0.0, 0.5))  # a changed file is read again
+
+
+def test_heights_of_the_lowest_vertex_are_those_of_the_posed_body(body, motion):
+    vertices = body.posed(np.zeros(0), motion.rotmat[::7], motion.root[::7])
+    np.testing.assert_allclose(
+        lowest(body, motion.rotmat[::7], motion.root[::7]), vertices[..., 1].min(axis=1), atol=1e-12
+    )
 
 
 def test_inspection_reports_a_motion(body, motion, tmp_path):

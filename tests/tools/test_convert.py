@@ -7,12 +7,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zoo
+from motion_files import write_bvh
 
+from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import CLIP_WRITERS, MESH_WRITERS, load_clip, load_mesh, save_clip, save_mesh
+from mimesh.motions import load_motion, window
 from mimesh.render.movie import MOVIES
-from mimesh.tools.convert import LARGE, convert, first_frame_note, size_note, skinned_note, taken_rate_note
+from mimesh.tools.convert import (
+    LARGE,
+    convert,
+    first_frame_note,
+    read_driving,
+    size_note,
+    skinned_note,
+    taken_pose_note,
+    taken_rate_note,
+)
+from mimesh.tools.driving_clips import DrivingClip
 
 CLIPS = sorted({*CLIP_WRITERS, ""} - {".fbx"})  # FBX needs Blender: tests/clients
 MESHES = sorted(MESH_WRITERS.keys() - {".fbx"})
@@ -189,6 +202,34 @@ def test_a_first_frame_far_from_all_others_is_noted():
     (note,) = first_frame_note(posed, 0, Path("a.bvh"))
     assert note.startswith("a.bvh: frame 0 differs from the others")
     assert first_frame_note(posed, 1, Path("a.bvh")) == ()
+
+
+def test_chosen_frames_of_driving_files_have_the_notes_of_the_whole(tmp_path):
+    body, motion = load_body(), window(load_motion("jump"), 0.0, 1.0)
+    motion.rotmat[0] = np.eye(3)  # a calibration pose
+    save_clip(clip(30), tmp_path / "a.npz")
+    path = write_bvh(tmp_path / "a.bvh", body, motion)
+    for file, whole in ((tmp_path / "a.npz", load_clip(tmp_path / "a.npz")), (path, load_clip(path))):
+        chosen = DrivingClip(file, None, "a")
+        cut, notes = read_driving(chosen, None, None, slice(0, 9, 4))
+        np.testing.assert_array_equal(cut.vertices, whole.vertices[0:9:4])
+        assert cut.fps == whole.fps / 4
+        assert any("frame 0 differs" in note for note in notes) == (file == path)
+        assert len(read_driving(chosen, None, None, slice(3, 9, 4), whole=True)[0]) == len(whole)
+        for every in (False, True):
+            with pytest.raises(InputError, match="which leaves none"):
+                read_driving(chosen, None, None, slice(500, None, 1), whole=every)
+    assert not any("frame 0 differs" in note for note in read_driving(chosen, None, None, slice(1, 3, 1))[1])
+
+
+def test_notes_tell_which_pose_of_a_moving_file_was_taken(tmp_path):
+    path = write_bvh(tmp_path / "a.bvh", load_body(), window(load_motion("jump"), 0.0, 0.1))
+    assert "own body in its first frame is taken" in taken_pose_note(load_mesh(path), path)[0]
+    save_clip(clip(), tmp_path / "a.glb")
+    (note,) = taken_pose_note(load_mesh(tmp_path / "a.glb"), tmp_path / "a.glb")
+    assert note.startswith("a.glb has an animation: its mesh at rest is taken")
+    save_mesh(zoo.cube(), tmp_path / "a.obj")
+    assert taken_pose_note(load_mesh(tmp_path / "a.obj"), tmp_path / "a.obj") == ()
 
 
 def test_bones_alone_are_written_by_another_command(tmp_path):

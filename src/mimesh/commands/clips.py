@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.printable import say
-from .terminal import output_beside, print_next
+from .terminal import output_beside, print_next, tell_size
 
 if TYPE_CHECKING:
     from ..bodies.engine_rig import Layout
@@ -99,6 +99,33 @@ def check_rig_layout(identity: Mesh, clip: Clip, model: str, options: MotionOpti
         check_own_layout(rigs.identity.person, layout, identity.name)
     elif rigs.copied is not None and not options.changes_motion:
         check_own_layout({}, layout, identity.name)
+
+
+def moves_joints(model: str) -> bool:
+    """Tell whether a model moves joints, which files then hold instead of frames."""
+    from ..methods.base import SkinnedMethod
+    from ..methods.find import find_method
+
+    return isinstance(find_method(model), SkinnedMethod)
+
+
+def check_frames_size(mesh: Mesh, frames: int, output: Path, blendshapes: int | None, quiet: bool) -> None:
+    """Check the expected size of a clip that is written frame by frame, and tell it if it is large.
+
+    Raises:
+        InputError: it is too large (see `core.output_size`).
+    """
+    from ..core.output_size import check_output_size, frames_size
+    from ..io.formats import FRAME_SUFFIXES
+    from ..render.movie import MOVIES
+
+    if output.suffix.lower() in MOVIES:
+        return
+    own = mesh.source.suffix if mesh.source and mesh.source.suffix in FRAME_SUFFIXES else FRAME_SUFFIXES[0]
+    size = frames_size(output.suffix or own, len(mesh.vertices), blendshapes or frames)
+    joints = ", write joints (.glb of mime without --morphs)" * (blendshapes is None)
+    check_output_size(size, output, f"take fewer frames with --step, --start or --stop{joints}")
+    tell_size(size, output, quiet)
 
 
 def check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:

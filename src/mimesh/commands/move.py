@@ -10,24 +10,30 @@ import typer
 from ..core.printable import say
 from .clips import (
     check_clip_output,
+    check_frames_size,
     check_rig_layout,
     check_single,
     check_suffix,
     clip_output,
     joined_facts,
     moved_by,
+    moves_joints,
     print_clips,
     print_previews,
     print_viewing,
     save_clips,
 )
+from .common import LOGGER
+from .completion import one_of
 from .joint_files import JointFiles, check_joint_outputs, save_joint_files
 from .terminal import (
     Animations,
     BlendShapes,
     BodyModel,
     Json,
+    Large,
     Model,
+    NoClobber,
     NoLimits,
     Open,
     Output,
@@ -36,8 +42,10 @@ from .terminal import (
     given_path,
     open_page,
     output_beside,
+    output_path,
     print_json,
     progress,
+    refuse_existing,
     refuse_inputs,
 )
 
@@ -64,7 +72,8 @@ Markers = Annotated[
 Root = Annotated[
     str,
     typer.Option(
-        help="How far the result goes: scale (as its legs make it); keep (as DRIVING), drop (in place; both mime)."
+        help="How far the result goes: scale (as its legs make it); keep (as DRIVING), drop (in place; both mime).",
+        autocompletion=one_of("root"),
     ),
 ]
 Ground = Annotated[
@@ -74,11 +83,17 @@ Ground = Annotated[
 Smooth = Annotated[float, typer.Option(metavar="SECONDS", help="Average the motion of joints over time (mime).")]
 Rig = Annotated[
     str,
-    typer.Option(help="own: move IDENTITY on the bones of its file, if it has any; mimesh: find joints (both mime)."),
+    typer.Option(
+        help="own: move IDENTITY on the bones of its file, if it has any; mimesh: find joints (both mime).",
+        autocompletion=one_of("rig"),
+    ),
 ]
 Body = Annotated[
     str,
-    typer.Option(help="What both are: human, quadruped (four-legged animals), other, or auto: by rig or shape (mime)."),
+    typer.Option(
+        help="What both are: human, quadruped (four-legged animals), other, or auto: by rig or shape (mime).",
+        autocompletion=one_of("body"),
+    ),
 ]
 Joints = Annotated[
     Path | None,
@@ -99,6 +114,7 @@ Names = Annotated[
     typer.Option(
         metavar="SCHEME",
         help="Bone names and hierarchy: mixamo, unreal, vrm, godot or rigify; own keeps the names.",
+        autocompletion=one_of("names"),
     ),
 ]
 RootBone = Annotated[
@@ -108,7 +124,12 @@ RootBone = Annotated[
     ),
 ]
 Rest = Annotated[
-    str, typer.Option(metavar="POSE", help="Pose the skeleton is bound in: file, T or A (not with own rigs).")
+    str,
+    typer.Option(
+        metavar="POSE",
+        help="Pose the skeleton is bound in: file, T or A (not with own rigs).",
+        autocompletion=one_of("rest"),
+    ),
 ]
 OutputFps = Annotated[
     float | None, typer.Option(help="Frame rate of the joints written, sampled from DRIVING's: 30, 60.")
@@ -140,6 +161,8 @@ def transfer(
     preview: Preview = True,
     open_it: Open = False,
     seed: Seed = 0,
+    no_clobber: NoClobber = False,
+    large: Large = False,
     no_limits: NoLimits = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -148,51 +171,68 @@ def transfer(
 
     By default the output is IDENTITY-DRIVING beside IDENTITY and in its format: the same file with its points moved.
     """
+    from ..core.errors import InputError
     from ..io import MESH_WRITERS, load_mesh
     from ..io.atomic import together
+    from ..io.formats import MOTIONS
     from ..pipeline import transfer as run_transfer
+    from ..tools.convert import taken_pose_note
 
     # Not everybody has Blender, which writes FBX: by default the result of an .fbx is a .glb.
     suffix = ".glb" if identity.suffix.lower() == ".fbx" else identity.suffix
-    output = output or output_beside(identity, driving, suffix)
-    check_outputs(output, preview, open_it, identity, driving, reference, markers, body_model, usual=suffix)
-    check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
+    if suffix.lower() in MOTIONS and output is None:
+        raise InputError(
+            f"{identity}: expected a mesh to move, found {suffix}, which has joints alone; give it as DRIVING, or name "
+            "an output such as -o body.glb to move mimesh's own body in its first frame"
+        )
+    target = output_path(output, lambda: output_beside(identity, driving, suffix))
+    check_outputs(target, preview, open_it, identity, driving, reference, markers, body_model, usual=suffix)
+    check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, target)
+    refuse_existing(no_clobber, target, *_previews(target, preview, usual=suffix), save_joints, save_driving_joints)
     corrected = JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
-    (mesh, (posed, notes)), seconds = _timed(lambda: (load_mesh(identity), _posed_mesh(driving, body_model)))
-    check_suffix(output, (*MESH_WRITERS, mesh.source.suffix if mesh.source else ""))
-    result = run_transfer(
-        mesh,
-        posed,
-        model,
-        up=up,
-        front=front,
-        driving_up=driving_up,
-        driving_front=driving_front,
-        ensemble=ensemble,
-        refine=refine,
-        seed=seed,
-        reference=reference,
-        markers=markers,
-        rig=rig,
-        body=body,
-        joints=corrected.identity,
-        driving_joints=corrected.driving,
-    )
+    with progress("reading", quiet or json):
+        (mesh, (posed, notes)), seconds = _timed(lambda: (load_mesh(identity), _posed_mesh(driving, body_model)))
+    check_suffix(target, (*MESH_WRITERS, mesh.source.suffix if mesh.source else ""))
+    with progress("transfer", quiet or json):
+        result = run_transfer(
+            mesh,
+            posed,
+            model,
+            up=up,
+            front=front,
+            driving_up=driving_up,
+            driving_front=driving_front,
+            ensemble=ensemble,
+            refine=refine,
+            seed=seed,
+            reference=reference,
+            markers=markers,
+            rig=rig,
+            body=body,
+            joints=corrected.identity,
+            driving_joints=corrected.driving,
+        )
     result.seconds["load"] += seconds
     with together():
-        result.save(output)
+        result.save(target)
         save_joint_files(result, identity, driving, save_joints, save_driving_joints)
-        shown = _write_preview(result, output, preview, usual=suffix)
+        shown = _write_preview(result, target, preview, usual=suffix)
     if open_it:
         open_page(shown["page"])
-    return _print_facts(_facts(result, output, shown, notes, corrected.described()), json, quiet)
+    _log(result, model, body)
+    notes += taken_pose_note(mesh, identity)
+    return _print_facts(_facts(result, target, shown, notes, corrected.described()), json, quiet)
 
 
 def _posed_mesh(path: Path, body_model: Path | None) -> tuple[Mesh, tuple[str, ...]]:
     """Read a mesh in the wanted pose, or with a body model what was recorded with it; returns notes as well."""
     from ..io import load_mesh, load_recorded_mesh
+    from ..tools.convert import taken_pose_note
 
-    return (load_mesh(path), ()) if body_model is None else load_recorded_mesh(path, body_model)
+    if body_model is not None:
+        return load_recorded_mesh(path, body_model)
+    mesh = load_mesh(path)
+    return mesh, taken_pose_note(mesh, path)
 
 
 def animate(
@@ -242,6 +282,8 @@ def animate(
     preview: Preview = True,
     open_it: Open = False,
     seed: Seed = 0,
+    no_clobber: NoClobber = False,
+    large: Large = False,
     no_limits: NoLimits = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -257,26 +299,36 @@ def animate(
     from ..io.atomic import together
     from ..pipeline import animate as run_animate
     from ..pipeline.run import MotionOptions
-    from ..tools.convert import animations_note, first_frame_note, read_clip, resampled_note, taken_rate_note
+    from ..tools.convert import read_driving, resampled_note
     from ..tools.driving_clips import choose_clips
 
-    output = output or clip_output(identity, driving)
+    target = output_path(output, lambda: clip_output(identity, driving), frames=True)
     layout = Layout(names, root_bone, rest, output_fps)
     clips = choose_clips(driving, animation)
     # The preview of a single clip has the name of the output alone.
     titles = [clip.name if len(clips) > 1 else None for clip in clips]
     for title in titles:
-        check_outputs(output, preview, open_it, identity, *driving, reference, markers, body_model, clip=title)
-    check_joint_outputs((save_joints, save_driving_joints), model, identity, *driving, output)
+        check_outputs(target, preview, open_it, identity, *driving, reference, markers, body_model, clip=title)
+    check_joint_outputs((save_joints, save_driving_joints), model, identity, *driving, target)
     check_single(len(clips), {"--driving-joints": driving_joints, "--save-driving-joints": save_driving_joints})
-    as_joints = check_clip_output(output, len(clips), skinned, morphs, blendshapes, layout)
+    pages = [page for title in titles for page in _previews(target, preview, title)]
+    refuse_existing(no_clobber, target, *pages, save_joints, save_driving_joints)
+    as_joints = check_clip_output(target, len(clips), skinned, morphs, blendshapes, layout)
     results, notes, corrections = [], [], []
     for chosen, title in zip(clips, titles, strict=True):
         path = chosen.path
         corrected = JointFiles.found(identity, path, joints, driving_joints, no_joints, model)
-        (mesh, (clip, of_clip)), seconds = _timed(
-            lambda chosen=chosen: (load_mesh(identity), read_clip(chosen.path, body_model, fps, chosen.animation))
-        )
+        whole = corrected.driving is not None  # these joints may be in a frame that is not taken
+        with progress(f"reading {path.name}", quiet or json) as advance:
+            (mesh, (clip, of_clip)), seconds = _timed(
+                lambda chosen=chosen, advance=advance, whole=whole: (
+                    load_mesh(identity),
+                    read_driving(chosen, body_model, fps, slice(start, stop, step), advance, whole),
+                )
+            )
+        if as_joints is False or not moves_joints(model):
+            taken = len(range(len(clip))[start:stop:step]) if whole else len(clip)
+            check_frames_size(mesh, taken, target, blendshapes, quiet or json)
         used = rig if corrected.identity is None else "mimesh"
         check_rig_layout(mesh, clip, model, MotionOptions(root, ground, smooth, rig=used, body=body), layout)
         with progress(f"frames of {title}" if title else "frames", quiet or json) as advance:
@@ -293,9 +345,9 @@ def animate(
                 seed=seed,
                 reference=reference,
                 markers=markers,
-                start=start,
-                stop=stop,
-                step=step,
+                start=start if whole else 0,
+                stop=stop if whole else None,
+                step=step if whole else 1,
                 root=root,
                 ground=ground,
                 smooth=smooth,
@@ -307,26 +359,43 @@ def animate(
                 driving_joints=corrected.driving,
             )
         result.seconds["load"] += seconds
-        of_clip += animations_note(chosen.animations, path, several=True) if chosen.animation is None else ()
-        of_clip += taken_rate_note(clip, path) if fps is None else ()
-        of_clip += first_frame_note(clip, start, path)
         notes.append(of_clip + resampled_note(result.clip, output_fps))
         results.append(result)
         corrections.append(corrected.described())
     with together():
         with progress("writing", quiet or json) as advance:
-            save_clips(results, output, [clip.name for clip in clips], as_joints, blendshapes, layout, advance)
+            save_clips(results, target, [clip.name for clip in clips], as_joints, blendshapes, layout, advance)
         for result, chosen in zip(results, clips, strict=True):
             save_joint_files(result, identity, chosen.path, save_joints, save_driving_joints, start)
-        shown = [_write_preview(result, output, preview, title) for result, title in zip(results, titles, strict=True)]
+        shown = [_write_preview(result, target, preview, title) for result, title in zip(results, titles, strict=True)]
     if open_it:
         for page in shown:
             open_page(page["page"])
+    for result in results:
+        _log(result, model, body)
     facts = [
-        _facts(result, output, paths, about, corrected, output_fps)
+        _facts(result, target, paths, about, corrected, output_fps)
         for result, paths, about, corrected in zip(results, shown, notes, corrections, strict=True)
     ]
     return _print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), json, quiet)
+
+
+def _log(result: Result | ClipResult, model: str, body: str) -> None:
+    """Write the times of the steps, and what was chosen and why, to the log (--verbose)."""
+    import logging
+
+    log, report = logging.getLogger(LOGGER), result.report
+    log.info("times: %s", ", ".join(f"{step} {seconds:.2f} s" for step, seconds in result.seconds.items()))
+    for which in ("identity", "driving"):
+        axes = report[which]
+        front = f"found by its shape, margin {axes['margin']:.2f}" if axes["detected"] else "known"
+        log.info("%s: up %s (%s), front %s (%s)", which, axes["up"], axes["up_from"], axes["front"], front)
+    if "body" in report:
+        log.info("body: %s (%s)", report["body"], "found by rig or shape" if body == "auto" else "given by --body")
+    why = "the default" if model == "mime" else "given by -m"
+    own = report.get("rig") == "own"
+    bones = "; on the rig of IDENTITY's own file" if own else "; joints found on the surface" if result.joints else ""
+    log.info("method: %s (%s)%s", result.model, why, bones)
 
 
 def _facts(
@@ -412,14 +481,20 @@ def _write_preview(
     return {"pictures": [str(picture)], "page": str(page)}
 
 
+def _previews(output: Path, preview: bool, clip: str | None = None, usual: str = ".glb") -> tuple[Path, ...]:
+    """Return the paths of the picture and the page that are written beside an output."""
+    from ..tools.preview import names_beside
+
+    return names_beside(output, clip, usual) if preview else ()
+
+
 def check_outputs(
     output: Path, preview: bool, open_it: bool, *inputs: Path | None, clip: str | None = None, usual: str = ".glb"
 ) -> None:
     """Check that no output overwrites an input, and that a page to be opened is written."""
     from ..core.errors import InputError
-    from ..tools.preview import names_beside
 
-    for written in (output, *(names_beside(output, clip, usual) if preview else ())):
+    for written in (output, *_previews(output, preview, clip, usual)):
         refuse_inputs(written, *inputs)
     if open_it and not preview:
         raise InputError("--open: expected a page to open, found --no-preview; leave one of them out")

@@ -13,11 +13,14 @@ from .terminal import (
     BlendShapes,
     BodyModel,
     Json,
+    Large,
+    NoClobber,
     NoLimits,
     Quiet,
     print_json,
     print_next,
     progress,
+    refuse_existing,
     refuse_inputs,
     single,
 )
@@ -81,6 +84,7 @@ def render(
     up: Annotated[str, typer.Option(help="Axis away from the floor: x, y, z, -x, -y, -z.")] = "y",
     front: Annotated[str | None, typer.Option(help="Axis that faces the front.")] = None,
     fps: Annotated[float | None, typer.Option(help="Frame rate, where the files do not say.")] = None,
+    no_clobber: NoClobber = False,
     no_limits: NoLimits = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -96,6 +100,7 @@ def render(
         cut=(start, stop, step),
     )
     options.check(output)
+    refuse_existing(no_clobber, output)
     refuse_inputs(output, *files, truth, stretch)
     clips = _cut(files, fps, single("--animation", animation), start, stop, step)
     names = [path.name for path in files]
@@ -132,6 +137,8 @@ def convert(
     frames_as: Annotated[str | None, typer.Option(metavar="SUFFIX", help="In a folder: obj or ply.")] = None,
     blendshapes: BlendShapes = None,
     body_model: BodyModel = None,
+    no_clobber: NoClobber = False,
+    large: Large = False,
     no_limits: NoLimits = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -144,6 +151,7 @@ def convert(
     from ..tools.convert import convert as convert_file
     from ..tools.convert import frames_at
 
+    refuse_existing(no_clobber, target)
     refuse_inputs(target, source, body_model)
     with progress("frames", quiet or json) as advance:
         written = convert_file(

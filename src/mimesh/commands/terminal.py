@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shlex
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,14 +16,32 @@ from typing import Annotated, Any
 import typer
 
 from ..core.printable import printable, say
+from .completion import models
 
+LINE_SECONDS = 10.0
+"""Time between two lines that tell the progress where there is no terminal."""
+SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
+"""What a path of a folder may end in."""
 Model = Annotated[
     str,
     typer.Option(
-        "--model", "-m", metavar="MODEL", help="A name that `mimesh models` prints, or the path of an .onnx file."
+        "--model",
+        "-m",
+        metavar="MODEL",
+        help="A name that `mimesh models` prints, or the path of an .onnx file.",
+        autocompletion=models,
     ),
 ]
-Output = Annotated[Path | None, typer.Option("--output", "-o", help="Where to write; its suffix is the format.")]
+Output = Annotated[
+    str | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="PATH",
+        help="Where to write; its suffix is the format. A folder (there, or ending in /) gets the usual name in it.",
+    ),
+]
+NoClobber = Annotated[bool, typer.Option("--no-clobber", "-n", help="Stop before the work if an output exists.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, and nothing else, on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
@@ -60,6 +81,19 @@ NoLimits = Annotated[
         "--no-limits", callback=_lift_limits, help="Read files of any size; without it, see docs/formats.md, Limits."
     ),
 ]
+
+
+def _limit_outputs(large: bool) -> bool:
+    """Limit the size of outputs unless --large is given, until the command ends (see `_lift_limits`)."""
+    from ..core.output_size import limit_outputs
+
+    limit_outputs(not large)
+    return large
+
+
+Large = Annotated[
+    bool, typer.Option("--large", callback=_limit_outputs, help="Write outputs of more than 100 MB, too.")
+]
 BlendShapes = Annotated[
     int | None,
     typer.Option("--blendshapes", metavar="K", min=1, help="Write K morph targets, not one a frame (.glb, .gltf)."),
@@ -94,9 +128,16 @@ def print_next(*words: str | Path) -> None:
 
 @contextlib.contextmanager
 def progress(what: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Yield a function of (done, total) that draws a bar, or None if stderr is not a terminal."""
-    if quiet or not sys.stderr.isatty():
+    """Yield a function of (done, total) that draws a bar; where stderr is no terminal a line tells of it now and then.
+
+    With `quiet` nothing is shown, and None is yielded.
+    """
+    if quiet:
         yield None
+        return
+    if not sys.stderr.isatty():
+        with progress_lines(what) as advance:
+            yield advance
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -107,6 +148,33 @@ def progress(what: str, quiet: bool) -> Iterator[Callable[[int, int], None] | No
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(printable(what), total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextlib.contextmanager
+def progress_lines(what: str, every: float | None = None) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function of (done, total); a line on stderr tells the last ones every so many seconds (LINE_SECONDS).
+
+    A thread writes the lines, so that they come during long steps that report nothing, too.
+    """
+    done_of: list[int] = []
+    begin, ended = time.monotonic(), threading.Event()
+    seconds = LINE_SECONDS if every is None else every
+
+    def write() -> None:
+        while not ended.wait(seconds):
+            counted = f" {done_of[0]}/{done_of[1]}" if len(done_of) == 2 else ""
+            say(f"{what}{counted}, {time.monotonic() - begin:.0f} s", error=True)
+
+    def advance(done: int, total: int) -> None:
+        done_of[:] = done, total
+
+    writer = threading.Thread(target=write, daemon=True)
+    writer.start()
+    try:
+        yield advance
+    finally:
+        ended.set()
+        writer.join()
 
 
 def single(option: str, values: list[str] | None) -> str | None:
@@ -137,6 +205,69 @@ def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
         raise InputError(f"{identity}: expected the file of the mesh to move, found {found}; check the path")
     resolved = driving.resolve()  # a driving folder may be given as "." or "walk/"
     return identity.with_name(f"{identity.stem}-{resolved.name if resolved.is_dir() else resolved.stem}{suffix}")
+
+
+def output_path(given: str | None, usual: Callable[[], Path], frames: bool = False) -> Path:
+    """Return the path of an output.
+
+    Args:
+        given: what the user gave, None for nothing. A folder that is there, or a text that ends in a slash, is where
+            the output gets the usual name.
+        usual: gives the default output.
+        frames: whether a folder without the slash that holds numbered meshes is the output itself, as such.
+
+    Raises:
+        InputError: an empty text, or a file where a folder is meant.
+    """
+    from ..core.errors import InputError
+
+    if given is None:
+        return usual()
+    path = given_output(given)
+    if given.endswith(SEPARATORS):
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{given}: expected a folder for the output, found a file; leave the slash out")
+        return path / usual().name
+    if not path.is_dir() or (frames and any(file.stem[-1:].isdigit() for file in path.iterdir())):
+        return path
+    return path / usual().name
+
+
+def given_output(text: str) -> Path:
+    """Return the path of an output; an empty one, as of an unset variable, would be the current folder.
+
+    Raises:
+        InputError: it is empty.
+    """
+    from ..core.errors import InputError
+
+    if not text.strip():
+        raise InputError("--output: expected a path, found an empty text; check variables and quotes")
+    return Path(text)
+
+
+def refuse_existing(no_clobber: bool, *outputs: Path | None) -> None:
+    """Check with --no-clobber that no output exists; None is no output.
+
+    Raises:
+        InputError: one does.
+    """
+    from ..core.errors import InputError
+
+    for path in filter(None, outputs):
+        if no_clobber and (path.exists() or path.is_symlink()):
+            raise InputError(
+                f"{path}: expected nothing there with --no-clobber, found a {'folder' if path.is_dir() else 'file'}; "
+                "name another with -o, or leave --no-clobber out"
+            )
+
+
+def tell_size(size: int, output: Path, quiet: bool) -> None:
+    """Tell on stderr the expected size (bytes) of a large output before it is made."""
+    from ..core.output_size import TOLD_OUTPUT
+
+    if size >= TOLD_OUTPUT and not quiet:
+        say(f"{output}: about {size / 1e6:,.0f} MB will be written", error=True)
 
 
 def given_path(text: str) -> Path:

@@ -1,5 +1,7 @@
 """The exception for errors that a user can cause and repair."""
 
+from collections.abc import Iterable
+
 LONGEST_MESSAGE = 1000
 """Characters of a message: names and numbers in a damaged file may have any length."""
 
@@ -17,3 +19,12 @@ def one_line(message: str) -> str:
     if len(line) <= LONGEST_MESSAGE:
         return line
     return f"{line[: LONGEST_MESSAGE // 2]} ... {line[-LONGEST_MESSAGE // 3 :]}"
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return the end of a message that names the known word nearest to the one found: "; did you mean npt?", or ""."""
+    from difflib import get_close_matches
+
+    by_lower = {name.lower(): name for name in known}
+    close = get_close_matches(word.lower(), by_lower, 1)
+    return f"; did you mean {by_lower[close[0]]}?" if close else ""

@@ -231,20 +231,29 @@ def with_printable_names(mesh: Mesh) -> Mesh:
     )
 
 
+def check_cut(name: str, count: int, frames: slice) -> None:
+    """Check that a choice of frames (--start, --stop, --step) leaves some of `count`.
+
+    Raises:
+        InputError: no frame is left, or the step is not positive.
+    """
+    if frames.step is not None and frames.step < 1:
+        raise InputError(f"--step: expected 1 or more, found {frames.step}; give a positive number")
+    if not len(range(count)[frames]):
+        raise InputError(
+            f"{name}: expected --start and --stop within its {count} frames, found {frames.start or 0} to "
+            f"{'the end' if frames.stop is None else frames.stop}, which leaves none; change them"
+        )
+
+
 def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
     """Select every `step`-th frame in start <= t < stop; the frame rate becomes fps / step, so the speed is unchanged.
 
     Raises:
         InputError: no frame is left, or the step is not positive.
     """
-    if step < 1:
-        raise InputError(f"--step: expected 1 or more, found {step}; give a positive number")
+    check_cut(clip.mesh.name, len(clip), slice(start, stop, step))
     vertices = clip.vertices[start:stop:step]
-    if len(vertices) == 0:
-        raise InputError(
-            f"{clip.mesh.name}: expected --start and --stop within its {len(clip)} frames, found {start} to "
-            f"{'the end' if stop is None else stop}, which leaves none; change them"
-        )
     check_mesh(dataclasses.replace(clip.mesh, vertices=vertices[0].astype(np.float64)), clip.mesh.name)
     headings = None if clip.headings is None else clip.headings[start:stop:step]
     skeleton = None if clip.skeleton is None else clip.skeleton.cut(slice(start, stop, step))

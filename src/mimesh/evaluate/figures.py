@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.errors import InputError
+from ..core.errors import InputError, did_you_mean
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..io import load_mesh
@@ -84,7 +84,8 @@ def figure_command(
     from ..tools.preview import save_picture
 
     if name not in FIGURES:
-        raise InputError(f"{name}: expected a figure ({', '.join(FIGURES)}), found another; check the name")
+        close = did_you_mean(name, FIGURES) or "; check the name"
+        raise InputError(f"{name}: expected a figure ({', '.join(FIGURES)}), found another{close}")
     figure = FIGURES[name]
     check_models(models or figure.models)
     count, pages = rows or figure.row_count, []

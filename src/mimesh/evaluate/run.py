@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ..bodies.dress import TEST_FILE
-from ..core.errors import InputError
+from ..core.errors import InputError, did_you_mean
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
 from ..methods.find import (
@@ -354,7 +354,8 @@ def check_method(method: str) -> None:
     names = sorted({*EXTRA_INPUTS, *MODELS, *NETWORK_OF_BODY.values()} - {"deformation-transfer"})
     named = method in (*names, *REDUCED_MODELS) or is_table_model(method)
     if not named and not (method.endswith(".onnx") and Path(method).is_file()):
-        raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither; check -m")
+        close = did_you_mean(method, names) or "; check -m"
+        raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither{close}")
     check_weights(method)
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..core.errors import InputError
+from ..core.errors import InputError, did_you_mean
 from ..core.frame_buffer import Progress
 from ..methods.find import REDUCED_MODELS
 from .markdown import cell, markdown_table, with_interval
@@ -182,7 +182,8 @@ def find_table(name: str, without: Sequence[str] = ()) -> Table:
         InputError: no such table, no such row, or no rows are left.
     """
     if name not in TABLES:
-        raise InputError(f"{name}: expected a table ({', '.join(TABLES)}), found another; check the name")
+        close = did_you_mean(name, TABLES) or "; check the name"
+        raise InputError(f"{name}: expected a table ({', '.join(TABLES)}), found another{close}")
     table = TABLES[name]
     methods = [row.method for row in table.rows]
     for method in without:

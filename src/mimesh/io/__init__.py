@@ -18,7 +18,8 @@ from jaxtyping import Float
 from ..core.animated_rig import AnimatedRig, RigAnimation
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh, check_clip, check_mesh, with_printable_names
+from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip, with_printable_names
+from ..core.output_size import check_output_size, frames_size
 from ..core.system import refuse_pipe
 from .atomic import together, whole_file, writing
 from .bvh_write import save_bvh as save_bvh
@@ -71,7 +72,11 @@ def load_mesh(path: str | Path) -> Mesh:
 
 
 def load_clip(
-    path: str | Path, fps: float | None = None, animation: str | None = None, progress: Progress | None = None
+    path: str | Path,
+    fps: float | None = None,
+    animation: str | None = None,
+    progress: Progress | None = None,
+    frames: slice = slice(None),
 ) -> Clip:
     """Read a clip from a file or a folder of numbered meshes, and validate it; a file of one mesh gives one frame.
 
@@ -84,13 +89,29 @@ def load_clip(
         animation: name or number of an animation of a glTF file, None: the first, with those that move other nodes; or
             of a clip of an HDF5 file, None: the only one.
         progress: called with (frames read, frames in all).
+        frames: those to take, counted from 0 at the frame rate of the result; see `cut_clip`. Of a motion file the
+            others are never posed, of other files they are read too.
 
     Raises:
-        InputError: as `load_mesh`; frames of different topology; no such animation.
+        InputError: as `load_mesh`; frames of different topology; no such animation; no frame is left.
     """
     path = Path(path)
     _check_clip_options(path, fps, animation)
     _must_exist(path)
+    if frames == slice(None):
+        return _whole_clip(path, fps, animation, progress)
+    from ..motions.on_body import is_motion_file, motion_file_clip
+
+    if path.is_file():
+        with _reading(path):
+            if is_motion_file(path):
+                return check_clip(motion_file_clip(path, fps, progress, frames), path)
+    clip = _whole_clip(path, fps, animation, progress)
+    return cut_clip(clip, frames.start or 0, frames.stop, 1 if frames.step is None else frames.step)
+
+
+def _whole_clip(path: Path, fps: float | None, animation: str | None, progress: Progress | None) -> Clip:
+    """Read all frames of a clip."""
     if path.is_dir():
         with _reading(path):
             clip = read_sequence(
@@ -264,14 +285,26 @@ def save_clip(
     if path.suffix.lower() not in CLIP_WRITERS:
         raise InputError(
             f"{path}: expected a clip format ({' '.join(CLIP_WRITERS)}) or a folder, found '{path.suffix}'; "
-            f"write {path.with_suffix('.glb').name}, or {path.stem}/ for one mesh per frame"
+            f"write {path.with_suffix('.glb').name}, or {path.stem} for a folder of one mesh per frame"
         )
+    check_clip_output_size(clip, path, path.suffix)
     mesh_path = _mesh_path_of_cache(clip, path) if path.suffix.lower() in CACHES else None
     with writing(path), together():
         CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
         if mesh_path is not None:
             save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), mesh_path)
     return None
+
+
+def check_clip_output_size(clip: Clip, path: Path, suffix: str) -> None:
+    """Check the expected size of a clip that is written frame by frame; see `core.output_size`.
+
+    Raises:
+        InputError: outputs are limited, and it is too large.
+    """
+    joints = ", write joints (.glb of mime without --morphs)" if suffix in (*JOINTED, *CACHES, ".npz") else ""
+    advice = f"take fewer frames with --step, --start or --stop{joints}"
+    check_output_size(frames_size(suffix, len(clip.mesh.vertices), len(clip)), path, advice)
 
 
 def _save_folder(clip: Clip, path: Path, suffix: str | None, progress: Progress | None) -> None:
@@ -284,6 +317,7 @@ def _save_folder(clip: Clip, path: Path, suffix: str | None, progress: Progress 
         )
     if path.is_file():
         raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
+    check_clip_output_size(clip, path, suffix)
     with writing(path), together():
         write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh, progress)
         if source_suffix == suffix:

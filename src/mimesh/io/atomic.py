@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..core.errors import InputError
+from ..core.output_size import check_output_size
 from ..core.system import file_mode_mask, has_locks, lock, open_to_lock, rename
 
 PREFIX = ".mimesh-tmp-"
@@ -170,6 +171,7 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     temporary = _Temporary.file(target.parent, path.stem, path.suffix)
     try:
         yield temporary.path
+        check_output_size(temporary.path.stat().st_size, path, "write less of it", estimated=False)
         temporary.path.chmod(0o666 & ~file_mode_mask())  # mkstemp makes files that only their owner can read
         _finish({target: temporary.path}, temporary)
     except BaseException:

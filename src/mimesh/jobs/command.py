@@ -95,7 +95,8 @@ def batch(
     silent = quiet or json
     if not silent and not sys.stderr.isatty():
         say("checking all jobs", error=True)
-    with progress("jobs", silent) as advance:
+    # Without a terminal each job has a line of its own.
+    with progress("jobs", silent or not sys.stderr.isatty()) as advance:
         result = run_batch(
             str(jobs),
             None if drivings is None else str(drivings),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from contextvars import copy_context
 from functools import cache
 from typing import Any
 
 import typer
 
 from ..commands import move
-from ..core.errors import InputError
+from ..core.errors import InputError, did_you_mean
 from .table import BatchJob
 
 SWITCH_VALUES = {
@@ -60,8 +61,8 @@ def arguments(job: BatchJob) -> list[str]:
         parameter = known.get(name)
         if parameter is None:
             raise InputError(
-                f"{job.where}: expected an option of mimesh {job.command}, found {name}; "
-                f"mimesh {job.command} --help lists them"
+                f"{job.where}: expected an option of mimesh {job.command}, found {name}"
+                f"{did_you_mean(name, known)}; mimesh {job.command} --help lists them"
             )
         words += _flag(job, name, value, parameter) if parameter.is_flag else [f"--{name}={value}"]
     return [*words, "--", job.identity, job.driving]
@@ -106,5 +107,9 @@ def run_command(job: BatchJob) -> dict[str, Any]:
         InputError: as the command.
     """
     command = _commands()[job.command]
-    with command.make_context(job.command, arguments(job)) as context:
-        return command.invoke(context)
+
+    def run() -> dict[str, Any]:
+        with command.make_context(job.command, arguments(job)) as context:
+            return command.invoke(context)
+
+    return copy_context().run(run)  # what an option sets, such as --no-limits, ends with the job

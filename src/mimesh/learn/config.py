@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import yaml
 
-from ..core.errors import InputError
+from ..core.errors import InputError, did_you_mean
 from ..core.system import refuse_pipe
 from .tasks.base import TrainConfig
 from .tasks.find import NETWORKS, find_task
@@ -37,6 +37,7 @@ def load_config(name_or_path: str, model: str = "npt", changes: Sequence[str] = 
         shipped = sorted(p.stem.removeprefix(f"{model}-") for p in path.parent.glob(f"{model}-*.yaml"))
         raise InputError(
             f"{name_or_path}: expected a configuration ({', '.join(shipped)}) or a YAML file, found neither"
+            + did_you_mean(name_or_path, shipped)
         )
     refuse_pipe(path)
     values = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
@@ -109,7 +110,10 @@ def config_from(values: dict[str, Any], where: str) -> TrainConfig:
         raise InputError(f"{where}: expected keys and values, found {values!r}")
     network = values.get("network", "npt")
     if network not in NETWORKS:
-        raise InputError(f"{where}, network: expected {' or '.join(NETWORKS)}, found {network!r}")
+        raise InputError(
+            f"{where}, network: expected {' or '.join(NETWORKS)}, found {network!r}"
+            + did_you_mean(str(network), NETWORKS)
+        )
     kind = find_task(network).config_type
     foreign = LOSS_KEYS - {field.name for field in dataclasses.fields(kind)}
     config = _build(kind, {key: value for key, value in values.items() if key not in foreign}, where)
@@ -127,7 +131,10 @@ def _build(kind: type, values: Any, where: str) -> Any:
     hints = {field.name: hints[field.name] for field in dataclasses.fields(kind)}
     unknown = sorted(set(values) - set(hints))
     if unknown:
-        raise InputError(f"{where}: expected the keys {', '.join(hints)}, found {', '.join(unknown)}; remove it")
+        raise InputError(
+            f"{where}: expected the keys {', '.join(hints)}, found {', '.join(unknown)}"
+            + (did_you_mean(unknown[0], hints) or "; remove it")
+        )
     return kind(**{k: _value(hints[k], v, f"{where}, {k}") for k, v in values.items()})
 
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from ..core.errors import InputError
+from ..core.errors import InputError, did_you_mean
 from . import checkpoint
 from .config import changed_config, config_differences, load_config
 from .cost import operations_of
@@ -62,7 +62,10 @@ def train_command(
         pattern: how its files are named (`mesh_layouts`); empty: found.
     """
     if model not in NETWORKS:
-        raise InputError(f"{model}: expected a model that can be trained ({', '.join(NETWORKS)}), found another")
+        raise InputError(
+            f"{model}: expected a model that can be trained ({', '.join(NETWORKS)}), found another"
+            + did_you_mean(model, NETWORKS)
+        )
     folders = Folders(characters, clips, meshes, pattern)
     with joined_processes() as processes:
         if resume is not None:

@@ -7,6 +7,7 @@ import json
 import os
 import time
 from collections.abc import Iterator, Mapping
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -21,6 +22,12 @@ if TYPE_CHECKING:
 
 LOG_SECONDS = 20.0
 """Wall-clock time between lines of the log."""
+FIRST_SECONDS = 3.0
+"""The same before the first line of figures."""
+LONGEST_LEFT = 366 * 24 * 3600.0
+"""Seconds from which on no date is told."""
+PACE_STEPS = 2
+"""Steps from which on the speed is told. The first is left out: it takes longer than the others."""
 
 
 class TrainingLog:
@@ -28,6 +35,7 @@ class TrainingLog:
 
     def __init__(self, lines: TextIO, board: SummaryWriter | None, run: TrainingRun) -> None:
         self.lines, self.board, self.run = lines, board, run
+        self.steps, self.told, self.start = 0, False, (0.0, 0.0)
         self._begin()
 
     @classmethod
@@ -42,9 +50,17 @@ class TrainingLog:
             yield cls(lines, board, run)
 
     def add(self, loss: Tensor) -> None:
-        """Collect a loss; write a line now and then."""
+        """Collect a loss; write a line now and then, and after some seconds what the training will reach."""
         self.losses.append(loss)
-        if time.monotonic() - self.time > LOG_SECONDS:
+        self.steps += 1
+        if self.steps == 1:
+            self.start = (time.monotonic(), self.run.share())
+        waited = time.monotonic() - (self.time if self.told else self.start[0])
+        if not self.told and self.steps >= PACE_STEPS and waited > FIRST_SECONDS:
+            self.told = True
+            self.note("pace", expected_end(self.run, self.steps - 1, waited, self.run.share() - self.start[1]))
+            self.flush()
+        elif waited > LOG_SECONDS:
             self.flush()
 
     def flush(self) -> None:
@@ -82,3 +98,22 @@ class TrainingLog:
         self.lines.flush()
         if self.board:
             say(f"{kind} {pairs:,} pairs: {text}", error=True)
+
+
+def expected_end(run: TrainingRun, steps: int, seconds: float, share: float) -> str:
+    """Say how fast a training is and when it ends, from steps of this process.
+
+    Args:
+        steps: number of them.
+        seconds: wall-clock time that they took.
+        share: of the whole training that they did.
+    """
+    hourly = steps * run.config.batch / seconds * 3600.0
+    left = (1.0 - run.share()) / share * seconds if share > 0 else float("inf")
+    end = datetime.now() + timedelta(seconds=left) if left < LONGEST_LEFT else None
+    when = f"{end:%Y-%m-%d %H:%M}" if end else "in more than a year"
+    reached = run.step * run.config.batch + hourly * left / 3600.0
+    return (
+        f"{hourly:,.0f} pairs an hour on this machine now; expected end {when}, after {left / 60.0:,.0f} minutes more "
+        f"(validations not counted) and {reached:,.0f} pairs; a checkpoint every minute, --resume continues"
+    )

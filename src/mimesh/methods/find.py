@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int
 
-from ..core.errors import InputError
+from ..core.errors import InputError, did_you_mean
 from ..core.mesh import Mesh
 from .base import Method, RigMethod
 
@@ -150,4 +150,7 @@ def find_method(
             fingers=known not in (*REDUCED_MODELS, *TABLE_MODELS),
         )
         return _with_other_bodies(network, seed) if model == "mime" else network
-    raise InputError(f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}")
+    raise InputError(
+        f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}"
+        + did_you_mean(model, (*MODELS, *NETWORK_OF_BODY.values()))
+    )

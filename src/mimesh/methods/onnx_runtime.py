@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 SWITCH = "ORT_DISABLE_TELEMETRY"
 """Environment variable that onnxruntime reads once, while it is imported; its Privacy.md describes it."""
 THREADS = "MIMESH_THREADS"
-"""Environment variable: threads of each network, 2 by default. `mimesh batch` sets it for its workers."""
+"""Environment variable: threads of each network, 2 by default. `--threads` and `mimesh batch` set it. Waiting threads
+do not spin: on two busy cores the second one costs nothing (benchmarks/threads.json)."""
 MOST_SESSIONS = 4
 """Networks that a process keeps open: mime's two, that of hands, and one of a user."""
 

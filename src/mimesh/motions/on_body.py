@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from .amass import is_amass, load_amass
 from .bvh import Bvh, bvh_joints, load_bvh
-from .motion import Motion, joint_tracks, leg_length, resample
+from .motion import Motion, cut_motion, joint_tracks, leg_length, resample
 from .retarget import retarget
 
 BVH = ".bvh"
@@ -58,19 +59,31 @@ def _load(path: str | Path) -> Bvh:
     return load_bvh(path) if Path(path).suffix.lower() == BVH else load_amass(path)
 
 
-def motion_file_clip(path: str | Path, fps: float | None = None, progress: Progress | None = None) -> Clip:
+def motion_file_clip(
+    path: str | Path, fps: float | None = None, progress: Progress | None = None, frames: slice = slice(None)
+) -> Clip:
     """Load a motion file as a clip of the shipped body (see `played`).
 
     The frame rate is that of the file, or `fps`: the motion is resampled, so that frame k is at k / fps seconds.
+    The surface is posed in the chosen `frames` alone. They are those of the whole clip: the rest pose and the floor are
+    found from all frames.
 
     Raises:
-        InputError: as `motion_of_file`, or a frame rate that is not positive.
+        InputError: as `motion_of_file`, a frame rate that is not positive, or no frame is left.
     """
-    source = _load(path)
-    motion = on_body(source, path)
-    motion = motion if fps is None else resample(motion, fps, str(path))
+    path = Path(path)
+    facts = path.stat() if path.is_file() else None  # reading a missing one tells what is wrong
+    motion, notes = _whole_motion(path, facts and (facts.st_dev, facts.st_ino, facts.st_mtime_ns, facts.st_size))
+    motion = cut_motion(motion if fps is None else resample(motion, fps, str(path)), frames)
     check_clip_size(len(motion), len(load_body().vertices), path)
-    return dataclasses.replace(played(motion, progress), notes=source.notes)
+    return dataclasses.replace(played(motion, progress), notes=notes)
+
+
+@lru_cache(maxsize=1)  # a batch moves many meshes by one capture; a capture of a minute has 10 MB
+def _whole_motion(path: Path, version: tuple[int, ...] | None) -> tuple[Motion, tuple[str, ...]]:
+    """Retarget a motion file, and return its notes; once while the file does not change."""
+    source = _load(path)
+    return on_body(source, path), source.notes
 
 
 def motion_file_mesh(path: str | Path) -> Mesh:

@@ -160,12 +160,18 @@ def animate(
     Raises:
         InputError: a file, an axis, the range, the model or its options cannot be used.
     """
+    from ..io import load_clip
+
     timer = Timer()
     with timer.step("load"):
         identity = _read_mesh(identity)
-        whole = _read_clip(driving, fps, animation)
-        corrections = Corrections.read(joints, driving_joints, whole)
-        clip = cut_clip(whole, start, stop, step)
+        if driving_joints is None and not isinstance(driving, Clip):
+            clip = load_clip(driving, fps, animation, frames=slice(start, stop, step))
+            corrections = Corrections.read(joints, None, clip)
+        else:  # corrected joints may be in a frame that is not taken
+            whole = _read_clip(driving, fps, animation)
+            corrections = Corrections.read(joints, driving_joints, whole)
+            clip = cut_clip(whole, start, stop, step)
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
     choice = _choice(model, ensemble, seed, reference, markers)
     options = MotionOptions(root, ground, smooth, skinned, _usable_rig(rig, model), body)

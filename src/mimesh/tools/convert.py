@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh, cut_clip
+from ..core.mesh import Clip, Mesh, check_cut, cut_clip
 from ..io import (
     check_writable,
     clip_suffixes,
@@ -25,8 +25,9 @@ from ..io import (
 from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
 from ..io.timing import DEFAULT_FPS
+from ..motions.on_body import is_motion_file
 from ..render.movie import MOVIES, write_clip
-from .driving_clips import ALL
+from .driving_clips import ALL, DrivingClip
 
 BONES_ONLY = ".vrma"
 """Format that holds the motion of bones and no mesh."""
@@ -138,8 +139,9 @@ def convert(
         mesh = load_mesh(source)
         return _write_mesh(mesh, target, notes=_at_rest_note(mesh, source, target))
     # Reading and writing are half of the progress each.
-    clip, notes = read_clip(source, body_model, fps, animation, part(progress, 0, 2))
-    clip = cut_clip(clip, start, stop, step) if frame is None else _single_frame(clip, frame, source)
+    frames = slice(start, stop, step) if frame is None else slice(None)
+    clip, notes = read_clip(source, body_model, fps, animation, part(progress, 0, 2), frames)
+    clip = clip if frame is None else _single_frame(clip, frame, source)
     if (len(clip) == 1 and suffix in MESH_WRITERS) or not holds_clip:
         return _write_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip), notes)
     deviation = write_clip(clip, target, frames_as, blendshapes, part(progress, 1, 2))
@@ -156,16 +158,49 @@ def read_clip(
     fps: float | None,
     animation: str | None,
     progress: Progress | None = None,
+    frames: slice = slice(None),
 ) -> tuple[Clip, tuple[str, ...]]:
-    """Read a clip, or with a body model the recorded surface; returns notes as well.
+    """Read a clip, or with a body model the recorded surface; returns notes as well. `frames`: see `load_clip`.
 
     Raises:
-        InputError: a file cannot be read.
+        InputError: a file cannot be read, or no frame is left.
     """
     if body_model is None:
-        clip = load_clip(path, fps, animation, progress)
+        clip = load_clip(path, fps, animation, progress, frames)
         return clip, clip.notes
-    return load_recorded_clip(path, body_model, fps, animation, progress)
+    clip, notes = load_recorded_clip(path, body_model, fps, animation, progress)
+    return cut_clip(clip, frames.start or 0, frames.stop, 1 if frames.step is None else frames.step), notes
+
+
+def read_driving(
+    chosen: DrivingClip,
+    body_model: str | Path | None,
+    fps: float | None,
+    frames: slice,
+    progress: Progress | None = None,
+    whole: bool = False,
+) -> tuple[Clip, tuple[str, ...]]:
+    """Read a driving clip with notes on what was taken of its file.
+
+    Args:
+        frames: those to take; of a motion file no others are posed.
+        whole: check `frames`, and return all.
+
+    Raises:
+        InputError: a file cannot be read, or no frame is left.
+    """
+    path = chosen.path
+    posed = body_model is None and path.is_file() and is_motion_file(path)
+    early = posed and not whole
+    clip, notes = read_clip(path, body_model, fps, chosen.animation, progress, frames if early else slice(None))
+    notes += animations_note(chosen.animations, path, several=True) if chosen.animation is None else ()
+    notes += taken_rate_note(clip, path) if fps is None else ()
+    if frames.start == 0:
+        # The capture is kept in memory: its first frames are posed, and nothing is read again.
+        first = load_clip(path, fps, frames=slice(0, LONE_FRAMES)) if early else clip
+        notes += first_frame_note(first, 0, path)
+    check_cut(clip.mesh.name, len(clip), slice(None) if early else frames)
+    return (clip if early or whole else cut_clip(clip, frames.start, frames.stop, frames.step)), notes
 
 
 def _whole_as_fbx(source: Path, target: Path) -> Converted:
@@ -319,6 +354,18 @@ def _at_rest_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
         return (f"{target.name} is the first frame; --frame takes another",)
     if getattr(mesh.source, "animations", ()):
         return (f"{target.name} is the mesh at rest; --frame takes a pose of its animation",)
+    return ()
+
+
+def taken_pose_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
+    """Return a note on which pose a single mesh was read in, if its file moves."""
+    if path.suffix.lower() in MOTIONS or (path.suffix.lower() == ".npz" and is_motion_file(path)):
+        return (f"{path.name} has joints and no mesh: mimesh's own body in its first frame is taken",)
+    if getattr(mesh.source, "animations", ()):
+        return (
+            f"{path.name} has an animation: its mesh at rest is taken; for another pose, mimesh convert {path.name} "
+            "pose.obj --frame N",
+        )
     return ()
 
 

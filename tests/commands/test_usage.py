@@ -1,0 +1,213 @@
+"""What is printed about usage: help, what is missing, near names, completion, the log and the progress."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import get_args
+
+import pytest
+import zoo
+from threadpoolctl import threadpool_info
+
+from mimesh.bodies.engine_names import SCHEMES, RestPose
+from mimesh.cli import COMMANDS, command_name, run
+from mimesh.commands import about, common, completion, terminal
+from mimesh.core.errors import did_you_mean
+from mimesh.io import save_mesh
+from mimesh.methods.find import MODELS
+from mimesh.methods.onnx_runtime import THREADS
+from mimesh.pipeline.body_choice import BODIES
+from mimesh.pipeline.rigs import RIGS
+from mimesh.pipeline.run import ROOTS
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    """A folder with hero.obj and pose.obj."""
+    cube = zoo.cube()
+    save_mesh(cube, tmp_path / "hero.obj")
+    save_mesh(cube.with_vertices(cube.vertices * [1, 2, 1]), tmp_path / "pose.obj")
+    return tmp_path
+
+
+def copied(files: Path) -> list[str]:
+    """Arguments of a transfer that needs no network."""
+    return ["transfer", str(files / "hero.obj"), str(files / "pose.obj"), "-m", "copy", "--no-preview"]
+
+
+def test_no_command_prints_the_help_in_lines(capsys):
+    assert run([]) == 2
+    text = capsys.readouterr()
+    assert text.out == ""
+    assert text.err.startswith("Usage: mimesh")
+    assert all(f"\n  {command_name(command)} " in text.err for command in COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "missing"),
+    [(["transfer"], "IDENTITY} and {DRIVING"), (["transfer", "a"], "DRIVING"), (["look"], "FILE...")],
+)
+def test_missing_arguments_are_named_in_one_line_before_the_usage(arguments, missing, capsys):
+    assert run(arguments) == 2
+    first, *usage = capsys.readouterr().err.splitlines()
+    assert missing.replace("{", "").replace("}", "") in first.replace("{", "").replace("}", "")
+    assert first.startswith("mimesh: expected ")
+    assert usage[0].startswith(f"Usage: mimesh {arguments[0]} [OPTIONS]")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (["trnasfer", "a", "b"], "transfer"),
+        (["transfer", "a", "b", "--ouput", "c"], "--output"),
+        (["transfer", "a", "b", "--no-prview"], "--no-preview"),
+        (["table", "npt1"], "npt-1"),
+        (["figure", "npt6", "-o", "a.png"], "npt-6"),
+        (["evaluate", "human-npt", "-m", "nptt"], "npt"),
+    ],
+)
+def test_near_names_are_suggested(arguments, meant, capsys):
+    assert run(arguments) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"did you mean {meant}?" in line.replace("'", "").replace("Did", "did")
+
+
+def test_near_models_are_suggested_and_far_ones_not(files, capsys):
+    assert run([*copied(files), "-m", "skelton"]) == 2
+    assert "did you mean skeleton?" in capsys.readouterr().err
+    assert did_you_mean("xyz", MODELS) == ""
+    assert did_you_mean("MIME", MODELS) == "; did you mean mime?"
+
+
+def test_values_that_shells_complete_are_those_that_are_checked():
+    assert set(completion.MODELS) == set(MODELS) == set(about.DESCRIPTIONS)
+    known = {"root": ROOTS, "rig": RIGS, "body": BODIES, "names": SCHEMES, "rest": get_args(RestPose)}
+    assert {option: set(values) for option, values in completion.VALUES.items()} == {
+        option: set(values) for option, values in known.items()
+    }
+
+
+def test_names_of_models_and_networks_are_completed(tmp_path, monkeypatch):
+    for name in ("net.onnx", ".hidden.onnx", "notes.txt"):
+        (tmp_path / name).touch()
+    (tmp_path / "nets").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert completion.models("n") == ["npt", "npt-maxpool", "net.onnx", "nets/"]
+    assert completion.models("./net") == ["./net.onnx", "./nets/"]
+    assert completion.models(f"{tmp_path}/.h") == [f"{tmp_path}/.hidden.onnx"]
+    assert completion.models("nowhere/") == []
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("mimesh transfer a b -m np", ["npt", "npt-maxpool"]),
+        ("mimesh animate a b --root k", ["keep"]),
+        ("mimesh transfer a b --log-level d", ["debug"]),
+        ("mimesh tran", ["transfer"]),
+    ],
+)
+def test_a_shell_gets_completions(words, expected, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("_MIMESH_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
+    assert run([]) == 0
+    assert capsys.readouterr().out.split() == expected
+
+
+def test_completion_is_installed_only_when_asked(tmp_path):
+    environment = os.environ | {"HOME": str(tmp_path), "SHELL": "/bin/bash"}
+
+    def call(option: str) -> str:
+        code = f"from mimesh.cli import main; main(['{option}', 'bash'])"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
+        return done.stdout
+
+    assert "_MIMESH_COMPLETE" in call("--show-completion")
+    assert list(tmp_path.rglob("*")) == []
+    call("--install-completion")
+    assert ".bash_completions" in (tmp_path / ".bashrc").read_text()
+
+
+def test_verbose_tells_times_axes_and_method_on_stderr(files, capsys):
+    assert run([*copied(files), "-v"]) == 0
+    text = capsys.readouterr()
+    lines = text.err.splitlines()
+    assert lines[0].startswith("info: times: load ")
+    assert any(line.startswith("info: identity: up ") for line in lines)
+    assert any(line.startswith("info: driving: up ") for line in lines)
+    assert "info: method: copy (given by -m)" in lines
+    assert "info:" not in text.out
+    assert run(copied(files)) == 0
+    assert capsys.readouterr().err == ""
+    assert logging.getLogger(common.LOGGER).handlers == []
+
+
+def test_levels_of_the_log(files, capsys):
+    assert run([*copied(files), "--log-level", "warning"]) == 0
+    assert capsys.readouterr().err == ""
+    assert run([*copied(files), "--log-level", "loud"]) == 2
+    assert "--log-level: expected debug, info, warning, error, found 'loud'" in capsys.readouterr().err
+
+
+THREADS_OF = """
+import os, sys
+from mimesh.cli import run
+run(sys.argv[1:])
+print(*[os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MIMESH_THREADS")])
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "given", "expected"),
+    [
+        (["look", "x"], {}, "1 1 None"),
+        (["look", "x", "--threads", "3"], {"OMP_NUM_THREADS": "2"}, "3 3 3"),
+        (["look", "x"], {"OMP_NUM_THREADS": "2"}, "2 None None"),
+        (["train", "x"], {}, "None None None"),
+    ],
+)
+def test_threads_before_libraries_are_loaded(arguments, given, expected):
+    unset = (*common.LINEAR_ALGEBRA, THREADS)
+    environment = {name: value for name, value in os.environ.items() if name not in unset}
+    command = [sys.executable, "-c", THREADS_OF, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment | given, check=True)
+    assert done.stdout.splitlines()[-1] == expected
+
+
+def test_threads_of_loaded_libraries_are_set_back(files, capsys, monkeypatch):
+    assert common.NETWORKS == THREADS
+    monkeypatch.delenv(THREADS, raising=False)
+
+    def threads() -> list[int]:
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    before, during = threads(), []
+    monkeypatch.setattr("mimesh.pipeline.transfer", lambda *_, **__: during.append((threads(), os.environ[THREADS])))
+    assert run([*copied(files), "--threads", "3"]) == 1  # nothing is a result
+    assert during == [([3] * len(before), "3")]
+    assert (threads(), THREADS in os.environ) == (before, False)
+    capsys.readouterr()
+    assert run([*copied(files), "--threads", "0"]) == 2
+    assert "--threads: expected 1 or more, found 0" in capsys.readouterr().err
+
+
+def test_progress_is_told_in_lines_where_there_is_no_terminal(capsys, monkeypatch):
+    monkeypatch.setattr(terminal, "LINE_SECONDS", 0.01)
+    with terminal.progress("frames", quiet=False) as advance:
+        time.sleep(0.1)
+        assert advance is not None
+        advance(2, 5)
+        time.sleep(0.1)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "frames, 0 s"
+    assert lines[-1] == "frames 2/5, 0 s"
+    with terminal.progress("frames", quiet=True) as advance:
+        time.sleep(0.05)
+    assert (advance, capsys.readouterr().err) == (None, "")
