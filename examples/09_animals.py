@@ -9,7 +9,7 @@ from pathlib import Path
 
 import mimesh
 from mimesh.bodies.animals import animal
-from mimesh.motions.gaits import gait_clip
+from mimesh.motions.animal_clips import gait_clip
 from mimesh.render.movie import clip_frames, save_movie
 from mimesh.render.sheet import DRIVING_TINT
 

@@ -66,7 +66,7 @@ def test_shipped_configurations_load(name):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("batches: 8", "found batches; remove it"),
+        ("batches: 8", "found batches; did you mean batch"),
         ("batch: many", "batch: expected int, found 'many'"),
         ("model: {blocks: magic}", "found 'magic'"),
         ("model: 3", "expected keys and values"),
