@@ -125,8 +125,9 @@ def test_completion_is_installed_only_when_asked(tmp_path):
     environment = os.environ | {"HOME": str(tmp_path), "SHELL": "/bin/bash"}
 
     def call(option: str) -> str:
-        code = f"from mimesh.cli import main; main(['{option}', 'bash'])"
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
+        # The shell is found among the parents of the process; a second command keeps bash there.
+        code = f'"{sys.executable}" -c "from mimesh.cli import main; main([\'{option}\'])" && true'
+        done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, env=environment, check=True)
         return done.stdout
 
     assert "_MIMESH_COMPLETE" in call("--show-completion")
