@@ -315,9 +315,10 @@ def test_reports_and_cards_describe_every_kind_of_data():
 
 
 def test_the_configurations_of_the_papers_take_meshes(folder, clips):
+    changes = ["data.kind=meshes", "data.between=0", "data.recombine=0"]
     for model in ("npt", "aniformer"):
         for name in ("small", "table", "paper", "full"):
-            assert load_config(name, model, ["data.kind=meshes", "data.between=0", "data.recombine=0"]).data.kind == "meshes"
+            assert load_config(name, model, changes).data.kind == "meshes"
 
 
 def test_train_on_what_generate_writes(tmp_path, monkeypatch):
