@@ -64,8 +64,8 @@ def test_tumbling_rotates_a_share_of_driving_meshes_and_changes_nothing_else():
 def test_recombined_poses_have_limbs_of_poses_of_the_table_and_the_trunk_of_one():
     body, share = shipped_body(), 0.5
     source = BodySampler(DataConfig("table6", 64, recombine=share), body, torch.device("cpu"), seed=0)
-    whole = source.table_poses[:200]
-    mixed = source._recombine(whole, torch.Generator().manual_seed(0))
+    whole, table = source.table_poses[:200], source.table_poses[:, None]
+    mixed = source._recombine(whole[:, None], table, torch.Generator().manual_seed(0))[:, 0]
     kept = (mixed == whole).flatten(1).all(1)
     assert 70 <= kept.sum() <= 130
     joints = [body.joint(name) for name in ("Hips", "Spine1", "LeftShoulder", "RightShoulder")]
@@ -75,3 +75,18 @@ def test_recombined_poses_have_limbs_of_poses_of_the_table_and_the_trunk_of_one(
         same = (mixed[~kept][:, None, limb] == source.table_poses[None, :, limb]).flatten(2).all(-1)
         assert same.any(1).all(), "a limb that no pose of the table has"
         assert (same.int().argmax(1) != torch.arange(200)[~kept]).float().mean() > 0.9
+
+
+def test_limbs_of_recombined_windows_move_as_in_one_window_of_the_motions():
+    config = DataConfig("clips80", 64, recombine=1.0)
+    source = BodySampler(config, shipped_body(), torch.device("cpu"), seed=0)
+    source.motions = source.motions[:6, :8]
+    window = source.motions[[0, 1], :3]
+    mixed = source._recombine(window, source.motions, torch.Generator().manual_seed(0))
+    every = torch.stack([source.motions[:, t : t + 3] for t in range(6)], dim=1).flatten(0, 1)
+    for limb in source.limbs:
+        same = (mixed[:, None, :, limb] == every[:, :, limb]).flatten(2).all(2)
+        assert same.any(1).all()
+    assert not torch.equal(mixed, window)
+    trunk = ~source.limbs.any(0)
+    assert torch.equal(mixed[:, :, trunk], window[:, :, trunk])

@@ -80,7 +80,7 @@ def test_shipped_configurations_load(name):
         ("doublings: [0.5]", "expected data.vertices above 0 with doublings, found 0"),
         ("doublings: [1.5]\ndata: {vertices: 64}", r"expected doublings between 0 and 1, found \[1.5\]"),
         ("data: {between: 0.5}", "expected data.between 0 with table6, found 0.5"),
-        ("data: {kind: clips80, recombine: 0.5}", "expected data.recombine 0 with clips80, found 0.5"),
+        ("data: {kind: wide, recombine: 0.5}", "expected data.recombine 0 with wide, found 0.5"),
         ("data: {recombine: 2}", "recombine from 0 to 1, found 2"),
         ("data: {reflect: 2}", "reflect from 0 to 1, found 2"),
         ("{network: mime, data: {kind: wide, target_scale: identity, reflect: 0.5}}", "reflect 0 with mime, found 0.5"),

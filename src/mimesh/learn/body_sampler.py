@@ -60,7 +60,7 @@ class DataConfig:
     """`clips80`: share of windows and frames that lie on a straight way between two poses within the joint limits,
     instead of in one of the 80 motions."""
     recombine: float = 0.0
-    """`table6`: share of poses whose head, arms and legs are each turned as in another of the 400 poses."""
+    """`table6` and `clips80`: share of poses, or windows, whose head, arms and legs are each turned as in another one."""
     pattern: str = ""
     """`meshes`: how the files are named, such as "{person}-{pose}.ply"; empty: found (`mesh_layouts.LAYOUTS`)."""
     up: str = ""
@@ -125,27 +125,37 @@ class BodySampler(VertexSampler):
     def _sample_table(self, size: int, rng: torch.Generator):
         """Draw two people of the table for each pair: the identity in a Table 6 pose, the driving in one or a frame."""
         who = self._random_index(len(self.table_shapes), (2, size), rng)
-        identity = self._random_index(len(self.table_poses), (size,), rng)
-        frames = self.motions.flatten(0, 1)
-        driving = self._random_index(len(frames), (size,), rng)
+        table = self.table_poses[:, None]
+        identity = self._recombine(self._random_window(table, size, 1, rng), table, rng)
+        driving = self._recombine(self._random_window(self.motions, size, 1, rng), self.motions, rng)
+        driving = self._replace_by_straight(driving, rng)
         nobody = torch.zeros(2, size, dtype=torch.bool, device=self.device)
-        pose = self._replace_by_straight(frames[driving][:, None], rng)[:, 0]
-        poses = self._recombine(torch.cat([self.table_poses[identity], pose]), rng)
-        return self.table_shapes[who], poses.unflatten(0, (2, size)), nobody
+        return self.table_shapes[who], torch.stack([identity[:, 0], driving[:, 0]]), nobody
 
-    def _recombine(self, pose: Float[Tensor, "B J 3 3"], rng: torch.Generator) -> Float[Tensor, "B J 3 3"]:
-        """Turn each limb of the configured share of the poses as in another pose of the table.
+    def _recombine(
+        self, window: Float[Tensor, "B W J 3 3"], motions: Float[Tensor, "M T J 3 3"], rng: torch.Generator
+    ) -> Float[Tensor, "B W J 3 3"]:
+        """Turn each limb of the configured share of the windows as in a random window of the motions.
 
-        400 poses are too few to learn how any pose maps to any other: new ones have two to three times the error of
-        these. Their limbs make far more.
+        400 poses or 80 motions are too few to learn how any pose maps to any other: new ones have two to three times
+        the error of these. Their limbs make far more.
         """
         if not self.config.recombine:
-            return pose
-        some = torch.rand(len(pose), 1, generator=rng, device=self.device) < self.config.recombine
+            return window
+        size, frames = window.shape[:2]
+        some = torch.rand(size, 1, generator=rng, device=self.device) < self.config.recombine
         for limb in self.limbs:
-            other = self.table_poses[self._random_index(len(self.table_poses), (len(pose),), rng)]
-            pose = torch.where((some & limb)[..., None, None], other, pose)
-        return pose
+            other = self._random_window(motions, size, frames, rng)
+            window = torch.where((some & limb)[:, None, :, None, None], other, window)
+        return window
+
+    def _random_window(
+        self, motions: Float[Tensor, "M T J 3 3"], size: int, frames: int, rng: torch.Generator
+    ) -> Float[Tensor, "B W J 3 3"]:
+        """Cut windows of some frames out of random motions."""
+        which = self._random_index(len(motions), (size, 1), rng)
+        first = self._random_index(motions.shape[1] - frames + 1, (size, 1), rng)
+        return motions[which, first + torch.arange(frames, device=self.device)]
 
     def _replace_by_straight(self, window: Float[Tensor, "B T J 3 3"], rng: torch.Generator):
         """Replace the configured share of the windows by straight ways between two poses."""

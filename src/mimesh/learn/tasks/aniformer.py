@@ -123,9 +123,7 @@ class WindowSource(BodySampler):
     def _sample_motions(self, size: int, rng: torch.Generator):
         """Draw two people of the table, a window of one of the 80 motions, and a Table 6 pose for the identity."""
         who = self._random_index(len(self.table_shapes), (2, size), rng)
-        which = self._random_index(len(self.motions), (size, 1), rng)
-        first = self._random_index(self.motions.shape[1] - self.frames + 1, (size, 1), rng)
-        window = self.motions[which, first + torch.arange(self.frames, device=self.device)]
+        window = self._recombine(self._random_window(self.motions, size, self.frames, rng), self.motions, rng)
         window = self._replace_by_straight(window, rng)
         pose = self.table_poses[self._random_index(len(self.table_poses), (size,), rng)]
         return self.table_shapes[who], pose, window

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from ...bodies import RiggedBody, load_body
 from ...core.errors import InputError
 from ...evaluate import protocols
-from ..body_sampler import DataConfig
+from ..body_sampler import TABLE_KINDS, DataConfig
 from ..character_surfaces import TrainingCharacters
 from ..registered_meshes import RegisteredMeshes
 
@@ -94,7 +94,7 @@ class TrainConfig:
             )
         if self.data.between and self.data.kind != "clips80":
             raise InputError(f"{where}: expected data.between 0 with {self.data.kind}, found {self.data.between}")
-        if self.data.recombine and self.data.kind != "table6":
+        if self.data.recombine and self.data.kind not in TABLE_KINDS:
             raise InputError(f"{where}: expected data.recombine 0 with {self.data.kind}, found {self.data.recombine}")
         if self.data.kind == "meshes" and self.network not in ("npt", "aniformer"):
             raise InputError(f"{where}: expected data.kind meshes with npt or aniformer, found it with {self.network}")
