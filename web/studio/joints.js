@@ -107,8 +107,9 @@ export class Joints {
     return { ...found, ...this.corrected(role), ...dragged };
   }
 
-  /** Make the handles of all panels anew. */
+  /** Make the handles of all panels anew; the one that has the focus keeps it, so that arrow keys go on working. */
   rebuild() {
+    const focused = [...this.overlays.values()].some(({ svg }) => svg.contains(document.activeElement));
     for (const overlay of this.overlays.values()) overlay.svg.remove();
     this.overlays.clear();
     for (const view of this.on ? this.stage.views : []) {
@@ -116,6 +117,7 @@ export class Joints {
       if (!(role in ROLES) || !this.positions(role)) continue;
       this.overlays.set(view, this.buildOverlay(view, role));
     }
+    if (focused && this.selected) return this.select(this.selected.role, this.selected.name, true);
     this.showBar();
     this.place();
   }

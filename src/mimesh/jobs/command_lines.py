@@ -85,7 +85,8 @@ def parsed(job: BatchJob) -> dict[str, Any]:
     """
     words = arguments(job)
     try:
-        return dict(_commands()[job.command].make_context(job.command, words).params)
+        # What an option sets, such as --no-limits, does not outlast the parsing.
+        return dict(copy_context().run(_commands()[job.command].make_context, job.command, words).params)
     except Exception as error:
         # Typer's versions define their usage errors in different modules; all of them have `format_message`.
         if (format_message := getattr(error, "format_message", None)) is not None:

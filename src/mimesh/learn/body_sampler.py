@@ -60,7 +60,7 @@ class DataConfig:
     """`clips80`: share of windows and frames that lie on a straight way between two poses within the joint limits,
     instead of in one of the 80 motions."""
     recombine: float = 0.0
-    """`table6` and `clips80`: share of poses, or windows, whose head, arms and legs are each turned as in another one."""
+    """`table6`, `clips80`: share of poses, or windows, whose head, arms and legs are each turned as in another one."""
     pattern: str = ""
     """`meshes`: how the files are named, such as "{person}-{pose}.ply"; empty: found (`mesh_layouts.LAYOUTS`)."""
     up: str = ""
