@@ -49,6 +49,13 @@ def test_every_command_has_help_and_json(command, capsys):
     assert "--json" in capsys.readouterr().out
 
 
+def test_every_test_set_is_in_the_help():
+    from mimesh.commands.measure import PROTOCOLS
+    from mimesh.evaluate.run import FOLDERS, WITHOUT_FOLDER
+
+    assert set(PROTOCOLS.replace(" or ", ", ").split(", ")) == {*WITHOUT_FOLDER, *FOLDERS}
+
+
 def test_version(capsys):
     assert run(["--version"]) == 0
     assert capsys.readouterr().out == f"mimesh {mimesh.__version__}\n"

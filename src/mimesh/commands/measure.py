@@ -11,20 +11,17 @@ from ..core.errors import InputError
 from ..core.printable import say
 from .terminal import Json, Quiet, print_json, print_next, progress, require
 
-Protocol = Annotated[
-    str,
-    typer.Argument(
-        metavar="PROTOCOL",
-        help="human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body, characters, fingers or "
-        "clips-aniformer.",
-    ),
-]
+PROTOCOLS = (
+    "human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body, characters, fingers, clips-aniformer, "
+    "quadruped or animals"
+)
+"""Names of the test sets, written out because importing these takes a second; a test compares them."""
+Protocol = Annotated[str, typer.Argument(metavar="PROTOCOL", help=f"{PROTOCOLS}.")]
 TestSet = Annotated[
     str,
     typer.Argument(
         metavar="PROTOCOL",
-        help="human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body, characters, fingers or "
-        "clips-aniformer; or the path of a list of your own files, or of a folder of lists.",
+        help=f"{PROTOCOLS}; or the path of a list of your own files, or of a folder of lists.",
     ),
 ]
 Split = Annotated[str, typer.Option(help="test for figures to quote; val to choose by.")]
@@ -36,8 +33,8 @@ Figures = Annotated[
 Data = Annotated[
     Path | None,
     typer.Option(
-        help="Folder: rigged characters for cross-body, a pool of them for characters and fingers, motions for "
-        "clips-aniformer, test garments for dressed.",
+        help="Folder: rigged characters for cross-body, a pool of them for characters, fingers and animals, motions "
+        "for clips-aniformer, test garments for dressed.",
         metavar="DIR",
     ),
 ]
@@ -56,8 +53,8 @@ def evaluate(
     data: Annotated[
         Path | None,
         typer.Option(
-            help="Folder: rigged characters for cross-body, a pool of them for characters and fingers, motions for "
-            "clips-aniformer, test garments for dressed; of a list, where its files lie.",
+            help="Folder: rigged characters for cross-body, a pool of them for characters, fingers and animals, "
+            "motions for clips-aniformer, test garments for dressed; of a list, where its files lie.",
             metavar="DIR",
         ),
     ] = None,
