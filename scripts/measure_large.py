@@ -195,11 +195,13 @@ def run(case: str, size: int, folder: Path) -> dict[str, Any]:
         with timed(seconds, "moved"):
             if isinstance(driving, Clip):
                 result = mimesh.animate(identity, driving, skinned=None)
+                save = result.save_skinned
             else:
                 result = mimesh.transfer(identity, driving, "copy" if case == "copy" else "mime")
+                save = result.save
     output = folder / ("result.glb" if moving or case == "morphs" else f"result{identity_path.suffix}")
     with timed(seconds, "write"):
-        result.save(output)
+        save(output)
     with timed(seconds, "preview"):
         _, page = write_preview(result, output)
     total = sum(seconds[step] for step in ("read", "moved", "write", "preview"))

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 
 from ...core.frame_buffer import Progress, each_frame
 from ...core.geometry import normal_turner, unit_vectors
@@ -51,20 +51,24 @@ def add_morph_animation(
         first = np.asarray(clip.vertices[0], np.float64)
         deltas = _frame_deltas(groups, mesh, clip, first, progress)
         attributes = _one_target_per_frame(itertools.islice(deltas, 1, None), groups)
-        weights, kind = np.eye(len(clip), dtype=np.float32)[:, 1:], "frame"
+        count, kind = len(clip) - 1, "frame"
+        weights = (np.eye(1, count, t - 1)[0] for t in range(len(clip)))
     else:
         deltas = _frame_deltas(groups, mesh, clip, blend.base, progress)
         attributes = _blend_targets(deltas, groups, blend.frame_coefficients())
-        weights, kind = blend.weights, "shape"
+        count, kind = blend.weights.shape[1], "shape"
+        weights = iter(blend.weights)
     for group, spools in zip(groups, attributes, strict=True):
         targets = _add_targets(draft, spools)
         for primitive in group.primitives:
             primitive["targets"] = [dict(target) for target in targets]
     # A node appears once, although several groups may be primitives of its mesh.
     nodes = list(dict.fromkeys(group.node for group in groups))
-    names = [f"{kind} {number}" for number in range(1, weights.shape[1] + 1)]
+    names = [f"{kind} {number}" for number in range(1, count + 1)]
+    first = next(weights)
     for node in nodes:
-        _complete_targets(draft, draft.gltf["meshes"][draft.gltf["nodes"][node]["mesh"]], names, weights[0].tolist())
+        _complete_targets(draft, draft.gltf["meshes"][draft.gltf["nodes"][node]["mesh"]], names, first.tolist())
+    weights = itertools.chain([first], weights)
     draft.gltf["animations"] = [_morph_animation(draft, nodes, clip, weights)]
 
 
@@ -167,11 +171,19 @@ def _complete_targets(draft: Draft, mesh: dict[str, Any], names: list[str], weig
         mesh["extras"]["targetNames"] = names
 
 
-def _morph_animation(draft: Draft, nodes: list[int], clip: Clip, weights: Float32[np.ndarray, "T K"]) -> dict[str, Any]:
+def _morph_animation(
+    draft: Draft, nodes: list[int], clip: Clip, weights: Iterable[Float[np.ndarray, " K"]]
+) -> dict[str, Any]:
     """Return an animation of the morph weights with one key a frame; its channels share one sampler."""
     times = draft.add_floats(np.arange(len(clip))[:, None] / clip.fps, bounds=True)
-    # The weights of all targets at one key lie next to each other (3.11 Animations).
-    values = draft.add_floats(weights.reshape(-1, 1))
+    # The weights of all targets at one key lie next to each other (3.11 Animations). With one target a frame they are
+    # as many as the square of the frames, 400 MB for 10,000, so they wait on disk, too.
+    spool = Spool()
+    for of_key in weights:
+        spool.append(of_key[:, None])
+    view = draft.add_view(spool)
+    accessor = {"bufferView": view, "componentType": 5126, "count": spool.nbytes // 4, "type": "SCALAR"}
+    values = draft.add_accessor(accessor)
     return {
         "name": clip.mesh.name,
         "samplers": [{"input": times, "interpolation": "LINEAR", "output": values}],
