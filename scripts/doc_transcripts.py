@@ -13,7 +13,10 @@ import numpy as np
 from trouble_cases import BODY, hero, shield, step
 
 from mimesh import animate, save_clip, save_mesh
+from mimesh.bodies.characters import character
 from mimesh.cli import run
+from mimesh.io import save_bvh
+from mimesh.motions.procedural import walk_motion
 from mimesh.tools.demo import driving_clip
 
 
@@ -33,6 +36,14 @@ COMMANDS = {
     "one-frame": ("mimesh animate hero.obj pose.obj --no-preview",),
     "rigged": ("mimesh look rigged.glb", "mimesh transfer rigged.glb pose.obj --no-preview"),
     "rate": ("mimesh animate hero.obj walk/ --fps 15 --stop 4 -o hero-walk.pc2 --no-preview",),
+    "engine": (
+        "mimesh animate hero.obj walk.bvh --names unreal --root-bone --output-fps 30 -o hero-unreal.glb --no-preview",
+        "mimesh look hero-unreal.glb",
+    ),
+    "own-rig": ("mimesh animate rigged.glb walk.bvh --names unreal -o rigged-unreal.glb --no-preview",),
+    "many": ("mimesh batch heroes/ motions/ -o 'out/{identity}-{driving}.glb' --workers 2",),
+    "measure": ("mimesh evaluate human-npt -m mime,npt,copy --pairs 4",),
+    "list": ("mimesh generate human-npt --pairs 2 -o meshes", "mimesh evaluate meshes -m mime,copy"),
     "markers": ("mimesh transfer hero.obj pose.obj -m deformation-transfer",),
 }
 """Name of a transcript -> its commands, run in this order."""
@@ -59,9 +70,21 @@ def _write_inputs() -> None:
     for mesh, name in ((hero(), "hero.obj"), (hero(), "hero.stl"), (step(), "pose.obj")):
         save_mesh(mesh, name)
     save_clip(moving, "walk")
+    save_bvh(walk_motion(BODY, 3, 26, seconds=2.0, fps=30.0), BODY, "walk.bvh")
+    _write_folders()
     animate(hero(), moving, stop=4).save_skinned("rigged.glb")
     scans = Path("scans")
     scans.mkdir()
     for t in range(3):
         scan = moving.mesh.with_vertices(moving.vertices[t].astype(np.float64)) if t < 2 else shield().identity
         save_mesh(scan, scans / f"scan_{t:03}.obj")
+
+
+def _write_folders() -> None:
+    """The characters and motions of the batch."""
+    for folder in ("heroes", "motions"):
+        Path(folder).mkdir()
+    for name in ("slim", "brute"):
+        save_mesh(character(name), f"heroes/{name}.glb")
+    for name, number in (("walk", 26), ("stroll", 27)):
+        save_bvh(walk_motion(BODY, 3, number, seconds=1.0, fps=30.0), BODY, f"motions/{name}.bvh")
