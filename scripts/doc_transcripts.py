@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import shlex
 import tempfile
 from pathlib import Path
@@ -42,11 +43,12 @@ COMMANDS = {
     ),
     "own-rig": ("mimesh animate rigged.glb walk.bvh --names unreal -o rigged-unreal.glb --no-preview",),
     "many": ("mimesh batch heroes/ motions/ -o 'out/{identity}-{driving}.glb' --workers 2",),
-    "measure": ("mimesh evaluate human-npt -m mime,npt,copy --pairs 4",),
-    "list": ("mimesh generate human-npt --pairs 2 -o meshes", "mimesh evaluate meshes -m mime,copy"),
     "markers": ("mimesh transfer hero.obj pose.obj -m deformation-transfer",),
 }
 """Name of a transcript -> its commands, run in this order."""
+ELAPSED = re.compile(r"^\w+( \d+/\d+)?, \d+ s\n|, [\d.]+ s(?: left)?(?=$|\])|(?<=done;) [\d.]+ s,", re.MULTILINE)
+"""Times in the output of commands that compute, and the lines that tell progress where there is no terminal. They are
+left out: they depend on the machine and on what else it does; docs/models.md has measured ones."""
 
 
 def transcripts() -> dict[str, list[Transcript]]:
@@ -57,11 +59,13 @@ def transcripts() -> dict[str, list[Transcript]]:
 
 
 def run_command(command: str) -> Transcript:
-    """Run a command in this process and return its output."""
-    out = io.StringIO()
+    """Run a command in this process and return its output, without elapsed times."""
+    out, arguments = io.StringIO(), shlex.split(command)[1:]
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
-        run(shlex.split(command)[1:])
-    return Transcript(command, out.getvalue().rstrip())
+        run(arguments)
+    # `look` prints the lengths of clips, not times that have passed.
+    text = out.getvalue() if arguments[0] == "look" else ELAPSED.sub("", out.getvalue())
+    return Transcript(command, text.rstrip())
 
 
 def _write_inputs() -> None:
