@@ -119,6 +119,7 @@ def body_fit() -> Image.Image:
     camera, joints, errors = fit(driving.vertices, SIZE), [], []
     for model, label in (("mime-network", "joints without the fit"), ("mime", "joints with the fit")):
         result = transfer(identity, driving, model)
+        assert result.driving_joints is not None
         bones = Image.fromarray(render_mesh(driving, SIZE, camera))
         _draw_bones(bones, camera, np.array([result.driving_joints[name] for name in BODY.joint_names]), BODY.parents)
         joints.append(captioned(bones, label))
