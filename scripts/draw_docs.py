@@ -16,6 +16,7 @@ from pathlib import Path
 import doc_transcripts
 import numpy as np
 from draw_growth import growth_chart
+from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 from trouble_cases import BODY, CASES, DRIVING_PERSON, IDENTITY_PERSON, Case, hero, step
 
@@ -51,7 +52,7 @@ def main() -> None:
     for make in CASES:
         if not selected or make.__name__ in selected:
             notes[make.__name__] = draw_case(make(), make.__name__)
-    for draw in (first, models, inside):
+    for draw in (first, models, inside, body_fit):
         if not selected or draw.__name__ in selected:
             save(draw(), draw.__name__)
     if not selected or "growth" in selected:
@@ -106,19 +107,39 @@ def first() -> Image.Image:
 
 def models() -> Image.Image:
     """Draw the result of each model on one pair, coloured by the distance to the truth."""
-    identity, rotmat = hero(), rotvec_to_rotmat(sample_pose(BODY, 4, 2))
-    driving = step().with_vertices(BODY.posed(DRIVING_PERSON, rotmat))
-    truth = BODY.posed(IDENTITY_PERSON, rotmat)
+    identity, driving, truth = _pair_with_truth()
     tiles = [_tile(identity, "identity"), _tile(driving, "driving", tint=DRIVING_TINT)]
-    camera = fit(truth, SIZE)
-    tiles += [captioned(Image.fromarray(render(truth, BODY.faces, camera, SIZE)), "truth")]
-    for model in MODELS:
-        vertices = transfer(identity, driving, model).vertices
-        vertices = vertices + truth.mean(axis=0) - vertices.mean(axis=0)
-        distance = np.linalg.norm(vertices - truth, axis=1)
-        picture = render(vertices, BODY.faces, camera, SIZE, heat_colors(distance / MAX_DISTANCE))
-        tiles.append(captioned(Image.fromarray(picture), f"{model}: {1000 * distance.mean():.0f} mm"))
-    return page(tiles, 3)
+    tiles += [captioned(Image.fromarray(render(truth, BODY.faces, fit(truth, SIZE), SIZE)), "truth")]
+    return page([*tiles, *(_error_tile(transfer(identity, driving, model), truth) for model in MODELS)], 3)
+
+
+def body_fit() -> Image.Image:
+    """Draw what the body fit changes: joints found on the driving mesh, and results, without and with it."""
+    identity, driving, truth = _pair_with_truth()
+    camera, joints, errors = fit(driving.vertices, SIZE), [], []
+    for model, label in (("mime-network", "joints without the fit"), ("mime", "joints with the fit")):
+        result = transfer(identity, driving, model)
+        assert result.driving_joints is not None
+        bones = Image.fromarray(render_mesh(driving, SIZE, camera))
+        _draw_bones(bones, camera, np.array([result.driving_joints[name] for name in BODY.joint_names]), BODY.parents)
+        joints.append(captioned(bones, label))
+        errors.append(_error_tile(result, truth))
+    return page([*joints, *errors], 4)
+
+
+def _pair_with_truth() -> tuple[Mesh, Mesh, Float[np.ndarray, "V 3"]]:
+    """Return a person at rest, another one in a random pose, and the vertices of the first in that pose."""
+    rotmat = rotvec_to_rotmat(sample_pose(BODY, 4, 2))
+    driving = step().with_vertices(BODY.posed(DRIVING_PERSON, rotmat))
+    return hero(), driving, BODY.posed(IDENTITY_PERSON, rotmat)
+
+
+def _error_tile(result: Result, truth: Float[np.ndarray, "V 3"]) -> Image.Image:
+    """Draw a result of a person coloured by the distance to the truth, both centred, with the mean below."""
+    vertices = result.vertices + truth.mean(axis=0) - result.vertices.mean(axis=0)
+    distance = np.linalg.norm(vertices - truth, axis=1)
+    picture = render(vertices, BODY.faces, fit(truth, SIZE), SIZE, heat_colors(distance / MAX_DISTANCE))
+    return captioned(Image.fromarray(picture), f"{result.model}: {1000 * distance.mean():.0f} mm")
 
 
 def inside() -> Image.Image:

@@ -74,6 +74,12 @@ def handstand() -> Case:
     return Case(hero(), driving, {}, remedy, "--driving-up y --driving-front z")
 
 
+def lying() -> Case:
+    driving = dataclasses.replace(person(Hips=(-90, 0, 0), LeftArm=(0, 0, -60), RightArm=(0, 0, 60)), name="lying")
+    axes = {"driving_up": "+y", "driving_front": "+z"}
+    return Case(hero(), driving, {}, axes, "--driving-up y --driving-front z")
+
+
 def z_up() -> Case:
     driving = step()
     turned = dataclasses.replace(driving, vertices=driving.vertices @ Z_UP.T)
@@ -149,7 +155,7 @@ def joined(name: str, *pieces: tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "
 
 
 CASES: tuple[Callable[[], Case], ...] = (
-    *(handstand, z_up, backwards, chair, shield, cropped, one_side),
+    *(handstand, lying, z_up, backwards, chair, shield, cropped, one_side),
     *(noisy, dressed, extreme, touch, wrists, rough),
 )
 """All cases; the name of a function is the name of its picture and notes."""
