@@ -67,6 +67,14 @@ def test_fifteen_joints_are_found_by_the_names_of_each_maker(maker):
                                                    and "palm" not in name][2])  # fmt: skip
 
 
+def test_a_word_of_the_hands_own_name_is_no_word_of_a_finger():
+    names, parents = left_hand(
+        [[f"CC_Base_L_{f}{k}" for k in (1, 2, 3)] for f in ("Thumb", "Index", "Mid", "Ring", "Pinky")]
+    )
+    names = ("CC_Base_Hip", "CC_Base_L_Upperarm", "CC_Base_L_Forearm", "CC_Base_L_Hand", *names[4:])
+    assert named_fingers(names, parents, {"LeftHand": 3}) == {n: 4 + k for k, n in enumerate(finger_joints("Left"))}
+
+
 def test_single_joints_of_cmu_are_the_first_of_their_finger():
     names, parents = left_hand([["LThumb"], ["LeftFingerBase", "LeftHandIndex1"]])
     found = named_fingers(names, parents, {"LeftHand": 3})

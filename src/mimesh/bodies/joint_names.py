@@ -164,7 +164,9 @@ def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands:
             continue
         hand = hands[f"{side}Hand"]
         below = [j for j in range(len(parents)) if hand in ancestors(parents, j)[1:]]
-        words = {j: _hand_words(joint_names[j].split(":")[-1]) for j in below}
+        # A word of the hand's own name says nothing about a joint below it: base of CC_Base_L_Hand (Character Creator).
+        said = NO_PHALANX.intersection(_hand_words(joint_names[hand].split(":")[-1]))
+        words = {j: [w for w in _hand_words(joint_names[j].split(":")[-1]) if w not in said] for j in below}
         first = 0 if any(_finger_number(parts) == 0 for parts in words.values()) else 1
         places = {j: place for j in below if (place := _finger(words[j], first)) is not None}
         # The shipped body's stubs stand for fingers that no others do: HandFinger1 for all, Thumb for one.
