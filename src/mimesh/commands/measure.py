@@ -49,6 +49,13 @@ def evaluate(
     ensemble: Annotated[int, typer.Option(help="Average over this many random pairings (NPT).", min=1)] = 1,
     refine: Annotated[bool, typer.Option("--refine", help="Smooth results along the identity's surface.")] = False,
     mirror: Annotated[bool, typer.Option("--mirror", help="Measure on the mirror images of all pairs.")] = False,
+    torch: Annotated[
+        bool,
+        typer.Option(
+            "--torch",
+            help="Run networks of npt and aniformer by PyTorch: on a GPU, or in bf16 on processors made for it.",
+        ),
+    ] = False,
     dump: Annotated[Path | None, typer.Option(help="Folder for pictures of the worst pairs.", metavar="DIR")] = None,
     data: Annotated[
         Path | None,
@@ -74,10 +81,12 @@ def evaluate(
     from ..evaluate.markdown import markdown
     from ..evaluate.run import evaluate_command
 
+    if torch:
+        require("train", "torch", "yaml", "safetensors", "onnx")
     methods = [name.strip() for name in model.split(",") if name.strip()]
     with progress("pairs", quiet or json) as advance:
         figures = evaluate_command(
-            protocol, methods, output, split, pairs, ensemble, advance, dump, data, refine, height, fps, mirror
+            protocol, methods, output, split, pairs, ensemble, advance, dump, data, refine, height, fps, mirror, torch
         )
     if json:
         print_json(figures)

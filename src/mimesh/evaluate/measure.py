@@ -157,11 +157,16 @@ def result_vertices(pair: Pair, method: str | Method, **options: Any) -> Float[n
     return run_on_pair(pair, method, **options).vertices
 
 
-def run_on_pair(pair: Pair, method: str | Method, ensemble: int = 1, refine: bool = False) -> Output:
+def run_on_pair(
+    pair: Pair, method: str | Method, ensemble: int = 1, refine: bool = False, torch: bool = False
+) -> Output:
     """Run a method on a pair. Methods that take the true size are not refined.
 
     Args:
         method: a name (of EXTRA_INPUTS or of `methods.MODELS`), the path of an `.onnx` file, or a Method object.
+        ensemble: see `find_method`.
+        refine: see `transfer`.
+        torch: run the network by PyTorch (`learn.torch_session`).
 
     Raises:
         NotApplicableError: the method cannot be applied to this pair, such as deformation transfer to a point cloud.
@@ -175,12 +180,26 @@ def run_on_pair(pair: Pair, method: str | Method, ensemble: int = 1, refine: boo
     if method.startswith("deformation-transfer"):
         driving, inputs = deformation_transfer_inputs(pair, method)
         return Output.of(transfer(pair.identity, driving, "deformation-transfer", **AXES, **inputs))
-    network = find_method(method, ensemble=ensemble)
+    network = open_network(method, ensemble, torch)
     if needs_true_size(network):
         clip = Clip.still(pair.driving)
         return Output(frames_at_true_size(network, pair.identity, clip, pair.truth[None])[0])
-    options = {"ensemble": ensemble, "refine": refine, **known_kind(network)}
-    return Output.of(transfer(pair.identity, pair.driving, method, **AXES, **options))
+    options = {"refine": refine, **known_kind(network)}
+    return Output.of(transfer(pair.identity, pair.driving, network, **AXES, **options))
+
+
+def open_network(name: str, ensemble: int, torch: bool) -> Method:
+    """Open a network by its name or path, with `torch` to be run by PyTorch.
+
+    Raises:
+        InputError: no such network, or one that is not run by PyTorch.
+    """
+    network = find_method(name, ensemble=ensemble)
+    if not torch:
+        return network
+    from ..learn.torch_session import in_torch
+
+    return in_torch(network, weights_path(name))
 
 
 def deformation_transfer_inputs(pair: Pair, method: str) -> tuple[Mesh, dict[str, Any]]:
@@ -312,7 +331,7 @@ def result_frames(trial: ClipPair, method: str, **options: Any) -> Float[np.ndar
     return run_on_clip(trial, method, **options).vertices
 
 
-def run_on_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = False) -> Output:
+def run_on_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = False, torch: bool = False) -> Output:
     """Run a method on a clip; see `run_on_pair`.
 
     The baseline `copy` is scaled once for the whole clip: its mean radius over the frames becomes that of the truth.
@@ -333,12 +352,12 @@ def run_on_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = 
         frames = trial.aligned_frames if method.endswith("-dense") else trial.clip.vertices
         clip = Clip(driving, required_input(frames, method), trial.clip.fps)
         return Output.of(animate(trial.identity, clip, "deformation-transfer", **AXES, **inputs))
-    network = find_method(method, ensemble=ensemble)
+    network = open_network(method, ensemble, torch)
     if needs_true_size(network):
         return Output(frames_at_true_size(network, trial.identity, trial.clip, trial.truth_frames))
     # The truth has the driving's rotations, and its soles slide: a method is measured without planted feet.
-    options = {"ensemble": ensemble, "refine": refine, "ground": False, **known_kind(network)}
-    return Output.of(animate(trial.identity, trial.clip, method, **AXES, **options))
+    options = {"refine": refine, "ground": False, **known_kind(network)}
+    return Output.of(animate(trial.identity, trial.clip, network, **AXES, **options))
 
 
 def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]:

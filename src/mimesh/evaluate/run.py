@@ -62,6 +62,7 @@ def evaluate_command(
     height: float | None = None,
     fps: float | None = None,
     mirror: bool = False,
+    torch: bool = False,
 ) -> dict[str, Any]:
     """Measure methods on a protocol (`mimesh evaluate`) and return the report: one row per method and kind of pair.
 
@@ -77,6 +78,7 @@ def evaluate_command(
         height: height of the identities of a list at rest, in the unit of its files; see `ListedPairs.height`.
         fps: frames per second of the clips of a list; None: those of the files.
         mirror: measure on the mirror images of all pairs; not for clips and characters.
+        torch: run networks of npt and aniformer by PyTorch; not for characters.
 
     Raises:
         InputError: an unknown protocol, split or method, or missing data.
@@ -93,9 +95,15 @@ def evaluate_command(
                          "give --split val")  # fmt: skip
     if mirror and (dump is not None or measurement_of(chosen) is not measure):
         raise InputError("--mirror: expected a test set of single meshes and no --dump, found another; leave one out")
-    options = {"ensemble": ensemble, "refine": refine}
+    if torch and measurement_of(chosen) not in (measure, measure_clip):
+        raise InputError(f"--torch: expected a test set of meshes or clips, found {protocol}; leave it out")
+    options = {"ensemble": ensemble, "refine": refine} | ({"torch": True} if torch else {})
     config = {**data_facts(chosen, split, data), "pairs": pairs or chosen.pairs, **options}
     config |= {"mirror": True} if mirror else {}
+    if torch:
+        from ..learn.torch_session import precision
+
+        config["torch"] = precision()
     made = provenance(config)
     code = {} if out is None else code_of(chosen, methods)
     question = {**config, "protocol": settings(chosen), "machine": machine(), **libraries()}

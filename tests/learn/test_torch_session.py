@@ -1,0 +1,72 @@
+"""Networks run by PyTorch give what onnxruntime gives."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from trainings import TINY, losses
+from zoo import grid
+
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip
+from mimesh.evaluate.run import evaluate_command
+from mimesh.learn import torch_session
+from mimesh.learn.config import config_from
+from mimesh.learn.export import export_command
+from mimesh.learn.models.npt import NPTConfig
+from mimesh.learn.torch_session import in_torch
+from mimesh.learn.training_run import TrainingRun
+from mimesh.methods import find_method
+
+ANIFORMER = {
+    "network": "aniformer",
+    "model": {"encoder": [16, 16, 32], "layers": [32, 32, 16, 16]},
+    "data": {"kind": "clips80", "vertices": 16},
+    "batch": 2,
+    "precision": "fp32",
+}
+CONFIGS = {
+    "npt": dataclasses.replace(TINY, model=NPTConfig((16, 32, 32), (35, 16, 16)), precision="fp32"),
+    "aniformer": config_from(ANIFORMER, "test"),
+}
+
+
+def exported(network, folder):
+    run = TrainingRun.start(CONFIGS[network], folder / "none")
+    losses(run, 2)
+    run.save(folder / "last.safetensors")
+    export_command(folder / "last.safetensors", folder / "net.onnx", 16)
+    return folder / "net.onnx"
+
+
+@pytest.mark.parametrize(("precision", "tolerance"), [("fp32", 1e-5), ("bf16", 0.05)])
+@pytest.mark.parametrize("network", CONFIGS)
+def test_results_are_those_of_onnxruntime(network, precision, tolerance, tmp_path, monkeypatch):
+    monkeypatch.setattr(torch_session, "choose_precision", lambda *_: (precision, ""))
+    path = exported(network, tmp_path)
+    mesh = grid(6)
+    frames = mesh.vertices + np.random.default_rng(0).normal(0.0, 0.1, (4, *mesh.vertices.shape))
+    method = find_method(str(path))
+    results = [
+        np.stack(list(each.prepare(mesh, Clip(mesh, frames, 24.0))(iter(frames))))
+        for each in (method, in_torch(method, path))
+    ]
+    difference = np.abs(results[0] - results[1]).max()
+    assert difference < tolerance * np.ptp(results[0])
+    assert (difference > 1e-4) == (precision == "bf16")
+
+
+def test_a_report_says_what_ran_the_network(tmp_path):
+    path = exported("npt", tmp_path)
+    report = evaluate_command("human-npt", [str(path)], split="val", pairs=1, torch=True)
+    assert report["provenance"]["config"]["torch"] in ("cpu, bf16", "cpu, fp32")
+    assert report["results"][0]["pmd_e4"] == pytest.approx(
+        evaluate_command("human-npt", [str(path)], split="val", pairs=1)["results"][0]["pmd_e4"], rel=0.02
+    )
+
+
+def test_other_networks_and_test_sets_are_refused():
+    with pytest.raises(InputError, match="expected networks of npt and aniformer, found mime"):
+        evaluate_command("human-npt", ["mime"], split="val", pairs=1, torch=True)
+    with pytest.raises(InputError, match="expected a test set of meshes or clips, found fingers"):
+        evaluate_command("fingers", ["mime"], torch=True)
