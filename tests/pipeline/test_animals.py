@@ -253,7 +253,7 @@ def test_wrong_bodies_are_refused(tmp_path, capsys):
     two = animal(1).write(tmp_path / "goat.glb", {"dance": dance(bones())}, spell=str)
     assert run(["animate", str(one), str(two), "--body", "octopus"]) == 2
     assert "--body: expected one of auto, human, quadruped, other, found 'octopus'" in capsys.readouterr().err
-    with pytest.raises(InputError, match=r"--body: expected human with the model own, found quadruped"):
+    with pytest.raises(InputError, match=r"^body: expected human with the model own, found quadruped"):
         mimesh.animate(str(one), str(two), str(own), body="quadruped")
 
 

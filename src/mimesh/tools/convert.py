@@ -166,9 +166,9 @@ def read_clip(
         InputError: a file cannot be read, or no frame is left.
     """
     if body_model is None:
-        clip = load_clip(path, fps, animation, progress, frames)
+        clip = load_clip(path, fps=fps, animation=animation, progress=progress, frames=frames)
         return clip, clip.notes
-    clip, notes = load_recorded_clip(path, body_model, fps, animation, progress)
+    clip, notes = load_recorded_clip(path, body_model, fps=fps, animation=animation, progress=progress)
     return cut_clip(clip, frames.start or 0, frames.stop, 1 if frames.step is None else frames.step), notes
 
 
@@ -197,7 +197,7 @@ def read_driving(
     notes += taken_rate_note(clip, path) if fps is None else ()
     if frames.start == 0:
         # The capture is kept in memory: its first frames are posed, and nothing is read again.
-        first = load_clip(path, fps, frames=slice(0, LONE_FRAMES)) if early else clip
+        first = load_clip(path, fps=fps, frames=slice(0, LONE_FRAMES)) if early else clip
         notes += first_frame_note(first, 0, path)
     check_cut(clip.mesh.name, len(clip), slice(None) if early else frames)
     return (clip if early or whole else cut_clip(clip, frames.start, frames.stop, frames.step)), notes
