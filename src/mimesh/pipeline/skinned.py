@@ -100,14 +100,12 @@ def save_skinned(
 
 def _check_results(results: Sequence[ClipResult], path: str | Path, names: Sequence[str] | None) -> None:
     """Raise InputError for what are no results of `animate`, or not as many names."""
-    from .result import ClipResult
-
     if not isinstance(results, Sequence) or isinstance(results, str):
         raise InputError(f"results: expected a list of results of animate, found {described(results)}; give [result]")
     if not results:
         raise InputError(f"{path}: expected results of animate to save, found none")
     for result in results:
-        if not isinstance(result, ClipResult):
+        if not hasattr(result, "clip"):
             raise InputError(f"results: expected those of animate, found {described(result)}; give ClipResult objects")
     if names is not None and (isinstance(names, str) or len(names) != len(results)):
         found = described(names) if isinstance(names, str) else len(names)
