@@ -8,6 +8,7 @@ The types are those that mypy --strict and pyright know: see docs/api.md.
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +54,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--frames", type=int, default=None, help="number of frames to use")
     parser.add_argument("-o", "--output", type=Path, default=Path("11_own_arrays"), help="folder")
     options = parser.parse_args(argv)
-    arrays = dict(np.load(options.arrays)) if options.arrays else shipped_arrays()
+    arrays: dict[str, NDArray[Any]] = dict(np.load(options.arrays)) if options.arrays else shipped_arrays()
     try:
         moved, joints, confidence = move(
             arrays["vertices"],
@@ -66,11 +67,12 @@ def main(argv: list[str] | None = None) -> None:
         raise SystemExit(str(error)) from error
     print(f"{moved.shape} vertices, {len(joints)} joints, confidence {confidence}")
     options.output.mkdir(parents=True, exist_ok=True)
-    np.savez(options.output / "moved.npz", vertices=moved, **joints)
+    positions, names = np.array(list(joints.values())), np.array(list(joints))  # (J, T, 3) and (J,)
+    np.savez(options.output / "moved.npz", vertices=moved, joints=positions, names=names)
     print("wrote", options.output / "moved.npz")
 
 
-def shipped_arrays() -> dict[str, NDArray[np.generic]]:
+def shipped_arrays() -> dict[str, NDArray[Any]]:
     """Return the arrays of a shipped character and of a shipped motion."""
     identity, clip = character("runner"), driving_clip(load_body())
     return {

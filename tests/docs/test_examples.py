@@ -186,7 +186,8 @@ def test_own_arrays(ran, tmp_path):
     folder, text = ran("own_arrays", "a.npz", "--frames", "2")
     with np.load(folder / "moved.npz") as moved:
         assert moved["vertices"].shape == (2, len(mesh.vertices), 3)
-        assert moved["Hips"].shape == (2, 3)
+        assert moved["joints"].shape == (len(moved["names"]), 2, 3)
+        assert "Hips" in moved["names"]
     assert "confidence 0." in text
     assert example("own_arrays").shipped_arrays()["driving_vertices"].ndim == 3
 

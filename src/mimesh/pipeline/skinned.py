@@ -92,9 +92,10 @@ def save_skinned(
     for k, (result, animation, thinned) in enumerate(zip(results, motions, written, strict=True)):
         # Frames at another rate have no counterpart: the thinned keys are then left out of the deviation.
         checked = thinned if layout.fps is None else moved[k]
-        result.report["skinned_deviation"] = checked.deviation(result.clip.vertices)
+        deviation = checked.deviation(result.clip.vertices)
+        result.report["skinned_deviation"] = deviation
         result.report["keys_deviation"] = thinned.motion_deviation(animation.skeleton)
-        result.report["deviation_cause"] = _deviation_cause(result, skeletons[k], common[k], layout)
+        result.report["deviation_cause"] = _deviation_cause(result, deviation, skeletons[k], common[k], layout)
     return Path(path)
 
 
@@ -112,11 +113,14 @@ def _check_results(results: Sequence[ClipResult], path: str | Path, names: Seque
         raise InputError(f"{path}: expected a name for each of {len(results)} results, found {found}")
 
 
-def _deviation_cause(result: ClipResult, skeleton: AnimatedRig, common: AnimatedRig, layout: Layout) -> str:
+def _deviation_cause(
+    result: ClipResult, deviation: float, skeleton: AnimatedRig, common: AnimatedRig, layout: Layout
+) -> str:
     """Tell which step adds most to the deviation of a skinned file from the frames of its result.
 
     Args:
-        result: with the deviation of the file in its report.
+        result: the result.
+        deviation: that of the file.
         skeleton: the rig of the result, with all weights.
         common: the same motion on the rig that all results share.
         layout: names and arrangement of the bones.
@@ -128,7 +132,7 @@ def _deviation_cause(result: ClipResult, skeleton: AnimatedRig, common: Animated
     after = [rig.deviation(result.clip.vertices) for rig in steps.values()] if len(steps) > 1 else []
     if layout.rest != "file":
         after = after or [skeleton.deviation(result.clip.vertices)]
-        steps["rest"], after = common, [*after, result.report["skinned_deviation"]]
+        steps["rest"], after = common, [*after, deviation]
     added = np.diff(after, prepend=0.0)
     return list(steps)[int(added.argmax())] if len(added) else "weights"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -227,7 +227,7 @@ def blend_note(deviation: float | None) -> tuple[str, ...]:
     return (f"with these blend shapes no vertex is farther than {deviation:.2g} of the mesh's size from its frame",)
 
 
-def skinned_note(report: dict[str, Any]) -> tuple[str, ...]:
+def skinned_note(report: Mapping[str, Any]) -> tuple[str, ...]:
     """Return notes on how far the vertices of a skinned file are from those that all weights and joints would give."""
     limited, written = (report.get(f"{key}_deviation") or 0.0 for key in ("influence", "skinned"))
     notes = ()
