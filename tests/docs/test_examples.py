@@ -179,6 +179,33 @@ def test_live(ran, tmp_path):
     assert np.abs(moved.vertices - person(0).vertices).max() > 0.1
 
 
+def test_own_arrays(ran, tmp_path):
+    mesh, clip = person(0), walk(frames=3)
+    arrays = {"vertices": mesh.vertices, "faces": mesh.faces, "fps": 30.0}
+    np.savez(tmp_path / "a.npz", driving_vertices=clip.vertices, driving_faces=clip.mesh.faces, **arrays)
+    folder, text = ran("own_arrays", "a.npz", "--frames", "2")
+    with np.load(folder / "moved.npz") as moved:
+        assert moved["vertices"].shape == (2, len(mesh.vertices), 3)
+        assert moved["joints"].shape == (len(moved["names"]), 2, 3)
+        assert "Hips" in moved["names"]
+    assert "confidence 0." in text
+    assert example("own_arrays").shipped_arrays()["driving_vertices"].ndim == 3
+
+
+def test_own_arrays_that_cannot_be_used(tmp_path):
+    mesh = person(0)
+    np.savez(
+        tmp_path / "a.npz",
+        vertices=mesh.vertices.T,
+        faces=mesh.faces,
+        driving_vertices=mesh.vertices[None],
+        driving_faces=mesh.faces,
+        fps=1,
+    )
+    with pytest.raises((SystemExit, TypeError), match=r"vertices"):  # here jaxtyping finds it first
+        example("own_arrays").main([str(tmp_path / "a.npz")])
+
+
 @pytest.mark.parametrize("content", [b"\x02\0\0\0" + bytes(24), b"GET / HTTP/1.1"])
 def test_live_frames_of_another_mesh_are_left_out(tmp_path, capsys, content):
     """A sender whose mesh has another number of vertices, and one that speaks another protocol."""

@@ -291,7 +291,7 @@ def test_clip_in_a_mesh_format_is_refused(tmp_path):
     clip = Clip(zoo.cube(), zoo.cube().vertices[None])
     assert all(suffix in input_error_of(save_clip, clip, tmp_path / "a.obj") for suffix in clip_suffixes())
     assert "found '.stl'; choose one of them" in input_error_of(
-        lambda path: save_clip(clip, path, ".stl"), tmp_path / "out"
+        lambda path: save_clip(clip, path, suffix=".stl"), tmp_path / "out"
     )
     (tmp_path / "file").write_text("x")
     assert "found a file; choose another name" in input_error_of(save_clip, clip, tmp_path / "file")

@@ -102,7 +102,7 @@ def test_a_shape_that_contradicts_its_file_gets_a_note(tmp_path):
     assert given.report["identity"]["up"] == "+z"
     assert not any("defines" in note for note in given.notes)
     assert not any("defines" in note for note in transfer(person(0), mesh, "copy", driving_up="+z").notes)
-    assert "give --driving-up +z if" in " ".join(transfer(person(0), mesh, "copy").notes)
+    assert 'give driving_up="+z" if' in " ".join(transfer(person(0), mesh, "copy").notes)
 
 
 def test_baked_animations_keep_the_up_axis_of_their_file(tmp_path):

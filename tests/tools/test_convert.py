@@ -102,9 +102,9 @@ def test_movie_has_all_frames(tmp_path):
 def test_notes_name_what_is_lost(tmp_path):
     save_clip(clip(), tmp_path / "a.npz")
     assert "first of 4 frames" in convert(tmp_path / "a.npz", tmp_path / "b.obj", frame=None).notes[-1]
-    with pytest.raises(InputError, match="--blendshapes"):
+    with pytest.raises(InputError, match="for blendshapes"):
         convert(tmp_path / "a.npz", tmp_path / "b.webp", blendshapes=3)
-    with pytest.raises(InputError, match="--blendshapes"):
+    with pytest.raises(InputError, match="for blendshapes"):
         convert(tmp_path / "a.npz", tmp_path / "b.obj", blendshapes=3)
     notes = convert(tmp_path / "a.npz", tmp_path / "b.glb", blendshapes=3).notes
     assert "no vertex is farther than" in notes[-1]

@@ -16,9 +16,19 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.animated_rig import AnimatedRig, RigAnimation
+from ..core.arguments import public
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip, with_printable_names
+from ..core.mesh import (
+    Clip,
+    Mesh,
+    check_clip,
+    check_mesh,
+    check_numbers,
+    check_timing,
+    cut_clip,
+    with_printable_names,
+)
 from ..core.output_size import check_output_size, frames_size
 from ..core.system import refuse_pipe
 from .atomic import together, whole_file, writing
@@ -48,11 +58,23 @@ if TYPE_CHECKING:
     from .gltf.own_animation import OwnAnimation, PlayedAnimation
 
 
+@public()
 def load_mesh(path: str | Path) -> Mesh:
     """Read one mesh from a file and validate it; a motion file (joints only) gives the default body in its first frame.
 
+    Args:
+        path: the file, in a format of `mesh_suffixes`.
+
+    Returns:
+        The mesh in the axes and unit of the file; polygons are triangulated.
+
     Raises:
         InputError: no such file, an unknown format, a damaged file, or an unusable mesh (see `mesh.check_mesh`).
+
+    Example:
+        >>> mesh = mimesh.load_mesh("hero.glb")
+        >>> mesh.name, mesh.vertices.shape, mesh.faces.shape
+        ('hero', (502, 3), (1000, 3))
     """
     path = Path(path)
     if path.is_dir():
@@ -71,10 +93,12 @@ def load_mesh(path: str | Path) -> Mesh:
     return check_mesh(mesh, path)
 
 
+@public(once_positional=("fps", "animation", "progress", "frames"))
 def load_clip(
     path: str | Path,
+    *,
     fps: float | None = None,
-    animation: str | None = None,
+    animation: str | int | None = None,
     progress: Progress | None = None,
     frames: slice = slice(None),
 ) -> Clip:
@@ -83,6 +107,7 @@ def load_clip(
     A motion file, which has joints and no mesh, moves the default body (`motions.on_body`).
 
     Args:
+        path: the file or folder.
         fps: frames per second, overriding the file's own rate; without either it is 30. Files with times (glTF, USD,
             Alembic, MDD, motions) are resampled at it and keep their duration; others (folders, NPZ, NPY, PC2) are
             played at it.
@@ -92,10 +117,18 @@ def load_clip(
         frames: those to take, counted from 0 at the frame rate of the result; see `cut_clip`. Of a motion file the
             others are never posed, of other files they are read too.
 
+    Returns:
+        The clip in the axes and unit of the file.
+
     Raises:
         InputError: as `load_mesh`; frames of different topology; no such animation; no frame is left.
+
+    Example:
+        >>> clip = mimesh.load_clip("walk.npz", frames=slice(0, 4, 2))
+        >>> clip.vertices.shape, clip.fps  # (T, V, 3), and frames a second
+        ((2, 502, 3), 5.0)
     """
-    path = Path(path)
+    path, animation = Path(path), None if animation is None else str(animation)
     _check_clip_options(path, fps, animation)
     _must_exist(path)
     if frames == slice(None):
@@ -148,9 +181,11 @@ def load_points(path: str | Path, first: Mesh, first_path: Path) -> Float[np.nda
         return read_frame(path, first, first_path, _load_frame)
 
 
+@public(once_positional=("fps", "animation", "progress"))
 def load_recorded_clip(
     path: str | Path,
     body_model: str | Path,
+    *,
     fps: float | None = None,
     animation: str | None = None,
     progress: Progress | None = None,
@@ -229,6 +264,7 @@ def list_animations(path: str | Path) -> tuple[str, ...]:
         return animation_names(open_document(path))
 
 
+@public()
 def save_mesh(mesh: Mesh, path: str | Path) -> None:
     """Write a mesh atomically; with the suffix of the file it was read from, as that file with other points.
 
@@ -236,9 +272,18 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
     and images that it refers to are copied beside it unless files of these names exist. With another suffix a new file
     is written, of polygons where the format has them, else of triangles.
 
+    Args:
+        mesh: the mesh; its axes and unit are not changed.
+        path: the file; folders that do not exist are made.
+
     Raises:
-        InputError: a format that cannot be written, or a path that cannot be written to.
+        InputError: a format that cannot be written, a path that cannot be written to, or a mesh with coordinates that
+            are not finite or with indices of vertices that it does not have.
+
+    Example:
+        >>> mimesh.save_mesh(mimesh.load_mesh("hero.glb"), "hero.ply")
     """
+    check_numbers(mesh, mesh.name)
     path, mesh = Path(path), with_printable_names(mesh)
     if mesh.source is not None and mesh.source.suffix == path.suffix.lower():
         with writing(path), together():
@@ -255,9 +300,11 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
             writer(mesh, path)
 
 
+@public(once_positional=("suffix", "progress", "blendshapes"))
 def save_clip(
     clip: Clip,
     path: str | Path,
+    *,
     suffix: str | None = None,
     progress: Progress | None = None,
     blendshapes: int | None = None,
@@ -265,6 +312,8 @@ def save_clip(
     """Write a clip as one file or, for a path without a suffix, as a folder of numbered meshes.
 
     Args:
+        clip: the clip; its axes and unit are not changed.
+        path: the file, or a folder; folders that do not exist are made.
         suffix: format of the frames in a folder, .obj or .ply; by default that of the mesh's source, else .obj.
         progress: called with (frames written, frames in all).
         blendshapes: number of morph targets (.glb, .gltf), instead of one per frame; see `gltf.write_gltf_clip`.
@@ -273,8 +322,14 @@ def save_clip(
         With `blendshapes`, the largest distance of a vertex from its position in the clip, in the mesh's unit.
 
     Raises:
-        InputError: a format that cannot contain a clip, or a path that cannot be written to.
+        InputError: a format that cannot contain a clip, a path that cannot be written to, or a clip without frames or
+            with an impossible frame rate.
+
+    Example:
+        >>> mimesh.save_clip(mimesh.load_clip("walk.npz"), "walk.glb")
     """
+    check_numbers(clip.mesh, clip.mesh.name)
+    check_timing(clip, clip.mesh.name)
     path, clip = Path(path), dataclasses.replace(clip, mesh=with_printable_names(clip.mesh))
     is_folder = path.is_dir() or not path.suffix
     if blendshapes is not None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..core.errors import InputError
+from ..core.errors import InputError, command_line_words
 from ..core.frame_buffer import Progress
 from ..io import save_mesh
 from ..io.atomic import whole_file
@@ -88,7 +88,8 @@ def write(export: Export, results: list[tuple[str, str, ClipResult]], progress: 
     files_folder, notes, used = export.folder / "files", [], set()
     for k, (mesh, driving, result) in enumerate(results):
         stem = _unused(safe_name(f"{Path(mesh).stem}-{driving}"), used)
-        notes += _write_one(export, result, files_folder, stem, part(progress, k, len(results)) or progress)
+        with command_line_words():  # options are replaced by fields of the page, see `operations.for_page`
+            notes += _write_one(export, result, files_folder, stem, part(progress, k, len(results)) or progress)
     export.notes = tuple(dict.fromkeys(notes))
     files = sorted(path for path in files_folder.rglob("*") if path.is_file())
     if len(files) == 1:
@@ -106,11 +107,11 @@ def _write_one(export: Export, result: ClipResult, folder: Path, stem: str, prog
     if export.suffix in FRAMES:
         from ..io import save_clip
 
-        save_clip(result.clip, path, export.suffix.removeprefix("frames"), progress)
+        save_clip(result.clip, path, suffix=export.suffix.removeprefix("frames"), progress=progress)
     elif export.skinned:
         result.save_skinned(path)
     else:
-        result.save(path, export.blendshapes, progress)
+        result.save(path, blendshapes=export.blendshapes, progress=progress)
     blend_notes = blend_note(result.report.get("blendshapes_deviation")) if export.blendshapes else ()
     return [*not_kept(result.clip.mesh, path), *rate_note(result.fps, path), *blend_notes]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from jaxtyping import Float
 from ..bodies import load_body
 from ..bodies.animals import ANIMALS, animal
 from ..bodies.characters import character
+from ..core.errors import command_line_words
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -76,7 +78,7 @@ def read_mesh(path: Path, folder: Path | None) -> Mesh:
 def read_clip(path: Path, folder: Path | None, name: str, fps: float | None, animation: str | None) -> Clip:
     """Read a driving clip, as `read_mesh`; a mesh is a clip of one frame, and a folder gets the name `name`."""
     with _within(folder):
-        clip = load_clip(path, fps, animation)
+        clip = load_clip(path, fps=fps, animation=animation)
     return dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=name)) if path.is_dir() else clip
 
 
@@ -132,9 +134,11 @@ def compute_result(
     return ClipResult(result_clip, method.name, seconds, moved.report, moved.notes, moved.skeleton, own=moved.own)
 
 
-def _within(folder: Path | None) -> contextlib.AbstractContextManager[None]:
-    """Confine file references to a folder; None for no limit."""
-    return contextlib.nullcontext() if folder is None else confined(folder)
+@contextlib.contextmanager
+def _within(folder: Path | None) -> Iterator[None]:
+    """Confine file references to a folder, None for no limit; messages name options, which `for_page` replaces."""
+    with command_line_words(), contextlib.nullcontext() if folder is None else confined(folder):
+        yield
 
 
 def for_page(text: str, folder: Path) -> str:

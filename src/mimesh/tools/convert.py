@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -166,9 +166,9 @@ def read_clip(
         InputError: a file cannot be read, or no frame is left.
     """
     if body_model is None:
-        clip = load_clip(path, fps, animation, progress, frames)
+        clip = load_clip(path, fps=fps, animation=animation, progress=progress, frames=frames)
         return clip, clip.notes
-    clip, notes = load_recorded_clip(path, body_model, fps, animation, progress)
+    clip, notes = load_recorded_clip(path, body_model, fps=fps, animation=animation, progress=progress)
     return cut_clip(clip, frames.start or 0, frames.stop, 1 if frames.step is None else frames.step), notes
 
 
@@ -197,7 +197,7 @@ def read_driving(
     notes += taken_rate_note(clip, path) if fps is None else ()
     if frames.start == 0:
         # The capture is kept in memory: its first frames are posed, and nothing is read again.
-        first = load_clip(path, fps, frames=slice(0, LONE_FRAMES)) if early else clip
+        first = load_clip(path, fps=fps, frames=slice(0, LONE_FRAMES)) if early else clip
         notes += first_frame_note(first, 0, path)
     check_cut(clip.mesh.name, len(clip), slice(None) if early else frames)
     return (clip if early or whole else cut_clip(clip, frames.start, frames.stop, frames.step)), notes
@@ -227,7 +227,7 @@ def blend_note(deviation: float | None) -> tuple[str, ...]:
     return (f"with these blend shapes no vertex is farther than {deviation:.2g} of the mesh's size from its frame",)
 
 
-def skinned_note(report: dict[str, Any]) -> tuple[str, ...]:
+def skinned_note(report: Mapping[str, Any]) -> tuple[str, ...]:
     """Return notes on how far the vertices of a skinned file are from those that all weights and joints would give."""
     limited, written = (report.get(f"{key}_deviation") or 0.0 for key in ("influence", "skinned"))
     notes = ()
