@@ -10,8 +10,8 @@ COPY constraints.txt /wheels/
 COPY --from=build /wheels /wheels
 RUN python -m pip install --no-cache-dir --constraint /wheels/constraints.txt \
       "$(echo /wheels/mimesh-*.whl)[viewer,compressed,fbx,usd,alembic,hdf5,video]" \
-    && useradd --create-home mimesh && mkdir /data && chown mimesh /data
-USER mimesh
+    && useradd --create-home --uid 1000 mimesh && mkdir /data && chown mimesh /data
+USER 1000
 WORKDIR /data
 EXPOSE 8765
 ENTRYPOINT ["mimesh"]

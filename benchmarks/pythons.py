@@ -4,8 +4,8 @@
         --numpy 1.26 --numpy 2 -o benchmarks/pythons.json
 
 Each combination gets a new environment with the newest releases of everything else. Only binary packages are installed,
-so a combination that NumPy has no wheel for is reported as such. The points of the transfer are compared with those of
-the first combination.
+so a combination that a library has no wheel for is reported as such. The points of the transfer are compared with those
+of the first combination. To add interpreters of another system, run it there with the same -o and --points.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import json
 import os
 import subprocess
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -47,18 +46,23 @@ def main() -> None:
     parser.add_argument("wheel", type=Path)
     parser.add_argument("--python", action="append", required=True, help="command or path of an interpreter")
     parser.add_argument("--numpy", action="append", required=True, help="release series, such as 1.26 or 2")
-    parser.add_argument("-o", "--output", type=Path)
+    parser.add_argument("-o", "--output", type=Path, help="report; rows are added to one that exists")
+    parser.add_argument("--points", type=Path, help="points of the first combination (.npy), written if there are none")
     args = parser.parse_args()
-    rows, first = [], None
+    report = {"commit": commit(), "machine": machine(), "wheel": args.wheel.name, "rows": []}
+    if args.output and args.output.exists():
+        report = json.loads(args.output.read_text())
+    first = np.load(args.points) if args.points and args.points.exists() else None
     for python in args.python:
         for series in args.numpy:
             row, points = measure(args.wheel.resolve(), python, series)
             if points is not None:
                 first = points if first is None else first
                 row["distance_mm"] = float(f"{1000 * np.linalg.norm(points - first, axis=1).max():.2g}")
-            rows.append(row)
+            report["rows"].append(row)
             print(json.dumps(row))
-    report = {"commit": commit(), "machine": machine(), "wheel": args.wheel.name, "rows": rows}
+    if args.points and first is not None:
+        np.save(args.points, first)
     if args.output:
         with whole_file(args.output) as temporary:
             temporary.write_text(json.dumps(report, indent=2) + "\n")
@@ -71,17 +75,13 @@ def measure(wheel: Path, python: str, series: str) -> tuple[dict, np.ndarray | N
         binaries = Path(folder) / "venv" / "bin"
         try:
             last_line(python, "-m", "venv", str(binaries.parent))
-            begin = time.perf_counter()
-            options = ("--quiet", "--disable-pip-version-check", "--only-binary=:all:")
+            options = ("--quiet", "--no-compile", "--disable-pip-version-check", "--only-binary=:all:")
             last_line(str(binaries / "python"), "-m", "pip", "install", *options, str(wheel), f"numpy=={series}.*")
-            installed = time.perf_counter()
             last_line(str(binaries / "mimesh"), "demo", "--quiet", "-o", "demo", folder=folder)
-            done = time.perf_counter()
             row |= json.loads(last_line(str(binaries / "python"), "-c", TRANSFER, *LIBRARIES, folder=folder))
         except Failed as error:
             return row | {"numpy": series, "ok": False, "error": str(error)}, None
-        seconds = {"install": round(installed - begin, 1), "demo": round(done - installed, 1)}
-        return row | {"ok": True, "seconds": seconds}, np.load(Path(folder) / "points.npy")
+        return row | {"ok": True}, np.load(Path(folder) / "points.npy")
 
 
 def last_line(*command: str, folder: str | None = None) -> str:
