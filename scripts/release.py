@@ -107,7 +107,7 @@ def check_licences(bill: dict, third_party: str) -> dict[str, str]:
         InputError: THIRD_PARTY.md does not list one of them.
     """
     listed = listed_licences(third_party)
-    names = {component["name"].lower() for component in bill["components"]} - {"mimesh"}
+    names = {re.sub(r"[-_.]+", "-", component["name"]).lower() for component in bill["components"]} - {"mimesh"}
     if missing := sorted(names - set(listed)):
         raise InputError(
             f"THIRD_PARTY.md: expected a row for each library, found none for {', '.join(missing)}; add it"
