@@ -11,7 +11,7 @@ BPY := .clients/bpy/bin/python
 CODE := src tests scripts benchmarks blender docs examples
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 
-.PHONY: demo test lint check smoke bench setup blender web gallery clients docs clean
+.PHONY: demo test lint check smoke bench setup blender web gallery clients docs release clean
 
 # The development install can run the demo, too; a plain install must not replace it.
 demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
@@ -61,6 +61,10 @@ clients: $(VENV)/.dev
 docs: $(VENV)/.dev
 	PYTHONPATH=src $(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
 	$(BIN)/python docs/_ext/links.py docs/_build
+
+# Archives, checks, licences, SBOM and tag message in dist/release; see docs/releasing.md.
+release: $(VENV)/.dev
+	$(BIN)/python scripts/release.py
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

@@ -317,6 +317,17 @@ def minute() -> str:
     )
 
 
+def pythons() -> str:
+    """Return the table of Python and NumPy versions, from benchmarks/pythons.json."""
+    report = json.loads((DOCS.parent / "benchmarks" / "pythons.json").read_text(encoding="utf-8"))
+    rows = []
+    for row in report["rows"]:
+        done = f"{row['distance_mm']:g} mm" if row["ok"] else f"no: {row['error'].removeprefix('ERROR: ')}"
+        rows.append([row["python"], *(row.get(name, "") for name in ("numpy", "scipy", "onnxruntime")), done])
+    head = ["Python", "NumPy", "SciPy", "onnxruntime", "largest distance to the first row"]
+    return markdown_table(head, rows)
+
+
 def kills() -> str:
     """Return the table of killed commands, from benchmarks/kills.json."""
     report = json.loads((DOCS.parent / "benchmarks" / "kills.json").read_text())
@@ -427,6 +438,7 @@ INSERTS = {
     "large": large,
     "live": live,
     "minute": minute,
+    "pythons": pythons,
     "models": models,
     "card": card,
     "table": table,
