@@ -7,6 +7,7 @@ import contextlib
 import io
 import os
 import shutil
+import threading
 
 import numpy as np
 import pytest
@@ -63,6 +64,10 @@ class Watched:
         return np.asarray(Image.open(io.BytesIO(content)).convert("RGB")).astype(int)
 
 
+WAIT = 120_000
+"""Milliseconds that a page may take for anything: tests wait for states, and other work can make a page slow."""
+
+
 @contextlib.contextmanager
 def watching(chromium):
     """Yield a function that opens an address and returns a Watched page; afterwards check their requests and errors."""
@@ -70,11 +75,12 @@ def watching(chromium):
 
     def open_address(address: str, allowed: tuple[str, ...] = LOCAL, script: str = "", **options) -> Watched:
         context = chromium.new_context(**{"viewport": {"width": 720, "height": 420}, **options})
+        context.set_default_timeout(WAIT)
         watched = Watched(context.new_page())
         opened.append((watched, context, allowed))
         watched.page.add_init_script(script)
         watched.page.goto(address)
-        watched.page.wait_for_selector("html[data-state]", timeout=30_000)
+        watched.page.wait_for_selector("html[data-state]")
         return watched
 
     yield open_address
@@ -97,3 +103,23 @@ def watch_all(chromium):
     """The same for all tests of a file: opening a page takes seconds where there is no graphics card."""
     with watching(chromium) as open_address:
         yield open_address
+
+
+@pytest.fixture(scope="module")
+def studio():
+    """A studio in this process: its address, its token and its session."""
+    from mimesh.studio import make_server, make_session, open_socket
+    from mimesh.studio.security import new_token
+
+    session, token = make_session([], 64 * 2**20), new_token()
+    listening = open_socket("127.0.0.1", 0)
+    port = listening.getsockname()[1]
+    server = make_server(session, token, "127.0.0.1", port)
+    thread = threading.Thread(target=server.run, args=([listening],))
+    thread.start()
+    yield f"http://127.0.0.1:{port}", token, session
+    server.should_exit = True
+    thread.join(10)
+    listening.close()
+    session.close()
+    assert not thread.is_alive()

@@ -62,7 +62,7 @@ export function showText(element, text) {
 export function showError(element, text) {
   const fresh = text && element.textContent !== text;
   showText(element, text);
-  if (fresh) element.scrollIntoView({ block: "nearest" });
+  if (fresh) (element.closest(".row") ?? element).scrollIntoView({ block: "nearest" });
 }
 
 /**

@@ -11,9 +11,9 @@ const DESCRIPTIONS = {
   skeleton: "fits a body model to both meshes; slow",
   copy: "the driving mesh's own vertices, for comparison",
 };
-const ROOTS = { scale: "scaled by leg length", keep: "as far as the driving", drop: "none, in place" };
+const ROOTS = { scale: "by leg length", keep: "as far as the driving", drop: "none, in place" };
 const BODIES = { auto: "automatic", human: "a person", quadruped: "a four-legged animal", other: "other creatures or things" };
-const RIGS = { own: "of the file, if it has any", mimesh: "found on the surface" };
+const RIGS = { own: "of the file", mimesh: "found on the surface" };
 const RESTS = { file: "of the file", T: "T-pose", A: "A-pose" };
 const BODIES_ONLY = "Available for mime.";
 const JOINTS_ONLY = "Available for models with joints (mime).";
@@ -71,7 +71,7 @@ export class CorrectionForm {
     const bodies = choice(Object.entries(BODIES), (body) => changed({ body }));
     this.body = field(grid, "Both meshes are", bodies, "What both meshes are taken for; automatic: found by rig or shape");
     const rigs = choice(Object.entries(RIGS), (rig) => changed({ rig }));
-    this.rig = field(grid, "Bones", rigs, "Move the mesh on the bones of its file, or on joints found on its surface");
+    this.rig = field(grid, "Bones", rigs, "Move the mesh on the bones of its file if it has any, or on joints found on its surface");
   }
 
   show({ models, options }) {
