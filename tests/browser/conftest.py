@@ -7,7 +7,6 @@ import contextlib
 import io
 import os
 import shutil
-import threading
 
 import numpy as np
 import pytest
@@ -103,23 +102,3 @@ def watch_all(chromium):
     """The same for all tests of a file: opening a page takes seconds where there is no graphics card."""
     with watching(chromium) as open_address:
         yield open_address
-
-
-@pytest.fixture(scope="module")
-def studio():
-    """A studio in this process: its address, its token and its session."""
-    from mimesh.studio import make_server, make_session, open_socket
-    from mimesh.studio.security import new_token
-
-    session, token = make_session([], 64 * 2**20), new_token()
-    listening = open_socket("127.0.0.1", 0)
-    port = listening.getsockname()[1]
-    server = make_server(session, token, "127.0.0.1", port)
-    thread = threading.Thread(target=server.run, args=([listening],))
-    thread.start()
-    yield f"http://127.0.0.1:{port}", token, session
-    server.should_exit = True
-    thread.join(10)
-    listening.close()
-    session.close()
-    assert not thread.is_alive()

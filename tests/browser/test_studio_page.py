@@ -112,7 +112,7 @@ def test_names_of_bones_are_chosen_for_the_export(fresh, files, tmp_path):
     page.get_by_label("Root bone").check()
     with page.expect_download() as download:
         page.click("#write")
-    names = {node.get("name") for node in pygltflib.GLTF2().load(download.value.path()).to_dict()["nodes"]}
+    names = {node.get("name") for node in pygltflib.GLTF2().load_binary(download.value.path()).to_dict()["nodes"]}
     assert {"root", "pelvis", "upperarm_l"} <= names
     page.get_by_label("Root bone").uncheck()
     page.get_by_label("Bone names").select_option("own")
@@ -127,10 +127,10 @@ def test_names_of_bones_are_chosen_for_the_export(fresh, files, tmp_path):
     page.click("#bones summary")
 
 
-def test_export_stays_in_sight_below_many_meshes(fresh, files):
+def test_export_stays_in_sight_below_many_meshes(fresh, files, studio):
     page = fresh.page
     page.set_viewport_size({"width": 1366, "height": 768})
-    choose(page, "identity", *4 * [files / "hero.obj"])
+    studio[2].add_identities(4 * [files / "hero.obj"])
     page.wait_for_function("() => document.querySelectorAll('#identities .row').length === 4")
     box = page.locator("#write").bounding_box()
     assert box["y"] + box["height"] <= 768

@@ -96,7 +96,8 @@ def write(export: Export, results: list[tuple[str, str, ClipResult]], progress: 
     files_folder, notes, used = export.folder / "files", [], set()
     for k, (mesh, driving, result) in enumerate(results):
         stem = _unused(safe_name(f"{Path(mesh).stem}-{driving}"), used)
-        notes += _write_one(export, result, files_folder, stem, part(progress, k, len(results)) or progress)
+        report = part(progress, k, len(results)) or progress
+        notes += _write_one(export, result, driving, files_folder / stem, report)
     export.notes = tuple(dict.fromkeys(notes))
     files = sorted(path for path in files_folder.rglob("*") if path.is_file())
     if len(files) == 1:
@@ -105,9 +106,14 @@ def write(export: Export, results: list[tuple[str, str, ClipResult]], progress: 
     return _zip(files, files_folder, export.folder / f"{stem}.zip")
 
 
-def _write_one(export: Export, result: ClipResult, folder: Path, stem: str, progress: Progress) -> list[str]:
-    """Write one result and return notes on what the format leaves out."""
-    path = folder / (stem if export.suffix in FRAMES else f"{stem}{export.suffix}")
+def _write_one(export: Export, result: ClipResult, driving: str, target: Path, progress: Progress) -> list[str]:
+    """Write one result and return notes on what the format leaves out.
+
+    Args:
+        driving: name of the driving clip, which an animation of bones gets.
+        target: the file without its suffix, or the folder of frames.
+    """
+    path = target if export.suffix in FRAMES else target.with_name(f"{target.name}{export.suffix}")
     jointed = export.skinned or export.suffix == BONES_ONLY
     if len(result.clip) == 1 and not jointed:
         save_mesh(result.clip.mesh, path)
@@ -117,7 +123,7 @@ def _write_one(export: Export, result: ClipResult, folder: Path, stem: str, prog
 
         save_clip(result.clip, path, export.suffix.removeprefix("frames"), progress)
     elif jointed:
-        save_skinned([result], path, layout=export.layout)
+        save_skinned([result], path, [driving], export.layout)
     else:
         result.save(path, export.blendshapes, progress)
     blend_notes = blend_note(result.report.get("blendshapes_deviation")) if export.blendshapes else ()
