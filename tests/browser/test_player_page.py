@@ -146,6 +146,7 @@ def test_the_camera_turns_and_is_reset(watched):
 def test_speed_and_loop_are_set(watched):
     watched.page.select_option("select.speed", "0.1")
     assert watched.page.evaluate("mimesh.controls.speed") == 0.1
+    assert watched.page.evaluate("mimesh.controls.frame") == pytest.approx(1 / 12), "still panels have no rate"
     watched.page.click("[data-name=loop]")
     watched.page.evaluate("mimesh.controls.pause(); mimesh.controls.advance(60)")
     assert watched.page.evaluate("mimesh.stage.time === mimesh.stage.duration && !mimesh.controls.playing")

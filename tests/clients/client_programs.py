@@ -58,7 +58,13 @@ def firefox() -> list[str]:
         pytest.skip("no Firefox on PATH: apt-get install firefox-esr, or set MIMESH_FIREFOX to its path")
     if node is None or not (modules / "puppeteer-core").is_dir():
         pytest.skip(f"no puppeteer-core in {folder}: run make clients with Node.js installed, or set MIMESH_PUPPETEER")
-    return [node, str(Path(__file__).with_name("walk_firefox.mjs")), str(modules), program]
+    command = [node, str(Path(__file__).with_name("walk_firefox.mjs")), str(modules), program]
+    if os.environ.get("DISPLAY"):
+        return command
+    screen = shutil.which("xvfb-run")
+    if screen is None or shutil.which("xauth") is None:
+        pytest.skip("no display and no Xvfb, and Firefox has no WebGL without a window: apt-get install xvfb xauth")
+    return [screen, "-a", "-s", "-screen 0 1400x900x24", *command]
 
 
 def _three(script: str, package: str) -> list[str]:

@@ -11,7 +11,7 @@ const seen = { problems: [] };
 const browser = await puppeteer.launch({
   browser: "firefox",
   executablePath: firefox,
-  headless: true,
+  headless: false, // without a window it has no WebGL
   protocolTimeout: 300_000,
   timeout: 300_000,
   extraPrefsFirefox: {
@@ -38,22 +38,21 @@ async function open(address) {
 try {
   seen.browser = await browser.version();
   let page = await open(player);
-  seen.refusal = await page.evaluate(() => document.querySelector(".refusal")?.textContent ?? "");
-  if (!seen.refusal) {
-    await page.evaluate(() => mimesh.controls.pause());
-    await page.evaluate(() => mimesh.controls.seek(0));
-    await page.click("[data-name=play]");
-    await page.waitForFunction(() => mimesh.stage.time > 0.1);
-    await page.click("[data-name=play]");
-    await page.focus(".scrub");
-    await page.keyboard.press("Home");
-    await page.keyboard.press("ArrowRight");
-    seen.player = await page.evaluate(() => ({
-      clock: document.querySelector(".clock").value,
-      playing: mimesh.controls.playing,
-      frame: mimesh.stage.time * mimesh.stage.views[1].panel.fps,
-    }));
-  }
+  const refusal = await page.evaluate(() => document.querySelector(".refusal")?.textContent);
+  if (refusal) throw new Error(refusal);
+  await page.evaluate(() => mimesh.controls.pause());
+  await page.evaluate(() => mimesh.controls.seek(0));
+  await page.click("[data-name=play]");
+  await page.waitForFunction(() => mimesh.stage.time > 0.1);
+  await page.click("[data-name=play]");
+  await page.focus("[data-name=help]");
+  await page.keyboard.press("Home");
+  await page.keyboard.press("ArrowRight");
+  seen.player = await page.evaluate(() => ({
+    clock: document.querySelector(".clock").value,
+    playing: mimesh.controls.playing,
+    frame: mimesh.stage.time * mimesh.stage.views[1].panel.fps,
+  }));
   await page.screenshot({ path: join(folder, "player.png") });
   await page.close();
   page = await open(studio);

@@ -212,7 +212,8 @@ export class Controls {
   showScene() {
     const { offers, scene } = this.stage;
     this.bar.hidden = !offers.moves;
-    this.frame = 1 / Math.max(...scene.panels.map((panel) => panel.fps));
+    const moving = scene.panels.filter((panel) => panel.frames > 1);
+    this.frame = 1 / Math.max(...moving.map((panel) => panel.fps));
     for (const button of this.colours) button.hidden = !offers[button.dataset.name];
     this.toggles.overlay.hidden = !offers.overlay;
     this.toggles.follow.hidden = !offers.travels;
