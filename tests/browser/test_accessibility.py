@@ -76,7 +76,7 @@ def test_a_player_that_cannot_start_is_accessible(check, watch, player):
     check(watch(player, script="delete window.DecompressionStream").page, "refused")
 
 
-def test_the_studio_is_accessible(check, watch_all, studio, tmp_path):
+def test_the_studio_is_accessible(check, studio, watch_all, tmp_path):
     save_mesh(person(0), tmp_path / "hero.glb")
     save_clip(walk(frames=3), tmp_path / "walk.npz")
     (tmp_path / "bad.glb").write_text("this is not a mesh")
