@@ -140,7 +140,8 @@ def attach_feet(
             for other, shin in shins.items()
         }
         nearest = min(movement, key=movement.__getitem__)
-        if movement[nearest] > LOOSE_FOOT * np.ptp(rig.mesh.vertices[:, 1]):
+        below = foot in ancestors(tuple(parents), shins[nearest])  # it would be its own ancestor
+        if below or movement[nearest] > LOOSE_FOOT * np.ptp(rig.mesh.vertices[:, 1]):
             raise InputError(
                 f"{path}: expected feet that move with a shin in the clips, found a foot that moves with neither; "
                 "export the deforming bones as chains"

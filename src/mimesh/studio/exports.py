@@ -124,7 +124,7 @@ def _write_one(export: Export, result: ClipResult, driving: str, target: Path, p
 
         save_clip(result.clip, path, suffix=export.suffix.removeprefix("frames"), progress=progress)
     elif jointed:
-        save_skinned([result], path, [driving], export.layout)
+        save_skinned([result], path, animations=[driving], layout=export.layout)
     else:
         result.save(path, blendshapes=export.blendshapes, progress=progress)
     blend_notes = blend_note(result.report.get("blendshapes_deviation")) if export.blendshapes else ()

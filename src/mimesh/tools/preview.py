@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.mesh import Clip, Mesh
 from ..core.printable import plain
 from ..io.atomic import whole_file, writing
+from ..pipeline.report import MeshReport
 from ..pipeline.result import ClipResult, Result
 from ..player.pack import MotionLimits
 from ..render.movie import clip_frames
@@ -51,7 +52,7 @@ def names_beside(output: Path, clip: str | None = None, usual: str = ".glb") -> 
 
 def result_picture(result: Result | ClipResult) -> Image.Image:
     """Draw identity, driving and result side by side; of a clip, driving and result as two strips."""
-    identity_axes, driving_axes = _axes(result.report, "identity"), _axes(result.report, "driving")
+    identity_axes, driving_axes = _axes(result.report["identity"]), _axes(result.report["driving"])
     if isinstance(result, ClipResult):
         assert result.driving is not None
         clips = ((result.driving, driving_axes, DRIVING_TINT), (result.clip, identity_axes, None))
@@ -78,5 +79,5 @@ def still(mesh: Mesh, label: str, *, tint=None, up: str = "y", front: str | None
     return next(clip_frames([(label, Clip.still(mesh))], TILE, tints=[tint], up=up, front=front))
 
 
-def _axes(report: dict[str, Any], which: str) -> dict[str, Any]:
-    return {"up": report[which]["up"], "front": report[which]["front"]}
+def _axes(mesh: MeshReport) -> dict[str, Any]:
+    return {"up": mesh["up"], "front": mesh["front"]}
