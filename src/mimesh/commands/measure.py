@@ -81,13 +81,15 @@ def evaluate(
     from ..evaluate.markdown import markdown
     from ..evaluate.run import evaluate_command
 
+    options: tuple = (refine, height, fps, mirror)
     if torch:
         require("train", "torch", "yaml", "safetensors", "onnx")
+        from ..learn.torch_session import in_torch, precision
+
+        options += (in_torch, f"torch, {precision()}")
     methods = [name.strip() for name in model.split(",") if name.strip()]
     with progress("pairs", quiet or json) as advance:
-        figures = evaluate_command(
-            protocol, methods, output, split, pairs, ensemble, advance, dump, data, refine, height, fps, mirror, torch
-        )
+        figures = evaluate_command(protocol, methods, output, split, pairs, ensemble, advance, dump, data, *options)
     if json:
         print_json(figures)
     elif not quiet:

@@ -10,6 +10,7 @@ import dataclasses
 import json
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -68,6 +69,8 @@ TRAINED_ON = {
 """Description of each kind of training data (`data.kind` of a configuration), for reports."""
 AXES: dict[str, Any] = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
 """Facing of both meshes, passed to every method: axis detection is not part of what is measured."""
+Runtime = Callable[[Method, Path], Method]
+"""Returns a method whose network is run by another library; takes the method and the path of its weights."""
 STATIC_FRAMES = 5
 """Number of frames of the static clip that `still_mm` is measured on."""
 
@@ -158,7 +161,7 @@ def result_vertices(pair: Pair, method: str | Method, **options: Any) -> Float[n
 
 
 def run_on_pair(
-    pair: Pair, method: str | Method, ensemble: int = 1, refine: bool = False, torch: bool = False
+    pair: Pair, method: str | Method, ensemble: int = 1, refine: bool = False, runtime: Runtime | None = None
 ) -> Output:
     """Run a method on a pair. Methods that take the true size are not refined.
 
@@ -166,7 +169,7 @@ def run_on_pair(
         method: a name (of EXTRA_INPUTS or of `methods.MODELS`), the path of an `.onnx` file, or a Method object.
         ensemble: see `find_method`.
         refine: see `transfer`.
-        torch: run the network by PyTorch (`learn.torch_session`).
+        runtime: what runs the network instead of onnxruntime.
 
     Raises:
         NotApplicableError: the method cannot be applied to this pair, such as deformation transfer to a point cloud.
@@ -180,7 +183,7 @@ def run_on_pair(
     if method.startswith("deformation-transfer"):
         driving, inputs = deformation_transfer_inputs(pair, method)
         return Output.of(transfer(pair.identity, driving, "deformation-transfer", **AXES, **inputs))
-    network = open_network(method, ensemble, torch)
+    network = open_network(method, ensemble, runtime)
     if needs_true_size(network):
         clip = Clip.still(pair.driving)
         return Output(frames_at_true_size(network, pair.identity, clip, pair.truth[None])[0])
@@ -188,18 +191,14 @@ def run_on_pair(
     return Output.of(transfer(pair.identity, pair.driving, network, **AXES, **options))
 
 
-def open_network(name: str, ensemble: int, torch: bool) -> Method:
-    """Open a network by its name or path, with `torch` to be run by PyTorch.
+def open_network(name: str, ensemble: int, runtime: Runtime | None) -> Method:
+    """Open a network by its name or path.
 
     Raises:
-        InputError: no such network, or one that is not run by PyTorch.
+        InputError: no such network, or one that the runtime does not run.
     """
     network = find_method(name, ensemble=ensemble)
-    if not torch:
-        return network
-    from ..learn.torch_session import in_torch
-
-    return in_torch(network, weights_path(name))
+    return network if runtime is None else runtime(network, weights_path(name))
 
 
 def deformation_transfer_inputs(pair: Pair, method: str) -> tuple[Mesh, dict[str, Any]]:
@@ -331,7 +330,9 @@ def result_frames(trial: ClipPair, method: str, **options: Any) -> Float[np.ndar
     return run_on_clip(trial, method, **options).vertices
 
 
-def run_on_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = False, torch: bool = False) -> Output:
+def run_on_clip(
+    trial: ClipPair, method: str, ensemble: int = 1, refine: bool = False, runtime: Runtime | None = None
+) -> Output:
     """Run a method on a clip; see `run_on_pair`.
 
     The baseline `copy` is scaled once for the whole clip: its mean radius over the frames becomes that of the truth.
@@ -352,7 +353,7 @@ def run_on_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = 
         frames = trial.aligned_frames if method.endswith("-dense") else trial.clip.vertices
         clip = Clip(driving, required_input(frames, method), trial.clip.fps)
         return Output.of(animate(trial.identity, clip, "deformation-transfer", **AXES, **inputs))
-    network = open_network(method, ensemble, torch)
+    network = open_network(method, ensemble, runtime)
     if needs_true_size(network):
         return Output(frames_at_true_size(network, trial.identity, trial.clip, trial.truth_frames))
     # The truth has the driving's rotations, and its soles slide: a method is measured without planted feet.

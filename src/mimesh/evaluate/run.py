@@ -35,7 +35,7 @@ from .cross_body import cross_body
 from .fingers import FingerGestures, fingers
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
 from .listed_pairs import ListedClips, ListedPairs, listed_pairs
-from .measure import EXTRA_INPUTS, measure, measure_characters, measure_clip, measure_fingers
+from .measure import EXTRA_INPUTS, Runtime, measure, measure_characters, measure_clip, measure_fingers
 from .pairs import Pair, mirrored
 from .protocols import DRESSED, PROTOCOLS, SPLITS, Dressed, Protocol, with_test_garments
 from .provenance import commit, libraries, machine
@@ -62,7 +62,8 @@ def evaluate_command(
     height: float | None = None,
     fps: float | None = None,
     mirror: bool = False,
-    torch: bool = False,
+    runtime: Runtime | None = None,
+    runtime_name: str = "",
 ) -> dict[str, Any]:
     """Measure methods on a protocol (`mimesh evaluate`) and return the report: one row per method and kind of pair.
 
@@ -78,7 +79,7 @@ def evaluate_command(
         height: height of the identities of a list at rest, in the unit of its files; see `ListedPairs.height`.
         fps: frames per second of the clips of a list; None: those of the files.
         mirror: measure on the mirror images of all pairs; not for clips and characters.
-        torch: run networks of npt and aniformer by PyTorch; not for characters.
+        runtime: what runs networks instead of onnxruntime, with its name for the report; not for characters.
 
     Raises:
         InputError: an unknown protocol, split or method, or missing data.
@@ -95,15 +96,13 @@ def evaluate_command(
                          "give --split val")  # fmt: skip
     if mirror and (dump is not None or measurement_of(chosen) is not measure):
         raise InputError("--mirror: expected a test set of single meshes and no --dump, found another; leave one out")
-    if torch and measurement_of(chosen) not in (measure, measure_clip):
+    if runtime and measurement_of(chosen) not in (measure, measure_clip):
         raise InputError(f"--torch: expected a test set of meshes or clips, found {protocol}; leave it out")
-    options = {"ensemble": ensemble, "refine": refine} | ({"torch": True} if torch else {})
+    options: dict[str, Any] = {"ensemble": ensemble, "refine": refine}
     config = {**data_facts(chosen, split, data), "pairs": pairs or chosen.pairs, **options}
+    options |= {"runtime": runtime} if runtime else {}
     config |= {"mirror": True} if mirror else {}
-    if torch:
-        from ..learn.torch_session import precision
-
-        config["torch"] = precision()
+    config |= {"runtime": runtime_name} if runtime else {}
     made = provenance(config)
     code = {} if out is None else code_of(chosen, methods)
     question = {**config, "protocol": settings(chosen), "machine": machine(), **libraries()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -11,28 +12,30 @@ import numpy as np
 import torch
 
 from ..core.errors import InputError
-from ..methods.aniformer import AniFormerMethod
 from ..methods.base import Method
-from ..methods.npt import NPTMethod
 from .exported_weights import load_exported
 from .precision import choose_precision
 from .tasks.base import OnnxInterface
 from .tasks.find import find_task
 
+NETWORKS = ("npt", "aniformer")
+"""Networks whose exported weights are those of the training."""
 
-def in_torch(method: Method, path: Path) -> NPTMethod | AniFormerMethod:
+
+def in_torch(method: Any, path: Path) -> Method:
     """Return a method whose network is run by PyTorch instead of onnxruntime.
 
     Results differ by the rounding of bf16 where that is used (`precision`), else by that of float32.
 
     Args:
-        method: the method.
+        method: the method, a dataclass with the field `session`.
         path: its weights, an .onnx file with its card beside it.
 
     Raises:
         InputError: another method than `npt` or `aniformer`, or no card.
     """
-    if not isinstance(method, (NPTMethod, AniFormerMethod)):
+    card = path.with_suffix(".json")
+    if card.is_file() and json.loads(card.read_text(encoding="utf-8"))["config"]["network"] not in NETWORKS:
         raise InputError(f"--torch: expected networks of npt and aniformer, found {path.stem}; measure it without")
     return dataclasses.replace(method, session=_opened(path.resolve(), path.stat().st_mtime_ns))
 
