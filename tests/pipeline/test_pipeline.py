@@ -60,7 +60,8 @@ def test_range_of_frames_is_taken_at_the_same_speed():
 
 
 @pytest.mark.parametrize(
-    ("options", "message"), [({"step": 0}, "--step"), ({"start": 99}, "--start"), ({"fps": -1.0}, "--fps")]
+    ("options", "message"),
+    [({"step": 0}, "^step"), ({"start": 99}, "expected start and stop"), ({"fps": -1.0}, "with fps=")],
 )
 def test_wrong_ranges_are_refused(options, message):
     with pytest.raises(InputError, match=message):

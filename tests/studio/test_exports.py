@@ -50,7 +50,9 @@ def test_bones_are_named_and_arranged_as_by_animate(moved, tmp_path):
     export = exported(session, ".glb", layout=layout)
     assert export.error == ""
     expected = tmp_path / "expected.glb"
-    animate(*files).save_skinned(expected, layout.names, layout.root_bone, layout.rest, layout.fps)
+    animate(*files).save_skinned(
+        expected, names=layout.names, root_bone=layout.root_bone, rest=layout.rest, fps=layout.fps
+    )
     mine, theirs = (pygltflib.GLTF2().load(path) for path in (export.path, expected))
     assert [node.name for node in mine.nodes] == [node.name for node in theirs.nodes]
     assert {"root", "pelvis", "upperarm_l"} <= {node.name for node in mine.nodes}

@@ -59,7 +59,8 @@ def merge_equal_vertices(clip: Clip) -> tuple[Clip, Int[np.ndarray, " V"] | None
     """Keep one of the vertices that are at one position in every frame, as files have them at seams.
 
     Returns:
-        The clip with fewer vertices, and for each vertex of the mesh its index among them; None where all are kept.
+        The clip with fewer vertices and no faces, and for each vertex of the mesh its index among them; None where all
+        are kept.
     """
     chosen = np.unique(np.linspace(0, len(clip) - 1, COMPARED_FRAMES).round().astype(int))
     first, index = distinct_rows([column for t in chosen for column in clip.vertices[t].T])
@@ -76,7 +77,8 @@ def merge_equal_vertices(clip: Clip) -> tuple[Clip, Int[np.ndarray, " V"] | None
     frames = (points[kept[order]] for points in each_frame(clip.vertices))
     dtype = clip.vertices.dtype
     vertices = store_frames(frames, len(clip), len(kept), dtype.type)
-    return dataclasses.replace(clip, vertices=vertices), place[index]
+    points = Mesh(clip.mesh.vertices[kept[order]], name=clip.mesh.name)
+    return dataclasses.replace(clip, mesh=points, vertices=vertices), place[index]
 
 
 def too_dense(clip: Clip, budget: int, count: int = DENSE_VERTICES) -> bool:
