@@ -9,6 +9,7 @@ TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -rs -n auto --dist loadfil
 # Blender 4.5 as a module is for Python 3.11 alone.
 BLENDER_PYTHON ?= python3.11
 BPY := .clients/bpy/bin/python
+AXE := .clients/axe/node_modules/axe-core/axe.min.js
 CODE := src tests scripts benchmarks blender docs examples
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 
@@ -50,11 +51,11 @@ gallery: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
 	$(BIN)/python scripts/build_gallery.py
 
 # Checks the pages with axe-core, which tests of tests/browser skip without.
-axe: $(VENV)/.dev .clients/axe
+axe: $(VENV)/.dev $(AXE)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -rs tests/browser/test_accessibility.py
 
-.clients/axe:
-	npm install --silent --prefix $@ axe-core@4.14.1
+$(AXE):
+	npm install --silent --prefix .clients/axe axe-core@4.14.1
 
 # Other programs, each in an environment of its own; tests of one that cannot be installed are skipped and say so.
 clients: $(VENV)/.dev

@@ -49,9 +49,10 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, help="report; rows are added to one that exists")
     parser.add_argument("--points", type=Path, help="points of the first combination (.npy), written if there are none")
     args = parser.parse_args()
-    report = {"commit": commit(), "machine": machine(), "wheel": args.wheel.name, "rows": []}
+    report = {"rows": []}
     if args.output and args.output.exists():
         report = json.loads(args.output.read_text())
+    source = {"commit": commit(), "machine": machine(), "wheel": args.wheel.name}
     first = np.load(args.points) if args.points and args.points.exists() else None
     for python in args.python:
         for series in args.numpy:
@@ -59,7 +60,7 @@ def main() -> None:
             if points is not None:
                 first = points if first is None else first
                 row["distance_mm"] = float(f"{1000 * np.linalg.norm(points - first, axis=1).max():.2g}")
-            report["rows"].append(row)
+            report["rows"].append(row | source)
             print(json.dumps(row))
     if args.points and first is not None:
         np.save(args.points, first)
@@ -70,10 +71,11 @@ def main() -> None:
 
 def measure(wheel: Path, python: str, series: str) -> tuple[dict, np.ndarray | None]:
     """Install and run one combination; return its row, and the points of the transfer (V, 3) in metres."""
-    row: dict = {"python": last_line(python, "-c", "import platform; print(platform.python_version())")}
+    row: dict = {"python": python}
     with tempfile.TemporaryDirectory() as folder:
         binaries = Path(folder) / "venv" / "bin"
         try:
+            row["python"] = last_line(python, "-c", "import platform; print(platform.python_version())")
             last_line(python, "-m", "venv", str(binaries.parent))
             options = ("--quiet", "--no-compile", "--disable-pip-version-check", "--only-binary=:all:")
             last_line(str(binaries / "python"), "-m", "pip", "install", *options, str(wheel), f"numpy=={series}.*")
@@ -88,10 +90,13 @@ def last_line(*command: str, folder: str | None = None) -> str:
     """Run a command and return the last line of what it prints.
 
     Raises:
-        Failed: it exits with an error.
+        Failed: it exits with an error, or is not there.
     """
     variables = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PIP_"))}
-    done = subprocess.run(command, capture_output=True, text=True, cwd=folder, env=variables)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, cwd=folder, env=variables)
+    except OSError as error:
+        raise Failed(str(error)) from error
     lines = (done.stderr if done.returncode else done.stdout).strip().splitlines() or [""]
     if done.returncode:
         raise Failed(lines[-1])

@@ -115,7 +115,7 @@ def check_licences(bill: dict, third_party: str) -> dict[str, str]:
     return {name: listed[name] for name in sorted(names)}
 
 
-def with_bundled(bill: dict, package: dict, licence: str) -> dict:
+def with_bundled(bill: dict, package: dict, licences: dict[str, str]) -> dict:
     """Add the JavaScript libraries that the wheel's pages hold, by package.json, to a bill of materials.
 
     esbuild makes the bundle and is not in it.
@@ -128,7 +128,7 @@ def with_bundled(bill: dict, package: dict, licence: str) -> dict:
             "name": name,
             "version": version,
             "purl": f"pkg:npm/{name}@{version}",
-            "licenses": [{"license": {"id": licence}}],
+            "licenses": [{"license": {"id": licences[name]}}],
         }
         for name, version in bundled.items()
     ]
@@ -195,7 +195,7 @@ class Release:
         )
         package = json.loads((self.checkout / "web" / "package.json").read_text())
         licences = listed_licences((self.checkout / "THIRD_PARTY.md").read_text())
-        bill = with_bundled(json.loads(path.read_text()), package, licences["three"])
+        bill = with_bundled(json.loads(path.read_text()), package, licences)
         path.write_text(json.dumps(bill, indent=2) + "\n")
         self._run(str(self.tools), "-c", VALIDATION, str(path))
         return bill

@@ -16,8 +16,8 @@ from mistakes import CLIP, CUBE, MISTAKES, MOVING
 
 import mimesh
 from mimesh.core.arguments import REMOVED_IN, ArgumentError, for_caller, public
+from mimesh.core.array_inputs import as_faces, as_vertices
 from mimesh.core.errors import command_line_words
-from mimesh.core.mesh import as_faces, as_vertices
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +75,8 @@ def test_notes_name_arguments():
         ("--rig mimesh --body human finds", 'rig="mimesh" body="human" finds'),
         ("-m deformation-transfer or --reference", 'model="deformation-transfer" or reference'),
         ("give one with --reference", "give one with reference=..."),
+        ("animals are moved by -m mime", 'animals are moved by model="mime"'),
+        ("mimesh convert IN OUT --body-model SMPL.pkl", 'load_recorded_clip(path, body_model="SMPL.pkl")'),
         ("add --no-limits (Python: with mimesh.no_limits()) if", "call this inside `with mimesh.no_limits():` if"),
     ],
 )  # fmt: skip

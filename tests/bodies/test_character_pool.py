@@ -84,7 +84,7 @@ def test_feet_that_move_with_no_shin_are_refused(tmp_path):
 def test_a_foot_above_its_shin_is_refused(tmp_path):
     swapped = {"LeftFoot": "LeftLeg", "LeftLeg": "LeftFoot"}
     write_character(tmp_path, "a", spell=lambda name: swapped.get(name, name), clip=False)
-    with pytest.raises(InputError, match="foot that moves with neither"):
+    with pytest.raises(InputError, match="foot that holds its shin"):
         read_character(tmp_path / "a.npz")
 
 

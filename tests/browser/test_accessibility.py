@@ -31,7 +31,7 @@ def check():
     """A function that checks a page as it is now."""
     script = FOLDER / "node_modules" / "axe-core" / "axe.min.js"
     if not script.is_file():
-        pytest.skip(f"no axe-core in {FOLDER}: run make clients with Node.js installed, or set MIMESH_AXE")
+        pytest.skip(f"no axe-core in {FOLDER}: run make axe with Node.js installed, or set MIMESH_AXE")
     source = script.read_text(encoding="utf-8")
 
     def check_page(page, state: str) -> None:

@@ -83,7 +83,9 @@ def test_a_library_without_a_row_is_refused(script):
 
 
 def test_the_bill_of_materials_has_bundled_libraries_and_no_tool(script):
-    bill = script["with_bundled"](BILL, {"dependencies": {"esbuild": "1", "three": "0.187.0"}}, "MIT")
+    bill = script["with_bundled"](
+        BILL, {"dependencies": {"esbuild": "1", "three": "0.187.0"}}, {"three": "MIT", "x": "ISC"}
+    )
     assert bill["components"][:2] == BILL["components"]
     [three] = bill["components"][2:]
     assert (three["purl"], three["licenses"]) == ("pkg:npm/three@0.187.0", [{"license": {"id": "MIT"}}])

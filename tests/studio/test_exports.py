@@ -1,17 +1,19 @@
 """Exports of the studio with bones: those of `animate`, with the names and formats that other programs expect."""
 
 import sys
-import time
 
 import numpy as np
 import pygltflib
 import pytest
 from people import person, walk
+from vrm_files import vrm
+from waiting import wait_until
 
 from mimesh import animate, load_clip, save_clip, save_mesh
 from mimesh.bodies.engine_rig import Layout
 from mimesh.studio import make_session
 from mimesh.studio.exports import formats
+from mimesh.studio.operations import for_page
 
 
 @pytest.fixture(scope="module")
@@ -27,13 +29,6 @@ def moved(tmp_path_factory):
     assert not hero.outcome.error
     yield session, files
     session.close()
-
-
-def wait_until(condition):
-    end = time.monotonic() + 120
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def exported(session, suffix, skinned=True, blendshapes=None, layout=None):
@@ -68,6 +63,32 @@ def test_vrm_animations_have_bones_alone(moved, tmp_path):
     assert export.path.name == "hero-walk.vrma"
     expected = animate(*files).save(tmp_path / "expected.vrma")
     assert export.path.read_bytes() == expected.read_bytes()
+
+
+def test_vrm_animations_of_a_mesh_with_a_rig_have_its_bones(moved, tmp_path):
+    _, (_, driving) = moved
+    vrm(tmp_path / "hero.vrm", named=True)
+    session = make_session([tmp_path / "hero.vrm", driving], 2**26)
+    try:
+        (hero,) = session.identities.values()
+        wait_until(lambda: hero.outcome is not None and (hero.outcome.current or hero.outcome.error))
+        export = exported(session, ".vrma", skinned=False)
+        assert export.error == ""
+        expected = animate(tmp_path / "hero.vrm", driving).save(tmp_path / "expected.vrma")
+        assert export.path.read_bytes() == expected.read_bytes()
+    finally:
+        session.close()
+
+
+def test_messages_name_fields_of_the_page(tmp_path):
+    for text, expected in (
+        ("--names unreal: expected joints", "bone names unreal: expected joints"),
+        ("--rest T: expected joints", "rest pose T: expected joints"),
+        ("read a.pc2 with --fps 24", "read a.pc2 with a frame rate of 24"),
+        ("-m mime moves it, and --body human says", "the model mime moves it, and body human says"),
+        (f"{tmp_path}/exports/3/files/a.vrma: expected", "a.vrma: expected"),
+    ):
+        assert for_page(text, tmp_path) == expected
 
 
 @pytest.mark.parametrize(

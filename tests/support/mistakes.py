@@ -26,6 +26,14 @@ SESSION = mimesh.prepare(CUBE, CUBE, "copy")
 COLOURS = np.zeros((len(V), 3), np.uint8)
 
 
+class OnDevice:
+    """A tensor on a GPU, which NumPy cannot read."""
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """Refuse as PyTorch does."""
+        raise TypeError("can't convert cuda:0 device type tensor to numpy")
+
+
 class Halves:
     """A method that a newcomer forgets to make an object of."""
 
@@ -55,15 +63,20 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "vertices of text": (_mesh(V.astype(str), F), "expected real numbers"),
     "complex vertices": (_mesh(V * 1j, F), "expected real numbers"),
     "rows of different lengths": (_mesh([[0, 0, 0], [1, 0]], F), "give rows of one length"),
+    "a tensor on a GPU": (_mesh(OnDevice(), F), "tensor.detach().cpu().numpy()"),
+    "vertices with a mask": (_mesh(np.ma.masked_greater(V, 0.0), F), "found one with a mask"),
     "faces None": (_mesh(V, None), "leave it out for a point cloud"),
     "quads": (_mesh(V, F[:, [0, 1, 2, 0]]), "split quads into triangles"),
     "mixed polygons": (_mesh(V, [[0, 1, 2], [0, 1, 2, 3]]), "give rows of one length"),
     "transposed faces": (_mesh(V, F.T), "give faces.T"),
     "faces in one row": (_mesh(V, F.ravel()), "give faces.reshape(-1, 3)"),
     "faces of halves": (_mesh(V, F + 0.5), "expected whole numbers, found float64"),
+    "an infinite face": (_mesh(V, [[0, 1, np.inf]]), "found NaN or infinity"),
     "normals as name": (_mesh(V, F, V), "Mesh.name: expected text"),
+    "pixels as texture coordinates": (_mesh(V, F, corner_uv=np.full((len(F), 3, 2), 512)), "expected floats of shape"),
     "texture coordinates of vertices": (_mesh(V, F, corner_uv=V[:, :2]), "uv[faces]"),
-    "bytes as colours": (_mesh(V, F, vertex_colors=COLOURS), "divided by 255"),
+    "bytes as colours": (_mesh(V, F, vertex_colors=COLOURS), "divide bytes by 255"),
+    "transposed new vertices": (lambda: CUBE.with_vertices(V.T), "vertices: expected shape (V, 3)"),
     "vertices of another mesh": (lambda: CUBE.with_vertices(V[:3]), "expected the shape"),
     "a clip of a path": (lambda: mimesh.Clip("hero.glb", V[None]), "expected a Mesh, found 'hero.glb'"),  # type: ignore[arg-type]
     "a clip of one frame": (lambda: mimesh.Clip(CUBE, V), "Clip.still(mesh)"),
@@ -81,7 +94,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "a result as driving": (_transfer(CUBE, RESULT), "give its mesh"),
     "bytes as path": (_transfer(b"hero.glb", CUBE), "expected a Mesh or a path"),
     "None as driving": (_transfer(CUBE, None), "driving: expected a Mesh or a path, found None"),
-    "no driving": (_transfer(CUBE), "missing a required argument: 'driving'"),
+    "no driving": (_transfer(CUBE), "arguments identity, driving, found: missing a required"),
     "a path without a file": (_transfer("missing.glb", CUBE), "missing.glb: expected a file"),
     "an unknown model": (_transfer(CUBE, CUBE, "mine"), "model: expected one of copy"),
     "a misspelled model": (_transfer(CUBE, CUBE, "mimme"), "did you mean mime?"),
@@ -89,6 +102,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "a class as model": (_transfer(CUBE, CUBE, Halves), "give Halves()"),
     "a misspelled option": (_transfer(CUBE, CUBE, drivign_up="+y"), "did you mean driving_up?"),
     "an option with a dash": (_transfer(CUBE, CUBE, **{"driving-up": "+y"}), "did you mean driving_up?"),
+    "two unknown options": (_transfer(CUBE, CUBE, modell="copy", foo=1), "did you mean model?"),
     "an option of animate": (_transfer(CUBE, CUBE, ground=False), "found ground"),
     "an unknown axis": (_transfer(CUBE, CUBE, "copy", up="w"), "up: expected one of"),
     "an axis of a number": (_transfer(CUBE, CUBE, "copy", front=1), "front: expected text or None, found 1"),
@@ -134,6 +148,14 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "an unknown suffix": (lambda: mimesh.save_mesh(CUBE, "a.max"), "expected an output in one of"),
     "saved faces from 1": (lambda: mimesh.save_mesh(mimesh.Mesh(V, F + 1), "a.obj"), "vertices count from 0"),
     "no frames": (lambda: mimesh.save_clip(mimesh.Clip(CUBE, CLIP.vertices[:0]), "a.npz"), "expected at least one"),
+    "NaN in a frame": (
+        lambda: mimesh.save_clip(mimesh.Clip(CUBE, np.stack([V, V * np.nan])), "a.npz"),
+        "NaN or infinity in frame 1",
+    ),
+    "advice for no rate": (
+        lambda: mimesh.save_clip(mimesh.Clip(CUBE, CLIP.vertices, 0), "a.npz"),
+        "replace(clip, fps=",
+    ),
     "no rate": (lambda: mimesh.save_clip(mimesh.Clip(CUBE, CLIP.vertices, 0), "a.npz"), "expected a positive"),
     "one result for save_skinned": (lambda: mimesh.save_skinned(MOVING, "a.glb"), "give [result]"),  # type: ignore[arg-type]
     "a pose for save_skinned": (lambda: mimesh.save_skinned([RESULT], "a.glb"), "expected those of animate"),  # type: ignore[list-item]
@@ -157,6 +179,8 @@ def check_conversions() -> None:
     assert mimesh.Mesh(V.astype(np.float32), F.astype(np.uint8)).faces.dtype == np.int64
     single = mesh.with_vertices(V.astype(np.float32))
     assert mimesh.transfer(single, single, "copy").vertices.shape == V.shape
+    assert mimesh.Clip(mesh, V[None], np.array(24)).fps == 24.0  # as archives of NumPy hold it
+    assert mimesh.Mesh(V, F, corner_uv=[[[0, 0], [1, 0], [0, 1]]] * len(F)).corner_uv.dtype == np.float64
 
 
 def outcome(call: Callable[[], Any]) -> tuple[str, str]:

@@ -56,7 +56,7 @@ export class Joints {
 
   toggle() {
     this.on = !this.on;
-    for (const button of [this.button, this.correct]) button.setAttribute("aria-pressed", this.on);
+    this.button.setAttribute("aria-pressed", this.on);
     this.correct.textContent = this.on ? "End correcting joints" : "Correct joints";
     this.bar.hidden = !this.on;
     if (this.on) this.controls.seek(0);

@@ -27,6 +27,7 @@ export class Live {
         this.abortRequests();
         if (scene) await this.stage.show(scene, { keepView: sameItems });
         document.documentElement.dataset.scene = key;
+        this.failed("");
         if (scene && !sameItems && this.stage.offers.moves && !reducedMotion()) this.controls.play();
       }
     } catch (error) {
@@ -82,6 +83,7 @@ export class Live {
         const points = await fetchPose(number, this.frame(), controller.signal);
         if (!points || controller.signal.aborted || points.length !== 3 * view.panel.vertices) break;
         this.stage.setFixedPose(view, points);
+        this.failed("");
         this.markWaiting();
       }
     } catch (error) {

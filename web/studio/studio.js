@@ -16,6 +16,7 @@ const uploads = { identity: new Map(), driving: new Map() };
 const toDownload = new Set(); // numbers of exports that were started here
 const notice = new Notice(element("notice"));
 let connectionError = "";
+let stageError = "";
 let state = null;
 let lastUpload = 0;
 
@@ -40,7 +41,7 @@ function showProblems() {
   const sections = [...document.querySelectorAll(".step > .error")].map((error) => error.textContent);
   const { identities = [], driving, exports = [] } = state ?? {};
   const items = [...identities, ...(driving ? [driving] : []), ...exports];
-  const texts = [...sections, ...items.flatMap(({ error, outcome }) => [error, outcome?.error]), connectionError];
+  const texts = [...sections, ...items.flatMap(({ error, outcome }) => [error, outcome?.error]), connectionError, stageError];
   notice.update([...new Set(texts.filter(Boolean))]);
 }
 
@@ -127,10 +128,16 @@ function start() {
   if (document.createElement("canvas").getContext("webgl2")) {
     const stage = new Stage(element("stage"));
     const controls = new Controls(stage, { top: element("top"), bottom: element("bottom") });
-    live = new Live(stage, controls, (message) => fail(element("model"), message));
+    live = new Live(stage, controls, (message) => {
+      stageError = message; // "" when it works again
+      showProblems();
+    });
     joints = new Joints(stage, controls, live, (number, action) => attempt(sectionWith(number), action));
     window.mimesh = { stage, controls, live, joints };
-  } else showWithoutStage();
+  } else {
+    showWithoutStage();
+    showText(element("correct-hint"), "Correcting joints needs WebGL 2, which this browser does not have.");
+  }
 
   acceptDrops(element("drop"), uploadFiles);
   for (const input of document.querySelectorAll("input[type=file]")) {

@@ -20,7 +20,7 @@ import numpy as np
 from .errors import InputError, did_you_mean, names_options
 
 REMOVED_IN = "0.3"
-"""Version that no longer has the names and the order of arguments of version 0.1."""
+"""Version that no longer has the names and the order of arguments from before 0.1.0."""
 CLOSE = 0.75
 """Similarity (`difflib`) of the names of arguments from which on one is proposed; "smooth" and "root" have 0.6."""
 F = TypeVar("F", bound=Callable[..., Any])
@@ -30,6 +30,8 @@ PHRASES = {
     ", or ignore the files with --no-joints": "",
     "or ignore the file with --no-joints": "or leave joints out",
     "-m deformation-transfer": 'model="deformation-transfer"',
+    "-m mime": 'model="mime"',
+    "mimesh convert IN OUT --body-model SMPL.pkl": 'load_recorded_clip(path, body_model="SMPL.pkl")',
     "choose it with -m": "choose another model",
     "; name another with -o": "; name another",
     "--body human or quadruped": 'body="human" or "quadruped"',
@@ -80,7 +82,7 @@ def public(
 ) -> Callable[[F], F]:
     """Make a function one that programs call.
 
-    Wrong arguments raise InputError, which is found out before the function runs; messages name arguments of Python.
+    Arguments are checked before the function runs, and wrong ones raise InputError; messages name arguments of Python.
 
     Args:
         renamed: old name -> new name of an argument. The old one works until REMOVED_IN, with a DeprecationWarning.
@@ -152,13 +154,16 @@ def _check_call(
     function: str, signature: inspect.Signature, names: list[str], args: tuple[Any, ...], given: dict[str, Any]
 ) -> None:
     """Raise InputError for arguments that are missing, unknown or of another kind than the annotation says."""
-    for name in given.keys() - signature.parameters.keys():
-        hint = did_you_mean(name, names, CLOSE) or f"; it has {', '.join(names)}"
-        raise ArgumentError(f"{function}: expected arguments that it has, found {name}{hint}")
+    for name in given:
+        if name not in signature.parameters:
+            hint = did_you_mean(name, names, CLOSE) or f"; it has {', '.join(names)}"
+            raise ArgumentError(f"{function}: expected arguments that it has, found {name}{hint}")
     try:
         bound = signature.bind(*args, **given)
     except TypeError as error:
-        raise ArgumentError(f"{function}: expected the arguments {', '.join(names)}, found: {error}") from None
+        parameters = signature.parameters
+        needed = ", ".join(name for name in names if parameters[name].default is inspect.Parameter.empty)
+        raise ArgumentError(f"{function}: expected the arguments {needed}, found: {error}") from None
     for name, value in bound.arguments.items():
         if name in names:
             check_kind(name, value, str(signature.parameters[name].annotation))
@@ -217,7 +222,13 @@ def _is(kind: str) -> Callable[[object], bool]:
 
 
 def _is_number(kind: type) -> Callable[[object], bool]:
-    return lambda value: isinstance(value, kind) and not isinstance(value, (bool, np.bool_))
+    """Return the test of numbers of a kind; arrays without dimensions, as archives hold them, are numbers."""
+
+    def test(value: object) -> bool:
+        scalar = value.item() if isinstance(value, np.ndarray) and value.ndim == 0 else value
+        return isinstance(scalar, kind) and not isinstance(scalar, (bool, np.bool_))
+
+    return test
 
 
 KINDS: dict[str, Callable[[object], bool]] = {

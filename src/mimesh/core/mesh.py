@@ -9,12 +9,13 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from .arguments import check_kind, described
+from .arguments import check_kind
+from .array_inputs import as_faces, as_floats, as_frames, as_vertices
 from .budgets import FACES, VERTICES, check_clip_size
 from .errors import InputError
 from .frame_buffer import each_frame
@@ -106,11 +107,11 @@ class Mesh:
         for name, shape, hint in (
             ("corner_uv", (len(self.faces), 3, 2), "those of vertices (V, 2) are uv[faces]"),
             ("corner_normals", (len(self.faces), 3, 3), "those of vertices (V, 3) are normals[faces]"),
-            ("vertex_colors", (len(self.vertices), 4), "append 1 as alpha; bytes are divided by 255 and made linear"),
+            ("vertex_colors", (len(self.vertices), 4), "append 1 as alpha; divide bytes by 255 and make them linear"),
         ):
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, _as_floats(f"Mesh.{name}", value, shape, hint))
+                object.__setattr__(self, name, as_floats(f"Mesh.{name}", value, shape, hint))
 
     def with_vertices(self, vertices: Float[np.ndarray, "V 3"]) -> Mesh:
         """Return this mesh with other points; corner normals are turned along with the surface.
@@ -127,7 +128,7 @@ class Mesh:
         """
         from .geometry import turn_normals
 
-        vertices = as_vertices(vertices)
+        vertices = as_vertices(vertices, "vertices")
         if vertices.shape != self.vertices.shape:
             raise InputError(
                 f"vertices: expected the shape {self.vertices.shape} of {self.name}, found {vertices.shape}; "
@@ -172,7 +173,8 @@ class Clip:
         """Convert the frames, and raise InputError for what cannot be used."""
         check_kind("Clip.mesh", self.mesh, "Mesh")
         check_kind("Clip.fps", self.fps, "float")
-        object.__setattr__(self, "vertices", _as_frames(self.vertices, self.mesh))
+        object.__setattr__(self, "fps", float(self.fps))
+        object.__setattr__(self, "vertices", as_frames(self.vertices, self.mesh.name, len(self.mesh.vertices)))
 
     @classmethod
     def still(cls, mesh: Mesh) -> Clip:
@@ -199,102 +201,6 @@ class Clip:
     def seconds(self) -> float:
         """Length of the clip: T frames last T / fps seconds."""
         return len(self.vertices) / self.fps
-
-
-def as_vertices(values: Any, name: str = "Mesh.vertices") -> Float[np.ndarray, "V 3"]:
-    """Convert anything that is like an array to vertices; arrays of float32 and float64 stay what they are.
-
-    Raises:
-        InputError: another shape, or no real numbers.
-    """
-    array = _as_array(name, values)
-    if array.ndim != 2 or array.shape[1] != 3:
-        hint = "give an array with a row x, y, z for each vertex"
-        if array.ndim == 2 and array.shape[0] == 3:
-            hint = "give vertices.T"
-        elif array.ndim == 3:
-            hint = "frames are those of a clip: mimesh.Clip(mesh, frames)"
-        raise InputError(f"{name}: expected shape (V, 3), found {array.shape}; {hint}")
-    return _as_real(name, array)
-
-
-def as_faces(values: Any, name: str = "Mesh.faces") -> Int[np.ndarray, "F 3"]:
-    """Convert anything that is like an array of triangles to whole numbers; arrays of these stay what they are.
-
-    Quads are refused: splitting them here would change the number of faces that the caller knows.
-
-    Raises:
-        InputError: another shape, or numbers that are not whole.
-    """
-    if values is None:
-        raise InputError(f"{name}: expected shape (F, 3), found None; leave it out for a point cloud")
-    array = _as_array(name, values)
-    if array.shape == (0,):
-        array = np.zeros((0, 3), np.int64)
-    if array.ndim != 2 or array.shape[1] != 3:
-        hint = "give an array with three vertices for each triangle"
-        if array.ndim == 2 and array.shape[1] == 4:
-            hint = "split quads into triangles: faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)"
-        elif array.ndim == 2 and array.shape[0] == 3:
-            hint = "give faces.T"
-        elif array.ndim == 1 and len(array) % 3 == 0:
-            hint = "give faces.reshape(-1, 3)"
-        raise InputError(f"{name}: expected shape (F, 3), found {array.shape}; {hint}")
-    if array.dtype.kind == "i":
-        return array
-    # Text files are often read as floats.
-    if array.dtype.kind == "u" or (array.dtype.kind == "f" and (array == np.floor(array)).all()):
-        return array.astype(np.int64)
-    raise InputError(f"{name}: expected whole numbers, found {array.dtype}; give the indices of vertices, from 0")
-
-
-def _as_frames(values: Any, mesh: Mesh) -> Float[np.ndarray, "T V 3"]:
-    """Convert anything that is like an array to the frames of a mesh."""
-    array, count = _as_array("Clip.vertices", values), len(mesh.vertices)
-    if array.ndim != 3 or array.shape[1:] != (count, 3):
-        hint = f"give an array with a row x, y, z for each vertex of {mesh.name} in each frame"
-        if array.shape == (count, 3):
-            hint = "mimesh.Clip.still(mesh) is a clip of one frame"
-        elif array.ndim == 3 and array.shape[1:] == (3, count):
-            hint = "give vertices.transpose(0, 2, 1)"
-        elif array.ndim == 3 and array.shape[::2] == (count, 3):
-            hint = "give vertices.transpose(1, 0, 2)"
-        raise InputError(
-            f"Clip.vertices: expected shape (T, {count}, 3), one topology for the whole clip, found {array.shape}; "
-            + hint
-        )
-    return _as_real("Clip.vertices", array)
-
-
-def _as_floats(name: str, values: Any, shape: tuple[int, ...], hint: str) -> np.ndarray:
-    """Convert to floats of a shape."""
-    array = _as_array(name, values)
-    if array.shape != shape or array.dtype.kind != "f":
-        raise InputError(
-            f"{name}: expected floats of shape {shape}, found {array.dtype} of shape {array.shape}; {hint}"
-        )
-    return array
-
-
-def _as_array(name: str, values: Any) -> np.ndarray:
-    """Convert to an array; memory maps stay what they are, other subclasses calculate in another way."""
-    if type(values) in (np.ndarray, np.memmap):
-        return values
-    if values is None or isinstance(values, (str, bytes, Mesh, Clip)):
-        raise InputError(f"{name}: expected an array, found {described(values)}; give one of NumPy")
-    try:
-        return np.asarray(values)
-    except (TypeError, ValueError, RuntimeError) as error:  # rows of different lengths; tensors on a GPU
-        raise InputError(f"{name}: expected an array, found '{error}'; give rows of one length") from error
-
-
-def _as_real(name: str, array: np.ndarray) -> np.ndarray:
-    """Return float32 or float64: other real numbers become float64."""
-    if array.dtype.kind == "f" and array.dtype.itemsize in (4, 8):
-        return array
-    if array.dtype.kind not in "iuf":
-        raise InputError(f"{name}: expected real numbers, found {array.dtype}; convert them with astype(float)")
-    return array.astype(np.float64)
 
 
 LARGEST = 1e18
@@ -369,25 +275,29 @@ def check_clip(clip: Clip, path: str | Path) -> Clip:
     """Return the clip if every frame is valid (see `check_mesh`); raise InputError otherwise."""
     check_timing(clip, path)
     check_clip_size(len(clip), clip.vertices.shape[1], path)
-    for t, vertices in enumerate(each_frame(clip.vertices)):
-        if not np.isfinite(vertices).all():
-            raise InputError(
-                f"{path}: expected finite coordinates, found NaN or infinity in frame {t}; export it again"
-            )
-        if np.abs(vertices).max(initial=0.0) > LARGEST:
-            raise InputError(
-                f"{path}: expected coordinates up to {LARGEST:g}, found larger ones in frame {t}; export it again"
-            )
+    check_frames(clip, path)
     check_mesh(dataclasses.replace(clip.mesh, vertices=np.asarray(clip.vertices[0], np.float64)), path)
     return clip
 
 
-def check_timing(clip: Clip, path: str | Path) -> None:
-    """Raise InputError for a clip without frames, or with an impossible frame rate."""
+def check_frames(clip: Clip, path: str | Path) -> None:
+    """Raise InputError for coordinates in any frame that are not finite, or too large."""
+    advice = "export it again" if isinstance(path, Path) else "repair it"
+    for t, vertices in enumerate(each_frame(clip.vertices)):
+        if not np.isfinite(vertices).all():
+            raise InputError(f"{path}: expected finite coordinates, found NaN or infinity in frame {t}; {advice}")
+        if np.abs(vertices).max(initial=0.0) > LARGEST:
+            raise InputError(
+                f"{path}: expected coordinates up to {LARGEST:g}, found larger ones in frame {t}; {advice}"
+            )
+
+
+def check_timing(clip: Clip, path: str | Path, advice: str = "give one with --fps") -> None:
+    """Raise InputError for a clip without frames, or with an impossible frame rate and advice on that."""
     if len(clip) == 0:
         raise InputError(f"{path}: expected at least one frame, found none; export the animation again")
     if not 0 < clip.fps < np.inf:
-        raise InputError(f"{path}: expected a positive frame rate, found {clip.fps:g}; give one with --fps")
+        raise InputError(f"{path}: expected a positive frame rate, found {clip.fps:g}; {advice}")
 
 
 def with_printable_names(mesh: Mesh) -> Mesh:

@@ -23,6 +23,7 @@ from ..core.mesh import (
     Clip,
     Mesh,
     check_clip,
+    check_frames,
     check_mesh,
     check_numbers,
     check_timing,
@@ -328,8 +329,9 @@ def save_clip(
     Example:
         >>> mimesh.save_clip(mimesh.load_clip("walk.npz"), "walk.glb")
     """
+    check_timing(clip, clip.mesh.name, "give it one: dataclasses.replace(clip, fps=30.0)")
     check_numbers(clip.mesh, clip.mesh.name)
-    check_timing(clip, clip.mesh.name)
+    check_frames(clip, clip.mesh.name)
     path, clip = Path(path), dataclasses.replace(clip, mesh=with_printable_names(clip.mesh))
     is_folder = path.is_dir() or not path.suffix
     if blendshapes is not None:
