@@ -12,17 +12,8 @@ import zoo
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
-from mimesh.io import (
-    CLIP_WRITERS,
-    MESH_READERS,
-    MESH_WRITERS,
-    clip_suffixes,
-    load_clip,
-    load_mesh,
-    mesh_suffixes,
-    save_clip,
-    save_mesh,
-)
+from mimesh.io import clip_suffixes, load_clip, load_mesh, mesh_suffixes, save_clip, save_mesh
+from mimesh.io.formats import CLIP_WRITERS, MESH_READERS, MESH_WRITERS
 
 FORMATS = (".npz", ".obj", ".off", ".ply", ".stl")
 ASCII_PLY = (
@@ -144,7 +135,7 @@ def test_obj_mistakes_name_their_line(text, found, tmp_path):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_nan_and_infinity_are_refused(suffix, value, tmp_path, monkeypatch):
-    monkeypatch.setattr("mimesh.io.check_numbers", lambda *_: None)  # so that such a file is written
+    monkeypatch.setattr("mimesh.io.save.check_numbers", lambda *_: None)  # so that such a file is written
     mesh = zoo.cube()
     mesh.vertices[3, 1] = value
     with np.errstate(invalid="ignore"):  # the writers are not the ones to check
@@ -154,7 +145,7 @@ def test_nan_and_infinity_are_refused(suffix, value, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("index", [8, -9, 70000])
 def test_face_index_out_of_range_is_refused(suffix, index, tmp_path, monkeypatch):
-    monkeypatch.setattr("mimesh.io.check_numbers", lambda *_: None)  # so that such a file is written
+    monkeypatch.setattr("mimesh.io.save.check_numbers", lambda *_: None)  # so that such a file is written
     if suffix == ".stl" or (suffix == ".obj" and index < 0):
         pytest.skip("STL has no indices, and negative ones mean something in OBJ")
     faces = zoo.cube().faces.copy()

@@ -12,7 +12,8 @@ from motion_files import write_bvh
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
-from mimesh.io import CLIP_WRITERS, MESH_WRITERS, load_clip, load_mesh, save_clip, save_mesh
+from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+from mimesh.io.formats import CLIP_WRITERS, MESH_WRITERS
 from mimesh.motions import load_motion, window
 from mimesh.render.movie import MOVIES
 from mimesh.tools.convert import (

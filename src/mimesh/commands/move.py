@@ -172,9 +172,9 @@ def transfer(
     By default the output is IDENTITY-DRIVING beside IDENTITY and in its format: the same file with its points moved.
     """
     from ..core.errors import InputError
-    from ..io import MESH_WRITERS, load_mesh
+    from ..io import load_mesh
     from ..io.atomic import together
-    from ..io.formats import MOTIONS
+    from ..io.formats import MESH_WRITERS, MOTIONS
     from ..pipeline import transfer as run_transfer
     from ..tools.convert import taken_pose_note
 
