@@ -4,8 +4,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check -c constraints.txt
 # One process a core, so one thread each.
-# -rs: what is skipped, and why.
-TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -rs -n auto --dist loadfile
+# -rs: what is skipped, and why. Without reordering: files of few long tests would come last, for one of the processes.
+TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -rs -n auto --dist loadfile --no-loadscope-reorder
 # Blender 4.5 as a module is for Python 3.11 alone.
 BLENDER_PYTHON ?= python3.11
 BPY := .clients/bpy/bin/python

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from ..core.frame_buffer import each_frame, store_frames
 from ..core.geometry import distinct_rows, weld
 from ..core.mesh import Clip, Mesh, Part
+from ..core.surface_clusters import clusters
 from .encoding import Quantization, estimate_size, fit_quantization
 
 DENSE_VERTICES = 20_000
@@ -19,6 +20,8 @@ COMPARED_FRAMES = 3
 """Frames in which vertices must be equal to be compared in all others."""
 MAX_STEP_RATIO = 8
 """Factor by which the frame step may grow between two estimates of the size, which are coarse."""
+DECIMATED = 5
+"""Largest ratio of vertices before and after decimation is about twice this; see `subset`."""
 CHARACTERS = 5
 """Characters of a vertex in a frame, a first estimate of the encoded size."""
 
@@ -130,13 +133,18 @@ def subset(
     """Choose about `count` vertices of a surface, sorted, and faces between them; of a point cloud every n-th point.
 
     The surface is decimated, welded at its seams so that none opens. Decimation moves vertices, so each is replaced by
-    the nearest vertex there was, whose positions are known in all frames.
+    the nearest vertex there was, whose positions are known in all frames. It takes more than linear time, so surfaces
+    of more than DECIMATED times the number are reduced by clusters first.
     """
     import fast_simplification
     from scipy.spatial import KDTree
 
     if len(faces) == 0:
         return np.unique(np.linspace(0, len(points) - 1, count).round().astype(int)), np.zeros((0, 3), np.int64)
+    kept = np.arange(len(points))
+    if len(points) > 2 * DECIMATED * count:
+        kept, faces, _ = clusters(points, faces, DECIMATED * count)
+        points = points[kept]
     welded, index = weld(points)
     first = np.full(len(welded), len(points))
     np.minimum.at(first, index, np.arange(len(points)))
@@ -145,7 +153,7 @@ def subset(
     chosen, new_index = np.unique(nearest, return_inverse=True)
     corners = new_index[np.asarray(decimated[1], np.int64)]
     distinct = (corners != np.roll(corners, 1, axis=1)).all(axis=1)  # not collapsed to an edge or a point
-    return chosen, corners[distinct]
+    return kept[chosen], corners[distinct]
 
 
 def _chosen_vertices(clip: Clip, chosen: Int[np.ndarray, " C"]) -> Float[np.ndarray, "T C 3"]:

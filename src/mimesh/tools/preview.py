@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.mesh import Clip, Mesh
 from ..core.printable import plain
+from ..core.surface_clusters import clustered_mesh
 from ..io.atomic import whole_file, writing
 from ..pipeline.report import MeshReport
 from ..pipeline.result import ClipResult, Result
@@ -24,6 +25,8 @@ MOTION = MotionLimits(frames=250, characters=4 * 2**20, vertices=50_000, driving
 """Of a page beside a result: seconds to write, and 5 MB with the script, a small .glb and no textures."""
 TILE = (360, 440)
 """Width and height of one picture in pixels."""
+DRAWN = 300_000
+"""Vertices to which larger meshes are reduced before they are drawn: a picture has 158,400 pixels."""
 
 
 def write_preview(
@@ -76,6 +79,7 @@ def save_picture(image: Image.Image, path: Path) -> Path:
 
 def still(mesh: Mesh, label: str, *, tint=None, up: str = "y", front: str | None = None) -> Image.Image:
     """Draw a captioned picture of a mesh, in its own colours or in those of a tint."""
+    mesh = clustered_mesh(mesh, DRAWN) if len(mesh.vertices) > 2 * DRAWN and len(mesh.faces) else mesh
     return next(clip_frames([(label, Clip.still(mesh))], TILE, tints=[tint], up=up, front=front))
 
 
