@@ -26,8 +26,9 @@ def dense(times: int = 2) -> Mesh:
 @pytest.mark.parametrize("count", [300, 1000, 3000])
 def test_about_as_many_vertices_are_left_and_the_surface_stays(count):
     mesh = dense()
-    vertices, faces, kept = clusters(mesh.vertices, mesh.faces, count)
-    assert count < len(vertices) < 3 * count
+    found = clusters(mesh.vertices, mesh.faces, count)
+    vertices, faces, kept = found.vertices, found.faces, found.kept
+    assert 0.7 * count < len(vertices) < 3 * count
     assert (np.diff(vertices) > 0).all()
     assert faces.max() < len(vertices)
     area = face_areas(mesh.vertices, mesh.faces).sum()
@@ -39,18 +40,27 @@ def test_about_as_many_vertices_are_left_and_the_surface_stays(count):
 
 def test_enough_cells_keep_all_vertices_that_differ():
     mesh = person(0)
-    vertices, faces, kept = clusters(mesh.vertices, mesh.faces, 10**9)
-    assert len(vertices) == len(mesh.vertices)
-    assert (faces == mesh.faces).all()
-    assert len(kept) == len(faces)
+    found = clusters(mesh.vertices, mesh.faces, 10**9)
+    assert (found.cluster == np.arange(len(mesh.vertices))).all()
+    assert (found.faces == mesh.faces).all()
+    assert len(found.kept) == len(mesh.faces)
+
+
+def test_vertices_of_other_kinds_stay_apart():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0.01], [1, 0, 0.01], [0, 1, 0.01]])
+    sheets = np.array([[0, 1, 2], [3, 5, 4]])
+    assert clusters(points, sheets, 10).cluster.tolist() == [0, 1, 2, 0, 1, 2]
+    found = clusters(points, sheets, 10, np.array([0, 0, 0, 7, 7, 7]))
+    assert found.cluster.tolist() == [0, 1, 2, 3, 4, 5]
+    assert (found.faces == sheets).all()
 
 
 def test_far_vertices_without_triangles_and_a_surface_without_area():
     points = np.array([[0.0, 0, 0], [1e-9, 0, 0], [0, 1e-9, 0], [1e9, 1e9, 1e9]])
     for faces in (np.array([[0, 1, 2]]), np.array([[0, 1, 1]])):
-        vertices, left, _ = clusters(points, faces, 100)
-        assert vertices.tolist() == [0, 3]
-        assert len(left) == 0
+        found = clusters(points, faces, 100)
+        assert found.vertices.tolist() == [0, 3]
+        assert len(found.faces) == 0
 
 
 def test_corners_and_parts_stay_with_their_triangles():
@@ -60,7 +70,8 @@ def test_corners_and_parts_stay_with_their_triangles():
     colors = np.linspace(0, 1, 4 * len(mesh.vertices)).reshape(-1, 4)
     whole = dataclasses.replace(mesh, corner_uv=corners, parts=parts, vertex_colors=colors, up="+y")
     found = clustered_mesh(whole, 200)
-    vertices, _, kept = clusters(mesh.vertices, mesh.faces, 200)
+    kept = clusters(mesh.vertices, mesh.faces, 200).kept
+    vertices = clusters(mesh.vertices, mesh.faces, 200).vertices
     assert found.corner_uv is not None
     assert found.vertex_colors is not None
     assert (found.corner_uv == corners[kept]).all()

@@ -143,8 +143,8 @@ def subset(
         return np.unique(np.linspace(0, len(points) - 1, count).round().astype(int)), np.zeros((0, 3), np.int64)
     kept = np.arange(len(points))
     if len(points) > 2 * DECIMATED * count:
-        kept, faces, _ = clusters(points, faces, DECIMATED * count)
-        points = points[kept]
+        found = clusters(points, faces, DECIMATED * count)
+        kept, faces, points = found.vertices, found.faces, points[found.vertices]
     welded, index = weld(points)
     first = np.full(len(welded), len(points))
     np.minimum.at(first, index, np.arange(len(points)))
