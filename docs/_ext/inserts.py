@@ -180,7 +180,7 @@ def _growth(figures: dict) -> str:
     return (
         f"**In {figures['in']}** the time has the exponent {figures['exponent']:.2f}, and "
         f"{figures['exponent_largest']:.2f} between the two largest sizes (linear: at most 1.05): {linear}. "
-        f"Peak memory has the exponent {figures['memory_exponent']:.2f}{flat}."
+        f"Memory that is not a page of a file has the exponent {figures['memory_exponent']:.2f}{flat}."
         + (f" Not measured yet: {missing} {figures['in']}." if missing else "")
     )
 

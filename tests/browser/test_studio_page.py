@@ -339,6 +339,7 @@ def test_joints_are_dragged_moved_by_keys_and_reset(fresh, files, studio):
     assert "Corrected by hand: LeftForeArm" in page.inner_text("#identities")
     # The keyboard: choose a joint in the list, then use the arrow keys; they do not move the time.
     page.select_option(".joint-bar select", "driving Head")
+    page.evaluate("async () => { mimesh.live.key = ''; await mimesh.live.load(); }")  # new panels, as after a result
     head, time = joint_place(page, "Head", "driving"), page.evaluate("() => mimesh.stage.time")
     page.keyboard.press("Shift+ArrowRight")
     page.wait_for_function("() => 'Head' in mimesh.live.state.driving.joints.corrected")

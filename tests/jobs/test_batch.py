@@ -195,7 +195,12 @@ def test_ctrl_c_leaves_complete_files_and_a_summary(files):
         "-m",
         "copy",
     ]
-    with subprocess.Popen([*command, "-w", "2"], stderr=subprocess.PIPE, text=True, start_new_session=True) as child:
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL)  # a program in the background of a shell may have it ignored
+    try:
+        child = subprocess.Popen([*command, "-w", "2"], stderr=subprocess.PIPE, text=True, start_new_session=True)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    with child:
         wait_for("[3/400", child)
         child.send_signal(signal.SIGINT)
         rest = child.stderr.read()

@@ -5,9 +5,10 @@ from collections.abc import Callable
 from typing import Any
 
 
-def wait_until(condition: Callable[[], Any], seconds: float = 120.0) -> None:
-    """Wait until a condition holds; fails after so many seconds."""
+def wait_until(condition: Callable[[], Any], seconds: float = 120.0) -> Any:
+    """Wait until a condition holds, and return what it returned; fails after so many seconds."""
     end = time.monotonic() + seconds
-    while not condition():
+    while not (found := condition()):
         assert time.monotonic() < end, "the condition did not come to hold"
         time.sleep(0.005)
+    return found

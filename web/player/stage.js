@@ -52,6 +52,7 @@ export class Stage extends EventTarget {
   async show(packed, { keepView = false } = {}) {
     const scene = await decodeScene(packed);
     const textures = await Promise.all(scene.images.map(readTexture));
+    this.dispatchEvent(new Event("clear"));
     this.clear();
     this.scene = scene;
     this.textures = textures;

@@ -29,6 +29,7 @@ export class Joints {
     this.correct = document.getElementById("correct"); // the same button, in the side panel
     this.correct.addEventListener("click", () => this.toggle());
     stage.addEventListener("drawn", () => this.place());
+    stage.addEventListener("clear", () => (this.hadFocus = this.hasFocus())); // handles go with their panels
     stage.addEventListener("scene", () => this.rebuild());
   }
 
@@ -116,7 +117,8 @@ export class Joints {
 
   /** Make the handles of all panels anew; the one that has the focus keeps it, so that arrow keys go on working. */
   rebuild() {
-    const focused = [...this.overlays.values()].some(({ svg }) => svg.contains(document.activeElement));
+    const focused = this.hadFocus || this.hasFocus();
+    this.hadFocus = false;
     for (const overlay of this.overlays.values()) overlay.svg.remove();
     this.overlays.clear();
     for (const view of this.on ? this.stage.views : []) {
@@ -127,6 +129,10 @@ export class Joints {
     if (focused && this.selected) return this.select(this.selected.role, this.selected.name, true);
     this.showBar();
     this.place();
+  }
+
+  hasFocus() {
+    return [...this.overlays.values()].some(({ svg }) => svg.contains(document.activeElement));
   }
 
   buildOverlay(view, role) {

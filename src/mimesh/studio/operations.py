@@ -50,8 +50,7 @@ __all__ = [
 
 OPTION_WORDS = {
     "--body human or quadruped": "choose the body",
-    "the command mimesh animate -m deformation-transfer": "the command mimesh animate",
-    "-m deformation-transfer": "the command mimesh animate",
+    "-m deformation-transfer": "the command mimesh animate -m deformation-transfer",
     "-m mime": "the model mime",
     "--rig mimesh --body human": "“Bones: found on the surface” with the body “a person”",
     "--rig mimesh --body quadruped": "“Bones: found on the surface” with the body “a four-legged animal”",
