@@ -75,6 +75,7 @@ def test_notes_name_arguments():
         ("--rig mimesh --body human finds", 'rig="mimesh" body="human" finds'),
         ("-m deformation-transfer or --reference", 'model="deformation-transfer" or reference'),
         ("give one with --reference", "give one with reference=..."),
+        ("a pose?): --start 1 leaves it out", "a pose?): start=1 leaves it out"),
         ("animals are moved by -m mime", 'animals are moved by model="mime"'),
         ("mimesh convert IN OUT --body-model SMPL.pkl", 'load_recorded_clip(path, body_model="SMPL.pkl")'),
         ("add --no-limits (Python: with mimesh.no_limits()) if", "call this inside `with mimesh.no_limits():` if"),

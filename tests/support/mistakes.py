@@ -134,7 +134,8 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "no thread": (lambda: mimesh.prepare(CUBE, CUBE, threads=0), "threads: expected 1 or more"),
     "an option of animate for prepare": (lambda: mimesh.prepare(CUBE, CUBE, smooth=1), "found smooth"),  # type: ignore[call-arg]
     "a clip as frame": (lambda: SESSION.pose(CLIP), "give clip.vertices[t]"),  # type: ignore[arg-type]
-    "a transposed frame": (lambda: SESSION.pose(V.T), "expected vertices of shape"),
+    "a transposed frame": (lambda: SESSION.pose(V.T), "give frame.T"),
+    "several frames": (lambda: SESSION.pose(CLIP.vertices), "give one frame at a time"),
     "None as frame": (lambda: SESSION.pose(None), "expected vertices of shape"),  # type: ignore[arg-type]
     "a number as path": (lambda: mimesh.load_mesh(3), "path: expected a path, found 3"),  # type: ignore[arg-type]
     "a mesh as path": (lambda: mimesh.load_mesh(CUBE), "path: expected a path, found a Mesh"),  # type: ignore[arg-type]
@@ -161,6 +162,10 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "a pose for save_skinned": (lambda: mimesh.save_skinned([RESULT], "a.glb"), "expected those of animate"),  # type: ignore[list-item]
     "no joints to save": (lambda: mimesh.save_skinned([MOVING], "a.glb"), "expected a model with joints"),
     "unknown bone names": (lambda: MOVING.save_skinned("a.glb", names="maya"), "names: expected one of own"),
+    "bone names as layout": (
+        lambda: mimesh.save_skinned([MOVING], "a.glb", layout="unreal"),
+        'mimesh.Layout("unreal")',
+    ),  # type: ignore[arg-type]
     "half a blend shape": (lambda: MOVING.save("a.glb", blendshapes=1.5), "blendshapes: expected a whole number"),  # type: ignore[arg-type]
     "None as path to save to": (lambda: MOVING.save(None), "path: expected a path, found None"),  # type: ignore[arg-type]
     "jobs that are paths": (lambda: mimesh.batch(["a.obj"]), "expected dictionaries"),  # type: ignore[list-item]

@@ -47,7 +47,7 @@ OPTIONS = (
     *("cluster", "threads"),
 )
 """Options of the command line that are arguments in Python, with underscores."""
-VALUES = "[+-][xyz]|own|mimesh|human|quadruped|other|auto|file|[TA]|mixamo|unreal|vrm|godot|rigify"
+VALUES = "[+-][xyz]|own|mimesh|human|quadruped|other|auto|file|[TA]|mixamo|unreal|vrm|godot|rigify|\\d+"
 """Values that follow an option in messages."""
 OPTION = re.compile(rf"(give |with )?(?<![\w-])--({'|'.join(OPTIONS)})(?![\w-])(?: ({VALUES})(?![\w-]))?")
 
@@ -73,7 +73,7 @@ def _argument(found: re.Match[str]) -> str:
     before, option, value = found.groups(default="")
     name = option.replace("-", "_")
     if value:
-        return f'{before}{name}="{value}"'
+        return f"{before}{name}={value}" if value.isdigit() else f'{before}{name}="{value}"'
     return f"{before}{name}=..." if before else name
 
 

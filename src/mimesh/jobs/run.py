@@ -59,7 +59,8 @@ def batch(
 
     Args:
         identities: with `drivings`, a folder, a pattern with wildcards, or a file of meshes; without, a table of jobs
-            (a CSV file, or dictionaries): identity, driving, output, command and options by their names without dashes.
+            (a CSV file, or dictionaries): identity, driving, output, command and options by their names (`root-bone`
+            or `root_bone`).
         drivings: a folder, a pattern or a file of clips; each is combined with each identity.
         output: where to write each result, with {identity}, {driving} and {number} for the names of its inputs and the
             number of the job. Rows of a table with an output of their own do not need it.

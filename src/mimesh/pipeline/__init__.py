@@ -18,6 +18,7 @@ from ..methods.base import Method
 from ..methods.find import find_method, takes_rigs
 from ..motions.humanoid_rig import HumanoidRig
 from .corrections import Corrections, GivenJoints
+from .first_frame import first_frame_note
 from .live import LiveSession, limited_threads, live_session
 from .move import move, prepare_frames
 from .report import TransferReport
@@ -206,6 +207,8 @@ def animate(
     moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32, corrections)
     _name_axis_sources(moved.report, up, driving_up)
     notes = clip.notes + moved.notes
+    if not isinstance(driving, Clip):
+        notes += first_frame_note(clip, start, Path(driving).name)
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose: give an animated .glb or a folder of frames",)
     mesh = identity.with_vertices(moved.vertices[0].astype(np.float64))

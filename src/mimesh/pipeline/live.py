@@ -108,11 +108,14 @@ class LiveSession:
             raise InputError(
                 f"{name}: expected numbers as vertices, found '{error}'; give an array of shape (U, 3)"
             ) from error
-        if vertices.shape != self.driving.vertices.shape:
-            raise InputError(
-                f"{name}: expected vertices of shape {self.driving.vertices.shape} in every frame, found "
-                f"{vertices.shape}; prepare a session for this mesh"
-            )
+        expected = self.driving.vertices.shape
+        if vertices.shape != expected:
+            advice = "prepare a session for this mesh"
+            if vertices.shape == expected[::-1]:
+                advice = "give frame.T"
+            elif vertices.shape[1:] == expected:
+                advice = "give one frame at a time"
+            raise InputError(f"{name}: expected vertices of shape {expected}, found {vertices.shape}; {advice}")
         # NaN fails the comparison, too: one pass over the array for all that can be wrong with its numbers.
         if not np.abs(vertices).max() <= LARGEST:
             bad = np.flatnonzero(~(np.abs(vertices) <= LARGEST).all(axis=1))

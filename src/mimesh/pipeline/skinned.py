@@ -63,6 +63,8 @@ def save_skinned(
         >>> path = mimesh.save_skinned([moving, moving], "hero-moves.glb", animations=["walk", "again"])
     """
     _check_results(results, path, animations)
+    if not isinstance(layout, Layout):
+        raise InputError(f'layout: expected a Layout, found {described(layout)}; give mimesh.Layout("unreal")')
     layout.check()
     found = animations or [(result.clip if result.driving is None else result.driving).mesh.name for result in results]
     own = any(result.own is not None for result in results)
