@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 import mimesh
 from mimesh.bodies import load_body
 from mimesh.bodies.characters import character
+from mimesh.studio.live_page import LivePage  # needs pip install 'mimesh[viewer]'; a session does not
 from mimesh.tools.demo import driving_clip
 
 RATE = 60.0
@@ -56,8 +57,6 @@ def receive(identity: mimesh.Mesh, clip: mimesh.Clip, listening: socket.socket, 
         print("note:", note)
     times: list[float] = []
     result = identity.vertices
-    from mimesh.studio.live_page import LivePage  # needs pip install 'mimesh[viewer]', a session does not
-
     with LivePage(session) as page:
         print("open", page.address, flush=True)
         connection, _ = listening.accept()
