@@ -4,14 +4,16 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check -c constraints.txt
 # One process a core, so one thread each.
-TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist loadfile
+# -rs: what is skipped, and why. Without reordering: files of few long tests would come last, for one of the processes.
+TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -rs -n auto --dist loadfile --no-loadscope-reorder
 # Blender 4.5 as a module is for Python 3.11 alone.
 BLENDER_PYTHON ?= python3.11
 BPY := .clients/bpy/bin/python
+AXE := .clients/axe/node_modules/axe-core/axe.min.js
 CODE := src tests scripts benchmarks blender docs examples
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 
-.PHONY: demo test lint check smoke bench setup blender web gallery clients docs clean
+.PHONY: demo test lint check smoke bench setup blender web gallery clients docs release clean axe
 
 # The development install can run the demo, too; a plain install must not replace it.
 demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
@@ -48,11 +50,19 @@ web:
 gallery: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
 	$(BIN)/python scripts/build_gallery.py
 
+# Checks the pages with axe-core, which tests of tests/browser skip without.
+axe: $(VENV)/.dev $(AXE)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -rs tests/browser/test_accessibility.py
+
+$(AXE):
+	npm install --silent --prefix .clients/axe axe-core@4.14.1
+
 # Other programs, each in an environment of its own; tests of one that cannot be installed are skipped and say so.
 clients: $(VENV)/.dev
 	-test -d .clients/validator || npm install --silent --prefix .clients/validator gltf-validator@2.0.0-dev.3.10
 	-test -d .clients/three/node_modules/@pixiv/three-vrm-animation || npm install --silent --prefix .clients/three \
 	  three@0.187.0 @pixiv/three-vrm@3.5.5 @pixiv/three-vrm-animation@3.5.5
+	-test -d .clients/puppeteer || npm install --silent --prefix .clients/puppeteer puppeteer-core@24.43.1
 	-test -x $(BPY) || { $(BLENDER_PYTHON) -m venv .clients/bpy && $(BPY) -m pip install --quiet bpy==4.5.15; }
 	OMP_NUM_THREADS=1 MIMESH_FORMATS=docs/formats.json $(BIN)/python -m pytest -q -rs -m client tests/clients
 	$(BIN)/python scripts/write_formats.py
@@ -61,6 +71,10 @@ clients: $(VENV)/.dev
 docs: $(VENV)/.dev
 	PYTHONPATH=src $(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
 	$(BIN)/python docs/_ext/links.py docs/_build
+
+# Archives, checks, licences, SBOM and tag message in dist/release; see docs/releasing.md.
+release: $(VENV)/.dev
+	$(BIN)/python scripts/release.py
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

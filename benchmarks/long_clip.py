@@ -22,8 +22,9 @@ import numpy as np
 from mimesh.core.frame_buffer import store_frames
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.evaluate.provenance import commit, libraries, machine
-from mimesh.io import CLIP_WRITERS, save_clip
+from mimesh.io import save_clip
 from mimesh.io.atomic import whole_file
+from mimesh.io.formats import CLIP_WRITERS
 
 SIDES = (200, 100)
 """Vertices along the sides of the sheet."""

@@ -69,8 +69,10 @@ class Job:
         identity, driving, options = self._inputs
         try:
             import mimesh
+            from mimesh.core.errors import command_line_words
 
-            self._result = mimesh.animate(identity, driving, progress=self._progress, **options)
+            with command_line_words():  # `panel_message` replaces options
+                self._result = mimesh.animate(identity, driving, progress=self._progress, **options)
         except Exception as error:  # raised again by `result`, in the main thread
             self._error = error
 

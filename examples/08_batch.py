@@ -8,10 +8,12 @@ The command `mimesh batch` does the same; docs/batch.md describes both.
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import mimesh
 from mimesh.bodies import character, load_body
 from mimesh.io import save_bvh, save_mesh
+from mimesh.jobs.table import BatchJob
 from mimesh.motions import load_motion
 
 
@@ -27,7 +29,7 @@ def main(argv: list[str] | None = None) -> None:
         args.identities, args.clips = write_shipped_inputs(args.output / "inputs")
 
     # Every option of `mimesh animate` may be given, by its name without dashes.
-    options = {} if args.frames is None else {"stop": args.frames}
+    options: dict[str, Any] = {} if args.frames is None else {"stop": args.frames}
     result = mimesh.batch(
         args.identities,
         args.clips,
@@ -41,7 +43,7 @@ def main(argv: list[str] | None = None) -> None:
     print(f"{len(result.jobs)} pairs, {result.counts['done before']} of them before, {result.failed} failed")
 
 
-def print_job(done: int, total: int, job, outcome: dict) -> None:
+def print_job(done: int, total: int, job: BatchJob | None, outcome: dict[str, Any]) -> None:
     """Print a line for each job; it is None at the start."""
     if job is not None:
         print(f"{done}/{total} {job.name}: {outcome['error'] or job.output}")

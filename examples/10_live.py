@@ -12,13 +12,15 @@ import struct
 import threading
 import time
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 import mimesh
 from mimesh.bodies import load_body
 from mimesh.bodies.characters import character
-from mimesh.studio.live_page import LivePage
+from mimesh.studio.live_page import LivePage  # needs pip install 'mimesh[viewer]'; a session does not
 from mimesh.tools.demo import driving_clip
 
 RATE = 60.0
@@ -35,7 +37,7 @@ def send(clip: mimesh.Clip, port: int, seconds: float) -> None:
             stream.sendall(struct.pack("<I", len(vertices)) + vertices.astype("<f4").tobytes())
 
 
-def read_frame(stream) -> np.ndarray | None:
+def read_frame(stream: BinaryIO) -> NDArray[np.float32] | None:
     """Read one frame; None at the end of the stream."""
     header = stream.read(4)
     if len(header) < 4:
@@ -53,7 +55,8 @@ def receive(identity: mimesh.Mesh, clip: mimesh.Clip, listening: socket.socket, 
     session = mimesh.prepare(identity, clip)
     for note in session.notes:
         print("note:", note)
-    times, result = [], identity.vertices
+    times: list[float] = []
+    result = identity.vertices
     with LivePage(session) as page:
         print("open", page.address, flush=True)
         connection, _ = listening.accept()
@@ -83,7 +86,8 @@ def main(argv: list[str] | None = None) -> None:
     options = parser.parse_args(argv)
     clip = mimesh.load_clip(options.files[-1]) if options.files else driving_clip(load_body())
     if options.role == "send":
-        return send(clip, options.port, options.seconds)
+        send(clip, options.port, options.seconds)
+        return
     identity = mimesh.load_mesh(options.files[0]) if options.files else character("runner")
     with socket.create_server(("127.0.0.1", options.port)) as listening:  # this machine only
         if options.role == "both":

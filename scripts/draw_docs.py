@@ -11,7 +11,9 @@ from __future__ import annotations
 import argparse
 import colorsys
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import doc_transcripts
 import numpy as np
@@ -82,7 +84,7 @@ def _inputs(case: Case, result: Result) -> list[Image.Image]:
     return [identity, _tile(case.driving, "driving", driving_axes, DRIVING_TINT)]
 
 
-def _tile(mesh: Mesh, label: str, axes: dict | None = None, tint=None) -> Image.Image:
+def _tile(mesh: Mesh, label: str, axes: Mapping[str, Any] | None = None, tint=None) -> Image.Image:
     axes = {} if axes is None else {"up": axes["up"], "front": axes["front"]}
     picture = next(clip_frames([("", Clip.still(mesh))], SIZE, tints=[tint], **axes))
     return captioned(picture.crop((0, 0, *SIZE)), label)

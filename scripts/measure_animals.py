@@ -108,8 +108,8 @@ def found(mesh: Mesh, driving: Mesh, limbs: dict[str, np.ndarray]) -> dict[str, 
     return {
         "share": round(shares[worst], 3),
         "worst": worst,
-        "confidence": about["confidence"],
-        "expected_error": about["expected_error"],
+        "confidence": about.get("confidence"),
+        "expected_error": about.get("expected_error"),
     }
 
 

@@ -13,7 +13,8 @@ Each case runs in a process of its own. Times are those of all its processor cor
 resident memory, `own_mib` the part that is not mapped from a file, which the system cannot reclaim. Figures that are
 given with -o are added to those the file has. `exponents` are the slopes of log(time) over log(size), fitted; `growth`
 has the exponent of the whole time in the vertices (`mime`) and in the frames (`animate`), the one between the two
-largest sizes alone, where the part that does not depend on the size counts least, and by how much memory grew.
+largest sizes alone, where the part that does not depend on the size counts least, and by how much `own_mib` grew: pages
+of frames that wait in files count as resident as long as nothing else needs the memory.
 """
 
 from __future__ import annotations
@@ -257,10 +258,8 @@ def growth(cases: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
         sizes = sorted(map(int, cases.get(case, {})))
         if len(sizes) < 2:
             continue
-        seconds, memory = (
-            [read(cases[case][str(size)]) for size in sizes]
-            for read in (lambda row: row["seconds"]["all"], lambda row: row["peak_mib"])
-        )
+        rows = [cases[case][str(size)] for size in sizes]
+        seconds, memory = [row["seconds"]["all"] for row in rows], [row["own_mib"] for row in rows]
         exponent, last, of_memory = slope(sizes, seconds), slope(sizes[-2:], seconds[-2:]), slope(sizes, memory)
         found[case] = {
             "in": what,

@@ -161,8 +161,8 @@ def errors(name: str, k: int) -> dict[str, float | None]:
     whole, free = (mimesh.animate(identity, driving, body=name, ground=ground) for ground in (True, False))
     found |= {"animate": error(whole.clip.vertices), "animate_unplanted": error(free.clip.vertices)}
     for key, result in (("skate_animate", whole), ("skate_live", free)):
-        found[key] = result.report["foot_skate"]
-    return found | {"skate_driving": whole.report["foot_skate_driving"]}
+        found[key] = result.report.get("foot_skate")
+    return found | {"skate_driving": whole.report.get("foot_skate_driving")}
 
 
 def centred(vertices: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""Replaces marks in the pages by tables, measured figures and transcripts while the site is built.
+"""Fills marks in the pages with tables, measured figures and transcripts.
 
-`<!-- insert: WHAT [NAME] -->` in a page becomes Markdown before Sphinx reads the page, so these parts cannot be out of
-date. On a code host the mark is invisible; a link or a sentence next to it says where to find the content.
+`<!-- insert: WHAT [NAME] -->` in a page is followed by Markdown up to `<!-- end of insert -->`.
+`scripts/write_inserts.py` writes it for those who read the pages in a clone, and a test compares; the site has it anew.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from mimesh.methods.find import MODELS, SHIPPED_NETWORKS
 from mimesh.zoo import cards
 
 DOCS = Path(__file__).parents[1]
-MARK = re.compile(r"<!-- insert: ([a-z]+)(?: ([\w-]+))? -->")
+MARK = re.compile(r"(<!-- insert: ([a-z]+)(?: ([\w-]+))? -->)(?:\n.*?\n<!-- end of insert -->)?", re.DOTALL)
 DRAWING = re.compile(r"!\[([^\]]*)\]\(images/([\w-]+)\.svg\)")
 OUTSIDE_LINK = re.compile(r"\[([^\]]+)\]\((?:\.\./[^)]*|results/?)\)")
 """Links that work in the repository but lead out of the site."""
@@ -44,7 +44,20 @@ def filled(text: str) -> str:
     """
     text = OUTSIDE_LINK.sub(r"\1", text)
     text = DRAWING.sub(lambda mark: _drawing(mark[2]), text)
-    return MARK.sub(lambda mark: INSERTS[mark[1]](*filter(None, [mark[2]])), text)
+    return MARK.sub(_content, text)
+
+
+def written(text: str) -> str:
+    """Return a page with the content of its marks below them.
+
+    Raises:
+        KeyError: a mark has an unknown name.
+    """
+    return MARK.sub(lambda mark: f"{mark[1]}\n\n{_content(mark).strip()}\n\n<!-- end of insert -->", text)
+
+
+def _content(mark: re.Match[str]) -> str:
+    return INSERTS[mark[2]](*filter(None, [mark[3]]))
 
 
 def _drawing(name: str) -> str:
@@ -180,7 +193,7 @@ def _growth(figures: dict) -> str:
     return (
         f"**In {figures['in']}** the time has the exponent {figures['exponent']:.2f}, and "
         f"{figures['exponent_largest']:.2f} between the two largest sizes (linear: at most 1.05): {linear}. "
-        f"Peak memory has the exponent {figures['memory_exponent']:.2f}{flat}."
+        f"Memory that is not a page of a file has the exponent {figures['memory_exponent']:.2f}{flat}."
         + (f" Not measured yet: {missing} {figures['in']}." if missing else "")
     )
 
@@ -317,6 +330,17 @@ def minute() -> str:
     )
 
 
+def pythons() -> str:
+    """Return the table of Python and NumPy versions, from benchmarks/pythons.json."""
+    report = json.loads((DOCS.parent / "benchmarks" / "pythons.json").read_text(encoding="utf-8"))
+    rows = []
+    for row in report["rows"]:
+        done = f"{row['distance_mm']:g} mm" if row["ok"] else f"no: {row['error'].removeprefix('ERROR: ')}"
+        rows.append([row["python"], *(row.get(name, "") for name in ("numpy", "scipy", "onnxruntime")), done])
+    head = ["Python", "NumPy", "SciPy", "onnxruntime", "largest distance to the first row"]
+    return markdown_table(head, rows)
+
+
 def kills() -> str:
     """Return the table of killed commands, from benchmarks/kills.json."""
     report = json.loads((DOCS.parent / "benchmarks" / "kills.json").read_text())
@@ -427,6 +451,7 @@ INSERTS = {
     "large": large,
     "live": live,
     "minute": minute,
+    "pythons": pythons,
     "models": models,
     "card": card,
     "table": table,

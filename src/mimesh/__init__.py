@@ -1,6 +1,17 @@
-"""mimesh: give a mesh the pose or motion of another.
+"""Give a mesh the pose or the motion of another mesh.
 
-The names below are loaded when first used, so that `import mimesh` and `mimesh --help` cost nothing.
+    result = mimesh.transfer("hero.glb", "pose.obj")  # a pose; result.save("hero-pose.glb")
+    moving = mimesh.animate("hero.glb", "walk.bvh")   # a motion; moving.save_skinned("hero-walk.glb")
+
+transfer, animate       move a mesh (Mesh or path) by a pose or a clip; give a Result or a ClipResult
+save_skinned            write several motions of one mesh into one file
+batch                   many meshes by many clips, resumable
+prepare, LiveSession    pose a mesh frame by frame
+load_mesh, load_clip, save_mesh, save_clip, Mesh, Clip    files and arrays
+Layout                  bone names, root bone, rest pose and frame rate of files for engines
+InputError, no_limits   what is wrong with an input; larger files than usual
+
+Names are loaded when first used, so that `import mimesh` costs nothing.
 """
 
 from __future__ import annotations
@@ -11,6 +22,7 @@ from typing import TYPE_CHECKING
 from . import old_names
 
 if TYPE_CHECKING:
+    from .bodies.engine_rig import Layout
     from .core.budgets import no_limits
     from .core.errors import InputError
     from .core.mesh import Clip, Mesh
@@ -26,6 +38,7 @@ __all__ = [
     "Clip",
     "ClipResult",
     "InputError",
+    "Layout",
     "LiveSession",
     "Mesh",
     "Result",
@@ -42,6 +55,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "bodies.engine_rig": ("Layout",),
     "core.budgets": ("no_limits",),
     "core.errors": ("InputError",),
     "core.mesh": ("Clip", "Mesh"),
@@ -59,4 +73,12 @@ def __getattr__(name: str) -> object:
     for module, names in _MODULES.items():
         if name in names:
             return getattr(importlib.import_module(f".{module}", __name__), name)
-    raise AttributeError(f"module 'mimesh' has no attribute {name!r}")
+    from difflib import get_close_matches
+
+    close = get_close_matches(name, __all__, 1)
+    hint = f"; did you mean {close[0]}?" if close else ""
+    raise AttributeError(f"module 'mimesh' has no attribute {name!r}{hint}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

@@ -100,10 +100,13 @@ def main(arguments: list[str] | None = None) -> None:
 
 def run(arguments: list[str]) -> int:
     """Run one command and return its exit code; the message about a failure is already on stderr."""
+    from .core.errors import command_line_words
+
     try:
         # Commands return nothing, or the facts that they print.
         # What an option sets for one command, such as --no-limits, ends with it.
-        returned = copy_context().run(app, arguments, prog_name="mimesh", standalone_mode=False)
+        with command_line_words():
+            returned = copy_context().run(app, arguments, prog_name="mimesh", standalone_mode=False)
         code = returned if isinstance(returned, int) else 0
         return _print_error("stopped", code) if code == STOPPED else code
     except Stop as stop:

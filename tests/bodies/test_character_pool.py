@@ -81,6 +81,13 @@ def test_feet_that_move_with_no_shin_are_refused(tmp_path):
         read_character(tmp_path / "a.npz")
 
 
+def test_a_foot_above_its_shin_is_refused(tmp_path):
+    swapped = {"LeftFoot": "LeftLeg", "LeftLeg": "LeftFoot"}
+    write_character(tmp_path, "a", spell=lambda name: swapped.get(name, name), clip=False)
+    with pytest.raises(InputError, match="foot that holds its shin"):
+        read_character(tmp_path / "a.npz")
+
+
 def test_joints_in_any_order_keep_their_clips(tmp_path):
     """A foot that precedes its shin in the file comes after it in the rig."""
     made = write_character(tmp_path, "a", on_root=FEET)

@@ -63,6 +63,10 @@ class Watched:
         return np.asarray(Image.open(io.BytesIO(content)).convert("RGB")).astype(int)
 
 
+WAIT = 120_000
+"""Milliseconds that a page may take for anything: tests wait for states, and other work can make a page slow."""
+
+
 @contextlib.contextmanager
 def watching(chromium):
     """Yield a function that opens an address and returns a Watched page; afterwards check their requests and errors."""
@@ -70,11 +74,12 @@ def watching(chromium):
 
     def open_address(address: str, allowed: tuple[str, ...] = LOCAL, script: str = "", **options) -> Watched:
         context = chromium.new_context(**{"viewport": {"width": 720, "height": 420}, **options})
+        context.set_default_timeout(WAIT)
         watched = Watched(context.new_page())
         opened.append((watched, context, allowed))
         watched.page.add_init_script(script)
         watched.page.goto(address)
-        watched.page.wait_for_selector("html[data-state]", timeout=30_000)
+        watched.page.wait_for_selector("html[data-state]")
         return watched
 
     yield open_address

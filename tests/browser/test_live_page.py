@@ -34,7 +34,7 @@ def test_frames_are_shown_as_they_come(watch):
         assert top == pytest.approx([flat.max(), session.pose(flat).max()])
     finally:
         page.close()
-    watched.page.wait_for_selector("html[data-live='']", timeout=20_000)
+    watched.page.wait_for_selector("html[data-live='']")
     assert watched.page.locator(".chip").all_text_contents()[1] == "no connection"
     watched.page.goto("about:blank")
     watched.errors[:] = [line for line in watched.errors if "ERR_CONNECTION_REFUSED" not in line]

@@ -79,17 +79,34 @@ def picture_at(watched, seconds=0.3):
 
 
 def test_playing_pausing_and_seeking_give_the_right_pictures(watched):
-    watched.page.click("[data-name=play]")
     first = watched.picture()
-    watched.page.wait_for_timeout(150)
-    assert differ(first, watched.picture())
+    watched.page.evaluate("mimesh.controls.speed = 0.1")  # slow enough that it is not over before it is paused
+    watched.page.click("[data-name=play]")
+    watched.page.wait_for_function("() => mimesh.stage.time > 0.05")
     watched.page.click("[data-name=play]")
     paused = watched.picture()
+    assert differ(first, paused)
     watched.page.wait_for_timeout(100)
     np.testing.assert_array_equal(paused, watched.picture())
     early, late = picture_at(watched, 0.1), picture_at(watched, 0.6)
     assert differ(early, late)
     np.testing.assert_array_equal(early, picture_at(watched, 0.1))
+
+
+def test_playing_does_not_begin_before_the_start(watched):
+    """The time of the first frame can be before that of the press."""
+    times = watched.page.evaluate("""async () => {
+      const { stage, controls } = mimesh, draw = window.requestAnimationFrame, times = [];
+      stage.addEventListener("time", () => times.push(stage.time));
+      window.requestAnimationFrame = (act) => draw(() => act(performance.now() - 50));
+      controls.play();
+      while (times.length < 3) await new Promise((done) => setTimeout(done, 10));
+      controls.pause();
+      window.requestAnimationFrame = draw;
+      return times;
+    }""")
+    assert times[0] == 0
+    assert times == sorted(times)
 
 
 @pytest.mark.parametrize("what", ["clay", "stretch", "error"])
@@ -129,6 +146,7 @@ def test_the_camera_turns_and_is_reset(watched):
 def test_speed_and_loop_are_set(watched):
     watched.page.select_option("select.speed", "0.1")
     assert watched.page.evaluate("mimesh.controls.speed") == 0.1
+    assert watched.page.evaluate("mimesh.controls.frame") == pytest.approx(1 / 12), "still panels have no rate"
     watched.page.click("[data-name=loop]")
     watched.page.evaluate("mimesh.controls.pause(); mimesh.controls.advance(60)")
     assert watched.page.evaluate("mimesh.stage.time === mimesh.stage.duration && !mimesh.controls.playing")

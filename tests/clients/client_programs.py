@@ -49,6 +49,24 @@ def three_vrm_animation() -> list[str]:
     return _three("play_vrma.mjs", "three-vrm-animation")
 
 
+def firefox() -> list[str]:
+    """Return the command that walks through the pages in Firefox; player, studio and a folder are to be added."""
+    folder, node = Path(os.environ.get("MIMESH_PUPPETEER", CLIENTS / "puppeteer")), shutil.which("node")
+    modules, named = folder / "node_modules", os.environ.get("MIMESH_FIREFOX")
+    program = next(filter(None, map(shutil.which, [named] if named else ["firefox", "firefox-esr"])), None)
+    if program is None:
+        pytest.skip("no Firefox on PATH: apt-get install firefox-esr, or set MIMESH_FIREFOX to its path")
+    if node is None or not (modules / "puppeteer-core").is_dir():
+        pytest.skip(f"no puppeteer-core in {folder}: run make clients with Node.js installed, or set MIMESH_PUPPETEER")
+    command = [node, str(Path(__file__).with_name("walk_firefox.mjs")), str(modules), program]
+    if os.environ.get("DISPLAY"):
+        return command
+    screen = shutil.which("xvfb-run")
+    if screen is None or shutil.which("xauth") is None:
+        pytest.skip("no display and no Xvfb, and Firefox has no WebGL without a window: apt-get install xvfb xauth")
+    return [screen, "-a", "-s", "-screen 0 1400x900x24", *command]
+
+
 def _three(script: str, package: str) -> list[str]:
     """Return the command that runs a script with the folder of three.js and the packages of three-vrm."""
     folder, node = Path(os.environ.get("MIMESH_THREE", CLIENTS / "three")), shutil.which("node")

@@ -112,7 +112,7 @@ def test_own_rig_with_several_animations(frames, tmp_path):
     results = [mimesh.animate(hero, walk(shape, frames=5, faces=900)) for shape in (1, 2)]
     assert all(result.own is not None for result in results)
     for suffix in ("glb", "fbx"):
-        save_skinned(results, tmp_path / f"a.{suffix}", ["walk", "walk again"])
+        save_skinned(results, tmp_path / f"a.{suffix}", animations=["walk", "walk again"])
     compare(tmp_path / "a.glb", tmp_path / "a.fbx", results[0].skeleton.names)
 
 

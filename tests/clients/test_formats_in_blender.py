@@ -84,7 +84,7 @@ def mimesh_files(tmp_path_factory):
     jobs = []
     for suffix in CLIPS:
         if suffix in (".obj", ".ply"):
-            save_clip(clip, folder / f"clip{suffix[1:]}", suffix)
+            save_clip(clip, folder / f"clip{suffix[1:]}", suffix=suffix)
             files = sorted((folder / f"clip{suffix[1:]}").glob(f"*{suffix}"))
             jobs += [{"name": f"clip{suffix}{t}", "path": str(path), "frames": 1} for t, path in enumerate(files)]
         elif suffix in (".pc2", ".mdd"):

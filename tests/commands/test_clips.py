@@ -104,7 +104,7 @@ def moves(files):
     """A rigged file with the animations Rig|Walk, Rig|Run and one without a name."""
     path = rigs.of_kind(files / "rigged-mover.glb", "T-pose")[0]
     result = mimesh.animate(path, path)
-    save_skinned([result] * 3, files / "moves.glb", ["Rig|Walk", "Rig|Run", "2"])
+    save_skinned([result] * 3, files / "moves.glb", animations=["Rig|Walk", "Rig|Run", "2"])
     return files / "moves.glb"
 
 

@@ -10,6 +10,7 @@ from people import walk
 
 from mimesh.cli import run
 from mimesh.core import output_size
+from mimesh.core.errors import InputError
 from mimesh.core.output_size import frames_size
 from mimesh.io import save_clip, save_mesh
 
@@ -59,6 +60,22 @@ def test_a_folder_of_frames_is_written_again(files):
     for _ in range(2):
         assert animate(files, "-o", files / "frames") == 0
         assert len(names(files / "frames")) == 3
+
+
+def test_frames_are_not_written_among_other_meshes(files):
+    before = names(files)
+    assert animate(files, "-o", f"{files}/.") == 0  # a folder that is there gets the usual name
+    with pytest.raises(InputError, match="expected a new folder for frames, found hero"):
+        save_clip(walk(), files)
+    assert before <= names(files)
+    assert not (files / "0000.obj").exists()
+
+
+def test_a_capture_as_the_mesh_to_move_is_refused(files, capsys):
+    (files / "dance.bvh").touch()
+    for command in ("transfer", "animate"):
+        assert run([command, str(files / "dance.bvh"), str(files / "hero.obj")]) == 2
+        assert "found .bvh, which has joints alone; give it as DRIVING" in capsys.readouterr().err
 
 
 def test_no_clobber_stops_before_the_work(files, capsys, monkeypatch):

@@ -89,10 +89,10 @@ def test_options_of_animate_change_path_contacts_and_noise():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"root": "stay"}, "--root: expected one of scale, keep, drop"),
-        ({"smooth": -1.0}, "--smooth: expected seconds"),
-        ({"model": "copy", "skinned": True}, "--skinned: expected a model with joints"),
-        ({"model": "copy", "root": "drop"}, "--root: expected a model with joints"),
+        ({"root": "stay"}, "^root: expected one of scale, keep, drop"),
+        ({"smooth": -1.0}, "^smooth: expected seconds"),
+        ({"model": "copy", "skinned": True}, "^skinned: expected a model with joints"),
+        ({"model": "copy", "root": "drop"}, "^root: expected a model with joints"),
     ],
 )
 def test_invalid_options_are_refused(options, message):

@@ -8,6 +8,7 @@ import importlib.util
 import json
 import re
 import socket
+import subprocess
 import sys
 from pathlib import Path
 
@@ -177,6 +178,35 @@ def test_live(ran, tmp_path):
     assert "30 frames" in text
     moved = load_mesh(folder / "last.glb")
     assert np.abs(moved.vertices - person(0).vertices).max() > 0.1
+
+
+def test_own_arrays(ran, tmp_path):
+    mesh, clip = person(0), walk(frames=3)
+    arrays = {"vertices": mesh.vertices, "faces": mesh.faces, "fps": 30.0}
+    np.savez(tmp_path / "a.npz", driving_vertices=clip.vertices, driving_faces=clip.mesh.faces, **arrays)
+    folder, text = ran("own_arrays", "a.npz", "--frames", "2")
+    with np.load(folder / "moved.npz") as moved:
+        assert moved["vertices"].shape == (2, len(mesh.vertices), 3)
+        assert moved["joints"].shape == (len(moved["names"]), 2, 3)
+        assert "Hips" in moved["names"]
+    assert "confidence 0." in text
+    assert example("own_arrays").shipped_arrays()["driving_vertices"].ndim == 3
+
+
+def test_own_arrays_that_cannot_be_used(tmp_path):
+    mesh = person(0)
+    np.savez(
+        tmp_path / "a.npz",
+        vertices=mesh.vertices.T,
+        faces=mesh.faces,
+        driving_vertices=mesh.vertices[None],
+        driving_faces=mesh.faces,
+        fps=1,
+    )
+    command = [sys.executable, example("own_arrays").__file__, "a.npz"]  # here jaxtyping would find it first
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr == f"Mesh.vertices: expected shape (V, 3), found {mesh.vertices.T.shape}; give vertices.T\n"
 
 
 @pytest.mark.parametrize("content", [b"\x02\0\0\0" + bytes(24), b"GET / HTTP/1.1"])

@@ -80,9 +80,11 @@ def test_every_model_has_a_section(inserts):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
-def test_marks_of_a_page_are_known_and_pictures_exist(page, inserts):
+def test_marks_of_a_page_have_their_content_and_pictures_exist(page, inserts):
     text = page.read_text(encoding="utf-8")
+    assert inserts.written(text) == text, "run scripts/write_inserts.py"
     assert "<!-- insert: " not in inserts.filled(text).replace("<!-- insert: ... -->", "")
+    text = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
     assert all((DOCS / name).is_file() for name in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text))
 
 
@@ -100,6 +102,8 @@ def command_lines(text: str) -> list[str]:
 def test_commands_of_a_page_and_their_options_exist(page):
     commands, wrong = get_command(app).commands, []
     for line in command_lines(page.read_text(encoding="utf-8")):
+        if "[OPTIONS]" in line:  # the usage of a command
+            continue
         name, *arguments = shlex.split(line, comments=True)
         try:
             # What an option sets, such as --no-limits, ends with the copy of the context.

@@ -45,8 +45,8 @@ def test_exponents_are_slopes(script):
 
 @pytest.mark.parametrize(("power", "linear"), [(1.0, True), (1.2, False)])
 def test_growth_tells_whether_time_is_linear_and_memory_flat(script, power, linear):
-    rows = {str(n): {"seconds": {"all": 1e-5 * n**power}, "peak_mib": 5e-3 * n**0.5} for n in (100_000, 300_000)}
-    still = {str(n): {"seconds": {"all": 4.0 + 0.01 * n}, "peak_mib": 400} for n in (100, 1000, 10_000)}
+    rows = {str(n): {"seconds": {"all": 1e-5 * n**power}, "own_mib": 5e-3 * n**0.5} for n in (100_000, 300_000)}
+    still = {str(n): {"seconds": {"all": 4.0 + 0.01 * n}, "own_mib": 400} for n in (100, 1000, 10_000)}
     found = script["growth"]({"mime": rows, "animate": still, "copy": rows})
     assert set(found) == {"mime", "animate"}
     assert found["mime"]["exponent"] == found["mime"]["exponent_largest"] == pytest.approx(power)

@@ -85,7 +85,7 @@ def test_frames_of_a_folder_appear_together(tmp_path):
     (tmp_path / "out" / "0001.obj").mkdir(parents=True)
     clip = Clip(zoo.cube(), np.stack([zoo.cube().vertices] * 2))
     with pytest.raises(InputError, match="expected a place"):
-        save_clip(clip, tmp_path / "out", ".obj")
+        save_clip(clip, tmp_path / "out", suffix=".obj")
     assert names(tmp_path / "out") == ["0001.obj"]
 
 
@@ -323,7 +323,7 @@ def test_a_link_stays_and_its_target_is_replaced(there, tmp_path):
 def test_a_linked_frame_stays_a_link(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "0000.obj").symlink_to(tmp_path / "kept.obj")
-    save_clip(Clip.still(zoo.cube()), tmp_path / "out", ".obj")
+    save_clip(Clip.still(zoo.cube()), tmp_path / "out", suffix=".obj")
     assert (tmp_path / "out" / "0000.obj").is_symlink()
     assert len(load_mesh(tmp_path / "kept.obj").faces) == 12
 

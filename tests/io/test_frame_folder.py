@@ -61,7 +61,7 @@ def test_a_mesh_file_is_a_clip_of_one_frame(tmp_path):
 @pytest.mark.parametrize("suffix", [".obj", ".ply"])
 def test_frames_written_to_a_folder_read_back(suffix, tmp_path):
     frames = frames_of(zoo.cube().vertices)
-    save_clip(Clip(zoo.cube(), frames), tmp_path / "out", suffix)
+    save_clip(Clip(zoo.cube(), frames), tmp_path / "out", suffix=suffix)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"{t:04d}{suffix}" for t in range(12)]
     reread = load_clip(tmp_path / "out")
     np.testing.assert_array_equal(reread.vertices, frames)
@@ -107,7 +107,7 @@ def test_new_frames_share_one_library(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".obj", ".ply"])
 def test_later_frames_are_read_by_the_fast_path_with_equal_result(suffix, tmp_path, monkeypatch):
-    save_clip(Clip(zoo.grid(), frames_of(zoo.grid().vertices)), tmp_path / "out", suffix)
+    save_clip(Clip(zoo.grid(), frames_of(zoo.grid().vertices)), tmp_path / "out", suffix=suffix)
     slow = np.stack([load_mesh(path).vertices for path in sorted((tmp_path / "out").glob(f"*{suffix}"))])
     calls = []
     module, name = (obj_module, "_read_source") if suffix == ".obj" else (ply_module, "locate_columns")
@@ -169,9 +169,9 @@ def test_stale_frames_in_the_output_folder_are_an_error(tmp_path):
 
 def test_frames_of_another_format_in_the_output_folder_are_an_error(tmp_path):
     clip = Clip(zoo.cube(), np.stack([zoo.cube().vertices] * 2))
-    save_clip(clip, tmp_path / "walk", ".obj")
+    save_clip(clip, tmp_path / "walk", suffix=".obj")
     with pytest.raises(InputError, match=r"without frames in another format, found 0000.obj"):
-        save_clip(clip, tmp_path / "walk", ".ply")
+        save_clip(clip, tmp_path / "walk", suffix=".ply")
     assert len(load_clip(tmp_path / "walk")) == 2
 
 

@@ -46,7 +46,7 @@ def test_a_chosen_clip_is_read_exactly(choice, options, clips, tmp_path):
 def test_the_names_are_listed_where_none_is_chosen(path):
     assert list_animations(path) == NAMES
     for load in (load_clip, load_mesh):
-        with pytest.raises(InputError, match="one of its 3 clips.*--animation: " + ", ".join(NAMES)):
+        with pytest.raises(InputError, match="one of its 3 clips.*with animation=...: " + ", ".join(NAMES)):
             load(path)
     with pytest.raises(InputError, match=r"50002_chicken_wings, 50002_jumping_jacks, 50009_hips.*'running'"):
         load_clip(path, animation="running")

@@ -16,7 +16,8 @@ from mimesh import cli
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh, Part, check_clip, check_mesh
-from mimesh.io import MESH_WRITERS, load_clip, load_mesh, save_clip, save_mesh
+from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+from mimesh.io.formats import MESH_WRITERS
 from mimesh.motions import load_motion, window
 from mimesh.pipeline import animate, transfer
 

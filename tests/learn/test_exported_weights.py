@@ -22,7 +22,7 @@ from mimesh.learn.training_run import TrainingRun
 
 NARROW_ANIFORMER = {
     "network": "aniformer",
-    "model": {"encoder": [16, 16, 32], "layers": [32, 32, 16, 16]},
+    "model": {"encoder": [16, 16, 32], "layers": [32, 32, 16, 16], "attention": "frames"},
     "data": {"kind": "clips80", "vertices": 16},
     "batch": 2,
     "precision": "fp32",

@@ -92,5 +92,5 @@ def test_too_few_ends_are_refused():
     clip = Clip(beast, np.stack([beast.vertices] * 2), 30.0)
     with pytest.raises(InputError, match="limbs whose ends correspond"):
         animate(bird, clip, body="other")
-    with pytest.raises(InputError, match="--reference and --markers"):
+    with pytest.raises(InputError, match=r"give reference=... and markers"):
         animate(bird, Clip.still(beast), body="other")

@@ -157,7 +157,7 @@ def test_frames_of_a_cut_capture_are_those_of_the_whole(body, motion, tmp_path):
     np.testing.assert_array_equal(clip.headings, expected.headings)
     np.testing.assert_array_equal(clip.skeleton.person().positions, expected.skeleton.person().positions)
     assert (clip.fps, len(clip)) == (expected.fps, 6)
-    for frames, message in ((slice(999, None), "leaves none"), (slice(0, None, 0), "--step: expected 1 or more")):
+    for frames, message in ((slice(999, None), "leaves none"), (slice(0, None, 0), "^step: expected 1 or more")):
         with pytest.raises(InputError, match=message):
             load_clip(path, frames=frames)
 

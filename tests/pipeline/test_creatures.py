@@ -213,7 +213,7 @@ def test_a_person_with_a_creature_is_refused(tmp_path):
 
 def test_smoothing_needs_a_person(tmp_path):
     one, two = (Boxes.of(BIRD).write(tmp_path / f"{name}.glb", flapping(tuple(BIRD))) for name in "ab")
-    with pytest.raises(InputError, match="--smooth"):
+    with pytest.raises(InputError, match=r"^smooth:"):
         animate(str(one), str(two), body="other", smooth=0.1)
 
 

@@ -96,13 +96,13 @@ def test_a_shape_that_contradicts_its_file_gets_a_note(tmp_path):
     mesh = dataclasses.replace(saved(turned(person(0), Z_UP), tmp_path / "a.glb"), name="scan")
     result = transfer(mesh, person(0), "copy")
     assert result.report["identity"]["up"] == "+y"
-    expected = "the file of scan defines up +y, its shape looks like up +z; give --up +z if the file is wrong"
+    expected = 'the file of scan defines up +y, its shape looks like up +z; give up="+z" if the file is wrong'
     assert expected in result.notes
     given = transfer(mesh, person(0), "copy", up="+z")
     assert given.report["identity"]["up"] == "+z"
     assert not any("defines" in note for note in given.notes)
     assert not any("defines" in note for note in transfer(person(0), mesh, "copy", driving_up="+z").notes)
-    assert "give --driving-up +z if" in " ".join(transfer(person(0), mesh, "copy").notes)
+    assert 'give driving_up="+z" if' in " ".join(transfer(person(0), mesh, "copy").notes)
 
 
 def test_baked_animations_keep_the_up_axis_of_their_file(tmp_path):

@@ -232,10 +232,10 @@ def test_a_model_that_fails_in_a_frame_goes_on(driving):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"root": "up"}, "--root"),
+        ({"root": "up"}, "^root: expected"),
         ({"threads": 0}, "threads: expected 1 or more"),
         ({"model": "npt", "root": "drop"}, "expected a model with joints"),
-        ({"front": "+q"}, "--front"),
+        ({"front": "+q"}, "^front: expected"),
     ],
 )
 def test_unusable_options_are_refused(driving, options, message):

@@ -28,7 +28,7 @@ def test_a_copy_and_a_retargeted_clip_go_into_one_file(model, driving, tmp_path)
     identity = rigs.of_kind(tmp_path / "a.glb", "T-pose", shape=1, name=renamed("unreal"))[0]
     results = [animate(str(identity), str(clip), model) for clip in (identity, driving)]
     assert [result.report.get("copied") for result in results] == [True, None]
-    save_skinned(results, tmp_path / "out.glb", ["own", "other"])
+    save_skinned(results, tmp_path / "out.glb", animations=["own", "other"])
     for name, result in zip(("own", "other"), results, strict=True):
         written = load_clip(tmp_path / "out.glb", animation=name)
         np.testing.assert_allclose(written.vertices, result.clip.vertices, atol=2e-5)
@@ -49,9 +49,9 @@ def test_a_result_on_the_rig_and_one_on_the_surface_are_refused(model, driving, 
     identity = rigs.character(tmp_path / "a.glb", name=renamed("unreal"))
     results = [animate(str(identity), str(driving), model, rig=rig) for rig in ("own", "mimesh")]
     for given, names in ((results, ["first", "second"]), (results[::-1], ["second", "first"])):
-        message = r"^second: .* of the identity's own bones, as that of first, .*--rig mimesh"
+        message = r"^second: .* of the identity's own bones, as that of first, .*rig=\"mimesh\""
         with pytest.raises(InputError, match=message):
-            save_skinned(given, tmp_path / "out.glb", names)
+            save_skinned(given, tmp_path / "out.glb", animations=names)
 
 
 @pytest.mark.parametrize(

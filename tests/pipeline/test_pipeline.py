@@ -60,7 +60,8 @@ def test_range_of_frames_is_taken_at_the_same_speed():
 
 
 @pytest.mark.parametrize(
-    ("options", "message"), [({"step": 0}, "--step"), ({"start": 99}, "--start"), ({"fps": -1.0}, "--fps")]
+    ("options", "message"),
+    [({"step": 0}, "^step"), ({"start": 99}, "expected start and stop"), ({"fps": -1.0}, "with fps=")],
 )
 def test_wrong_ranges_are_refused(options, message):
     with pytest.raises(InputError, match=message):
@@ -83,7 +84,7 @@ def test_arrays_with_nan_are_refused():
 
 def test_uncertain_facing_is_noted_and_a_given_one_is_not():
     unsure = transfer(cube(), cube(), "copy", front=None)
-    assert [note.split(";")[1] for note in unsure.notes] == [" give --front", " give --driving-front"]
+    assert [note.split(";")[1] for note in unsure.notes] == [" give front=...", " give driving_front=..."]
     sure = transfer(cube(), cube(), "copy", up="y", front="z", driving_up="y", driving_front="z")
     assert sure.notes == ()
     assert np.allclose(sure.vertices, cube().vertices)

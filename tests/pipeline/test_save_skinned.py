@@ -28,7 +28,7 @@ def results(tmp_path_factory):
 
 
 def test_each_result_becomes_an_animation(results, tmp_path):
-    path = mimesh.save_skinned(results, tmp_path / "hero.glb", ["walk", "run"])
+    path = mimesh.save_skinned(results, tmp_path / "hero.glb", animations=["walk", "run"])
     for name, result in zip(("walk", "run"), results, strict=True):
         clip = load_clip(path, animation=name)
         assert (len(clip), clip.fps) == (len(result.clip), result.fps)
@@ -52,7 +52,7 @@ def test_results_of_other_identities_and_wrong_names_are_refused(results, tmp_pa
         ([], None, "expected results of animate to save, found none"),
     ):
         with pytest.raises(InputError, match=reason):
-            mimesh.save_skinned(given, tmp_path / "hero.glb", names)
+            mimesh.save_skinned(given, tmp_path / "hero.glb", animations=names)
 
 
 def hands(fingered, seed):

@@ -61,7 +61,7 @@ def test_what_is_no_person_is_refused_or_left_to_the_surface(driving, tmp_path):
     person = rigs.figure()
     flat = dataclasses.replace(person, vertices=person.vertices * [1, 0.05, 1], joints=person.joints * [1, 0.05, 1])
     path = str(rigs.character(tmp_path / "a.glb", name=nameless, person=flat))
-    with pytest.raises(InputError, match="if a is a person, too, --rig mimesh --body human"):
+    with pytest.raises(InputError, match='if a is a person, too, rig="mimesh" body="human"'):
         animate(path, driving)
     assert animate(path, driving, rig="mimesh", body="human").own is None
 

@@ -169,7 +169,7 @@ def test_joints_that_vrm_requires_must_be_there(tmp_path):
 def test_several_clips_are_several_animations(tmp_path):
     path, rig, _ = vrm(tmp_path / "a.vrm")
     results = [mimesh.animate(path, vrma(tmp_path / f"{seed}.vrma", bone_positions(rig), seed)[0]) for seed in (1, 2)]
-    mimesh.save_skinned(results, tmp_path / "all.vrma", ["walk", "run"])
+    mimesh.save_skinned(results, tmp_path / "all.vrma", animations=["walk", "run"])
     assert [entry["name"] for entry in open_document(tmp_path / "all.vrma").gltf["animations"]] == ["walk", "run"]
 
 

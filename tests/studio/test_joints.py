@@ -1,12 +1,12 @@
 """Corrected joints in a studio: results are those of `animate`, side files are found, wrong ones are said."""
 
 import json
-import time
 
 import numpy as np
 import pytest
 from people import person, walk
 from starlette.testclient import TestClient
+from waiting import wait_until
 
 from mimesh import InputError, animate, save_clip, save_mesh
 from mimesh.core.joint_corrections import JointCorrections
@@ -24,13 +24,6 @@ def files(tmp_path_factory):
     save_mesh(person(0), folder / "hero.obj")
     save_clip(walk(frames=3), folder / "walk.npz")
     return folder
-
-
-def wait_until(condition, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def result(session):

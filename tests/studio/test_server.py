@@ -2,12 +2,12 @@
 
 import io
 import json
-import time
 import zipfile
 
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
+from waiting import wait_until
 
 from mimesh import load_mesh, save_mesh, transfer
 from mimesh.bodies import load_body
@@ -56,16 +56,20 @@ def upload_files(client, role, files):
 
 def wait_until_idle(client):
     """Wait until nothing is read, computed or written, and return the state."""
-    for _ in range(2000):
+
+    def idle():
         state = client.get("/api/state").json()
-        meshes = [*state["identities"], *([state["driving"]] if state["driving"] else [])]
-        busy = [
-            mesh for mesh in meshes if mesh["state"] == "reading" or (mesh["outcome"] or {}).get("state") == "moving"
-        ]
-        if not busy and not any(export["state"] == "writing" for export in state["exports"]):
-            return state
-        time.sleep(0.01)
-    raise AssertionError(state)
+        driving = state["driving"]
+        ready = driving and driving["state"] == "ready"
+        for mesh in [*state["identities"], *([driving] if driving else [])]:
+            outcome = mesh["outcome"]
+            # Between reading and moving a mesh has no outcome yet.
+            waits = mesh is not driving and mesh["state"] == "ready" and ready and outcome is None
+            if waits or mesh["state"] == "reading" or (outcome or {}).get("state") == "moving":
+                return None
+        return None if any(export["state"] == "writing" for export in state["exports"]) else state
+
+    return wait_until(idle)
 
 
 def make_zip(**files):

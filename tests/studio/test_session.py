@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from people import person, walk
+from waiting import wait_until
 
 from mimesh import InputError, animate, save_clip, save_mesh, transfer
 from mimesh.bodies.animals import animal
@@ -42,14 +43,6 @@ def mime_session(files):
     session = make_session([files / "hero.obj", files / "walk.npz"], 2**20)
     yield session
     session.close()
-
-
-def wait_until(condition, seconds=20.0):
-    """Wait until the worker has met a condition."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 def only_item(session):

@@ -8,7 +8,13 @@ import { ICONS } from "./icons.js";
 import { Legend } from "./legend.js";
 
 export const SPEEDS = [0.1, 0.25, 0.5, 1, 1.5, 2];
-const COLOURS = [["material", "Material"], ["clay", "Clay"], ["stretch", "Stretch"], ["error", "Error"]];
+/** Name, label and tooltip of the ways to colour the surfaces. */
+const COLOURS = [
+  ["material", "Material", "Colours and textures of the file"],
+  ["clay", "Clay", "One colour, to judge the shape"],
+  ["stretch", "Stretch", "Edges that became longer (red) or shorter (blue) than the identity's"],
+  ["error", "Error", "Distance of each vertex to the truth"],
+];
 
 export class Controls {
   constructor(stage, { top, bottom }) {
@@ -36,9 +42,11 @@ export class Controls {
     this.playButton = this.addButton(bar, "play", "Play", () => this.toggle(), { key: " ", keyName: "space" });
     this.scrub = bar.appendChild(make("input", "scrub", { type: "range", min: 0, max: 1000, step: 1, value: 0 }));
     this.scrub.setAttribute("aria-label", "Time");
+    this.scrub.title = "Time (← and → step through the frames)";
     this.scrub.addEventListener("input", () => this.seek((this.scrub.value / 1000) * this.stage.duration));
-    this.clock = bar.appendChild(make("output", "clock"));
-    this.speedChoice = bar.appendChild(make("select", "speed", { title: "Speed" }));
+    this.clock = bar.appendChild(make("output", "clock", { title: "Time and length of the clip" }));
+    this.clock.setAttribute("aria-live", "off"); // it changes with every frame
+    this.speedChoice = bar.appendChild(make("select", "speed", { title: "Speed of playback" }));
     this.speedChoice.setAttribute("aria-label", "Speed");
     for (const speed of SPEEDS) this.speedChoice.add(new Option(`${speed}×`, speed, speed === 1, speed === 1));
     this.speedChoice.addEventListener("change", () => (this.speed = Number(this.speedChoice.value)));
@@ -55,8 +63,8 @@ export class Controls {
     const group = tools.appendChild(make("div", "segments"));
     group.setAttribute("role", "group");
     group.setAttribute("aria-label", "Colours");
-    this.colours = COLOURS.map(([value, label]) => {
-      const button = group.appendChild(make("button", "segment", { type: "button", textContent: label }));
+    this.colours = COLOURS.map(([value, label, title]) => {
+      const button = group.appendChild(make("button", "segment", { type: "button", textContent: label, title }));
       button.dataset.name = value;
       button.addEventListener("click", () => stage.set({ colours: value }));
       return button;
@@ -123,11 +131,11 @@ export class Controls {
     if (this.stage.time >= this.stage.duration) this.stage.setTime(0);
     this.playing = true;
     this.showPlaying();
-    let before = performance.now();
+    let before; // not performance.now(), which can be later than the time of the first frame
     const tick = (now) => {
       if (!this.playing) return;
       // A background tab gets no frames: without the limit, playback would jump when it is shown again.
-      this.advance(Math.min((now - before) / 1000, 0.25) * this.speed);
+      this.advance(Math.min((now - (before ?? now)) / 1000, 0.25) * this.speed);
       before = now;
       this.ticking = requestAnimationFrame(tick);
     };
@@ -179,7 +187,9 @@ export class Controls {
 
   showPlaying() {
     this.playButton.innerHTML = this.playing ? ICONS.pause : ICONS.play;
-    this.playButton.setAttribute("aria-label", this.playing ? "Pause" : "Play");
+    const label = this.playing ? "Pause" : "Play";
+    this.playButton.setAttribute("aria-label", label);
+    this.playButton.title = `${label} (space)`;
   }
 
   showTime() {
@@ -202,7 +212,8 @@ export class Controls {
   showScene() {
     const { offers, scene } = this.stage;
     this.bar.hidden = !offers.moves;
-    this.frame = 1 / Math.max(...scene.panels.map((panel) => panel.fps));
+    const moving = scene.panels.filter((panel) => panel.frames > 1);
+    this.frame = 1 / Math.max(...moving.map((panel) => panel.fps));
     for (const button of this.colours) button.hidden = !offers[button.dataset.name];
     this.toggles.overlay.hidden = !offers.overlay;
     this.toggles.follow.hidden = !offers.travels;

@@ -18,7 +18,7 @@ function buildPage(root, packed) {
   const head = root.appendChild(make("header", "head"));
   const names = head.appendChild(make("div", "names"));
   names.append(make("h1", "", { textContent: packed.title }));
-  if (packed.model) names.append(make("span", "chip", { textContent: packed.model, title: "Model" }));
+  if (packed.model) names.append(make("span", "chip", { textContent: packed.model, title: "Model that moved the mesh" }));
   const top = head.appendChild(make("div", "top"));
   const stage = root.appendChild(make("main", "stage"));
   const bottom = root.appendChild(make("footer", "bottom"));
@@ -41,7 +41,7 @@ function addDownload(top, { download }) {
   const label = `${ICONS.download}<span></span>`;
   const link = make("a", "plain download", { innerHTML: label, href: download.href ?? "#", download: download.name });
   link.lastChild.textContent = download.data ? `Download ${download.name}` : `${download.name} (beside this page)`;
-  link.setAttribute("role", "button");
+  link.title = `Download ${download.name}, the result of this page`;
   if (download.data) link.addEventListener("click", (event) => downloadEmbedded(event, link, download));
   top.prepend(link);
 }
@@ -58,7 +58,7 @@ async function downloadEmbedded(event, link, download) {
 
 /** Show the frames of a stream, which `packed.live` is the address of, and whether they arrive. */
 function showStream(stage, head, address) {
-  const chip = head.querySelector(".names").appendChild(make("span", "chip", { textContent: "waiting", title: "Stream" }));
+  const chip = head.querySelector(".names").appendChild(make("span", "chip", { textContent: "waiting", title: "Whether frames arrive" }));
   chip.setAttribute("role", "status");
   stage.set({ follow: true });
   followStream(stage, address, (live, what) => {
@@ -68,9 +68,11 @@ function showStream(stage, head, address) {
   });
 }
 
-/** Show a message in place of the stage. */
+/** Show a message in place of the page. */
 function refuse(root, message) {
-  root.append(make("p", "refusal", { textContent: message }));
+  const main = make("main", "refusal");
+  main.append(make("h1", "", { textContent: document.title }), make("p", "", { textContent: message }));
+  root.replaceChildren(main);
   document.documentElement.dataset.state = "refused";
 }
 

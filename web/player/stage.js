@@ -52,6 +52,7 @@ export class Stage extends EventTarget {
   async show(packed, { keepView = false } = {}) {
     const scene = await decodeScene(packed);
     const textures = await Promise.all(scene.images.map(readTexture));
+    this.dispatchEvent(new Event("clear"));
     this.clear();
     this.scene = scene;
     this.textures = textures;
@@ -275,8 +276,10 @@ export class Stage extends EventTarget {
 /** Whether the browser draws without a graphics card: antialiasing would then take 135 instead of 57 ms per frame. */
 function drawsInSoftware() {
   const gl = document.createElement("canvas").getContext("webgl2");
-  const info = gl?.getExtension("WEBGL_debug_renderer_info");
-  const name = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
+  let name = gl?.getParameter(gl.RENDERER) ?? "";
+  // Chrome and Safari have the name in an extension, of which Firefox warns.
+  const info = /webkit/i.test(name) && gl.getExtension("WEBGL_debug_renderer_info");
+  if (info) name = gl.getParameter(info.UNMASKED_RENDERER_WEBGL);
   gl?.getExtension("WEBGL_lose_context")?.loseContext();
   return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }

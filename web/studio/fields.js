@@ -1,12 +1,13 @@
 // Form fields and lists of the side panel.
 import { make } from "./player.js";
 
-/** Add a labelled field to a grid; returns the field. */
-export function field(grid, label, control) {
+/** Add a labelled field with a tooltip to a grid; returns the field. */
+export function field(grid, label, control, help) {
   control.id ||= `field-${label.toLowerCase().replaceAll(/\W+/g, "-")}-${Math.random().toString(36).slice(2, 7)}`;
   const caption = make("label", "", { textContent: label, htmlFor: control.id });
   grid.append(caption, control.closest(".with") ?? control);
-  control.caption = caption;
+  Object.assign(control, { caption, help });
+  control.title = caption.title = help;
   return control;
 }
 
@@ -44,17 +45,24 @@ export function showValue(control, value) {
   else control.value = value;
 }
 
-/** Enable or disable a field and its label; `reason` is the tooltip if disabled. */
-export function setEnabled(control, on, reason = "") {
+/** Enable or disable a field and its label; `reason` is added to the tooltip if disabled. */
+export function setEnabled(control, on, reason) {
   control.disabled = !on;
   control.caption.classList.toggle("off", !on);
-  control.title = control.caption.title = on ? "" : reason;
+  control.title = control.caption.title = on ? control.help : `${control.help}. ${reason}`;
 }
 
 /** Show a text, or hide the element if it is empty. */
 export function showText(element, text) {
   if (element.textContent !== text) element.textContent = text;
   element.hidden = !text;
+}
+
+/** Show an error beside what it is about, and scroll there if it is new. */
+export function showError(element, text) {
+  const fresh = text && element.textContent !== text;
+  showText(element, text);
+  if (fresh) (element.closest(".row") ?? element).scrollIntoView({ block: "nearest" });
 }
 
 /**

@@ -1,6 +1,7 @@
 // Handles for the joints of the mesh to move and of the driving mesh: shown over their panels, dragged with the pointer
 // or moved with the arrow keys. What is dragged counts as picked by hand; the server finds the others again.
 import { make } from "./player.js";
+import { showText } from "./fields.js";
 import { call } from "./server.js";
 
 const SVG = "http://www.w3.org/2000/svg";
@@ -23,9 +24,12 @@ export class Joints {
   constructor(stage, controls, live, attempt) {
     Object.assign(this, { stage, controls, live, attempt, on: false, found: null, key: "", selected: null, undone: [] });
     this.overlays = new Map(); // view -> its SVG
-    this.button = controls.addButton(controls.tools, "joints", "Joints", () => this.toggle(), { key: "j", pressed: false });
+    this.button = controls.addButton(controls.tools, "joints", "Correct joints", () => this.toggle(), { key: "j", pressed: false });
     this.bar = this.buildBar(stage.element);
+    this.correct = document.getElementById("correct"); // the same button, in the side panel
+    this.correct.addEventListener("click", () => this.toggle());
     stage.addEventListener("drawn", () => this.place());
+    stage.addEventListener("clear", () => (this.hadFocus = this.hasFocus())); // handles go with their panels
     stage.addEventListener("scene", () => this.rebuild());
   }
 
@@ -35,15 +39,16 @@ export class Joints {
     bar.setAttribute("aria-label", "Joints");
     this.choice = bar.appendChild(make("select", ""));
     this.choice.setAttribute("aria-label", "Joint");
+    this.choice.title = "Choose a joint, to move it with the arrow keys";
     this.choice.addEventListener("change", () => this.select(...this.choice.value.split(" "), true));
-    const button = (text, act) => {
-      const made = bar.appendChild(make("button", "plain", { type: "button", textContent: text }));
+    const button = (text, act, title) => {
+      const made = bar.appendChild(make("button", "plain", { type: "button", textContent: text, title }));
       made.addEventListener("click", act);
       return made;
     };
-    this.undoButton = button("Undo", () => this.undo());
-    this.resetButton = button("Reset", () => this.selected && this.reset(this.selected.role, this.selected.name));
-    this.resetAllButton = button("Reset all", () => this.resetAll());
+    this.undoButton = button("Undo", () => this.undo(), "Take the last correction back");
+    this.resetButton = button("Reset", () => this.selected && this.reset(this.selected.role, this.selected.name), "Find the chosen joint again");
+    this.resetAllButton = button("Reset all", () => this.resetAll(), "Find all joints again");
     this.saveLink = bar.appendChild(make("a", "plain", { textContent: "Save" }));
     this.hint = bar.appendChild(make("span", "joint-hint", { textContent: "Drag a joint, or choose one and use the arrow keys." }));
     this.hint.setAttribute("role", "status");
@@ -53,6 +58,7 @@ export class Joints {
   toggle() {
     this.on = !this.on;
     this.button.setAttribute("aria-pressed", this.on);
+    this.correct.textContent = this.on ? "End correcting joints" : "Correct joints";
     this.bar.hidden = !this.on;
     if (this.on) this.controls.seek(0);
     this.key = "";
@@ -72,8 +78,10 @@ export class Joints {
     if (!state) return;
     const joints = state.models.find(({ name }) => name === state.options.model)?.joints;
     const ready = joints && this.item("identity")?.state === "ready" && this.item("driving")?.state === "ready";
-    this.button.disabled = !ready && !this.on;
-    this.button.title = ready ? "Joints (j)" : "Joints: available with one mesh to move, a driving file, and a model with joints (mime)";
+    const needs = "available with one mesh to move, a driving file, and a model with joints (mime)";
+    const title = `Correct joints${ready ? " (j)" : `: ${needs}`}`;
+    for (const button of [this.button, this.correct]) Object.assign(button, { disabled: !ready && !this.on, title });
+    showText(document.getElementById("correct-hint"), ready ? "" : `Correcting joints is ${needs}.`);
     if (!ready && this.found) this.found = null;
     if (!this.on) return;
     this.showBar();
@@ -109,7 +117,8 @@ export class Joints {
 
   /** Make the handles of all panels anew; the one that has the focus keeps it, so that arrow keys go on working. */
   rebuild() {
-    const focused = [...this.overlays.values()].some(({ svg }) => svg.contains(document.activeElement));
+    const focused = this.hadFocus || this.hasFocus();
+    this.hadFocus = false;
     for (const overlay of this.overlays.values()) overlay.svg.remove();
     this.overlays.clear();
     for (const view of this.on ? this.stage.views : []) {
@@ -120,6 +129,10 @@ export class Joints {
     if (focused && this.selected) return this.select(this.selected.role, this.selected.name, true);
     this.showBar();
     this.place();
+  }
+
+  hasFocus() {
+    return [...this.overlays.values()].some(({ svg }) => svg.contains(document.activeElement));
   }
 
   buildOverlay(view, role) {
@@ -205,9 +218,8 @@ export class Joints {
     if (saved) {
       this.saveLink.href = `/api/meshes/${saved.number}/joints.json`;
       this.saveLink.title = `Save the corrected joints of ${saved.name}; put the file beside it to use it again`;
-    } else this.saveLink.removeAttribute("href");
-    this.saveLink.classList.toggle("off", !saved);
-    this.saveLink.setAttribute("aria-disabled", !saved);
+    }
+    this.saveLink.hidden = !saved;
   }
 
   /** Follow the pointer from a press on a handle to its release. */

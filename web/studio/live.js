@@ -27,6 +27,7 @@ export class Live {
         this.abortRequests();
         if (scene) await this.stage.show(scene, { keepView: sameItems });
         document.documentElement.dataset.scene = key;
+        this.failed("");
         if (scene && !sameItems && this.stage.offers.moves && !reducedMotion()) this.controls.play();
       }
     } catch (error) {
@@ -38,12 +39,11 @@ export class Live {
 
   /** Whether the shown result of a mesh is not being computed again. */
   current(number) {
-    const mesh = this.state?.identities.find((item) => item.number === number);
-    return !mesh?.outcome || mesh.outcome.state !== "moving";
+    return this.outcome(number)?.state !== "moving";
   }
 
-  versionOf(number) {
-    return this.state.identities.find((item) => item.number === number)?.outcome?.version;
+  outcome(number) {
+    return this.state?.identities.find((item) => item.number === number)?.outcome;
   }
 
   /** Iterate over [number, view] of the panels that show results. */
@@ -57,6 +57,7 @@ export class Live {
   markWaiting() {
     for (const [number, view] of this.results()) {
       const waiting = !this.current(number);
+      view.box.classList.toggle("failed", this.outcome(number)?.state === "failed");
       view.box.classList.toggle("waiting", waiting);
       view.box.classList.toggle("posed", Boolean(view.panel.fixedPose));
       if (!waiting && view.panel.fixedPose && !this.requests.has(number)) {
@@ -75,13 +76,14 @@ export class Live {
   async requestPoses(number, view) {
     const controller = new AbortController();
     this.requests.set(number, controller);
-    const wantedPose = () => `${this.frame()} ${this.versionOf(number)}`;
+    const wantedPose = () => `${this.frame()} ${this.outcome(number)?.version}`;
     try {
       while (!this.current(number) && view.shownPose !== wantedPose() && !controller.signal.aborted) {
         view.shownPose = wantedPose();
         const points = await fetchPose(number, this.frame(), controller.signal);
         if (!points || controller.signal.aborted || points.length !== 3 * view.panel.vertices) break;
         this.stage.setFixedPose(view, points);
+        this.failed("");
         this.markWaiting();
       }
     } catch (error) {

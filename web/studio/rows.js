@@ -1,6 +1,6 @@
 // Rows of the side panel: meshes to move, the driving clip, and exports.
 import { make } from "./player.js";
-import { choice, field, fill, formatBytes, showText, showValue } from "./fields.js";
+import { choice, field, fill, formatBytes, showError, showValue } from "./fields.js";
 
 const BODIES = { human: " as a person", quadruped: " as a four-legged animal", other: " as a creature", copied: " key by key" };
 const quantity = (number, unit) => `${number.toLocaleString("en")} ${unit}`;
@@ -23,9 +23,9 @@ export function meshRow(row, mesh, act) {
   const bar = row.appendChild(make("progress", "", { max: 1, hidden: true }));
   bar.setAttribute("aria-label", `Progress of ${mesh.name}`);
   const stop = row.appendChild(make("button", "plain stop", { type: "button", textContent: "Stop", hidden: true }));
+  stop.title = `Stop moving ${mesh.name}; the result before stays`;
   stop.addEventListener("click", () => act.stop(mesh.number));
   const error = row.appendChild(make("p", "error", { hidden: true }));
-  error.setAttribute("role", "alert");
   const notes = row.appendChild(make("div", ""));
   const showFacing = addFacing(row, mesh, act);
   return (now) => {
@@ -34,7 +34,7 @@ export function meshRow(row, mesh, act) {
     facts.textContent = factsOf(now);
     showProgress(bar, now);
     stop.hidden = outcome?.state !== "moving" || outcome.done === 0 || outcome.done > 0.98;
-    showText(error, now.error || outcome?.error || "");
+    showError(error, now.error || outcome?.error || "");
     const lines = [...correctionLines(now), ...(outcome?.notes ?? [])];
     const text = lines.join("\n");
     if (notes.dataset.text !== text) {
@@ -79,15 +79,16 @@ function showProgress(bar, { state, outcome, uploading }) {
 /** Add fields for the facing of a mesh, and for animation and frame rate of a clip; returns what shows their state. */
 function addFacing(row, mesh, act) {
   const box = row.appendChild(make("details", ""));
-  const summary = box.appendChild(make("summary", ""));
+  const summary = box.appendChild(make("summary", "", { title: "Correct which way the mesh faces" }));
   const grid = box.appendChild(make("div", "fields"));
   const change = (name) => (value) => act.change(mesh.number, { [name]: value || null });
   const axes = ["+x", "+y", "+z", "-x", "-y", "-z"];
   const options = (axis) => [["", axis ? `detected: ${axis}` : "detected"], ...axes.map((name) => [name, name])];
-  const up = field(grid, "Up", choice(options(), change("up")));
-  const front = field(grid, "Front", choice(options(), change("front")));
-  const animation = field(grid, "Animation", choice([], change("animation")));
-  const fps = field(grid, "Frames per second", make("input", "", { type: "number", min: 1, max: 1000, step: "any" }));
+  const up = field(grid, "Up", choice(options(), change("up")), "Axis of the file that points up");
+  const front = field(grid, "Front", choice(options(), change("front")), "Axis of the file that the mesh faces");
+  const animation = field(grid, "Animation", choice([], change("animation")), "Which animation of the file drives");
+  const rate = make("input", "", { type: "number", min: 1, max: 1000, step: "any" });
+  const fps = field(grid, "Frames per second", rate, "Frame rate of the clip, instead of that of its file");
   fps.addEventListener("change", () => act.change(mesh.number, { fps: fps.value ? Number(fps.value) : null }));
   return (now) => {
     const ready = now.state === "ready";
@@ -113,11 +114,11 @@ function addFacing(row, mesh, act) {
 /** Build the row of an export, a link once it is written; returns the function that shows its state. */
 export function exportRow(row, entry, act) {
   const { box, title } = head(row, entry.suffix, "Remove this export", () => act.removeExport(entry.number));
-  const link = make("a", "get", { href: `/api/exports/${entry.number}`, hidden: true });
+  const link = make("a", "get", { href: `/api/exports/${entry.number}`, hidden: true, title: "Download this file again" });
   box.insertBefore(link, title);
   const bar = row.appendChild(make("progress", "", { max: 1 }));
+  bar.setAttribute("aria-label", "Progress of this export");
   const error = row.appendChild(make("p", "error", { hidden: true }));
-  error.setAttribute("role", "alert");
   const notes = row.appendChild(make("div", ""));
   return (now) => {
     row.dataset.state = now.state;
@@ -128,7 +129,7 @@ export function exportRow(row, entry, act) {
     link.textContent = `${now.name} (${formatBytes(now.bytes)})`;
     bar.hidden = now.state !== "writing";
     if (now.done) bar.value = now.done;
-    showText(error, now.error);
+    showError(error, now.error);
     if (notes.childElementCount !== now.notes.length) {
       notes.replaceChildren(...now.notes.map((note) => make("p", "note", { textContent: note })));
     }

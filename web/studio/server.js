@@ -38,14 +38,17 @@ async function messageOf(response) {
 export async function watchState(update, lost) {
   let version = "";
   for (;;) {
+    let state;
     try {
-      const state = await call("GET", `/api/state?since=${version}`);
-      version = state.version;
-      update(state);
+      state = await call("GET", `/api/state?since=${version}`);
     } catch (error) {
       lost(error.message);
+      version = ""; // the next response comes at once, so that the message goes
       await new Promise((done) => setTimeout(done, 1500));
+      continue;
     }
+    version = state.version;
+    update(state);
   }
 }
 

@@ -2,10 +2,11 @@
 // shows it whenever it changes, so that reloading the page loses nothing.
 import { Controls, Stage, make } from "./player.js";
 import { acceptDrops, chosenFiles } from "./files.js";
-import { showText, updateList } from "./fields.js";
+import { showError, showText, updateList } from "./fields.js";
 import { Live } from "./live.js";
 import { Joints } from "./joints.js";
-import { ExportForm, ModelForm } from "./forms.js";
+import { CorrectionForm, ExportForm, ModelForm } from "./forms.js";
+import { Notice } from "./notice.js";
 import { exportRow, meshRow } from "./rows.js";
 import { call, upload, watchState } from "./server.js";
 
@@ -13,18 +14,35 @@ const element = (id) => document.getElementById(id);
 const sectionOf = { identity: element("identities"), driving: element("driving"), both: element("identities") };
 const uploads = { identity: new Map(), driving: new Map() };
 const toDownload = new Set(); // numbers of exports that were started here
+const notice = new Notice(element("notice"));
+let connectionError = "";
+let stageError = "";
 let state = null;
 let lastUpload = 0;
 
-/** Run an action; a section shows its error. */
+/** Run an action; a section and the notice above the stage show its error. */
 async function attempt(section, action) {
-  const error = section.querySelector(":scope > .error");
-  showText(error, "");
+  fail(section, "");
   try {
     return await action();
   } catch (problem) {
-    showText(error, problem.message);
+    fail(section, problem.message);
   }
+}
+
+/** Show the error of an action in a section, or none. */
+function fail(section, message) {
+  showError(section.querySelector(":scope > .error"), message);
+  showProblems();
+}
+
+/** Show in the notice what is wrong: with the connection, actions, meshes, their results, and exports. */
+function showProblems() {
+  const sections = [...document.querySelectorAll(".step > .error")].map((error) => error.textContent);
+  const { identities = [], driving, exports = [] } = state ?? {};
+  const items = [...identities, ...(driving ? [driving] : []), ...exports];
+  const texts = [...sections, ...items.flatMap(({ error, outcome }) => [error, outcome?.error]), connectionError, stageError];
+  notice.update([...new Set(texts.filter(Boolean))]);
 }
 
 const act = {
@@ -95,8 +113,10 @@ function setUpDemoMenu(what, kind, animals) {
 }
 
 function start() {
+  const setOptions = (section) => (changes) => attempt(section, () => call("POST", "/api/options", changes));
   const forms = [
-    new ModelForm(element("model"), (changes) => attempt(element("model"), () => call("POST", "/api/options", changes))),
+    new ModelForm(element("model"), setOptions(element("model"))),
+    new CorrectionForm(element("corrections"), setOptions(element("corrections"))),
     new ExportForm(element("export"), async (options) => {
       const started = await attempt(element("export"), () => call("POST", "/api/exports", options));
       if (started) toDownload.add(started.export);
@@ -108,10 +128,16 @@ function start() {
   if (document.createElement("canvas").getContext("webgl2")) {
     const stage = new Stage(element("stage"));
     const controls = new Controls(stage, { top: element("top"), bottom: element("bottom") });
-    live = new Live(stage, controls, (message) => showText(element("model").querySelector(":scope > .error"), message));
+    live = new Live(stage, controls, (message) => {
+      stageError = message; // "" when it works again
+      showProblems();
+    });
     joints = new Joints(stage, controls, live, (number, action) => attempt(sectionWith(number), action));
     window.mimesh = { stage, controls, live, joints };
-  } else showWithoutStage();
+  } else {
+    showWithoutStage();
+    showText(element("correct-hint"), "Correcting joints needs WebGL 2, which this browser does not have.");
+  }
 
   acceptDrops(element("drop"), uploadFiles);
   for (const input of document.querySelectorAll("input[type=file]")) {
@@ -134,7 +160,9 @@ function start() {
   const update = (now) => {
     if (!state) for (const fillMenu of fillMenus) fillMenu(now);
     state = now;
+    connectionError = "";
     showText(element("doing"), currentWork());
+    showProblems();
     element("welcome").hidden = Boolean(now.driving) || now.identities.length > 0;
     showRows();
     for (const form of forms) form.show(now);
@@ -142,7 +170,11 @@ function start() {
     joints?.update(now);
     Object.assign(document.documentElement.dataset, { version: now.version, state: "ready" });
   };
-  watchState(update, (message) => showText(element("doing"), message));
+  watchState(update, (message) => {
+    connectionError = message;
+    showText(element("doing"), "no connection");
+    showProblems();
+  });
 }
 
 start();

@@ -127,7 +127,7 @@ def attach_feet(
     Returns the rig, its joints by name, and the new order of its joints (parents first): new joint k is old `order[k]`.
 
     Raises:
-        InputError: a foot moves with neither shin.
+        InputError: a foot is above its shin, or moves with neither.
     """
     shins = {side: joints.get(f"{side}Leg", joints[f"{side}UpLeg"]) for side in SIDES}
     parents, joints = list(rig.parents), dict(joints)
@@ -140,6 +140,10 @@ def attach_feet(
             for other, shin in shins.items()
         }
         nearest = min(movement, key=movement.__getitem__)
+        if foot in ancestors(tuple(parents), shins[nearest]):  # it would be its own ancestor
+            raise InputError(
+                f"{path}: expected feet below shins, found a foot that holds its shin; parent the foot to it"
+            )
         if movement[nearest] > LOOSE_FOOT * np.ptp(rig.mesh.vertices[:, 1]):
             raise InputError(
                 f"{path}: expected feet that move with a shin in the clips, found a foot that moves with neither; "

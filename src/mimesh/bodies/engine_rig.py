@@ -35,7 +35,12 @@ their joints differ by 120 degrees."""
 
 @dataclass(frozen=True)
 class Layout:
-    """How the joints of a file are arranged for an engine."""
+    """How the joints of a file are arranged for an engine.
+
+    Example:
+        >>> mimesh.Layout("unreal", root_bone=True, fps=30.0).names
+        'unreal'
+    """
 
     names: str = "own"
     """A scheme of SCHEMES."""
@@ -44,7 +49,7 @@ class Layout:
     rest: str = "file"
     """Pose that the mesh is bound in, one of RestPose."""
     fps: float | None = None
-    """Frame rate of the file, sampled from the motion's; None keeps that."""
+    """Frames a second of the file, sampled from the motion's; None keeps its rate."""
 
     @property
     def root(self) -> str | None:
@@ -53,7 +58,14 @@ class Layout:
         return scheme.root if self.root_bone or scheme.has_root else None
 
     def check(self) -> None:
-        """Raise InputError if a value does not exist."""
+        """Check the values.
+
+        Raises:
+            InputError: one does not exist.
+
+        Example:
+            >>> mimesh.Layout("mixamo").check()
+        """
         check_layout(self.names, self.rest, self.fps)
 
 

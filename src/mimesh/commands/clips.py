@@ -166,9 +166,9 @@ def save_clips(
     jointed = first.skeleton is not None or first.own is not None
     moving = len(first.clip) > 1 or first.own is not None  # the pose of a file's own bones keeps its skin
     if skinned or (skinned is None and jointed and moving):
-        save_skinned(results, output, names, layout)
+        save_skinned(results, output, animations=names, layout=layout)
     else:
-        first.save(output, blendshapes, progress)
+        first.save(output, blendshapes=blendshapes, progress=progress)
 
 
 def joined_facts(facts: Sequence[dict[str, Any]], driving: Sequence[DrivingClip]) -> dict[str, Any]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
-from typer.core import TyperCommand, TyperOption
+import typer
+from typer.core import TyperCommand
 
 from ..core.printable import say
 
@@ -32,37 +33,12 @@ class Command(TyperCommand):
         super().__init__(*args, params=[*(params or ()), *_common_options()], **options)
 
 
-def _common_options() -> list[TyperOption]:
+def _common_options() -> list[Any]:
     """Make the options anew: each belongs to one command."""
-    return [
-        TyperOption(
-            param_decls=["--verbose", "-v"],
-            is_flag=True,
-            default=False,
-            expose_value=False,
-            callback=_verbose,
-            help="Tell the times of the steps, and what was chosen and why, on stderr.",
-        ),
-        TyperOption(
-            param_decls=["--log-level"],
-            type=str,
-            metavar="LEVEL",
-            expose_value=False,
-            callback=_log_level,
-            help="Lines of the log on stderr: debug, info (as --verbose), warning or error.",
-            autocompletion=lambda _context, _words, incomplete: [
-                level for level in LEVELS if level.startswith(incomplete)
-            ],
-        ),
-        TyperOption(
-            param_decls=["--threads"],
-            type=int,
-            metavar="N",
-            expose_value=False,
-            callback=_threads,
-            help="Threads of networks (2) and linear algebra (1; in training one a core).",
-        ),
-    ]
+    # From a command of Typer's own making: its option class has other arguments in almost every release.
+    app = typer.Typer(add_completion=False)
+    app.command()(_options)
+    return typer.main.get_command(app).params
 
 
 def _verbose(context: Any, _parameter: Any, wanted: bool) -> None:
@@ -126,3 +102,41 @@ def _limit_loaded(count: int, at_end: Callable[[Callable[[], object]], object]) 
             os.environ[NETWORKS] = before
 
     at_end(restore)
+
+
+def _complete_level(incomplete: str) -> list[str]:
+    return [level for level in LEVELS if level.startswith(incomplete)]
+
+
+def _options(
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "--verbose",
+            "-v",
+            expose_value=False,
+            callback=_verbose,
+            help="Tell the times of the steps, and what was chosen and why, on stderr.",
+        ),
+    ] = False,
+    log_level: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LEVEL",
+            expose_value=False,
+            callback=_log_level,
+            help="Lines of the log on stderr: debug, info (as --verbose), warning or error.",
+            autocompletion=_complete_level,
+        ),
+    ] = None,
+    threads: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            expose_value=False,
+            callback=_threads,
+            help="Threads of networks (2) and linear algebra (1; in training one a core).",
+        ),
+    ] = None,
+) -> None:
+    """Declare the options of this module; `_common_options` takes them from here."""

@@ -97,6 +97,7 @@ def export(
         print_json({"output": str(output), "checkpoint": str(checkpoint), "bytes": output.stat().st_size})
     else:
         say(f"{output}: {output.stat().st_size / 2**20:.1f} MiB")
+        say(f"{output.with_suffix('.json')}: its card")
         print_next("evaluate", test_set(card), "-m", f"{output},copy")
 
 

@@ -171,20 +171,15 @@ def transfer(
 
     By default the output is IDENTITY-DRIVING beside IDENTITY and in its format: the same file with its points moved.
     """
-    from ..core.errors import InputError
-    from ..io import MESH_WRITERS, load_mesh
+    from ..io import load_mesh
     from ..io.atomic import together
-    from ..io.formats import MOTIONS
+    from ..io.formats import MESH_WRITERS
     from ..pipeline import transfer as run_transfer
     from ..tools.convert import taken_pose_note
 
     # Not everybody has Blender, which writes FBX: by default the result of an .fbx is a .glb.
     suffix = ".glb" if identity.suffix.lower() == ".fbx" else identity.suffix
-    if suffix.lower() in MOTIONS and output is None:
-        raise InputError(
-            f"{identity}: expected a mesh to move, found {suffix}, which has joints alone; give it as DRIVING, or name "
-            "an output such as -o body.glb to move mimesh's own body in its first frame"
-        )
+    _refuse_motion(identity, output)
     target = output_path(output, lambda: output_beside(identity, driving, suffix))
     check_outputs(target, preview, open_it, identity, driving, reference, markers, body_model, usual=suffix)
     check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, target)
@@ -222,6 +217,19 @@ def transfer(
     _log(result, model, body)
     notes += taken_pose_note(mesh, identity)
     return _print_facts(_facts(result, target, shown, notes, corrected.described()), json, quiet)
+
+
+def _refuse_motion(identity: Path, output: str | None) -> None:
+    """Raise InputError for a file of joints alone as the mesh to move, unless an output is named for it."""
+    from ..core.errors import InputError
+    from ..io.formats import MOTIONS
+
+    suffix = identity.suffix.lower()
+    if suffix in MOTIONS and output is None:
+        raise InputError(
+            f"{identity}: expected a mesh to move, found {suffix}, which has joints alone; give it as DRIVING, or name "
+            "an output such as -o body.glb to move mimesh's own body in its first frame"
+        )
 
 
 def _posed_mesh(path: Path, body_model: Path | None) -> tuple[Mesh, tuple[str, ...]]:
@@ -302,6 +310,7 @@ def animate(
     from ..tools.convert import read_driving, resampled_note
     from ..tools.driving_clips import choose_clips
 
+    _refuse_motion(identity, output)
     target = output_path(output, lambda: clip_output(identity, driving), frames=True)
     layout = Layout(names, root_bone, rest, output_fps)
     clips = choose_clips(driving, animation)

@@ -120,7 +120,7 @@ def _cut(
     from ..core.mesh import cut_clip
     from ..io import load_clip
 
-    clips = [load_clip(path, fps, animation) for path in files]
+    clips = [load_clip(path, fps=fps, animation=animation) for path in files]
     still = all(len(clip) == 1 for clip in clips)
     return [cut_clip(clip, start, stop, step) if len(clip) > 1 or still else clip for clip in clips]
 

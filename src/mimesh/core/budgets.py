@@ -90,7 +90,12 @@ def limits_are_lifted() -> bool:
 
 @contextlib.contextmanager
 def no_limits() -> Iterator[None]:
-    """Lift all budgets inside a `with` block, for the calling thread: for large files that are known to be good."""
+    """Lift all budgets inside a `with` block, for the calling thread: for large files that are known to be good.
+
+    Example:
+        >>> with mimesh.no_limits():
+        ...     mesh = mimesh.load_mesh("hero.glb")
+    """
     token = _lifted.set(True)
     try:
         yield

@@ -7,13 +7,15 @@ Arrays are NumPy in frozen dataclasses; no function mutates an argument. Axes an
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from .arguments import check_kind
+from .array_inputs import as_faces, as_floats, as_frames, as_vertices
 from .budgets import FACES, VERTICES, check_clip_size
 from .errors import InputError
 from .frame_buffer import each_frame
@@ -61,11 +63,29 @@ class Mesh:
 
     `vertices` keep the order and count of the file, so a format with split vertices (GLB) holds several at one
     position; `geometry.weld` finds them. Polygons are triangulated here and kept in `source`.
+
+    Lists, whole numbers as vertices and whole floats as faces are converted; all else must have the shapes below. The
+    numbers in the arrays are checked where a mesh is used.
+
+    Raises:
+        InputError: an array of another shape or kind; the message says how to change it.
+
+    Example:
+        >>> vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])  # (V, 3), in any unit
+        >>> faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])  # (F, 3)
+        >>> mesh = mimesh.Mesh(vertices, faces, "tetrahedron")
+        >>> mesh.faces.shape
+        (4, 3)
+        >>> mimesh.Mesh(vertices).faces.shape  # a point cloud
+        (0, 3)
     """
 
     vertices: Float[np.ndarray, "V 3"]
-    faces: Int[np.ndarray, "F 3"]
+    """Points in the axes and unit of the file."""
+    faces: Int[np.ndarray, "F 3"] = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    """The three vertices of each triangle, counted from 0, counter-clockwise seen from outside."""
     name: str = "mesh"
+    """Name in messages, and of the mesh in files that have names."""
     corner_uv: Float[np.ndarray, "F 3 2"] | None = None
     """Texture coordinate of each face corner, origin at the lower left as in OBJ (v of glTF is 1 minus this v)."""
     corner_normals: Float[np.ndarray, "F 3 3"] | None = None
@@ -75,15 +95,45 @@ class Mesh:
     parts: tuple[Part, ...] = ()
     """Consecutive runs that cover all faces; empty means one unnamed part."""
     source: Source | None = None
+    """The file that the mesh was read from, with all its contents; None for meshes of arrays."""
     up: str | None = None
     """Axis away from the ground ("+y", "+z"), if the file defines one; None: not known."""
 
+    def __post_init__(self) -> None:
+        """Convert arrays, and raise InputError for those that cannot be used."""
+        check_kind("Mesh.name", self.name, "str")
+        object.__setattr__(self, "vertices", as_vertices(self.vertices))
+        object.__setattr__(self, "faces", as_faces(self.faces))
+        for name, shape, hint in (
+            ("corner_uv", (len(self.faces), 3, 2), "those of vertices (V, 2) are uv[faces]"),
+            ("corner_normals", (len(self.faces), 3, 3), "those of vertices (V, 3) are normals[faces]"),
+            ("vertex_colors", (len(self.vertices), 4), "append 1 as alpha; divide bytes by 255 and make them linear"),
+        ):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, as_floats(f"Mesh.{name}", value, shape, hint))
+
     def with_vertices(self, vertices: Float[np.ndarray, "V 3"]) -> Mesh:
-        """Replace the points and turn the corner normals along with the surface."""
+        """Return this mesh with other points; corner normals are turned along with the surface.
+
+        Args:
+            vertices: in the order of this mesh's.
+
+        Raises:
+            InputError: another number of vertices.
+
+        Example:
+            >>> mesh = mimesh.load_mesh("hero.glb")
+            >>> twice = mesh.with_vertices(2 * mesh.vertices)
+        """
         from .geometry import turn_normals
 
+        vertices = as_vertices(vertices, "vertices")
         if vertices.shape != self.vertices.shape:
-            raise ValueError(f"vertices must keep their shape {self.vertices.shape}, got {vertices.shape}")
+            raise InputError(
+                f"vertices: expected the shape {self.vertices.shape} of {self.name}, found {vertices.shape}; "
+                "make another mesh for other vertices"
+            )
         normals = self.corner_normals
         if normals is not None:
             normals = turn_normals(normals, self.faces, self.vertices, vertices)
@@ -92,12 +142,26 @@ class Mesh:
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """An animated mesh: `vertices[t]` are the points of `mesh` at `t / fps` seconds."""
+    """An animated mesh: `vertices[t]` are the points of `mesh` at `t / fps` seconds.
+
+    Raises:
+        InputError: no mesh, or frames of another shape; the message says how to change them.
+
+    Example:
+        >>> mesh = mimesh.load_mesh("hero.glb")
+        >>> heights = np.linspace(0.0, 0.5, 10)  # in the unit of the file
+        >>> frames = mesh.vertices + heights[:, None, None] * [0.0, 1.0, 0.0]  # (T, V, 3)
+        >>> clip = mimesh.Clip(mesh, frames, fps=10.0)
+        >>> len(clip), clip.seconds
+        (10, 1.0)
+    """
 
     mesh: Mesh
     """Topology, appearance and source; its vertices are those of frame 0 unless the file has a rest shape."""
     vertices: Float[np.ndarray, "T V 3"]
+    """Points of all frames, in the order, axes and unit of the mesh's."""
     fps: float = 30.0
+    """Frames a second."""
     headings: Float[np.ndarray, "T 3"] | None = None
     """Facing direction of the person in every frame (y up), if joints define it; None: detected from the shape."""
     skeleton: JointSource | None = None
@@ -105,12 +169,32 @@ class Clip:
     notes: tuple[str, ...] = ()
     """What was wrong with the file and how it was read, one line each."""
 
+    def __post_init__(self) -> None:
+        """Convert the frames, and raise InputError for what cannot be used."""
+        check_kind("Clip.mesh", self.mesh, "Mesh")
+        check_kind("Clip.fps", self.fps, "float")
+        object.__setattr__(self, "fps", float(self.fps))
+        object.__setattr__(self, "vertices", as_frames(self.vertices, self.mesh.name, len(self.mesh.vertices)))
+
     @classmethod
     def still(cls, mesh: Mesh) -> Clip:
-        """Make a clip of one frame."""
+        """Make a clip of one frame.
+
+        Args:
+            mesh: the frame.
+
+        Raises:
+            InputError: no mesh.
+
+        Example:
+            >>> len(mimesh.Clip.still(mimesh.load_mesh("hero.glb")))
+            1
+        """
+        check_kind("mesh", mesh, "Mesh")
         return cls(mesh, mesh.vertices[None])
 
     def __len__(self) -> int:
+        """Number of frames."""
         return len(self.vertices)
 
     @property
@@ -135,18 +219,7 @@ def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
     FACES.check(len(faces), path)
     if len(vertices) == 0:
         raise InputError(f"{path}: expected a mesh, found no vertices; export it again with its geometry")
-    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-    if bad.size:
-        raise InputError(
-            f"{path}: expected finite coordinates, found NaN or infinity in {bad.size} of {len(vertices)} vertices "
-            f"(first: vertex {bad[0]}); delete or repair them"
-        )
-    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
-        worst = int(faces.max() if faces.max() >= len(vertices) else faces.min())
-        raise InputError(
-            f"{path}: expected face indices in 0..{len(vertices) - 1}, found {worst}; "
-            "the file is damaged, export it again"
-        )
+    check_numbers(mesh, path)
     largest = np.abs(vertices).max()
     if largest > LARGEST:
         raise InputError(
@@ -169,6 +242,23 @@ def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
     return mesh
 
 
+def check_numbers(mesh: Mesh, path: str | Path) -> None:
+    """Raise InputError for coordinates that are not finite, or face indices out of range; quick."""
+    vertices, faces = mesh.vertices, mesh.faces
+    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if bad.size:
+        raise InputError(
+            f"{path}: expected finite coordinates, found NaN or infinity in {bad.size} of {len(vertices)} vertices "
+            f"(first: vertex {bad[0]}); delete or repair them"
+        )
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
+        worst = int(faces.max() if faces.max() >= len(vertices) else faces.min())
+        raise InputError(
+            f"{path}: expected face indices in 0..{len(vertices) - 1}, found {worst}; "
+            + ("the file is damaged, export it again" if isinstance(path, Path) else "vertices count from 0")
+        )
+
+
 def _check_corners(values: Float[np.ndarray, "F 3 _"] | None, kind: str, path: str | Path) -> None:
     """Raise InputError for values of face corners that are not finite or too large."""
     if values is None:
@@ -183,27 +273,31 @@ def _check_corners(values: Float[np.ndarray, "F 3 _"] | None, kind: str, path: s
 
 def check_clip(clip: Clip, path: str | Path) -> Clip:
     """Return the clip if every frame is valid (see `check_mesh`); raise InputError otherwise."""
-    if len(clip) == 0:
-        raise InputError(f"{path}: expected at least one frame, found none; export the animation again")
-    if clip.vertices.shape[1:] != clip.mesh.vertices.shape:
-        raise InputError(
-            f"{path}: expected {len(clip.mesh.vertices)} vertices in every frame, found {clip.vertices.shape[1]}; "
-            "export with one topology for the whole clip"
-        )
+    check_timing(clip, path)
     check_clip_size(len(clip), clip.vertices.shape[1], path)
-    for t, vertices in enumerate(each_frame(clip.vertices)):
-        if not np.isfinite(vertices).all():
-            raise InputError(
-                f"{path}: expected finite coordinates, found NaN or infinity in frame {t}; export it again"
-            )
-        if np.abs(vertices).max(initial=0.0) > LARGEST:
-            raise InputError(
-                f"{path}: expected coordinates up to {LARGEST:g}, found larger ones in frame {t}; export it again"
-            )
-    if not 0 < clip.fps < np.inf:
-        raise InputError(f"{path}: expected a positive frame rate, found {clip.fps:g}; give one with --fps")
+    check_frames(clip, path)
     check_mesh(dataclasses.replace(clip.mesh, vertices=np.asarray(clip.vertices[0], np.float64)), path)
     return clip
+
+
+def check_frames(clip: Clip, path: str | Path) -> None:
+    """Raise InputError for coordinates in any frame that are not finite, or too large."""
+    advice = "export it again" if isinstance(path, Path) else "repair it"
+    for t, vertices in enumerate(each_frame(clip.vertices)):
+        if not np.isfinite(vertices).all():
+            raise InputError(f"{path}: expected finite coordinates, found NaN or infinity in frame {t}; {advice}")
+        if np.abs(vertices).max(initial=0.0) > LARGEST:
+            raise InputError(
+                f"{path}: expected coordinates up to {LARGEST:g}, found larger ones in frame {t}; {advice}"
+            )
+
+
+def check_timing(clip: Clip, path: str | Path, advice: str = "give one with --fps") -> None:
+    """Raise InputError for a clip without frames, or with an impossible frame rate and advice on that."""
+    if len(clip) == 0:
+        raise InputError(f"{path}: expected at least one frame, found none; export the animation again")
+    if not 0 < clip.fps < np.inf:
+        raise InputError(f"{path}: expected a positive frame rate, found {clip.fps:g}; {advice}")
 
 
 def with_printable_names(mesh: Mesh) -> Mesh:
@@ -267,7 +361,9 @@ def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:
     no longer those of the file.
     """
     if sorted(order.tolist()) != list(range(len(mesh.vertices))):
-        raise ValueError(f"order must be a permutation of 0..{len(mesh.vertices) - 1}, got {len(order)} entries")
+        raise InputError(
+            f"order: expected each of 0..{len(mesh.vertices) - 1} once, found {len(order)} entries; give a permutation"
+        )
     # Invert the permutation for the face indices.
     rank = np.empty(len(order), mesh.faces.dtype)
     rank[order] = np.arange(len(order), dtype=mesh.faces.dtype)

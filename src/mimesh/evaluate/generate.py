@@ -107,7 +107,7 @@ def _write(part: Mesh | Clip, folder: Path, frames_as: str | None, written: dict
     if isinstance(part, Clip):
         if frames_as is not None:
             (folder / name).mkdir(exist_ok=True)  # names of takes have dots, which would be taken for a suffix
-        save_clip(part, folder / name, frames_as)
+        save_clip(part, folder / name, suffix=frames_as)
     else:
         save_mesh(part, folder / name)
     return name

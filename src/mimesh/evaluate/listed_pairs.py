@@ -171,7 +171,7 @@ class ListedClips(ListedPairs):
         """Read clip `i`; errors as for meshes."""
         triple = self.lists[kind][i]
         identity = _read(triple, load_mesh, triple.paths[0])
-        clip, truth = (_read(triple, lambda path: load_clip(path, self.fps), path) for path in triple.paths[1:])
+        clip, truth = (_read(triple, lambda path: load_clip(path, fps=self.fps), path) for path in triple.paths[1:])
         _check_frames(triple, clip, truth)
         meshes = [dataclasses.replace(c.mesh, vertices=np.asarray(c.vertices[0], np.float64)) for c in (clip, truth)]
         _check_truth(triple, identity, meshes[1])

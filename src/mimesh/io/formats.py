@@ -221,3 +221,18 @@ FRAMES_ONLY = (*CACHES, *COLLECTIONS, ".npz")
 """Files of frames without a rest shape."""
 FRAME_SUFFIXES = (".obj", ".ply")
 """Formats of the frames of a clip written to a folder; the first is the default."""
+
+
+def mesh_suffixes() -> tuple[str, ...]:
+    """Return the suffixes that `load_mesh` reads, with their dot."""
+    return tuple(MESH_READERS)
+
+
+def clip_suffixes() -> tuple[str, ...]:
+    """Return the suffixes that `save_clip` writes as one file, with their dot."""
+    return tuple(CLIP_WRITERS)
+
+
+def found_suffix(path: Path) -> str:
+    """Say which suffix a path has, for messages."""
+    return f"found '{path.suffix}'" if path.suffix else "found no suffix"

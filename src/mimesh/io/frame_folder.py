@@ -128,6 +128,10 @@ def _check_other_frames(folder: Path, names: list[str], suffix: str) -> None:
             f"{folder}: expected a folder without frames in another format, found {min(twins)}; "
             "choose a new folder or delete the old frames"
         )
+    files = {path.name for path in folder.glob("*")}
+    meshes = [name for name in files if Path(name).suffix.lower() in OTHER_FRAMES | {suffix}]
+    if meshes and not files & set(names):  # a folder of meshes, which frames among them would spoil
+        raise InputError(f"{folder}: expected a new folder for frames, found {min(meshes)} in it; choose another name")
 
 
 def _series(path: Path) -> str:

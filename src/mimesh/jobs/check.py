@@ -13,7 +13,7 @@ from ..commands.clips import check_clip_output, check_suffix
 from ..commands.move import check_outputs
 from ..core.errors import InputError
 from ..core.normalization import parse_axis
-from ..io import MESH_WRITERS
+from ..io.formats import MESH_WRITERS
 from ..methods.find import find_method
 from ..pipeline.run import MotionOptions
 from ..tools.preview import names_beside

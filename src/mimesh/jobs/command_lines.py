@@ -57,11 +57,12 @@ def arguments(job: BatchJob) -> list[str]:
     """
     words = [f"--output={job.output}", "--quiet"]
     known, options = _options(job.command), dict(job.options)
-    for name, value in {PREVIEW: "no", **options}.items():
+    for given, value in {PREVIEW: "no", **options}.items():
+        name = given.replace("_", "-")  # as arguments of Python are written
         parameter = known.get(name)
         if parameter is None:
             raise InputError(
-                f"{job.where}: expected an option of mimesh {job.command}, found {name}"
+                f"{job.where}: expected an option of mimesh {job.command}, found {given}"
                 f"{did_you_mean(name, known)}; mimesh {job.command} --help lists them"
             )
         words += _flag(job, name, value, parameter) if parameter.is_flag else [f"--{name}={value}"]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..core.arguments import described, public
 from ..core.errors import InputError
 from ..core.system import usable_cores
 from ..io import mesh_suffixes
@@ -36,6 +37,7 @@ NAME = "batch"
 """Name of the summary's files without suffix."""
 
 
+@public()
 def batch(
     identities: str | Path | Sequence[Mapping[str, Any]],
     drivings: str | Path | None = None,
@@ -57,7 +59,8 @@ def batch(
 
     Args:
         identities: with `drivings`, a folder, a pattern with wildcards, or a file of meshes; without, a table of jobs
-            (a CSV file, or dictionaries): identity, driving, output, command and options by their names without dashes.
+            (a CSV file, or dictionaries): identity, driving, output, command and options by their names (`root-bone`
+            or `root_bone`).
         drivings: a folder, a pattern or a file of clips; each is combined with each identity.
         output: where to write each result, with {identity}, {driving} and {number} for the names of its inputs and the
             number of the job. Rows of a table with an output of their own do not need it.
@@ -71,9 +74,18 @@ def batch(
             its machines must have all files at the same paths.
         report: is called at the start and after each job.
 
+    Returns:
+        The outcomes of all jobs, in their order.
+
     Raises:
         InputError: a job cannot be done; none was started.
         KeyboardInterrupt: Ctrl-C; all files are complete or absent, and the summary is written.
+
+    Example:
+        >>> jobs = [{"identity": "hero.glb", "driving": "walk.npz", "output": "walking.glb", "stop": 2}]
+        >>> done = mimesh.batch(jobs, summary="summary", sheet=False)  # doctest: +SKIP
+        >>> done.counts["done"], done.failed  # doctest: +SKIP
+        (1, 0)
     """
     begin = time.perf_counter()
     if workers is not None and workers < 1:
@@ -182,6 +194,8 @@ def _jobs(
     """Return the jobs of a table, or of two sets of files."""
     if command not in COMMANDS:
         raise InputError(f"batch: expected the command animate or transfer, found {command!r}; name one of them")
+    if not isinstance(options, Mapping):
+        raise InputError(f'options: expected a dictionary, found {described(options)}; give for example {{"stop": 10}}')
     ((_, named),) = numbered_rows([options])
     texts = {
         name: ("yes" if value else "no") if isinstance(value, bool) else str(value) for name, value in named.items()
@@ -194,6 +208,7 @@ def _jobs(
                     f"{identities}: expected a table of jobs (CSV), or a second folder: DRIVINGS; give one of them"
                 )
             return read_table(Path(identities), texts, pattern, command)
+        _check_rows(identities)
         return read_rows(numbered_rows(identities), texts, pattern, command)
     if not isinstance(identities, (str, Path)):
         raise InputError("batch: expected no drivings beside rows of jobs, found both; put them in the rows")
@@ -205,6 +220,18 @@ def _jobs(
     moving = (*CLIP_READERS, *ANIMATED, *COLLECTIONS) if command == "animate" else mesh_suffixes()
     found = find_files(str(identities), mesh_suffixes(), "meshes"), find_files(str(drivings), moving, "driving files")
     return all_pairs(*found, texts, pattern, command)
+
+
+def _check_rows(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Raise InputError for jobs that are no list of dictionaries."""
+    if isinstance(rows, Mapping) or not isinstance(rows, Sequence):
+        raise InputError(f"identities: expected a list of dictionaries, or a path, found {described(rows)}; give [job]")
+    for row in rows:
+        if not isinstance(row, Mapping):
+            raise InputError(
+                f"identities: expected dictionaries as jobs, found {described(row)}; give for example "
+                '{"identity": "hero.glb", "driving": "walk.bvh", "output": "out.glb"}'
+            )
 
 
 def _earlier(job: BatchJob, made_from: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import time
 import traceback
 from typing import Any
 
-from ..core.errors import InputError
+from ..core.errors import InputError, command_line_words
 from ..core.system import resident_memory
 from ..methods.mime.kept_results import keep_results
 from .command_lines import run_command
@@ -56,7 +56,8 @@ def run_job(job: BatchJob, made_from: str) -> dict[str, Any]:
     record_path(job).unlink(missing_ok=True)
     begin = time.perf_counter()
     try:
-        facts = run_command(job)
+        with command_line_words():
+            facts = run_command(job)
     except InputError as error:
         return _failed(job, " ".join(str(error).split()), begin)
     except MemoryError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
@@ -24,9 +25,10 @@ ONE_BONE, TWO_BONES = 0.35, 0.4
 Joints = dict[str, Float[np.ndarray, " 3"]]
 
 
-def primitive_animals(body: RiggedBody) -> list[CharacterSurface]:
-    """Make the animals of primitives that count as one more pack beside those of a folder."""
-    return [primitive_animal(body, np.random.default_rng(k)) for k in range(ANIMALS)]
+@cache
+def primitive_animals(body: RiggedBody) -> tuple[CharacterSurface, ...]:
+    """Make the animals of primitives that count as one more pack beside those of a folder; see `primitive_people`."""
+    return tuple(primitive_animal(body, np.random.default_rng(k)) for k in range(ANIMALS))
 
 
 def primitive_animal(body: RiggedBody, rng: np.random.Generator) -> CharacterSurface:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -126,9 +127,13 @@ def assemble(
     )
 
 
-def primitive_people(body: RiggedBody) -> list[CharacterSurface]:
-    """Make the people of primitives that count as one more pack beside the characters of a folder."""
-    return [primitive_person(body, np.random.default_rng(k)) for k in range(PEOPLE)]
+@cache
+def primitive_people(body: RiggedBody) -> tuple[CharacterSurface, ...]:
+    """Make the people of primitives that count as one more pack beside the characters of a folder.
+
+    They take a second, and training and validation have the same ones.
+    """
+    return tuple(primitive_person(body, np.random.default_rng(k)) for k in range(PEOPLE))
 
 
 def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSurface:

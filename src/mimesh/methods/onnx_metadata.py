@@ -110,7 +110,10 @@ def _check_network(session: InferenceSession, card: dict[str, Any], path: Path) 
             f"{path}: expected the inputs {', '.join(INPUTS[card['model']])}, found {', '.join(inputs)[:80]}; "
             "export it again with this version"
         )
-    shapes = {value.name: value.shape for value in session.get_outputs()}
+    try:
+        shapes = {value.name: value.shape for value in session.get_outputs()}
+    except UnicodeDecodeError as error:  # names of axes in damaged files
+        raise _error(path, "outputs with names of axes that are text", error) from error
     if card["model"] == "mime" and shapes.get("joints", [])[1:2] != [len(card["joints"])]:
         raise InputError(
             f"{path}: expected an output of {len(card['joints'])} joints, found {shapes!r:.80}; "

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Int
 from numpy.typing import ArrayLike
 
+from ..core.arguments import described, for_caller, public
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip
@@ -17,17 +18,20 @@ from ..methods.base import Method
 from ..methods.find import find_method, takes_rigs
 from ..motions.humanoid_rig import HumanoidRig
 from .corrections import Corrections, GivenJoints
+from .first_frame import first_frame_note
 from .live import LiveSession, limited_threads, live_session
 from .move import move, prepare_frames
+from .report import TransferReport
 from .result import ClipResult, Result, Timer
 from .rigs import still_clip
 from .run import Choice, MotionOptions
 
 
+@public()
 def transfer(
     identity: Mesh | str | Path,
     driving: Mesh | str | Path,
-    model: str | Method = "mime",
+    model: str | Path | Method = "mime",
     *,
     up: str | None = None,
     front: str | None = None,
@@ -71,12 +75,22 @@ def transfer(
             the keys of `Result.joints`.
         driving_joints: the same of the driving mesh.
 
+    Returns:
+        The identity with other vertices, in its own axes, unit and order, with a report and notes.
+
     Raises:
         InputError: a file, an axis, the model or its options cannot be used; the message says why and what to do.
+
+    Example:
+        >>> result = mimesh.transfer("hero.glb", "pose.obj")
+        >>> result.vertices.shape  # (V, 3), in the axes and unit of hero.glb
+        (502, 3)
+        >>> path = result.save("posed.glb")
     """
     timer = Timer()
     with timer.step("load"):
         identity, driving = _read_mesh(identity), _read_mesh(driving)
+    model = _usable_model(model)
     axes = (up, front, driving_up, driving_front)
     choice = _choice(model, ensemble, seed, reference, markers)
     clip = still_clip(driving)
@@ -90,7 +104,7 @@ def transfer(
         _name(model),
         timer,
         moved.report,
-        moved.notes,
+        tuple(map(for_caller, moved.notes)),
         identity,
         driving,
         moved.skeleton,
@@ -99,10 +113,11 @@ def transfer(
     )
 
 
+@public()
 def animate(
     identity: Mesh | str | Path,
     driving: Clip | str | Path,
-    model: str | Method = "mime",
+    model: str | Path | Method = "mime",
     *,
     up: str | None = None,
     front: str | None = None,
@@ -114,7 +129,7 @@ def animate(
     reference: Mesh | str | Path | None = None,
     markers: ArrayLike | str | Path | None = None,
     fps: float | None = None,
-    animation: str | None = None,
+    animation: str | int | None = None,
     start: int = 0,
     stop: int | None = None,
     step: int = 1,
@@ -134,7 +149,11 @@ def animate(
     identity's size unless `root` says otherwise.
 
     Args:
+        identity: the mesh to move, or its path.
         driving: the clip whose motion is taken, or its path.
+        model: see `transfer`.
+        up, front, driving_up, driving_front: see `transfer`.
+        ensemble, seed, refine, reference, markers: see `transfer`.
         fps: frame rate of the driving clip, where its file has none or a wrong one.
         animation: which animation of a driving glTF file, by name or number; the first by default.
         start: first frame to take, counted from 0.
@@ -157,8 +176,17 @@ def animate(
         driving_joints: the same in the driving clip's first frame, or in the frame that a file of them names; frames
             count from 0 in the whole clip.
 
+    Returns:
+        The identity in every frame, in its own axes, unit and order, with a report and notes.
+
     Raises:
         InputError: a file, an axis, the range, the model or its options cannot be used.
+
+    Example:
+        >>> moving = mimesh.animate("hero.glb", "walk.npz", stop=4)
+        >>> moving.clip.vertices.shape  # (T, V, 3)
+        (4, 502, 3)
+        >>> path = moving.save_skinned("walking.glb")
     """
     from ..io import load_clip
 
@@ -166,18 +194,21 @@ def animate(
     with timer.step("load"):
         identity = _read_mesh(identity)
         if driving_joints is None and not isinstance(driving, Clip):
-            clip = load_clip(driving, fps, animation, frames=slice(start, stop, step))
+            clip = load_clip(driving, fps=fps, animation=animation, frames=slice(start, stop, step))
             corrections = Corrections.read(joints, None, clip)
         else:  # corrected joints may be in a frame that is not taken
             whole = _read_clip(driving, fps, animation)
             corrections = Corrections.read(joints, driving_joints, whole)
             clip = cut_clip(whole, start, stop, step)
+    model = _usable_model(model)
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
     choice = _choice(model, ensemble, seed, reference, markers)
     options = MotionOptions(root, ground, smooth, skinned, _usable_rig(rig, model), body)
     moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32, corrections)
     _name_axis_sources(moved.report, up, driving_up)
     notes = clip.notes + moved.notes
+    if not isinstance(driving, Clip):
+        notes += first_frame_note(clip, start, Path(driving).name)
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose: give an animated .glb or a folder of frames",)
     mesh = identity.with_vertices(moved.vertices[0].astype(np.float64))
@@ -187,7 +218,7 @@ def animate(
         _name(model),
         timer,
         moved.report,
-        notes,
+        tuple(map(for_caller, notes)),
         moved.skeleton,
         identity,
         clip,
@@ -196,10 +227,11 @@ def animate(
     )
 
 
+@public()
 def prepare(
     identity: Mesh | str | Path,
     driving: Mesh | Clip | str | Path,
-    model: str | Method = "mime",
+    model: str | Path | Method = "mime",
     *,
     up: str | None = None,
     front: str | None = None,
@@ -228,25 +260,34 @@ def prepare(
     the driving's file are not used, because frames of a stream are vertices only; the rig of the identity's file is.
 
     Args:
+        identity: the mesh to move, or its path.
         driving: the driving mesh in one frame, or in some frames of its motion, or the path of either.
         root: displacement over the ground, as in `animate`; other values than "scale" for mime only.
+        model: see `transfer`.
+        up, front, driving_up, driving_front: see `transfer`.
+        ensemble, seed, refine, reference, markers: see `transfer`.
+        rig, body, joints, driving_joints: see `transfer`.
         threads: threads of linear algebra while a session is prepared and used; None leaves what the libraries are set
             to. They are set for the whole process during each call, and set back.
 
-    The other arguments are those of `transfer`.
+    Returns:
+        The session, whose `pose` maps vertices (U, 3) of the driving to vertices (V, 3) of the identity.
 
     Raises:
         InputError: a file, an axis, the model or its options cannot be used; or a model that needs later frames
             (aniformer).
 
     Example:
-        >>> session = mimesh.prepare("hero.glb", "recorded.npz")
-        >>> vertices = session.pose(frame)  # (U, 3) -> (V, 3)
+        >>> session = mimesh.prepare("hero.glb", "walk.npz")
+        >>> frame = mimesh.load_clip("walk.npz").vertices[3]  # (U, 3)
+        >>> session.pose(frame).shape  # (V, 3)
+        (502, 3)
     """
     identity = _read_mesh(identity)
     known = Clip.still(check_mesh(driving, driving.name)) if isinstance(driving, Mesh) else driving
     clip = dataclasses.replace(_read_clip(known, None, None), skeleton=None)
     corrections = Corrections.read(joints, driving_joints, clip)
+    model = _usable_model(model)
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
     options = MotionOptions(root, False, rig=_usable_rig(rig, model), body=body)
     with limited_threads(threads)():
@@ -257,14 +298,14 @@ def prepare(
     return session
 
 
-def _name_axis_sources(report: dict, up: str | None, driving_up: str | None) -> None:
+def _name_axis_sources(report: TransferReport, up: str | None, driving_up: str | None) -> None:
     """Write "joints" as the source of an up axis that the caller did not give: a rig's or a motion's joints define it.
 
     The normalisation gets such axes as it gets those of the caller.
     """
-    for which, given in (("identity", up), ("driving", driving_up)):
-        if report[which]["up_from"] == "given" and given is None:
-            report[which]["up_from"] = "joints"
+    for facing, given in ((report["identity"], up), (report["driving"], driving_up)):
+        if facing["up_from"] == "given" and given is None:
+            facing["up_from"] = "joints"
 
 
 def _choice(model: str | Method, ensemble: int, seed: int, reference, markers) -> Choice:
@@ -286,6 +327,24 @@ def _choice(model: str | Method, ensemble: int, seed: int, reference, markers) -
         return find_method(model, ensemble=ensemble, seed=seed, reference=normalised, markers=markers)
 
     return choose
+
+
+def _usable_model(model: str | Path | Method) -> str | Method:
+    """Return the name of a model, or the method itself.
+
+    Raises:
+        InputError: neither of them.
+    """
+    if isinstance(model, (str, Path)):
+        return str(model)
+    if isinstance(model, type):
+        raise InputError(f"model: expected a method, found its class {model.__name__}; give {model.__name__}()")
+    if not isinstance(model, Method):
+        raise InputError(
+            f"model: expected a name, the path of an .onnx file, or a method with `rough`, `name` and `prepare`, found "
+            f"{described(model)}; mimesh models lists the names"
+        )
+    return model
 
 
 def _usable_rig(rig: str | HumanoidRig, model: str | Method) -> str | HumanoidRig:
@@ -336,8 +395,13 @@ def _read_mesh(mesh: Mesh | str | Path) -> Mesh:
     return load_mesh(Path(mesh))
 
 
-def _read_clip(clip: Clip | str | Path, fps: float | None, animation: str | None) -> Clip:
+def _read_clip(clip: Clip | str | Path, fps: float | None, animation: str | int | None) -> Clip:
     if isinstance(clip, Clip):
+        if animation is not None:
+            raise InputError(
+                f"animation: expected the path of a file with it, found {described(clip)}; give the path, or the "
+                "animation to load_clip"
+            )
         return check_clip(clip if fps is None else dataclasses.replace(clip, fps=fps), clip.mesh.name)
     from ..io import load_clip
 

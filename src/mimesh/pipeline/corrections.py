@@ -14,6 +14,7 @@ from jaxtyping import Float
 from ..bodies import load_body
 from ..bodies.anatomy import body_of_joints
 from ..bodies.joint_names import without_fingers
+from ..core.arguments import described
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
@@ -167,5 +168,10 @@ def _read(given: GivenJoints, source: str) -> JointCorrections | None:
 
         given = load_corrections(given)
     elif given is not None and not isinstance(given, JointCorrections):
+        if not isinstance(given, Mapping):
+            raise InputError(
+                f"{source}: expected a dictionary of joint -> (x, y, z), or the path of a file, found "
+                f"{described(given)}; the keys of Result.joints are the names"
+            )
         given = JointCorrections.of(given, source)
     return given if given is not None and given.positions else None

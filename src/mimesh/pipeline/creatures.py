@@ -15,6 +15,7 @@ from ..core.normalization import ORIENTATIONS, ROTATIONS, parse_axis
 from ..io.gltf.bake import AnimatedValues, sample_nodes
 from ..io.gltf.own_rig import FileRig, GltfJoints, has_rig, read_file_rig
 from ..motions.creature_rig import CreatureMotion, moved_creature
+from .report import MatchReport
 from .rigs import Axes
 
 SURE, SURE_ACROSS = 0.45, 0.6
@@ -38,7 +39,7 @@ class MatchedCreatures:
     match: RigMatch
     notes: tuple[str, ...]
 
-    def facts(self) -> dict:
+    def facts(self) -> MatchReport:
         """Return the figures of the match for the report."""
         match, (mine, theirs) = self.match, (creature.rig.joint_names for creature in self.creatures)
         return {

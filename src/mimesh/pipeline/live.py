@@ -10,17 +10,19 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from ..core.arguments import described, for_caller, public
 from ..core.errors import InputError
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import LARGEST, Clip, Mesh
 from ..io.beside import missing_images, missing_images_notes
 from ..methods.base import BodyMethod, Drive, SkinnedDrive
-from .report import facing, facing_note
+from .report import TransferReport, facing, facing_note
 from .run import Prepared, report_confidence
 
 PoseFrame = Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]
@@ -32,6 +34,12 @@ class LiveSession:
     """An identity that is ready to be posed by single frames of a driving mesh; made by `mimesh.prepare`.
 
     It may be used from one thread at a time. Its memory does not grow with the number of frames.
+
+    Examples go on with the `session` of the example of `prepare`.
+
+    Example:
+        >>> session.model, session.report["driving"]["up"]
+        ('mime', '+y')
     """
 
     identity: Mesh
@@ -39,9 +47,11 @@ class LiveSession:
     driving: Mesh
     """The driving mesh in the first of the frames that the session was prepared with."""
     model: str
-    report: dict
+    """Name of the model."""
+    report: TransferReport
     """Facing of both meshes, and confidences and the body of models with joints, as in `ClipResult.report`."""
     notes: tuple[str, ...]
+    """Lines for the user, as in `ClipResult.notes`."""
     _prepared: Prepared = field(repr=False)
     _pose: PoseFrame = field(repr=False)
     _shift: Float[np.ndarray, " 3"] = field(repr=False)
@@ -49,6 +59,7 @@ class LiveSession:
     _limit: Callable[[], AbstractContextManager] = field(repr=False)
     """Limits the threads of linear algebra."""
 
+    @public(checked=False)
     def pose(self, driving: ArrayLike | Mesh) -> Float[np.ndarray, "V 3"]:
         """Return the identity's vertices for one driving frame.
 
@@ -68,9 +79,9 @@ class LiveSession:
                 coordinates above 1e18, or all vertices at one point. The session can be used further.
 
         Example:
-            >>> session = mimesh.prepare("hero.glb", "first_frame.obj")
-            >>> for frame in camera:  # any source of arrays (U, 3)
-            ...     show(session.pose(frame))
+            >>> camera = [session.driving.vertices] * 3  # any source of arrays (U, 3)
+            >>> [session.pose(frame).shape for frame in camera]
+            [(502, 3), (502, 3), (502, 3)]
         """
         vertices = self._checked(driving)
         norms = self._prepared.identity_norm, self._prepared.driving_norm
@@ -89,17 +100,22 @@ class LiveSession:
                     f"{len(driving.faces)} or others; prepare a session for this mesh"
                 )
             driving = driving.vertices
+        if isinstance(driving, Clip):
+            raise InputError(f"{name}: expected one frame, found {described(driving)}; give clip.vertices[t]")
         try:
             vertices = np.asarray(driving, np.float64)
         except (TypeError, ValueError) as error:
             raise InputError(
                 f"{name}: expected numbers as vertices, found '{error}'; give an array of shape (U, 3)"
             ) from error
-        if vertices.shape != self.driving.vertices.shape:
-            raise InputError(
-                f"{name}: expected vertices of shape {self.driving.vertices.shape} in every frame, found "
-                f"{vertices.shape}; prepare a session for this mesh"
-            )
+        expected = self.driving.vertices.shape
+        if vertices.shape != expected:
+            advice = "prepare a session for this mesh"
+            if vertices.shape == expected[::-1]:
+                advice = "give frame.T"
+            elif vertices.shape[1:] == expected:
+                advice = "give one frame at a time"
+            raise InputError(f"{name}: expected vertices of shape {expected}, found {vertices.shape}; {advice}")
         # NaN fails the comparison, too: one pass over the array for all that can be wrong with its numbers.
         if not np.abs(vertices).max() <= LARGEST:
             bad = np.flatnonzero(~(np.abs(vertices) <= LARGEST).all(axis=1))
@@ -137,6 +153,7 @@ def live_session(prepared: Prepared, clip: Clip, model: str, root: str, threads:
         shift = prepared.shift(pose(first) @ prepared.turn.T)
     report, notes = _report(prepared)
     driving = Mesh(np.asarray(clip.vertices[0], np.float64), clip.mesh.faces, clip.mesh.name)
+    notes = tuple(map(for_caller, notes))
     return LiveSession(prepared.identity, driving, model, report, notes, prepared, pose, shift, limit)
 
 
@@ -226,7 +243,7 @@ def _refined(pose: PoseFrame, refinement: Callable[[np.ndarray], np.ndarray]) ->
     return lambda vertices: refinement(pose(vertices))
 
 
-def _report(prepared: Prepared) -> tuple[dict, tuple[str, ...]]:
+def _report(prepared: Prepared) -> tuple[TransferReport, tuple[str, ...]]:
     """Return what is known of both meshes before the first frame, and notes for the user."""
     identity, clip = prepared.identity, prepared.clip
     report: dict = {"identity": facing(prepared.identity_norm), "driving": facing(prepared.driving_norm)}
@@ -236,4 +253,4 @@ def _report(prepared: Prepared) -> tuple[dict, tuple[str, ...]]:
         notes += report_confidence(prepared.drive, report, (identity.name, clip.mesh.name))
     notes += facing_note(prepared.identity_norm, identity.name, "--front")
     notes += facing_note(prepared.driving_norm, clip.mesh.name, "--driving-front")
-    return report, notes + prepared.rigs.notes + missing_images_notes(missing_images(identity))
+    return cast(TransferReport, report), notes + prepared.rigs.notes + missing_images_notes(missing_images(identity))

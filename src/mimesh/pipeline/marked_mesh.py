@@ -18,6 +18,7 @@ from ..methods.base import Method
 from ..methods.deformation_transfer import DeformationTransfer
 from ..methods.extremities import FoundMarks, find_ends, match_ends
 from .orientation import normalised
+from .report import ReferenceReport
 from .rigs import Axes
 
 FRAMES = 12
@@ -47,7 +48,7 @@ class MarkedFrame:
         reference = dataclasses.replace(driving, vertices=norm.apply(self.vertices))
         return DeformationTransfer(reference, self.marks.pairs)
 
-    def facts(self) -> dict:
+    def facts(self) -> ReferenceReport:
         """Return the figures for the report."""
         return {"frame": self.frame, "confidence": round(self.marks.confidence, 3), "ends": self.marks.ends}
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
@@ -27,7 +28,7 @@ from .corrections import NO_CORRECTIONS, Corrections
 from .creatures import MatchedCreatures
 from .marked_mesh import MarkedFrame, marked_frame
 from .matched_rigs import finds_joints, joint_finder
-from .report import facing
+from .report import TransferReport, facing
 from .result import Timer
 from .rigs import NO_RIGS, OTHER, Axes, Rigs
 from .run import (
@@ -322,4 +323,5 @@ def _play_nodes(
                 progress(t + 1, len(clip))
     report = surface_report(identity, clip, moved, fitted_norms(identity, first_frame(clip), prepared.axes))
     report |= {"rig": "own", **prepared.facts, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
-    return MovedIdentity(moved, None, own, report, prepared.notes + missing_images_notes(missing_images(identity)))
+    notes = prepared.notes + missing_images_notes(missing_images(identity))
+    return MovedIdentity(moved, None, own, cast(TransferReport, report), notes)

@@ -1,6 +1,8 @@
-"""Measure results for the report: edge stretch, flipped triangles, acceleration, and the axes that were used."""
+"""The report of a result: its keys, and the measurements of the moved surface that are in it."""
 
 from __future__ import annotations
+
+from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -13,6 +15,141 @@ MOST_FRAMES = 32
 """Largest number of frames, evenly spread, by which a clip is measured."""
 MIN_EDGE = 1e-3
 """Share of the mean edge length below which the stretch of an edge is not measured."""
+
+
+class MeshReport(TypedDict):
+    """What is known of one input: its axes, and of models with joints how certainly limbs were found on it.
+
+    `limbs` and `astray` have a share for each limb ("head", "left arm"). docs/conventions.md explains all figures.
+
+    Example:
+        >>> identity = result.report["identity"]
+        >>> identity["up"], identity["front"], identity["confidence"] > 0.5
+        ('+y', '+z', True)
+    """
+
+    up: str
+    """Axis away from the ground, such as "+y"."""
+    front: str
+    """Axis to the front, such as "+z"."""
+    up_from: str
+    """Where `up` is from: "given", "file", "joints", "identity" or "shape"."""
+    detected: bool
+    """Whether an axis was detected from the shape."""
+    margin: float
+    """By how much the detected axes were better than the next ones: a difference of scores, without a unit."""
+    confidence: NotRequired[float]
+    """From 0 to 1; below 0.5 there is a note. Absent where joints are those of a file."""
+    uncertainty: NotRequired[float]
+    """Ratio to the threshold of the note: above 1 there is one."""
+    expected_error: NotRequired[float]
+    """Expected error of the result, in heights of the identity."""
+    readings_apart: NotRequired[float]
+    """Spread of the predictions, in degrees."""
+    undecided: NotRequired[float]
+    """Mean entropy of the skinning weights, in nats."""
+    other_kind: NotRequired[float]
+    """Logarithm of the odds that the mesh is of another kind than `body`, without a unit."""
+    fit_distance: NotRequired[float]
+    """Mismatch of the shapes of fitted body and surface, in metres of the body."""
+    fit_angle: NotRequired[float]
+    """Mean angle between fitted and predicted joint rotations, in degrees."""
+    flexion: NotRequired[float]
+    """Angle of the elbow or knee that is bent most, in degrees."""
+    limbs: NotRequired[dict[str, float]]
+    """Share of the surface that each limb has."""
+    astray: NotRequired[dict[str, float]]
+    """Share of each limb of the fitted body that is far from the surface."""
+    bare: NotRequired[float]
+    """Share of the surface that is far from the fitted body."""
+
+
+class Accelerations(TypedDict):
+    """Mean acceleration of vertices, in extents of the first frame a second squared."""
+
+    result: float
+    """Of the result; one much larger than the driving's jitters. In extents a second squared."""
+    driving: float
+    """Of the driving clip, in extents a second squared."""
+
+
+class MatchReport(TypedDict):
+    """How the rigs of two creatures were matched with each other."""
+
+    confidence: float
+    """From 0 to 1."""
+    covered: list[float]
+    """Share of the joints of identity and of driving that have a counterpart."""
+    chains: float
+    """Agreement of the chains of joints, a share from 0 to 1."""
+    names: float | None
+    """Agreement of the names, a share from 0 to 1; None where there are too few."""
+    joints: dict[str, str]
+    """Joint of the identity -> joint of the driving that it follows."""
+
+
+class ReferenceReport(TypedDict):
+    """The frame of the driving that was taken to have the identity's pose."""
+
+    frame: int
+    """Number of the frame, from 0."""
+    distance: NotRequired[float]
+    """Distance from the identity's pose, as a share of its size."""
+    confidence: NotRequired[float]
+    """How certain the ends of limbs are, from 0 to 1."""
+    ends: NotRequired[int]
+    """Number of ends of limbs that were found."""
+
+
+class TransferReport(TypedDict):
+    """What was measured and found: `result.report`. It is a dictionary, as the JSON of the command line has it.
+
+    Keys of what was not measured are absent: `result.report.get("fingers")`.
+
+    Example:
+        >>> report = result.report
+        >>> report["body"], report["fingers"], report["edge_stretch_p99"] < 2
+        ('human', [], True)
+    """
+
+    identity: MeshReport
+    """Axes of the identity, and how certain its limbs are."""
+    driving: MeshReport
+    """The same of the driving, in its first frame."""
+    edge_stretch_max: NotRequired[float]
+    """Largest factor by which an edge became longer or shorter in any frame; absent for point clouds."""
+    edge_stretch_p99: NotRequired[float]
+    """The same of 99 % of the edges: a factor."""
+    flipped_share: NotRequired[float]
+    """Share of the triangles that face against their neighbours and did not before."""
+    acceleration: NotRequired[Accelerations]
+    """Of clips of three frames or more."""
+    body: NotRequired[str]
+    """Shipped body that both were taken for: "human" or "quadruped"."""
+    rig: NotRequired[Literal["own"]]
+    """"own" where the identity moved on the bones of its own file."""
+    copied: NotRequired[bool]
+    """Whether values of the driving's nodes were copied, as both files have the same skeleton."""
+    match: NotRequired[MatchReport]
+    """How the rigs of two creatures were matched."""
+    reference: NotRequired[ReferenceReport]
+    """The driving's frame in the identity's pose, where another shape of one mesh was moved."""
+    fingers: NotRequired[list[Literal["left", "right"]]]
+    """Hands whose fingers move."""
+    foot_skate: NotRequired[float | None]
+    """Mean speed of soles that should stand, in identity heights a second; None where none do."""
+    foot_skate_driving: NotRequired[float | None]
+    """The same of the driving's, in the same unit."""
+    influence_deviation: NotRequired[float]
+    """With `skinned`: largest distance of a vertex from where all weights take it, as a share of the mesh's size."""
+    skinned_deviation: NotRequired[float]
+    """After `save_skinned`: largest distance of a vertex from its frame, as a share of the mesh's size."""
+    keys_deviation: NotRequired[float]
+    """The part of it that thinned keys cause, as a share of the mesh's size."""
+    deviation_cause: NotRequired[str]
+    """Which step adds most to it: "weights", "fingers" or "rest"."""
+    blendshapes_deviation: NotRequired[float]
+    """After `save` with `blendshapes`: largest distance of a vertex from its frame, as a share of the mesh's size."""
 
 
 def quality(identity: Mesh, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, float]:
@@ -55,10 +192,15 @@ def flipped_share(
     return float((against_neighbours(faces, after) & ~before).mean())
 
 
-def facing(norm: Normalization) -> dict[str, str | bool | float]:
+def facing(norm: Normalization) -> MeshReport:
     """Return the axes that were used for one input, as reports have them."""
-    axes = {"up": norm.up, "front": norm.front, "up_from": norm.up_from}
-    return axes | {"detected": norm.detected, "margin": round(norm.margin, 3)}
+    return {
+        "up": norm.up,
+        "front": norm.front,
+        "up_from": norm.up_from,
+        "detected": norm.detected,
+        "margin": round(norm.margin, 3),
+    }
 
 
 def facing_note(norm: Normalization, name: str, option: str) -> tuple[str, ...]:

@@ -14,12 +14,14 @@ from jaxtyping import Float
 
 from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import AnimatedRig
+from ..core.arguments import public
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..io import refuse_vrm, save_clip, save_mesh, save_own_pose
 from ..io.atomic import scratch_folder, written
 from ..io.formats import JOINTED
+from .report import MeshReport, TransferReport
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
@@ -48,7 +50,7 @@ class _Playable(Protocol):
     """Base of both kinds of results: an offline page that shows identity, driving and result side by side."""
 
     model: str
-    report: dict
+    report: TransferReport
     notes: tuple[str, ...]
     identity: Mesh | None
     skeleton: AnimatedRig | None
@@ -65,9 +67,12 @@ class _Playable(Protocol):
 
     @property
     def joints(self) -> dict[str, Float[np.ndarray, " 3"]] | None:
-        """Joint -> position found on the identity, in the axes, unit and position of its file; None without joints.
+        """Joint -> position (3,) found on the identity, in axes, unit and position of its file; None without joints.
 
         Those of fingers are left out: all others can be corrected and passed to `transfer`.
+
+        Example:
+            >>> moved_knee = {"LeftLeg": result.joints["LeftLeg"] + [0.02, 0, 0]}  # transfer(..., joints=moved_knee)
         """
         rig = self.skeleton
         if rig is None:
@@ -76,26 +81,33 @@ class _Playable(Protocol):
         return without_fingers({name: rig.rig.joints[j] for name, j in person.items()})
 
     def panels(self) -> list[Panel] | None:
-        """Return identity, driving and result with the axes of the report, for the player; None without the inputs."""
+        """Return identity, driving and result with the axes of the report, for the player; None without the inputs.
+
+        Example:
+            >>> [panel.role for panel in result.panels()]
+            ['identity', 'driving', 'result']
+        """
         from ..player.pack import Panel
 
         identity, driving = self.identity, self.driving_clip
         if identity is None or driving is None:
             return None
-        identity_axes, driving_axes = (
-            {key: self.report[which][key] for key in ("up", "front")} for which in ("identity", "driving")
-        )
+
+        def panel(name: str, clip: Clip, axes: MeshReport) -> Panel:
+            return Panel(name, clip, up=axes["up"], front=axes["front"])
+
         return [
-            Panel("identity", Clip.still(identity), **identity_axes),
-            Panel("driving", driving, **driving_axes),
-            Panel("result", self.moved, **identity_axes),
+            panel("identity", Clip.still(identity), self.report["identity"]),
+            panel("driving", driving, self.report["driving"]),
+            panel("result", self.moved, self.report["identity"]),
         ]
 
+    @public()
     def player(
         self,
         path: str | Path,
         *,
-        output: Path | None = None,
+        output: str | Path | None = None,
         title: str | None = None,
         motion: MotionLimits | None = None,
     ) -> Path:
@@ -107,8 +119,14 @@ class _Playable(Protocol):
             title: title of the page; by default the name of the path up to its first dot.
             motion: largest number of frames and size of the motion; None: as the size of the page allows.
 
+        Returns:
+            The path of the page.
+
         Raises:
             InputError: the result has no identity and driving, or the path cannot be written.
+
+        Example:
+            >>> page = result.player("hero.html", title="Hero")
         """
         from ..player.pack import ANY_LENGTH
         from ..player.page import write_player
@@ -119,7 +137,7 @@ class _Playable(Protocol):
                 f"{path}: expected a result of transfer or animate, found one without its inputs; run it again"
             )
         title = title or path.name.split(".")[0]
-        download = None if output is None else self._download(output)
+        download = None if output is None else self._download(Path(output))
         return write_player(
             path,
             shown,
@@ -159,14 +177,29 @@ class _Playable(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Result(_Playable):
-    """The identity in the driving's pose, in the identity's axes, unit and position."""
+    """The identity in the driving's pose, in the identity's axes, unit and position; made by `mimesh.transfer`.
+
+    Examples go on with the `result` of the example of `transfer`.
+
+    Example:
+        >>> result.mesh.vertices.shape, result.notes
+        ((502, 3), ())
+        >>> result.report["identity"]["up"], result.skeleton.names[0]
+        ('+y', 'Hips')
+        >>> sorted(result.seconds)
+        ['drive', 'load', 'prepare', 'refine', 'write']
+    """
 
     mesh: Mesh
+    """The identity with other vertices (V, 3)."""
     model: str
+    """Name of the model."""
     seconds: Timer
-    """Wall time of each step: load, prepare, drive, refine, write."""
-    report: dict
+    """Wall time in seconds of each step: load, prepare, drive, refine, write."""
+    report: TransferReport
+    """What was measured and found, see `TransferReport`."""
     notes: tuple[str, ...] = ()
+    """Lines for the user: what may be wrong with the result, and what to do."""
     identity: Mesh | None = field(default=None, repr=False)
     """The mesh that was moved, to be shown beside the result; without it there is no page."""
     driving: Mesh | None = field(default=None, repr=False)
@@ -180,21 +213,37 @@ class Result(_Playable):
 
     @property
     def vertices(self) -> Float[np.ndarray, "V 3"]:
+        """Vertices of the result, in the axes, unit and order of the identity."""
         return self.mesh.vertices
 
     @property
     def moved(self) -> Clip:
+        """The result as a clip of one frame."""
         return Clip.still(self.mesh)
 
     @property
     def driving_clip(self) -> Clip | None:
+        """The driving mesh as a clip of one frame; None where the result does not know it."""
         return None if self.driving is None else Clip.still(self.driving)
 
+    @public()
     def save(self, path: str | Path) -> Path:
         """Write the mesh in the format of the suffix; the identity's own suffix keeps all contents of its file.
 
         A rigged glTF identity that moved on its own bones stays rigged: its bones are in the pose. If its file has
         animations, the pose comes first among them, because programs play the first one.
+
+        Args:
+            path: the file; folders that do not exist are made.
+
+        Returns:
+            The path.
+
+        Raises:
+            InputError: a format that cannot be written, or a path that cannot be written to.
+
+        Example:
+            >>> path = result.save("posed.obj")
         """
         path = Path(path)
         with self.seconds.step("write"):
@@ -207,14 +256,27 @@ class Result(_Playable):
 
 @dataclass(frozen=True, eq=False)
 class ClipResult(_Playable):
-    """The identity with the driving clip's motion, in the identity's axes, unit and position."""
+    """The identity with the driving clip's motion, in the identity's axes, unit and position; made by `mimesh.animate`.
+
+    Examples go on with `moving`, the result of the example of `animate`.
+
+    Example:
+        >>> moving.clip.vertices.shape, moving.fps
+        ((4, 502, 3), 10.0)
+        >>> moving.skeleton.rotation.shape  # (T, J, 3, 3)
+        (4, 31, 3, 3)
+    """
 
     clip: Clip
+    """The identity in all frames: `clip.vertices` is (T, V, 3)."""
     model: str
+    """Name of the model."""
     seconds: Timer
-    """Wall time of each step: load, prepare, drive, refine, write."""
-    report: dict
+    """Wall time in seconds of each step: load, prepare, drive, refine, write."""
+    report: TransferReport
+    """What was measured and found, see `TransferReport`."""
     notes: tuple[str, ...] = ()
+    """Lines for the user: what may be wrong with the result, and what to do."""
     skeleton: AnimatedRig | None = None
     """Joints, skinning weights and motion of the identity, if the model has joints."""
     identity: Mesh | None = field(default=None, repr=False)
@@ -228,17 +290,21 @@ class ClipResult(_Playable):
 
     @property
     def fps(self) -> float:
+        """Frames a second."""
         return self.clip.fps
 
     @property
     def moved(self) -> Clip:
+        """The result as a clip, as `clip`."""
         return self.clip
 
     @property
     def driving_clip(self) -> Clip | None:
+        """The driving clip; None where the result does not know it."""
         return self.driving
 
-    def save(self, path: str | Path, blendshapes: int | None = None, progress: Progress | None = None) -> Path:
+    @public(once_positional=("blendshapes", "progress"))
+    def save(self, path: str | Path, *, blendshapes: int | None = None, progress: Progress | None = None) -> Path:
         """Write the clip in the format of the suffix: a file, a movie, or without a suffix a folder of meshes.
 
         A .glb or .gltf has a morph target for each frame; `save_skinned` writes joints, as `mimesh animate` does. A
@@ -249,6 +315,17 @@ class ClipResult(_Playable):
             blendshapes: write a .glb or .gltf with this many morph targets instead of one a frame. The largest distance
                 of a vertex from its frame, over the mesh's size, is then in `report` ("blendshapes_deviation").
             progress: is called with the frames done and the frames in all.
+
+        Returns:
+            The path.
+
+        Raises:
+            InputError: a format that cannot contain a clip, or a path that cannot be written to.
+
+        Example:
+            >>> path = moving.save("walking.glb", blendshapes=3)
+            >>> moving.report["blendshapes_deviation"] < 0.1  # share of the size
+            True
         """
         from ..render.movie import write_clip
 
@@ -261,9 +338,11 @@ class ClipResult(_Playable):
             self.report["blendshapes_deviation"] = deviation
         return Path(path)
 
+    @public(once_positional=("names", "root_bone", "rest", "fps"))
     def save_skinned(
         self,
         path: str | Path,
+        *,
         names: str = "own",
         root_bone: bool = False,
         rest: str = "file",
@@ -276,6 +355,7 @@ class ClipResult(_Playable):
         .vrma has the motion of the humanoid bones of VRM alone.
 
         Args:
+            path: the file.
             names: names and hierarchy of the bones, as in "mixamo", "unreal", "vrm", "godot", "rigify"; "own"
                 keeps them. Bones of the identity's own rig are renamed where they are.
             root_bone: add a bone on the ground that carries the displacement over it; the hips keep the rest. The
@@ -283,8 +363,16 @@ class ClipResult(_Playable):
             rest: pose that the mesh is bound in: that of the identity's "file", "T" or "A"; own rigs have the file's.
             fps: frame rate of the file, sampled from this result's; None keeps it.
 
+        Returns:
+            The path.
+
         Raises:
             InputError: the model has no joints, or not those of a person; no such names, pose or rate.
+
+        Example:
+            >>> path = moving.save_skinned("walking.glb", names="mixamo")
+            >>> moving.report["skinned_deviation"] < 0.1  # share of the size
+            True
         """
         from ..bodies.engine_rig import Layout
         from .skinned import save_skinned

@@ -9,6 +9,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -42,7 +43,7 @@ from .corrections import NO_CORRECTIONS, Corrections, JointPositions
 from .matched_rigs import finds_joints, joint_finder
 from .orientation import normalised, reorient
 from .refine import Refinement
-from .report import accelerations, facing, facing_note, quality
+from .report import TransferReport, accelerations, facing, facing_note, quality
 from .result import Timer
 from .rigs import NO_RIGS, Axes, Rigs, face_tracks
 from .second_look import body_after_all
@@ -109,7 +110,7 @@ class MovedIdentity:
     """Joints, skinning weights and motion of the identity, if the method has joints."""
     own: OwnAnimation | None
     """The motion on the bones of the identity's own file, if it has a rig that is used."""
-    report: dict
+    report: TransferReport
     notes: tuple[str, ...]
     driving_joints: JointPositions | None = None
     """Joints of the driving in its first frame, in its axes, unit and position, if the method has joints."""
@@ -369,12 +370,12 @@ def play(
     notes += prepared.rigs.notes
     notes += () if own is not None else tuple(getattr(identity.source, "notes", ()))
     notes += missing_images_notes(missing_images(identity))
-    return MovedIdentity(moved, skeleton, own, report, notes, driving_joints)
+    return MovedIdentity(moved, skeleton, own, cast(TransferReport, report), notes, driving_joints)
 
 
 def surface_report(
     identity: Mesh, clip: Clip, moved: Float[np.ndarray, "T V 3"], norms: tuple[Normalization, Normalization]
-) -> dict:
+) -> dict[str, Any]:
     """Return the part of the report that all methods have."""
     return {
         **quality(identity, moved),

@@ -17,6 +17,7 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import ORIENTATIONS, ROTATIONS, Normalization
 from ..methods.base import Method
 from ..methods.deformation_transfer import DeformationTransfer
+from .report import ReferenceReport
 
 FRAMES = 240
 """Most frames, evenly spread over a clip, among which the reference is looked for."""
@@ -49,7 +50,7 @@ class ReferenceFrame:
         vertices = self.vertices @ identity.rotation.T / norm.radius
         return DeformationTransfer(dataclasses.replace(driving, vertices=vertices))
 
-    def facts(self) -> dict:
+    def facts(self) -> ReferenceReport:
         """Return the figures for the report."""
         return {"frame": self.frame, "distance": round(self.distance, 4)}
 

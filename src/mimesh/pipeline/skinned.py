@@ -14,6 +14,7 @@ from ..bodies.engine_names import SCHEMES
 from ..bodies.engine_rig import Layout, engine_rig
 from ..bodies.joint_names import finger_joints
 from ..core.animated_rig import CHECKED_FRAMES, AnimatedRig, RigAnimation
+from ..core.arguments import described, public
 from ..core.errors import InputError
 from ..core.rig import Rig, descendants
 from ..io import save_own_animations, save_rig_animations
@@ -30,10 +31,12 @@ SAME_JOINT = 1e-4
 """Largest distance, over the mesh's size, between joints or vertices of two results that count as the same."""
 
 
+@public(renamed={"names": "animations"}, once_positional=("animations", "layout"))
 def save_skinned(
     results: Sequence[ClipResult],
     path: str | Path,
-    names: Sequence[str] | None = None,
+    *,
+    animations: Sequence[str] | None = None,
     layout: Layout = AS_IT_IS,
 ) -> Path:
     """Write results of one identity as one .glb, .gltf or .vrma: its mesh at rest with joints, an animation for each.
@@ -49,19 +52,21 @@ def save_skinned(
         results: of `animate` with one identity and the same options of the identity. Fingers that only some of them
             move follow the hand in the others.
         path: the file to write.
-        names: names of the animations; by default those of the driving clips. Equal ones get a number.
+        animations: names of the animations; by default those of the driving clips. Equal ones get a number.
         layout: names and arrangement of the bones.
 
     Raises:
         InputError: a model without joints, several identities, results of which only some are on the identity's own
             rig, another format, or a path that cannot be written to.
+
+    Example:
+        >>> path = mimesh.save_skinned([moving, moving], "hero-moves.glb", animations=["walk", "again"])
     """
-    if not results:
-        raise InputError(f"{path}: expected results of animate to save, found none")
-    if names is not None and len(names) != len(results):
-        raise InputError(f"{path}: expected a name for each of {len(results)} results, found {len(names)}")
+    _check_results(results, path, animations)
+    if not isinstance(layout, Layout):
+        raise InputError(f'layout: expected a Layout, found {described(layout)}; give mimesh.Layout("unreal")')
     layout.check()
-    found = names or [(result.clip if result.driving is None else result.driving).mesh.name for result in results]
+    found = animations or [(result.clip if result.driving is None else result.driving).mesh.name for result in results]
     own = any(result.own is not None for result in results)
     if own:
         _check_same_rig(results, found)
@@ -81,25 +86,43 @@ def save_skinned(
             engine_rig(skeleton, layout.names, layout.root_bone, layout.rest, up=facing["up"], front=facing["front"])
             for skeleton in common
         ]
-        animations = [
+        motions = [
             RigAnimation(name, skeleton, result.fps).resampled(layout.fps)
             for name, skeleton, result in zip(distinct_names(found), moved, results, strict=True)
         ]
-        written = save_rig_animations(animations, path)
-    for k, (result, animation, thinned) in enumerate(zip(results, animations, written, strict=True)):
+        written = save_rig_animations(motions, path)
+    for k, (result, animation, thinned) in enumerate(zip(results, motions, written, strict=True)):
         # Frames at another rate have no counterpart: the thinned keys are then left out of the deviation.
         checked = thinned if layout.fps is None else moved[k]
-        result.report["skinned_deviation"] = checked.deviation(result.clip.vertices)
+        deviation = checked.deviation(result.clip.vertices)
+        result.report["skinned_deviation"] = deviation
         result.report["keys_deviation"] = thinned.motion_deviation(animation.skeleton)
-        result.report["deviation_cause"] = _deviation_cause(result, skeletons[k], common[k], layout)
+        result.report["deviation_cause"] = _deviation_cause(result, deviation, skeletons[k], common[k], layout)
     return Path(path)
 
 
-def _deviation_cause(result: ClipResult, skeleton: AnimatedRig, common: AnimatedRig, layout: Layout) -> str:
+def _check_results(results: Sequence[ClipResult], path: str | Path, names: Sequence[str] | None) -> None:
+    """Raise InputError for what are no results of `animate`, or not as many names."""
+    if not isinstance(results, Sequence) or isinstance(results, str):
+        raise InputError(f"results: expected a list of results of animate, found {described(results)}; give [result]")
+    if not results:
+        raise InputError(f"{path}: expected results of animate to save, found none")
+    for result in results:
+        if not hasattr(result, "clip"):
+            raise InputError(f"results: expected those of animate, found {described(result)}; give ClipResult objects")
+    if names is not None and (isinstance(names, str) or len(names) != len(results)):
+        found = described(names) if isinstance(names, str) else len(names)
+        raise InputError(f"{path}: expected a name for each of {len(results)} results, found {found}")
+
+
+def _deviation_cause(
+    result: ClipResult, deviation: float, skeleton: AnimatedRig, common: AnimatedRig, layout: Layout
+) -> str:
     """Tell which step adds most to the deviation of a skinned file from the frames of its result.
 
     Args:
-        result: with the deviation of the file in its report.
+        result: the result.
+        deviation: that of the file.
         skeleton: the rig of the result, with all weights.
         common: the same motion on the rig that all results share.
         layout: names and arrangement of the bones.
@@ -111,7 +134,7 @@ def _deviation_cause(result: ClipResult, skeleton: AnimatedRig, common: Animated
     after = [rig.deviation(result.clip.vertices) for rig in steps.values()] if len(steps) > 1 else []
     if layout.rest != "file":
         after = after or [skeleton.deviation(result.clip.vertices)]
-        steps["rest"], after = common, [*after, result.report["skinned_deviation"]]
+        steps["rest"], after = common, [*after, deviation]
     added = np.diff(after, prepend=0.0)
     return list(steps)[int(added.argmax())] if len(added) else "weights"
 
@@ -172,12 +195,15 @@ def _save_on_own_rig(results: Sequence[ClipResult], path: Path, names: Sequence[
     with results[0].seconds.step("write"):
         written = save_own_animations(animations, path)
     for result, animation, played in zip(results, animations, written, strict=True):
-        result.report.update(_own_deviations(result, animation, played))
+        deviations = _own_deviations(result, animation, played)
+        result.report["skinned_deviation"], result.report["keys_deviation"] = deviations
     return path
 
 
-def _own_deviations(result: ClipResult, animation: OwnAnimation, played: PlayedAnimation) -> dict[str, float]:
+def _own_deviations(result: ClipResult, animation: OwnAnimation, played: PlayedAnimation) -> tuple[float, float]:
     """Measure the largest distances of a vertex, over the mesh's size, between a written animation and its result.
+
+    The first is that from the result, the second the part that thinned keys cause.
 
     Only CHECKED_FRAMES frames are compared. Frames at another rate have no counterpart in the result: the keys are then
     left out of the deviation from it.
@@ -197,7 +223,7 @@ def _own_deviations(result: ClipResult, animation: OwnAnimation, played: PlayedA
         chosen = np.unique(np.linspace(0, len(result.clip) - 1, CHECKED_FRAMES).round().astype(int))
         for t, sampled in zip(chosen, result.own.vertices(chosen), strict=True):
             skinned = max(skinned, np.linalg.norm(sampled - result.clip.vertices[t], axis=1).max())
-    return {"skinned_deviation": float(skinned / size), "keys_deviation": float(keys / size)}
+    return float(skinned / size), float(keys / size)
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:

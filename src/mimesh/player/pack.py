@@ -124,12 +124,12 @@ def _pack_panel(
     placement: dict[str, Any],
     surface: int,
 ) -> dict[str, Any]:
-    """Pack one panel; `clip` has the remaining frames, and `index` the vertex in them of each vertex of the mesh."""
+    """Pack one panel; `clip` has the frames and vertices that are left, `index` one of these for each of the mesh."""
     return {
         "role": panel.role,
-        "name": panel.name or clip.mesh.name,
-        "vertices": len(clip.mesh.vertices),
-        "triangles": len(clip.mesh.faces),
+        "name": panel.name or panel.clip.mesh.name,
+        "vertices": len(panel.clip.mesh.vertices),
+        "triangles": len(panel.clip.mesh.faces),
         "frames": len(clip),
         "fps": clip.fps,
         "surface": surface,

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from ..core.frame_buffer import each_frame, store_frames
 from ..core.geometry import distinct_rows, weld
 from ..core.mesh import Clip, Mesh, Part
+from ..core.surface_clusters import clusters
 from .encoding import Quantization, estimate_size, fit_quantization
 
 DENSE_VERTICES = 20_000
@@ -19,6 +20,8 @@ COMPARED_FRAMES = 3
 """Frames in which vertices must be equal to be compared in all others."""
 MAX_STEP_RATIO = 8
 """Factor by which the frame step may grow between two estimates of the size, which are coarse."""
+DECIMATED = 5
+"""Largest ratio of vertices before and after decimation is about twice this; see `subset`."""
 CHARACTERS = 5
 """Characters of a vertex in a frame, a first estimate of the encoded size."""
 
@@ -59,7 +62,8 @@ def merge_equal_vertices(clip: Clip) -> tuple[Clip, Int[np.ndarray, " V"] | None
     """Keep one of the vertices that are at one position in every frame, as files have them at seams.
 
     Returns:
-        The clip with fewer vertices, and for each vertex of the mesh its index among them; None where all are kept.
+        The clip with fewer vertices and no faces, and for each vertex of the mesh its index among them; None where all
+        are kept.
     """
     chosen = np.unique(np.linspace(0, len(clip) - 1, COMPARED_FRAMES).round().astype(int))
     first, index = distinct_rows([column for t in chosen for column in clip.vertices[t].T])
@@ -76,7 +80,8 @@ def merge_equal_vertices(clip: Clip) -> tuple[Clip, Int[np.ndarray, " V"] | None
     frames = (points[kept[order]] for points in each_frame(clip.vertices))
     dtype = clip.vertices.dtype
     vertices = store_frames(frames, len(clip), len(kept), dtype.type)
-    return dataclasses.replace(clip, vertices=vertices), place[index]
+    points = Mesh(clip.mesh.vertices[kept[order]], name=clip.mesh.name)
+    return dataclasses.replace(clip, mesh=points, vertices=vertices), place[index]
 
 
 def too_dense(clip: Clip, budget: int, count: int = DENSE_VERTICES) -> bool:
@@ -128,13 +133,18 @@ def subset(
     """Choose about `count` vertices of a surface, sorted, and faces between them; of a point cloud every n-th point.
 
     The surface is decimated, welded at its seams so that none opens. Decimation moves vertices, so each is replaced by
-    the nearest vertex there was, whose positions are known in all frames.
+    the nearest vertex there was, whose positions are known in all frames. It takes more than linear time, so surfaces
+    of more than DECIMATED times the number are reduced by clusters first.
     """
     import fast_simplification
     from scipy.spatial import KDTree
 
     if len(faces) == 0:
         return np.unique(np.linspace(0, len(points) - 1, count).round().astype(int)), np.zeros((0, 3), np.int64)
+    kept = np.arange(len(points))
+    if len(points) > 2 * DECIMATED * count:
+        found = clusters(points, faces, DECIMATED * count)
+        kept, faces, points = found.vertices, found.faces, points[found.vertices]
     welded, index = weld(points)
     first = np.full(len(welded), len(points))
     np.minimum.at(first, index, np.arange(len(points)))
@@ -143,7 +153,7 @@ def subset(
     chosen, new_index = np.unique(nearest, return_inverse=True)
     corners = new_index[np.asarray(decimated[1], np.int64)]
     distinct = (corners != np.roll(corners, 1, axis=1)).all(axis=1)  # not collapsed to an edge or a point
-    return chosen, corners[distinct]
+    return kept[chosen], corners[distinct]
 
 
 def _chosen_vertices(clip: Clip, chosen: Int[np.ndarray, " C"]) -> Float[np.ndarray, "T C 3"]:

@@ -51,7 +51,7 @@ def write_clip(
         InputError: a format without clips or without blend shapes, or a path that cannot be written to.
     """
     if path.suffix.lower() not in MOVIES or blendshapes is not None:
-        error = save_clip(clip, path, frames_as, progress, blendshapes)
+        error = save_clip(clip, path, suffix=frames_as, progress=progress, blendshapes=blendshapes)
         return None if error is None else error / float(np.ptp(clip.vertices[0], axis=0).max())
     normalization = Normalization.fit(clip.mesh)
     pictures = clip_frames(clip, MOVIE_SIZE, track=True, up=normalization.up, front=normalization.front)

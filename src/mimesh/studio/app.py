@@ -21,10 +21,12 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
+from ..bodies.engine_rig import Layout
 from ..core.errors import InputError
 from ..io.joint_file import SUFFIX
 from .jobs import Cancelled, error_line
 from .joints import describe_file
+from .options import parse_rate
 from .session import Session
 from .state import describe, scene
 from .uploads import TooLarge, Upload, clip_name, find_clip, find_meshes
@@ -236,7 +238,9 @@ class Routes:
         if not isinstance(numbers, list) or not all(isinstance(number, int) for number in numbers):
             raise InputError("meshes: expected numbers of meshes, found something else; reload the page")
         suffix, skinned = str(body.get("suffix", ".glb")), body.get("skinned") is True
-        return JSONResponse({"export": self._session.export(suffix, numbers, skinned, shapes)})
+        names, rest = (str(body.get(key, default)) for key, default in (("names", "own"), ("rest", "file")))
+        layout = Layout(names, body.get("root_bone") is True, rest, parse_rate(body.get("fps")))
+        return JSONResponse({"export": self._session.export(suffix, numbers, skinned, shapes, layout)})
 
     async def download_export(self, request: Request) -> Response:
         export = self._session.exports.get(request.path_params["number"])

@@ -7,14 +7,17 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..core.errors import InputError
+from ..bodies.engine_rig import Layout
+from ..core.errors import InputError, command_line_words
 from ..core.frame_buffer import Progress
-from ..io import save_mesh
+from ..io import check_writable, save_mesh
 from ..io.atomic import whole_file
-from ..io.formats import CLIP_WRITERS, FRAME_SUFFIXES, MESH_WRITERS
+from ..io.formats import CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS
 from ..pipeline.result import ClipResult
+from ..pipeline.skinned import AS_IT_IS, save_skinned
+from ..pipeline.vrma import check_bones_layout
 from ..render.movie import MOVIES
-from ..tools.convert import blend_note, not_kept, part, rate_note
+from ..tools.convert import BONES_ONLY, blend_note, not_kept, part, rate_note, resampled_note, skinned_note
 from .uploads import safe_name
 
 MAX_EXPORTS = 12
@@ -24,8 +27,11 @@ FRAMES = tuple(f"frames{suffix}" for suffix in FRAME_SUFFIXES)
 NEEDS = {suffix: ("pxr", "usd") for suffix in (".usd", ".usda", ".usdc", ".usdz")}
 NEEDS |= {".abc": ("alembic3d", "alembic"), ".mp4": ("av", "video")}
 """Module that a format needs, and the extra of mimesh that installs it."""
+SHAPED = (".glb", ".gltf")
+"""Formats to which a number of blend shapes can be given."""
 FORMAT_NAMES = {
     ".abc": "Alembic",
+    ".fbx": "FBX",
     ".gif": "GIF, a movie",
     ".glb": "GLB",
     ".gltf": "glTF",
@@ -42,6 +48,7 @@ FORMAT_NAMES = {
     ".usda": "USD as text",
     ".usdc": "USD, binary",
     ".usdz": "USDZ",
+    ".vrma": "VRM animation, no mesh",
     ".webp": "WebP, a movie",
     "frames.obj": "OBJ frames",
     "frames.ply": "PLY frames",
@@ -59,6 +66,8 @@ class Export:
     skinned: bool
     blendshapes: int | None
     """Number of morph targets; None for one per frame."""
+    layout: Layout
+    """Names and arrangement of the bones."""
     folder: Path
     """Where it is written; deleted with the export."""
     path: Path | None = None
@@ -70,11 +79,10 @@ class Export:
 
 
 def formats(moving: bool) -> list[dict[str, str | bool]]:
-    """List the formats for clips (`moving`) or poses; `needs` is the command that installs a missing library, or ""."""
-    first = (".glb",) if moving else (".glb", ".obj")
+    """List the formats for clips (`moving`) or poses; `needs` names what has to be installed for one, or is ""."""
+    first = (".glb", ".fbx", BONES_ONLY) if moving else (".glb", ".obj")
     known = (*CLIP_WRITERS, *FRAMES, *MOVIES) if moving else tuple(MESH_WRITERS)
-    # FBX needs Blender, which takes seconds for each file: the command line writes it.
-    return [_format(suffix) for suffix in dict.fromkeys((*first, *known)) if suffix != ".fbx"]
+    return [_format(suffix) for suffix in dict.fromkeys((*first, *known))]
 
 
 def write(export: Export, results: list[tuple[str, str, ClipResult]], progress: Progress) -> Path:
@@ -88,7 +96,9 @@ def write(export: Export, results: list[tuple[str, str, ClipResult]], progress: 
     files_folder, notes, used = export.folder / "files", [], set()
     for k, (mesh, driving, result) in enumerate(results):
         stem = _unused(safe_name(f"{Path(mesh).stem}-{driving}"), used)
-        notes += _write_one(export, result, files_folder, stem, part(progress, k, len(results)) or progress)
+        report = part(progress, k, len(results)) or progress
+        with command_line_words():  # options are replaced by fields of the page, see `operations.for_page`
+            notes += _write_one(export, result, driving, files_folder / stem, report)
     export.notes = tuple(dict.fromkeys(notes))
     files = sorted(path for path in files_folder.rglob("*") if path.is_file())
     if len(files) == 1:
@@ -97,22 +107,29 @@ def write(export: Export, results: list[tuple[str, str, ClipResult]], progress: 
     return _zip(files, files_folder, export.folder / f"{stem}.zip")
 
 
-def _write_one(export: Export, result: ClipResult, folder: Path, stem: str, progress: Progress) -> list[str]:
-    """Write one result and return notes on what the format leaves out."""
-    path = folder / (stem if export.suffix in FRAMES else f"{stem}{export.suffix}")
-    if len(result.clip) == 1 and not export.skinned:
+def _write_one(export: Export, result: ClipResult, driving: str, target: Path, progress: Progress) -> list[str]:
+    """Write one result and return notes on what the format leaves out.
+
+    Args:
+        driving: name of the driving clip, which an animation of bones gets.
+        target: the file without its suffix, or the folder of frames.
+    """
+    path = target if export.suffix in FRAMES else target.with_name(f"{target.name}{export.suffix}")
+    jointed = export.skinned or export.suffix == BONES_ONLY
+    if len(result.clip) == 1 and not jointed:
         save_mesh(result.clip.mesh, path)
         return list(not_kept(result.clip.mesh, path))
     if export.suffix in FRAMES:
         from ..io import save_clip
 
-        save_clip(result.clip, path, export.suffix.removeprefix("frames"), progress)
-    elif export.skinned:
-        result.save_skinned(path)
+        save_clip(result.clip, path, suffix=export.suffix.removeprefix("frames"), progress=progress)
+    elif jointed:
+        save_skinned([result], path, animations=[driving], layout=export.layout)
     else:
-        result.save(path, export.blendshapes, progress)
+        result.save(path, blendshapes=export.blendshapes, progress=progress)
     blend_notes = blend_note(result.report.get("blendshapes_deviation")) if export.blendshapes else ()
-    return [*not_kept(result.clip.mesh, path), *rate_note(result.fps, path), *blend_notes]
+    joint_notes = (*skinned_note(result.report), *resampled_note(result.clip, export.layout.fps)) if jointed else ()
+    return [*not_kept(result.clip.mesh, path), *rate_note(result.fps, path), *blend_notes, *joint_notes]
 
 
 def _check(export: Export, results: list[tuple[str, str, ClipResult]]) -> None:
@@ -122,14 +139,40 @@ def _check(export: Export, results: list[tuple[str, str, ClipResult]]) -> None:
     suffixes = [entry["suffix"] for entry in formats(moving)]
     if export.suffix not in suffixes:
         raise InputError(f"format: expected one of {' '.join(map(str, suffixes))}, found {export.suffix!r}; choose one")
-    if (export.skinned or export.blendshapes) and export.suffix not in (".glb", ".gltf"):
-        raise InputError(f"{export.suffix}: expected .glb or .gltf for joints and blend shapes, found this; choose one")
+    layout, file = export.layout, Path(f"{results[0][0]}{export.suffix}")
+    layout.check()
+    if export.suffix == BONES_ONLY:
+        check_bones_layout(layout, file)
+    elif (export.skinned or layout != AS_IT_IS) and export.suffix not in JOINTED:
+        raise InputError(f"{export.suffix}: expected .glb, .gltf or .fbx for bones, found this; choose one")
+    elif layout != AS_IT_IS and not export.skinned:
+        raise InputError("bone names, root bone, rest pose, frame rate: expected with bones, found without; add bones")
+    if export.blendshapes and export.suffix not in SHAPED:
+        raise InputError(f"{export.suffix}: expected .glb or .gltf for blend shapes, found this; choose one")
 
 
 def _format(suffix: str) -> dict[str, str | bool]:
+    """Describe a format: whether it has bones, always (`bones`) or by choice, and takes a number of blend shapes."""
+    return {
+        "suffix": suffix,
+        "words": FORMAT_NAMES[suffix],
+        "needs": _lacking(suffix),
+        "joints": suffix in JOINTED,
+        "bones": suffix == BONES_ONLY,
+        "shapes": suffix in SHAPED,
+    }
+
+
+def _lacking(suffix: str) -> str:
+    """Name what has to be installed before a format can be written; "" if nothing is missing."""
     module, extra = NEEDS.get(suffix, ("", ""))
-    needs = f"pip install 'mimesh[{extra}]'" if module and find_spec(module) is None else ""
-    return {"suffix": suffix, "words": FORMAT_NAMES[suffix], "needs": needs, "joints": suffix in (".glb", ".gltf")}
+    if module and find_spec(module) is None:
+        return f"pip install 'mimesh[{extra}]'"
+    try:
+        check_writable(Path(f"clip{suffix}"))
+    except InputError:
+        return "Blender"
+    return ""
 
 
 def _unused(stem: str, used: set[str]) -> str:

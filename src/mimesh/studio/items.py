@@ -109,7 +109,7 @@ def finished_result(item: Item) -> ClipResult:
 def preparation_inputs(item: Item, driving: Item, options: Options) -> tuple:
     """Return everything that preparing a mesh and the driving clip for a model depends on."""
     corrections = tuple(_corrections_key(entry) for entry in (item, driving))
-    chosen = options.model, options.body
+    chosen = options.model, options.body, options.rig
     return (driving.number, item.read, driving.read, *chosen, *item.axes, *driving.axes, *corrections)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from jaxtyping import Float
 from ..bodies import load_body
 from ..bodies.animals import ANIMALS, animal
 from ..bodies.characters import character
+from ..core.errors import command_line_words
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -49,11 +51,16 @@ __all__ = [
 OPTION_WORDS = {
     "--body human or quadruped": "choose the body",
     "-m deformation-transfer": "the command mimesh animate -m deformation-transfer",
-    "--rig mimesh": "the command mimesh animate --rig mimesh",
+    "-m mime": "the model mime",
+    "--rig mimesh --body human": "“Bones: found on the surface” with the body “a person”",
+    "--rig mimesh --body quadruped": "“Bones: found on the surface” with the body “a four-legged animal”",
+    "--rig mimesh": "“Bones: found on the surface”",
+    "--names, --root-bone, --rest: ": "bone names, root bone and rest pose: ",
+    "--names, --root-bone: ": "bone names and root bone: ",
+    "--rest: expected `--rest file`": "rest pose: expected that of the file",
+    "--morphs writes": "an export without bones has",
     "--driving-front tells": "choose its front",
     "--front tells": "choose its front",
-    "--smooth: ": "smoothing: ",
-    "--root: ": "root motion: ",
     "give --driving-up": "choose as up",
     "give --up": "choose as up",
     "give --driving-front": "choose its front",
@@ -62,9 +69,31 @@ OPTION_WORDS = {
     "--body chooses": "choose the body",
     "give one with --fps": "give a frame rate",
     "give another with --fps": "give another frame rate",
+    "with --fps": "with a frame rate of",
     "name another with -o": "choose another format",
 }
 """Replacements in messages: options of the command line by fields of the page."""
+OPTION_FIELDS = {
+    "names": "bone names",
+    "rest": "rest pose",
+    "root-bone": "root bone",
+    "skinned": "bones",
+    "rig": "bones",
+    "smooth": "smoothing",
+    "root": "root motion",
+    "body": "body",
+    "blendshapes": "blend shapes",
+    "animation": "animation",
+    "fps": "frame rate",
+    "up": "up",
+    "front": "front",
+    "driving-up": "up of the driving",
+    "driving-front": "front of the driving",
+    "joints": "corrected joints",
+    "driving-joints": "corrected joints of the driving",
+}
+"""Options of the command line that have a field on the page, where no replacement of OPTION_WORDS fits."""
+OPTION = re.compile(rf"(?<![\w-])--({'|'.join(OPTION_FIELDS)})(?![\w-])")
 
 
 def read_mesh(path: Path, folder: Path | None) -> Mesh:
@@ -76,7 +105,7 @@ def read_mesh(path: Path, folder: Path | None) -> Mesh:
 def read_clip(path: Path, folder: Path | None, name: str, fps: float | None, animation: str | None) -> Clip:
     """Read a driving clip, as `read_mesh`; a mesh is a clip of one frame, and a folder gets the name `name`."""
     with _within(folder):
-        clip = load_clip(path, fps, animation)
+        clip = load_clip(path, fps=fps, animation=animation)
     return dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=name)) if path.is_dir() else clip
 
 
@@ -129,17 +158,29 @@ def compute_result(
     moved = play_move(prepared, seconds, options.motion(method), progress, dtype)
     first: Float[np.ndarray, "V 3"] = moved.vertices[0].astype(np.float64)
     result_clip = Clip(identity.with_vertices(first), moved.vertices, clip.fps)
-    return ClipResult(result_clip, method.name, seconds, moved.report, moved.notes, moved.skeleton, own=moved.own)
+    return ClipResult(
+        result_clip,
+        method.name,
+        seconds,
+        moved.report,
+        moved.notes,
+        moved.skeleton,
+        identity=identity,
+        driving=clip,
+        own=moved.own,
+    )
 
 
-def _within(folder: Path | None) -> contextlib.AbstractContextManager[None]:
-    """Confine file references to a folder; None for no limit."""
-    return contextlib.nullcontext() if folder is None else confined(folder)
+@contextlib.contextmanager
+def _within(folder: Path | None) -> Iterator[None]:
+    """Confine file references to a folder, None for no limit; messages name options, which `for_page` replaces."""
+    with command_line_words(), contextlib.nullcontext() if folder is None else confined(folder):
+        yield
 
 
 def for_page(text: str, folder: Path) -> str:
     """Adapt a message to the page: files by the names they were given, fields instead of command-line options."""
-    text = re.sub(rf"{re.escape(str(folder))}[/\\](uploads|exports)[/\\]\d+[/\\]?", "", text)
+    text = re.sub(rf"{re.escape(str(folder))}[/\\](uploads|exports)[/\\]\d+[/\\]?(files[/\\])?", "", text)
     for option, page_field in OPTION_WORDS.items():
         text = text.replace(option, page_field)
-    return text
+    return OPTION.sub(lambda found: OPTION_FIELDS[found[1]], text)

@@ -11,6 +11,7 @@ from ..core.errors import InputError
 from ..methods.base import BodyMethod, Method, SkinnedMethod
 from ..methods.find import takes_rigs
 from ..pipeline.body_choice import BODIES
+from ..pipeline.rigs import RIGS
 from ..pipeline.run import ROOTS, MotionOptions
 
 
@@ -24,6 +25,7 @@ class Options:
     smooth: float = 0.0
     refine: bool | None = None
     body: str = "auto"
+    rig: str = "own"
 
     def changed(self, changes: dict[str, Any], models: tuple[str, ...]) -> Options:
         """Return the options with some values changed.
@@ -40,6 +42,7 @@ class Options:
         _check_choice(values, "ground", (True, False))
         _check_choice(values, "refine", (None, True, False))
         _check_choice(values, "body", BODIES)
+        _check_choice(values, "rig", RIGS)
         smooth = values["smooth"]
         if isinstance(smooth, bool) or not isinstance(smooth, int | float) or not 0 <= smooth <= 10:
             raise InputError(f"smooth: expected seconds, 0 to 10, found {smooth!r}; try 0.05")
@@ -56,7 +59,7 @@ class Options:
 
         Only methods with joints have root, ground, smooth and the rigs of files, only those of several bodies a body.
         """
-        rig = "own" if takes_rigs(self.model) else "mimesh"
+        rig = self.rig if takes_rigs(self.model) else "mimesh"
         body = self.body if isinstance(method, BodyMethod) and len(method.bodies) > 1 else "auto"
         if not isinstance(method, SkinnedMethod):
             return MotionOptions(rig=rig, body=body)

@@ -18,12 +18,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ..bodies.engine_rig import Layout
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import parse_axis
 from ..pipeline.move import PreparedMove
 from ..pipeline.result import ClipResult
+from ..pipeline.skinned import AS_IT_IS
 from . import operations
 from .exports import MAX_EXPORTS, Export, write
 from .items import Item, Outcome, Preparation, finished_result, preparation_inputs
@@ -210,10 +212,19 @@ class Session:
 
         return self.worker.submit(("joints", number), work, urgent=True)
 
-    def export(self, suffix: str, numbers: list[int], skinned: bool, blendshapes: int | None) -> int:
-        """Start to write results in a format, several into one archive; returns the number of the export."""
+    def export(
+        self, suffix: str, numbers: list[int], skinned: bool, blendshapes: int | None, layout: Layout = AS_IT_IS
+    ) -> int:
+        """Start to write results in a format, several into one archive; returns the number of the export.
+
+        Args:
+            numbers: of the meshes; all if empty.
+            skinned: with joints.
+            blendshapes: number of morph targets; None for one per frame.
+            layout: names and arrangement of the bones.
+        """
         items = [self.item(number) for number in numbers or self.identities]
-        export = Export(self.next_number(), suffix, skinned, blendshapes, self.uploads.new_export())
+        export = Export(self.next_number(), suffix, skinned, blendshapes, layout, self.uploads.new_export())
         driving_name = Path(self.driving.name).stem if self.driving else ""
 
         def work(progress: Progress) -> Path:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, get_args
 
 from ..bodies.animals import ANIMALS
 from ..bodies.characters import CHARACTERS
+from ..bodies.engine_names import SCHEMES, RestPose
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import AXES, UNSURE
 from ..methods.find import MODELS, REDUCED_MODELS
@@ -47,7 +48,9 @@ def describe(session: Session) -> dict[str, Any]:
         "animals": tuple(ANIMALS),
         "formats": formats(frames != 1),
         "moving": frames != 1,
-        "exports": [_describe_export(export) for export in list(session.exports.values())],
+        "bone_names": {name: scheme.program for name, scheme in SCHEMES.items()},
+        "rests": get_args(RestPose),
+        "exports": [_describe_export(session, export) for export in list(session.exports.values())],
         "limit": session.uploads.limit,
         "scene": scene_key(session),
     }
@@ -175,7 +178,7 @@ def _describe_outcome(session: Session, item: Item) -> dict[str, Any] | None:
         "seconds": 0.0 if result is None else sum(result.seconds.values()),
         "model": "" if result is None else result.model,
         **({"body": "", "confidence": None} if result is None else _what_was_moved(result)),
-        "joints": result is not None and result.skeleton is not None,
+        "joints": result is not None and (result.skeleton is not None or result.own is not None),
     }
 
 
@@ -187,7 +190,7 @@ def _what_was_moved(result: ClipResult) -> dict[str, Any]:
     return {"body": body, "confidence": None if match is None else match.get("confidence")}
 
 
-def _describe_export(export: Export) -> dict[str, Any]:
+def _describe_export(session: Session, export: Export) -> dict[str, Any]:
     return {
         "number": export.number,
         "suffix": export.suffix,
@@ -196,5 +199,5 @@ def _describe_export(export: Export) -> dict[str, Any]:
         "state": "failed" if export.error else "ready" if export.path else "writing",
         "done": export.progress,
         "error": export.error,
-        "notes": export.notes,
+        "notes": [operations.for_page(note, session.uploads.folder) for note in export.notes],
     }

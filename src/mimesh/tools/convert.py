@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
 from ..io.timing import DEFAULT_FPS
 from ..motions.on_body import is_motion_file
+from ..pipeline.first_frame import LONE_FRAMES, first_frame_note
 from ..render.movie import MOVIES, write_clip
 from .driving_clips import ALL, DrivingClip
 
@@ -46,15 +47,6 @@ DEVIATION_CAUSES = {
     "weights": ": files of joints have four weights a vertex",
 }
 """What a note says about the `deviation_cause` of a report."""
-LONE_FRAMES = 12
-"""First frames of a clip that are compared to tell whether frame 0 belongs to the motion."""
-LONE_VERTICES = 200
-"""Vertices, evenly spread over their indices, by which they are compared."""
-LONE_STEP = 0.05
-"""Mean distance of a vertex from frame 0 to frame 1, over the size, from which on frame 0 may be a pose of its own. In
-two captures of CMU, which begin with a T-pose, it was 0.17 and 0.25, and at most 0.003 between the frames after it."""
-LONE_RATIO = 10.0
-"""That distance over the largest one between two later frames; in 17 animations of a game character at most 3."""
 POINT_ATTRIBUTES = ("materials", "texture coordinates", "normals", "vertex colours")
 LACKS = {suffix: POINT_ATTRIBUTES for suffix in (".npz", ".off", ".stl")}
 LACKS |= {".ply": ("materials", "texture coordinates", "normals")}
@@ -166,9 +158,9 @@ def read_clip(
         InputError: a file cannot be read, or no frame is left.
     """
     if body_model is None:
-        clip = load_clip(path, fps, animation, progress, frames)
+        clip = load_clip(path, fps=fps, animation=animation, progress=progress, frames=frames)
         return clip, clip.notes
-    clip, notes = load_recorded_clip(path, body_model, fps, animation, progress)
+    clip, notes = load_recorded_clip(path, body_model, fps=fps, animation=animation, progress=progress)
     return cut_clip(clip, frames.start or 0, frames.stop, 1 if frames.step is None else frames.step), notes
 
 
@@ -197,8 +189,8 @@ def read_driving(
     notes += taken_rate_note(clip, path) if fps is None else ()
     if frames.start == 0:
         # The capture is kept in memory: its first frames are posed, and nothing is read again.
-        first = load_clip(path, fps, frames=slice(0, LONE_FRAMES)) if early else clip
-        notes += first_frame_note(first, 0, path)
+        first = load_clip(path, fps=fps, frames=slice(0, LONE_FRAMES)) if early else clip
+        notes += first_frame_note(first, 0, path.name)
     check_cut(clip.mesh.name, len(clip), slice(None) if early else frames)
     return (clip if early or whole else cut_clip(clip, frames.start, frames.stop, frames.step)), notes
 
@@ -227,7 +219,7 @@ def blend_note(deviation: float | None) -> tuple[str, ...]:
     return (f"with these blend shapes no vertex is farther than {deviation:.2g} of the mesh's size from its frame",)
 
 
-def skinned_note(report: dict[str, Any]) -> tuple[str, ...]:
+def skinned_note(report: Mapping[str, Any]) -> tuple[str, ...]:
     """Return notes on how far the vertices of a skinned file are from those that all weights and joints would give."""
     limited, written = (report.get(f"{key}_deviation") or 0.0 for key in ("influence", "skinned"))
     notes = ()
@@ -289,25 +281,6 @@ def taken_rate_note(clip: Clip, path: Path) -> tuple[str, ...]:
     if len(clip) == 1 or not (path.is_dir() or path.suffix.lower() in RATELESS):
         return ()
     return (f"{path.name} has no frame rate: {clip.fps:g} frames a second are taken; --fps gives another",)
-
-
-def first_frame_note(clip: Clip, start: int, path: Path) -> tuple[str, ...]:
-    """Return a note on a first frame far from all others, as the T-pose before many captured motions.
-
-    Args:
-        clip: the whole clip.
-        start: first frame that is taken.
-        path: that of its file.
-    """
-    if start > 0 or len(clip) < LONE_FRAMES:
-        return ()
-    every = max(1, len(clip.mesh.vertices) // LONE_VERTICES)
-    frames = np.asarray(clip.vertices[:LONE_FRAMES, ::every], np.float64)
-    steps = np.linalg.norm(np.diff(frames - frames.mean(axis=1, keepdims=True), axis=0), axis=-1).mean(axis=1)
-    size = np.ptp(frames[0], axis=0).max()
-    if steps[0] < LONE_STEP * size or steps[0] < LONE_RATIO * steps[1:].max():
-        return ()
-    return (f"{path.name}: frame 0 differs from the others (a calibration pose?): --start 1 leaves it out",)
 
 
 def resampled_note(clip: Clip, output_fps: float | None) -> tuple[str, ...]:

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.mesh import Clip, Mesh
 from ..core.printable import plain
+from ..core.surface_clusters import clustered_mesh
 from ..io.atomic import whole_file, writing
+from ..pipeline.report import MeshReport
 from ..pipeline.result import ClipResult, Result
 from ..player.pack import MotionLimits
 from ..render.movie import clip_frames
@@ -23,6 +25,8 @@ MOTION = MotionLimits(frames=250, characters=4 * 2**20, vertices=50_000, driving
 """Of a page beside a result: seconds to write, and 5 MB with the script, a small .glb and no textures."""
 TILE = (360, 440)
 """Width and height of one picture in pixels."""
+DRAWN = 300_000
+"""Vertices to which larger meshes are reduced before they are drawn: a picture has 158,400 pixels."""
 
 
 def write_preview(
@@ -51,7 +55,7 @@ def names_beside(output: Path, clip: str | None = None, usual: str = ".glb") -> 
 
 def result_picture(result: Result | ClipResult) -> Image.Image:
     """Draw identity, driving and result side by side; of a clip, driving and result as two strips."""
-    identity_axes, driving_axes = _axes(result.report, "identity"), _axes(result.report, "driving")
+    identity_axes, driving_axes = _axes(result.report["identity"]), _axes(result.report["driving"])
     if isinstance(result, ClipResult):
         assert result.driving is not None
         clips = ((result.driving, driving_axes, DRIVING_TINT), (result.clip, identity_axes, None))
@@ -75,8 +79,9 @@ def save_picture(image: Image.Image, path: Path) -> Path:
 
 def still(mesh: Mesh, label: str, *, tint=None, up: str = "y", front: str | None = None) -> Image.Image:
     """Draw a captioned picture of a mesh, in its own colours or in those of a tint."""
+    mesh = clustered_mesh(mesh, DRAWN) if len(mesh.vertices) > 2 * DRAWN and len(mesh.faces) else mesh
     return next(clip_frames([(label, Clip.still(mesh))], TILE, tints=[tint], up=up, front=front))
 
 
-def _axes(report: dict[str, Any], which: str) -> dict[str, Any]:
-    return {"up": report[which]["up"], "front": report[which]["front"]}
+def _axes(mesh: MeshReport) -> dict[str, Any]:
+    return {"up": mesh["up"], "front": mesh["front"]}

@@ -77,5 +77,5 @@ def test_blend_shapes_of_still_clips_and_other_formats_are_refused(tmp_path):
         fit_blend_shapes(clip_of(2), 0)
     with pytest.raises(InputError, match="expected a clip that moves"):
         fit_blend_shapes(Clip(still.mesh, np.repeat(still.vertices, 3, axis=0)), 2)
-    with pytest.raises(InputError, match=r"expected \.glb or \.gltf for --blendshapes, found '\.npz'"):
+    with pytest.raises(InputError, match=r"expected \.glb or \.gltf for blendshapes, found '\.npz'"):
         save_clip(clip_of(2), tmp_path / "a.npz", blendshapes=2)

@@ -95,6 +95,7 @@ JSON_CHANGES: dict[str, tuple[JsonChange, str]] = {
         r"with triangles, found none \(2 meshes, 1 animations\)",
     ),
     "base64": (lambda g: g["images"][1].update(uri="data:image/png;base64,%%%"), "base64 data"),
+    "not ASCII": (lambda g: g["images"][1].update(uri="data:image/png;base64,\u00e4"), "base64 data"),
     "lost buffer": (lambda g: g["buffers"][0].update(uri="lost.bin"), "the data of buffer 0, found no file 'lost.bin'"),
     "short buffer": (lambda g: g["buffers"][0].update(byteLength=10**6), "1000000 bytes in buffer 0"),
     "no data": (lambda g: g["buffers"].append({"byteLength": 4}), "the data of buffer 1, found no file 'inside'"),

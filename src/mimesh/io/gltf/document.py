@@ -117,7 +117,8 @@ def read_floats(document: Document, index: int) -> Float[np.ndarray, "N C"]:
     """Return the values of an accessor in float64; normalized integers are scaled to -1..1 or 0..1."""
     values = read_accessor(document, index)
     if not document.gltf["accessors"][index].get("normalized") or values.dtype.kind == "f":
-        return values.astype(np.float64)
+        with np.errstate(invalid="ignore"):  # of signalling NaN in damaged files; what must be finite is checked later
+            return values.astype(np.float64)
     # 3.11 Animations, equations for normalized integers: f = max(c / 127.0, -1.0) and likewise for other widths.
     return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
 

@@ -6,7 +6,6 @@ A mapped file takes only the memory of the pages that are being read.
 from __future__ import annotations
 
 import base64
-import binascii
 import mmap
 import re
 import tempfile
@@ -56,7 +55,7 @@ class MappedFiles:
         if uri.startswith("data:"):
             try:
                 return base64.b64decode(uri.partition(",")[2], validate=True)
-            except binascii.Error as error:
+            except ValueError as error:  # binascii.Error, or characters that are not ASCII
                 raise InputError(
                     f"{path}: expected base64 data in a data: URI, found {error}; export it again"
                 ) from error

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
-from .. import load_mesh
+from ..load import load_mesh
 from .edit import GltfSource
 from .skin import rig_on_nodes, skin_joints
 

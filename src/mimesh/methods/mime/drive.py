@@ -36,6 +36,7 @@ from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
 from .body_weights import corrected_weights
 from .consensus import CONTRADICTION, agreeing, consensus
 from .denoise import Denoiser, face_outward
+from .dense_weights import DENSE, CoarseSurface
 from .hands import FoundFingers, HandFinder, WeightedMesh, follow_fingers, with_fingers
 from .joint_network import JointNetwork, NetworkPoints
 from .joint_targets import JointTargets
@@ -311,6 +312,9 @@ class MimeMethod:
         ranked = canonical_order(mesh.vertices)
         vertices = ranked.merge(mesh.vertices)
         faces = ranked.group[canonical_faces(mesh.faces, ranked.group)]
+        coarse = CoarseSurface.of(vertices, faces) if len(vertices) > DENSE and len(faces) else None
+        if coarse is not None:
+            vertices, faces = coarse.points, coarse.faces
         normals = vertex_normals(vertices, faces) if len(faces) else np.zeros_like(vertices)
         denoised = Denoiser.of(mesh, ranked)(mesh.vertices)
         samples = _samples(mesh, denoised, ranked, ENSEMBLE * self.points, generator(self.seed, 0))
@@ -332,6 +336,7 @@ class MimeMethod:
             weights = fit.blended_weights(weights, nearest)
         weights = with_whole_tail(weights, vertices, faces, self.joints, self.parents)
         weights = clean_weights(weights, vertices, faces, self.parents, nearest, self.trunk)
+        weights = weights if coarse is None else coarse.carried(weights)
         return dataclasses.replace(rig, weights=weights), confidence
 
     def _predict(

@@ -1,0 +1,293 @@
+"""Read meshes and clips in any format; everything that is read is validated here.
+
+`formats` maps suffixes to the functions of each format.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.arguments import public
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress
+from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip
+from ..core.system import refuse_pipe
+from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, COLLECTIONS, MESH_READERS, MOTIONS, found_suffix
+from .frame_folder import read_frame, read_sequence
+from .timing import DEFAULT_FPS, HIGHEST_FPS
+
+
+@public()
+def load_mesh(path: str | Path) -> Mesh:
+    """Read one mesh from a file and validate it; a motion file (joints only) gives the default body in its first frame.
+
+    Args:
+        path: the file, in a format of `mesh_suffixes`.
+
+    Returns:
+        The mesh in the axes and unit of the file; polygons are triangulated.
+
+    Raises:
+        InputError: no such file, an unknown format, a damaged file, or an unusable mesh (see `mesh.check_mesh`).
+
+    Example:
+        >>> mesh = mimesh.load_mesh("hero.glb")
+        >>> mesh.name, mesh.vertices.shape, mesh.faces.shape
+        ('hero', (502, 3), (1000, 3))
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path}: expected a mesh file, found a folder; name one file in it (a folder is a clip)")
+    _must_exist(path)
+    if path.suffix.lower() in CLIP_READERS.keys() - MESH_READERS.keys():
+        return _single_frame(load_clip(path), path)
+    if path.suffix.lower() not in MESH_READERS:
+        raise InputError(
+            f"{path}: expected one of {' '.join(sorted(MESH_READERS.keys() | CLIP_READERS))}, {found_suffix(path)}; "
+            "save it as one of these first, with Blender for example"
+        )
+    reader = MESH_READERS[path.suffix.lower()]
+    with _reading(path):
+        mesh = reader(path)
+    return check_mesh(mesh, path)
+
+
+@public(once_positional=("fps", "animation", "progress", "frames"))
+def load_clip(
+    path: str | Path,
+    *,
+    fps: float | None = None,
+    animation: str | int | None = None,
+    progress: Progress | None = None,
+    frames: slice = slice(None),
+) -> Clip:
+    """Read a clip from a file or a folder of numbered meshes, and validate it; a file of one mesh gives one frame.
+
+    A motion file, which has joints and no mesh, moves the default body (`motions.on_body`).
+
+    Args:
+        path: the file or folder.
+        fps: frames per second, overriding the file's own rate; without either it is 30. Files with times (glTF, USD,
+            Alembic, MDD, motions) are resampled at it and keep their duration; others (folders, NPZ, NPY, PC2) are
+            played at it.
+        animation: name or number of an animation of a glTF file, None: the first, with those that move other nodes; or
+            of a clip of an HDF5 file, None: the only one.
+        progress: called with (frames read, frames in all).
+        frames: those to take, counted from 0 at the frame rate of the result; see `cut_clip`. Of a motion file the
+            others are never posed, of other files they are read too.
+
+    Returns:
+        The clip in the axes and unit of the file.
+
+    Raises:
+        InputError: as `load_mesh`; frames of different topology; no such animation; no frame is left.
+
+    Example:
+        >>> clip = mimesh.load_clip("walk.npz", frames=slice(0, 4, 2))
+        >>> clip.vertices.shape, clip.fps  # (T, V, 3), and frames a second
+        ((2, 502, 3), 5.0)
+    """
+    path, animation = Path(path), None if animation is None else str(animation)
+    _check_clip_options(path, fps, animation)
+    _must_exist(path)
+    if frames == slice(None):
+        return _whole_clip(path, fps, animation, progress)
+    from ..motions.on_body import is_motion_file, motion_file_clip
+
+    if path.is_file():
+        with _reading(path):
+            if is_motion_file(path):
+                return check_clip(motion_file_clip(path, fps, progress, frames), path)
+    clip = _whole_clip(path, fps, animation, progress)
+    return cut_clip(clip, frames.start or 0, frames.stop, 1 if frames.step is None else frames.step)
+
+
+def _whole_clip(path: Path, fps: float | None, animation: str | None, progress: Progress | None) -> Clip:
+    """Read all frames of a clip."""
+    if path.is_dir():
+        with _reading(path):
+            clip = read_sequence(
+                path, fps or DEFAULT_FPS, MESH_READERS.keys() - MOTIONS - BODY_MODELS, _load_frame, progress
+            )
+        # The clip takes the name of the folder, not that of its first frame.
+        return check_clip(dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=path.name)), path)
+    if path.suffix.lower() in COLLECTIONS:
+        from .hdf5 import read_hdf5_clip
+
+        with _reading(path):
+            return check_clip(read_hdf5_clip(path, fps, animation, progress), path)
+    if path.suffix.lower() in CLIP_READERS:
+        with _reading(path):
+            return check_clip(CLIP_READERS[path.suffix.lower()](path, fps, progress), path)
+    if path.suffix.lower() in ANIMATED:
+        from .gltf import read_gltf_clip
+
+        with _reading(path):
+            return check_clip(read_gltf_clip(path, fps, animation, progress), path)
+    mesh = load_mesh(path)
+    return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
+
+
+def load_points(path: str | Path, first: Mesh, first_path: Path) -> Float[np.ndarray, "V 3"]:
+    """Read the vertices of a mesh that must have the topology of a first one; quick for OBJ and PLY files.
+
+    Raises:
+        InputError: as `load_mesh`, or another topology.
+    """
+    path = Path(path)
+    _must_exist(path)
+    with _reading(path):
+        return read_frame(path, first, first_path, _load_frame)
+
+
+@public(once_positional=("fps", "animation", "progress"))
+def load_recorded_clip(
+    path: str | Path,
+    body_model: str | Path,
+    *,
+    fps: float | None = None,
+    animation: str | None = None,
+    progress: Progress | None = None,
+) -> tuple[Clip, tuple[str, ...]]:
+    """Read recorded parameters of a body model as a clip of the recorded surface; see `motions.smpl_clip`.
+
+    Args:
+        path: an AMASS archive (.npz), or a pickle (.pkl) of `pose`, `betas` and `trans`.
+        body_model: file of the model, .pkl or .npz in SMPL's layout.
+        fps: frame rate at which the recording is resampled; None: its own.
+        animation: refused, as such files have one clip.
+        progress: called with (frames read, frames in all).
+
+    Returns:
+        The clip, y up and in metres for AMASS, and notes on what the model or the file lacks.
+
+    Raises:
+        InputError: one of the files cannot be used.
+    """
+    path = Path(path)
+    _check_clip_options(path, fps, animation)
+    return _recorded(path, Path(body_model), fps, progress)
+
+
+def load_recorded_mesh(path: str | Path, body_model: str | Path) -> tuple[Mesh, tuple[str, ...]]:
+    """Read the first frame of `load_recorded_clip` as a mesh, without computing the others; returns notes as well.
+
+    Raises:
+        InputError: one of the files cannot be used.
+    """
+    clip, notes = _recorded(Path(path), Path(body_model), first_alone=True)
+    return clip.mesh, notes
+
+
+def _recorded(
+    path: Path,
+    body_model: Path,
+    fps: float | None = None,
+    progress: Progress | None = None,
+    first_alone: bool = False,
+) -> tuple[Clip, tuple[str, ...]]:
+    """Read a body model and what was recorded with it."""
+    from ..bodies.smpl_model import load_smpl_model
+    from ..motions.smpl_clip import recorded_clip
+
+    _must_exist(path)
+    _must_exist(body_model)
+    with _reading(body_model):
+        model = load_smpl_model(body_model)
+    with _reading(path):
+        clip, notes = recorded_clip(path, model, fps, progress, first_alone)
+    return check_clip(clip, path), notes
+
+
+def list_animations(path: str | Path) -> tuple[str, ...]:
+    """List the names of the animations of a glTF file or an .fbx; their number stands for a missing name.
+
+    Of an HDF5 file its clips. Empty for other formats, which have one clip at most, and for folders.
+
+    Raises:
+        InputError: no such file, or a damaged one.
+    """
+    path = Path(path)
+    _must_exist(path)
+    if path.is_file() and path.suffix.lower() in COLLECTIONS:
+        from .hdf5 import clip_lengths
+
+        with _reading(path):
+            return tuple(clip_lengths(path))
+    if path.is_dir() or path.suffix.lower() not in ANIMATED:
+        return ()
+    from .gltf.animation import animation_names
+    from .gltf.document import open_document
+
+    with _reading(path):
+        return animation_names(open_document(path))
+
+
+def _check_clip_options(path: Path, fps: float | None, animation: str | None) -> None:
+    """Raise InputError for an animation of a format without animations, or an impossible frame rate."""
+    several = (*ANIMATED, *COLLECTIONS)
+    if animation is not None and path.suffix.lower() not in several:
+        raise InputError(
+            f"{path}: expected {' or '.join(several)} with --animation, found '{path.suffix}'; leave it out"
+        )
+    if fps is not None and not fps > 0:
+        raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give another with --fps")
+    if fps is not None and fps > HIGHEST_FPS:
+        raise InputError(
+            f"{path}: expected a frame rate of {HIGHEST_FPS:,.0f} or less, found {fps:g}; give another with --fps"
+        )
+
+
+def _load_frame(path: Path) -> Mesh:
+    """Read one mesh of a folder of frames; raises InputError for a glTF file of joints without a mesh."""
+    mesh = load_mesh(path)
+    if path.suffix.lower() in ANIMATED and mesh.source is None:
+        raise InputError(f"{path}: expected a mesh as a frame of a clip, found joints that move; give that file alone")
+    return mesh
+
+
+def _single_frame(clip: Clip, path: Path) -> Mesh:
+    """Return the mesh of a clip of one frame; raises InputError for several frames."""
+    if len(clip) > 1:
+        raise InputError(
+            f"{path}: expected one mesh, found a clip of {len(clip)} frames; "
+            "give it as the driving clip or save one frame"
+        )
+    return clip.mesh
+
+
+def _must_exist(path: Path) -> None:
+    if not path.exists():
+        raise InputError(f"{path}: expected a file or folder, found nothing of that name; check the path")
+    refuse_pipe(path)
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Turn a failed read into an InputError of one line that names the cause; an empty file is refused at once.
+
+    NumPy does not warn of the numbers of a damaged file, which may be NaN or huge: what is read is checked in the end.
+    """
+    try:
+        if path.is_file() and path.stat().st_size == 0:
+            raise InputError(f"{path}: expected a mesh, found an empty file of 0 bytes; export it again")
+        with np.errstate(all="ignore"):
+            yield
+    except UnicodeEncodeError as error:
+        raise InputError(
+            f"{path}: expected a path of text for {path.suffix}, found bytes that are none; choose another name"
+        ) from error
+    except MemoryError as error:
+        raise InputError(
+            f"{path}: expected a file that fits into memory, found a larger one; split it, or take fewer frames"
+        ) from error
+    except OSError as error:
+        raise InputError(
+            f"{path}: expected a readable file, found '{error.strerror}'; check its permissions"
+        ) from error

@@ -1,0 +1,293 @@
+"""Write meshes, clips and rigs in any format, each whole or not at all.
+
+`save_mesh` writes the identity's original file with other points whenever the output has its suffix. `formats` maps
+suffixes to the functions of each format.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.animated_rig import AnimatedRig, RigAnimation
+from ..core.arguments import public
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress
+from ..core.mesh import Clip, Mesh, check_frames, check_numbers, check_timing, with_printable_names
+from ..core.output_size import check_output_size, frames_size
+from .atomic import together, whole_file, writing
+from .formats import CACHES, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, found_suffix, gltf_file
+from .frame_folder import write_sequence
+from .load import load_mesh
+from .mtl import copy_companions
+from .obj_source import ObjSource
+from .ply import PlySource
+
+if TYPE_CHECKING:
+    from ..motions.bone_motion import BoneMotion
+    from .gltf.own_animation import OwnAnimation, PlayedAnimation
+
+
+@public()
+def save_mesh(mesh: Mesh, path: str | Path) -> None:
+    """Write a mesh atomically; with the suffix of the file it was read from, as that file with other points.
+
+    Polygons, texture coordinates, materials, groups, comments and order are then unchanged, and the material libraries
+    and images that it refers to are copied beside it unless files of these names exist. With another suffix a new file
+    is written, of polygons where the format has them, else of triangles.
+
+    Args:
+        mesh: the mesh; its axes and unit are not changed.
+        path: the file; folders that do not exist are made.
+
+    Raises:
+        InputError: a format that cannot be written, a path that cannot be written to, or a mesh with coordinates that
+            are not finite or with indices of vertices that it does not have.
+
+    Example:
+        >>> mimesh.save_mesh(mimesh.load_mesh("hero.glb"), "hero.ply")
+    """
+    check_numbers(mesh, mesh.name)
+    path, mesh = Path(path), with_printable_names(mesh)
+    if mesh.source is not None and mesh.source.suffix == path.suffix.lower():
+        with writing(path), together():
+            with whole_file(path) as temporary:
+                mesh.source.write(mesh, temporary)
+            _copy_companions(mesh, path.parent)
+    else:
+        if path.suffix.lower() not in MESH_WRITERS:
+            raise InputError(
+                f"{path}: expected an output in one of {' '.join(MESH_WRITERS)}, {found_suffix(path)}; name another"
+            )
+        writer = MESH_WRITERS[path.suffix.lower()]
+        with writing(path), together():
+            writer(mesh, path)
+
+
+@public(once_positional=("suffix", "progress", "blendshapes"))
+def save_clip(
+    clip: Clip,
+    path: str | Path,
+    *,
+    suffix: str | None = None,
+    progress: Progress | None = None,
+    blendshapes: int | None = None,
+) -> float | None:
+    """Write a clip as one file or, for a path without a suffix, as a folder of numbered meshes.
+
+    Args:
+        clip: the clip; its axes and unit are not changed.
+        path: the file, or a folder; folders that do not exist are made.
+        suffix: format of the frames in a folder, .obj or .ply; by default that of the mesh's source, else .obj.
+        progress: called with (frames written, frames in all).
+        blendshapes: number of morph targets (.glb, .gltf), instead of one per frame; see `gltf.write_gltf_clip`.
+
+    Returns:
+        With `blendshapes`, the largest distance of a vertex from its position in the clip, in the mesh's unit.
+
+    Raises:
+        InputError: a format that cannot contain a clip, a path that cannot be written to, or a clip without frames or
+            with an impossible frame rate.
+
+    Example:
+        >>> mimesh.save_clip(mimesh.load_clip("walk.npz"), "walk.glb")
+    """
+    check_timing(clip, clip.mesh.name, "give it one: dataclasses.replace(clip, fps=30.0)")
+    check_numbers(clip.mesh, clip.mesh.name)
+    check_frames(clip, clip.mesh.name)
+    path, clip = Path(path), dataclasses.replace(clip, mesh=with_printable_names(clip.mesh))
+    is_folder = path.is_dir() or not path.suffix
+    if blendshapes is not None:
+        return _save_blend_shapes(clip, path, progress, blendshapes)
+    if is_folder:
+        _save_folder(clip, path, suffix, progress)
+        return None
+    if path.suffix.lower() not in CLIP_WRITERS:
+        raise InputError(
+            f"{path}: expected a clip format ({' '.join(CLIP_WRITERS)}) or a folder, found '{path.suffix}'; "
+            f"write {path.with_suffix('.glb').name}, or {path.stem} for a folder of one mesh per frame"
+        )
+    check_clip_output_size(clip, path, path.suffix)
+    mesh_path = _mesh_path_of_cache(clip, path) if path.suffix.lower() in CACHES else None
+    with writing(path), together():
+        CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
+        if mesh_path is not None:
+            save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), mesh_path)
+    return None
+
+
+def check_clip_output_size(clip: Clip, path: Path, suffix: str) -> None:
+    """Check the expected size of a clip that is written frame by frame; see `core.output_size`.
+
+    Raises:
+        InputError: outputs are limited, and it is too large.
+    """
+    joints = ", write joints (.glb of mime without --morphs)" if suffix in (*JOINTED, *CACHES, ".npz") else ""
+    advice = f"take fewer frames with --step, --start or --stop{joints}"
+    check_output_size(frames_size(suffix, len(clip.mesh.vertices), len(clip)), path, advice)
+
+
+def _save_folder(clip: Clip, path: Path, suffix: str | None, progress: Progress | None) -> None:
+    """Write a clip as a folder of numbered meshes, with the files that the mesh's source refers to."""
+    source_suffix = clip.mesh.source.suffix if clip.mesh.source else ""
+    suffix = suffix or (source_suffix if source_suffix in FRAME_SUFFIXES else FRAME_SUFFIXES[0])
+    if suffix not in FRAME_SUFFIXES:
+        raise InputError(
+            f"{path}: expected frames of {' or '.join(FRAME_SUFFIXES)}, found '{suffix}'; choose one of them"
+        )
+    if path.is_file():
+        raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
+    check_clip_output_size(clip, path, suffix)
+    with writing(path), together():
+        write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh, progress)
+        if source_suffix == suffix:
+            _copy_companions(clip.mesh, path)
+
+
+def _save_blend_shapes(clip: Clip, path: Path, progress: Progress | None, blendshapes: int) -> float | None:
+    """Write a clip as glTF with a given number of morph targets; return the largest error, in the mesh's unit."""
+    from .gltf import write_gltf_clip
+
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        raise InputError(f"{path}: expected .glb or .gltf for --blendshapes, found '{path.suffix}'; leave it out")
+    with writing(path), whole_file(path) as temporary:
+        return write_gltf_clip(clip, temporary, progress, blendshapes)
+
+
+def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
+    """Write a skinned mesh with its skeleton's animation as .glb, .gltf or .fbx; see `save_rig_animations`."""
+    save_rig_animations([RigAnimation(skeleton.mesh.name, skeleton, fps)], path)
+
+
+def save_rig_animations(animations: Sequence[RigAnimation], path: str | Path) -> list[AnimatedRig]:
+    """Write a skinned mesh with one or more animations of its rig as .glb, .gltf or .fbx (see `gltf.skinned`).
+
+    Args:
+        animations: of one rig: they have the same mesh, joints, weights and rest pose.
+
+    Returns:
+        The motions as the file plays them, which has fewer keys.
+
+    Raises:
+        InputError: another format, or a path that cannot be written to.
+    """
+    from .gltf.skinned import write_gltf_skinned
+
+    path = Path(path)
+    refuse_vrm(path)
+    _must_hold_joints(path)
+    with writing(path), gltf_file(path) as temporary:
+        return write_gltf_skinned(animations, temporary)
+
+
+def save_own_animations(animations: Sequence[OwnAnimation], path: str | Path) -> list[PlayedAnimation]:
+    """Write the own glTF file of an identity with new animations of its own bones; returns these as they are played.
+
+    Raises:
+        InputError: another format, or a path that cannot be written to.
+    """
+    from .gltf.own_animation import write_own_animations
+
+    path = Path(path)
+    refuse_vrm(path)
+    _must_hold_joints(path)
+    with writing(path), gltf_file(path) as temporary:
+        return write_own_animations(animations, temporary)
+
+
+def save_own_pose(animation: OwnAnimation, path: str | Path) -> None:
+    """Write the own glTF file of an identity with its bones in the first frame of an animation.
+
+    Raises:
+        InputError: another format, or a path that cannot be written to.
+    """
+    from .gltf.own_animation import write_own_pose
+
+    path = Path(path)
+    _must_hold_joints(path)
+    with writing(path), gltf_file(path) as temporary:
+        write_own_pose(animation, temporary)
+
+
+def save_vrma(motions: Sequence[BoneMotion], path: str | Path) -> None:
+    """Write motions of the humanoid bones of one skeleton as a VRM animation (.vrma).
+
+    Raises:
+        InputError: another format, or a path that cannot be written to.
+    """
+    from .gltf.vrma import write_vrma
+
+    path = Path(path)
+    if path.suffix.lower() != ".vrma":
+        raise InputError(f"{path}: expected .vrma for bones alone, found '{path.suffix}'; name another with -o")
+    with writing(path), whole_file(path) as temporary:
+        write_vrma(motions, temporary)
+
+
+def refuse_vrm(path: str | Path) -> None:
+    """Raise InputError for an animation in a .vrm: the specifications of VRM have none in it (see `gltf.vrm`)."""
+    path = Path(path)
+    if path.suffix.lower() == ".vrm":
+        raise InputError(
+            f"{path}: expected a format for an animation, found .vrm, which holds none by its specification; "
+            f"write {path.with_suffix('.vrma').name} (the motion alone) or {path.with_suffix('.glb').name}"
+        )
+
+
+def save_as_fbx(source: Path, path: Path) -> None:
+    """Write a .glb, .gltf, .vrm or .fbx again as .fbx, with its skins, blend shapes and all its animations.
+
+    Raises:
+        InputError: a damaged file, no Blender, or a path that cannot be written to.
+    """
+    from .gltf.document import open_document
+    from .gltf.draft import AccessorCopier
+
+    with writing(path), gltf_file(path) as temporary:
+        AccessorCopier(open_document(source), whole=True).draft.save(temporary)
+
+
+def check_writable(path: Path) -> None:
+    """Check that the program that writes a format is installed, before the work is done.
+
+    Raises:
+        InputError: an .fbx, and no Blender.
+    """
+    if path.suffix.lower() == ".fbx":
+        from .fbx.write import find_blender
+
+        find_blender(path)
+
+
+def _must_hold_joints(path: Path) -> None:
+    if path.suffix.lower() not in JOINTED:
+        raise InputError(
+            f"{path}: expected .glb, .gltf or .fbx for joints, found '{path.suffix}'; name another with -o"
+        )
+
+
+def _mesh_path_of_cache(clip: Clip, path: Path) -> Path | None:
+    """Return where to write the mesh of a point cache; None where a mesh of its topology exists there already.
+
+    Raises:
+        InputError: another mesh has that name.
+    """
+    source_suffix = clip.mesh.source.suffix if clip.mesh.source else ""
+    mesh_path = path.with_suffix(source_suffix if source_suffix in FRAME_SUFFIXES else FRAME_SUFFIXES[0])
+    if not mesh_path.exists():
+        return mesh_path
+    existing = load_mesh(mesh_path)
+    if len(existing.vertices) != len(clip.mesh.vertices) or not np.array_equal(existing.faces, clip.mesh.faces):
+        raise InputError(
+            f"{path}: expected {mesh_path.name} to be the mesh it belongs to, found another there; choose another name"
+        )
+    return None
+
+
+def _copy_companions(mesh: Mesh, folder: Path) -> None:
+    if isinstance(mesh.source, ObjSource | PlySource):
+        copy_companions(mesh.source.companions, mesh.source.path.parent, folder)

@@ -1,0 +1,57 @@
+"""Programs that use the library pass mypy --strict and pyright: batch, own arrays, live loop."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import mimesh
+
+ROOT = Path(__file__).parents[2]
+TYPED = [str(ROOT / "examples" / name) for name in ("08_batch.py", "10_live.py", "11_own_arrays.py")]
+WRONG = """import mimesh
+result = mimesh.transfer("a.obj", "b.obj", drivign_up="+y")
+result.report["identity"]["confidenc"]
+mimesh.animate("a.obj", mimesh.load_mesh("b.obj"))
+"""
+"""A misspelled argument, a misspelled key, and a mesh where a clip is wanted, a line each."""
+COMMANDS = {
+    "mypy": ("--strict", "--follow-imports=silent", "--no-incremental"),
+    "pyright": ("--pythonpath", sys.executable),
+}
+
+
+def check(checker: str, folder: Path, *files: str) -> subprocess.CompletedProcess[str]:
+    """Run a type checker as a program's author does, in a folder of its own; only these files are reported."""
+    if importlib.util.find_spec(checker) is None:
+        pytest.skip(f"{checker} is not installed")
+    source = str(ROOT / "src")
+    environment = {**os.environ, "MYPYPATH": source, "PYTHONPATH": source}
+    (folder / "pyrightconfig.json").write_text(f'{{"extraPaths": ["{source}"]}}')
+    command = [sys.executable, "-m", checker, *COMMANDS[checker], *files]
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+
+
+def test_the_package_says_that_it_is_typed():
+    assert (Path(mimesh.__file__).parent / "py.typed").is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("checker", COMMANDS)
+def test_examples_are_typed(checker, tmp_path):
+    done = check(checker, tmp_path, *TYPED)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("checker", COMMANDS)
+def test_wrong_programs_are_found(checker, tmp_path):
+    (tmp_path / "wrong.py").write_text(WRONG)
+    done = check(checker, tmp_path, "wrong.py")
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert all(f"wrong.py:{line}:" in done.stdout for line in (2, 3, 4)), done.stdout

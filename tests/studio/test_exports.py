@@ -1,0 +1,116 @@
+"""Exports of the studio with bones: those of `animate`, with the names and formats that other programs expect."""
+
+import sys
+
+import numpy as np
+import pygltflib
+import pytest
+from people import person, walk
+from vrm_files import vrm
+from waiting import wait_until
+
+from mimesh import animate, load_clip, save_clip, save_mesh
+from mimesh.bodies.engine_rig import Layout
+from mimesh.studio import make_session
+from mimesh.studio.exports import formats
+from mimesh.studio.operations import for_page
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory):
+    """A session with the finished result of a small person, and the files that it was made from."""
+    folder = tmp_path_factory.mktemp("files")
+    files = folder / "hero.glb", folder / "walk.npz"
+    save_mesh(person(0), files[0])
+    save_clip(walk(frames=3), files[1])
+    session = make_session(list(files), 2**26)
+    (hero,) = session.identities.values()
+    wait_until(lambda: hero.outcome is not None and (hero.outcome.current or hero.outcome.error))
+    assert not hero.outcome.error
+    yield session, files
+    session.close()
+
+
+def exported(session, suffix, skinned=True, blendshapes=None, layout=None):
+    """Export all results and return the export, once it is written or has failed."""
+    number = session.export(suffix, [], skinned, blendshapes, layout or Layout())
+    export = session.exports[number]
+    wait_until(lambda: export.path is not None or export.error)
+    return export
+
+
+def test_bones_are_named_and_arranged_as_by_animate(moved, tmp_path):
+    session, files = moved
+    layout = Layout("unreal", True, "T", 20.0)
+    export = exported(session, ".glb", layout=layout)
+    assert export.error == ""
+    expected = tmp_path / "expected.glb"
+    animate(*files).save_skinned(
+        expected, names=layout.names, root_bone=layout.root_bone, rest=layout.rest, fps=layout.fps
+    )
+    mine, theirs = (pygltflib.GLTF2().load(path) for path in (export.path, expected))
+    assert [node.name for node in mine.nodes] == [node.name for node in theirs.nodes]
+    assert {"root", "pelvis", "upperarm_l"} <= {node.name for node in mine.nodes}
+    mine, theirs = load_clip(export.path), load_clip(expected)
+    assert mine.fps == theirs.fps == 20
+    np.testing.assert_allclose(mine.vertices, theirs.vertices, atol=1e-6)
+    assert any("sampled from 3 frames" in note for note in export.notes)
+
+
+def test_vrm_animations_have_bones_alone(moved, tmp_path):
+    session, files = moved
+    export = exported(session, ".vrma", skinned=False)
+    assert export.path.name == "hero-walk.vrma"
+    expected = animate(*files).save(tmp_path / "expected.vrma")
+    assert export.path.read_bytes() == expected.read_bytes()
+
+
+def test_vrm_animations_of_a_mesh_with_a_rig_have_its_bones(moved, tmp_path):
+    _, (_, driving) = moved
+    vrm(tmp_path / "hero.vrm", named=True)
+    session = make_session([tmp_path / "hero.vrm", driving], 2**26)
+    try:
+        (hero,) = session.identities.values()
+        wait_until(lambda: hero.outcome is not None and (hero.outcome.current or hero.outcome.error))
+        export = exported(session, ".vrma", skinned=False)
+        assert export.error == ""
+        expected = animate(tmp_path / "hero.vrm", driving).save(tmp_path / "expected.vrma")
+        assert export.path.read_bytes() == expected.read_bytes()
+    finally:
+        session.close()
+
+
+def test_messages_name_fields_of_the_page(tmp_path):
+    for text, expected in (
+        ("--names unreal: expected joints", "bone names unreal: expected joints"),
+        ("--rest T: expected joints", "rest pose T: expected joints"),
+        ("read a.pc2 with --fps 24", "read a.pc2 with a frame rate of 24"),
+        ("-m mime moves it, and --body human says", "the model mime moves it, and body human says"),
+        (f"{tmp_path}/exports/3/files/a.vrma: expected", "a.vrma: expected"),
+    ):
+        assert for_page(text, tmp_path) == expected
+
+
+@pytest.mark.parametrize(
+    ("suffix", "options", "words"),
+    [
+        (".vrma", {"layout": Layout("unreal")}, "bone names, root bone and rest pose: expected a .glb or .gltf"),
+        (".pc2", {}, ".pc2: expected .glb, .gltf or .fbx for bones"),
+        (".glb", {"skinned": False, "layout": Layout(root_bone=True)}, "expected with bones, found without"),
+        (".fbx", {"skinned": False, "blendshapes": 3}, ".fbx: expected .glb or .gltf for blend shapes"),
+        (".glb", {"layout": Layout("unity")}, "bone names: expected one of own, mixamo"),
+        (".glb", {"layout": Layout(rest="Z")}, "rest pose: expected one of file, T, A"),
+    ],
+)
+def test_layouts_that_a_format_cannot_have_are_refused(moved, suffix, options, words):
+    assert words in exported(moved[0], suffix, **options).error
+
+
+def test_fbx_says_that_it_needs_blender(monkeypatch):
+    def needs():
+        return next(entry["needs"] for entry in formats(True) if entry["suffix"] == ".fbx")
+
+    monkeypatch.setenv("BLENDER", "/no/such/program")
+    assert needs() == "Blender"
+    monkeypatch.setenv("BLENDER", sys.executable)
+    assert needs() == ""

@@ -1,0 +1,14 @@
+"""Waiting for what other threads do: for a state, not for a time, and long enough for a busy machine."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+
+def wait_until(condition: Callable[[], Any], seconds: float = 120.0) -> Any:
+    """Wait until a condition holds, and return what it returned; fails after so many seconds."""
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end, "the condition did not come to hold"
+        time.sleep(0.005)
+    return found
