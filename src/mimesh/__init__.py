@@ -73,10 +73,7 @@ def __getattr__(name: str) -> object:
     for module, names in _MODULES.items():
         if name in names:
             return getattr(importlib.import_module(f".{module}", __name__), name)
-    from difflib import get_close_matches
-
-    close = get_close_matches(name, __all__, 1)
-    hint = f"; did you mean {close[0]}?" if close else ""
+    hint = importlib.import_module(".core.errors", __name__).did_you_mean(name, __all__)
     raise AttributeError(f"module 'mimesh' has no attribute {name!r}{hint}")
 
 
