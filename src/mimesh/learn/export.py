@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import logging
-import warnings
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import onnx
-import onnxscript.optimizer
-import torch
 from jaxtyping import Float
 from torch import nn
 
@@ -25,7 +21,7 @@ from . import checkpoint
 from .config import TrainConfig
 from .cost import operations_spent
 from .exported_weights import compress
-from .tasks.base import OnnxInterface
+from .onnx_graph import to_onnx
 from .tasks.find import find_task
 
 DATA = {
@@ -119,36 +115,6 @@ def save_card(card: dict[str, Any], out: Path) -> None:
     """Write a network's card beside it."""
     with whole_file(out.with_suffix(".json")) as temporary:
         temporary.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8", newline="\n")
-
-
-def to_onnx(interface: OnnxInterface) -> onnx.ModelProto:
-    """Export a network; all inputs and outputs are float32."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the exporter's own deprecations
-        logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # torchvision, which is not needed
-        program = torch.onnx.export(
-            interface.module.eval(),
-            interface.example,
-            dynamo=True,
-            input_names=list(interface.inputs),
-            output_names=list(interface.outputs),
-            dynamic_shapes=interface.dynamic,
-            verbose=False,
-            optimize=False,
-        )
-        assert program is not None
-        # Constants are computed in advance from numbers, not from weights: those keep their names (`exported_weights`).
-        onnxscript.optimizer.optimize(program.model, input_size_limit=2, output_size_limit=64)
-    return without_traces(program.model_proto)
-
-
-def without_traces(network: onnx.ModelProto) -> onnx.ModelProto:
-    """Remove what the exporter writes about the source files that each operation came from."""
-    graph = network.graph
-    for thing in (graph, *graph.node, *graph.value_info, *graph.input, *graph.output, *graph.initializer):
-        del thing.metadata_props[:]
-        thing.ClearField("doc_string")
-    return network
 
 
 def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str, Any]:

@@ -15,6 +15,8 @@ from ..core.errors import InputError
 from . import checkpoint
 from .checkpoint import Checkpoint
 from .config import config_from
+from .onnx_graph import to_onnx
+from .tasks.base import Task
 from .tasks.find import find_task
 
 STORED = ".stored"
@@ -70,8 +72,7 @@ def load_exported(path: Path) -> tuple[nn.Module, Checkpoint]:
     """Load an exported network in float32, and from its card how it was trained.
 
     Raises:
-        InputError: not a file of `mimesh export`, no card beside it, or a network whose weights the export transformed
-            (those of mime and hands).
+        InputError: not a file of `mimesh export`, no card beside it, or weights that are not found in it.
     """
     card_path = path.with_suffix(".json")
     try:
@@ -80,8 +81,11 @@ def load_exported(path: Path) -> tuple[nn.Module, Checkpoint]:
         pairs, seconds = card["pairs"], float(card["seconds_trained"])
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: expected its card {card_path.name} beside it, found none ({error})") from error
-    model = find_task(config.network)(config, torch.device("cpu")).make_model()
+    task = find_task(config.network)(config, torch.device("cpu"))
+    model = task.make_model()
     stored = stored_weights(path)
+    if set(model.state_dict()) - set(stored):
+        stored |= renamed_weights(stored, task.make_model(), type(task))
     missing = sorted(set(model.state_dict()) - set(stored))
     if missing:
         raise InputError(
@@ -102,8 +106,35 @@ def load_exported(path: Path) -> tuple[nn.Module, Checkpoint]:
     return model.eval(), trained
 
 
+def renamed_weights(stored: dict[str, Tensor], twin: nn.Module, task: type[Task]) -> dict[str, Tensor]:
+    """Find the weights that the export transposed and gave numbers for names, as it does for most of mime and hands.
+
+    A network of random weights is exported, too. Where one of its weights comes out, the file has the trained one.
+
+    Args:
+        stored: the arrays of the file, by their names in it.
+        twin: a network of the same configuration, whose weights are overwritten.
+
+    Returns:
+        The trained weights that were found, by their names in the network.
+    """
+    generator = torch.Generator().manual_seed(0)
+    for weight in twin.parameters():
+        weight.data.normal_(generator=generator)
+    graph = to_onnx(task.onnx_interface(twin)).graph
+    names = {onnx.numpy_helper.to_array(tensor).tobytes(): tensor.name for tensor in graph.initializer}
+    found = {}
+    for name, weight in twin.state_dict().items():
+        as_is, turned = (names.get(values.tobytes()) for values in (weight.numpy(), weight.numpy().T.copy()))
+        if as_is in stored and stored[as_is].numel() == weight.numel():
+            found[name] = stored[as_is].reshape(weight.shape)
+        elif turned in stored and stored[turned].shape == weight.shape[::-1]:
+            found[name] = stored[turned].mT.contiguous()
+    return found
+
+
 def stored_weights(path: Path) -> dict[str, Tensor]:
-    """Read the arrays of an exported network in float32, by the names of the weights.
+    """Read the arrays of an exported network in float32, by their names in it.
 
     Raises:
         InputError: the file is missing or damaged.

@@ -7,9 +7,10 @@ import pytest
 import torch
 from torch.nn import functional
 
-from mimesh.learn.export import infer_onnx, to_onnx
+from mimesh.learn.export import infer_onnx
 from mimesh.learn.exported_weights import compress
 from mimesh.learn.models.aniformer import AniFormer, AniFormerConfig, Attention, FrameAttention, VertexAttention
+from mimesh.learn.onnx_graph import to_onnx
 from mimesh.learn.tasks.aniformer import AniFormerTask
 from mimesh.methods.onnx_runtime import import_onnxruntime
 
