@@ -50,6 +50,8 @@ class DataConfig:
     primitives."""
     leave_out: tuple[str, ...] = ()
     """`mime`, `npt` (`wide`) and `hands`: packs of the folder of characters that are not trained on."""
+    limits: float = 0.12
+    """`wide`: share of driving meshes that are posed anyhow within the joint limits."""
     low_poly: float = 0.0
     """`mime`, `wide`: share of meshes that are low-poly, as points with the normals of 200 to 1,200 flat triangles."""
     scans: float = 0.0
@@ -76,8 +78,8 @@ TABLE_KINDS = ("table6", "clips80")
 IDENTITY_MIX = (0.40, 0.80, 0.85)
 """`wide`: identities up to these cumulative shares are at rest (arms anywhere from T to lowered), in Table 6, within
 joint limits; the others are frames of motions. Chosen by hand: identities that users have mostly stand."""
-DRIVING_MIX = (0.05, 0.50, 0.62)
-"""The same for driving meshes."""
+DRIVING_SHARES = (0.05, 0.45, 0.38)
+"""The same for driving meshes, as shares beside `DataConfig.limits`: at rest, in Table 6, in frames of motions."""
 REST_NOISE = 0.05
 """`wide`: standard deviation of joint rotations at rest (radians)."""
 MAX_STEP = 0.15
@@ -181,7 +183,7 @@ class BodySampler(VertexSampler):
         shapes = self.config.spread * shapes.clamp(-SHAPE_LIMIT, SHAPE_LIMIT)
         kinds = torch.rand(2, size, generator=rng, device=self.device)
         poses, touching = [], torch.zeros(2, size, dtype=torch.bool, device=self.device)
-        for row, mix in enumerate((IDENTITY_MIX, DRIVING_MIX)):
+        for row, mix in enumerate((IDENTITY_MIX, driving_mix(self.config.limits))):
             pose = self._sample_poses(kinds[row], mix, rng)
             if self.config.contacts and len(self.contacts[0]):
                 shapes[row], pose, touching[row] = self._replace_by_contacts(shapes[row], pose, rng)
@@ -269,6 +271,13 @@ def limb_masks(body: RiggedBody) -> Bool[np.ndarray, "L J"]:
     tops = [body.joint(top) for top in anatomy_of_joints(body.joint_names).regions.values()]
     joints = np.arange(len(body.joint_names))
     return np.stack([np.isin(joints, list(descendants([top], body.parents))) for top in tops])
+
+
+def driving_mix(limits: float) -> tuple[float, float, float]:
+    """Give the cumulative shares of driving meshes at rest, in Table 6 and within the joint limits."""
+    rest, table, frames = DRIVING_SHARES
+    scale = (1 - limits) / (rest + table + frames)
+    return scale * rest, scale * (rest + table), scale * (rest + table) + limits
 
 
 def random_headings(size: int, reach: float, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
