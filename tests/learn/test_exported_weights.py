@@ -28,9 +28,17 @@ NARROW_ANIFORMER = {
     "precision": "fp32",
     "learning_rate": 1e-3,
 }
+NARROW_MIME = {
+    "network": "mime",
+    "model": {"width": 16, "heads": 2, "latents": 4, "blocks": 2, "near": 4, "local": 8, "skinning": 8},
+    "data": {"kind": "wide", "vertices": 32, "target_scale": "identity", "body": "quadruped"},
+    "batch": 2,
+    "precision": "fp32",
+}
 CONFIGS = {
     "npt": dataclasses.replace(TINY, model=NPTConfig((16, 32, 32), (35, 16, 16)), precision="fp32"),
     "aniformer": config_from(NARROW_ANIFORMER, "test"),
+    "mime": config_from(NARROW_MIME, "test"),
 }
 
 
@@ -50,7 +58,7 @@ def exported(tmp_path_factory):
     return export
 
 
-@pytest.mark.parametrize(("network", "bits"), [("npt", 16), ("npt", 8), ("aniformer", 8)])
+@pytest.mark.parametrize(("network", "bits"), [("npt", 16), ("npt", 8), ("aniformer", 8), ("mime", 16)])
 def test_an_exported_network_is_read_back(exported, network, bits):
     (model, trained), path = exported(network, bits)
     again, start = load_exported(path)

@@ -112,7 +112,7 @@ class TrainConfig:
             share = getattr(self.data, name)
             if share and (self.network != "mime" or self.data.kind != "wide"):
                 raise InputError(f"{where}: expected data.{name} with mime and data.kind wide only, found {share}")
-        for name in ("low_poly", "scans", "reflect", "between", "recombine"):
+        for name in ("limits", "low_poly", "scans", "reflect", "between", "recombine"):
             share = getattr(self.data, name)
             if not 0.0 <= share <= 1.0:
                 raise InputError(f"{where}: expected data.{name} from 0 to 1, found {share}")
