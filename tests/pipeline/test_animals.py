@@ -15,6 +15,7 @@ import mimesh
 from mimesh.bodies.animals import animal as shipped_animal
 from mimesh.bodies.character_pool import facing_rotation
 from mimesh.bodies.characters import proportioned
+from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.evaluate.metrics import pmd_of_pair
@@ -98,7 +99,7 @@ def test_legs_of_fewer_bones_follow_those_of_more(count, mean, most, tmp_path):
 
 @pytest.mark.parametrize("pair", [(0, 1), (2, 3)])
 def test_bones_of_legs_neck_and_tail_have_the_directions_of_the_driving(pair, tmp_path):
-    """Of other shapes too, which stand otherwise at rest."""
+    """Of other shapes too."""
     identity, driving = (animal(seed) for seed in pair)
     motion = dance(driving.order)
     one = identity.write(tmp_path / "identity.glb", spell=str)
@@ -122,6 +123,20 @@ def test_bones_of_legs_neck_and_tail_have_the_directions_of_the_driving(pair, tm
         wanted = theirs[:, driving.order.index(end)] - theirs[:, driving.order.index(start)]
         cosine = (bone * wanted).sum(-1) / np.linalg.norm(bone, axis=-1) / np.linalg.norm(wanted, axis=-1)
         assert cosine.min() > np.cos(np.radians(0.1)), (start, end)
+
+
+def test_legs_turn_from_how_the_identity_stands(tmp_path):
+    """Bones of the driving lie bent in straight legs: its rest is not a pose that the identity takes."""
+    identity, driving = other(), animal()
+    joints = driving.joints.copy()
+    for name in ("LeftForearm", "RightForearm", "LeftShin", "RightShin"):
+        joints[driving.order.index(name)] += [0, 0, 0.06 if name.endswith("Forearm") else -0.06]
+    driving.__dict__["joints"] = joints
+    swing = rotvec_to_rotmat(np.array([0.4, 0.0, 0.0]))
+    motion = [({}, np.zeros(3)), ({"LeftThigh": swing, "RightUpperArm": swing}, np.zeros(3))]
+    one = identity.write(tmp_path / "identity.glb", spell=str)
+    two = driving.write(tmp_path / "driving.glb", {"walk": motion}, spell=str)
+    assert errors(mimesh.animate(str(one), str(two), ground=False), identity, motion).max() < 1e-5
 
 
 def test_other_sizes_orders_of_vertices_and_axes_give_the_same_result(tmp_path):

@@ -27,6 +27,8 @@ class PersonMotion:
     """Axis to the person's front at rest, such as "+z"; None: not known."""
     up: str = "+y"
     """Axis away from the ground."""
+    rest: tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]] | None = None
+    """Rotations and positions at rest, y up, +z front; None: not known."""
 
     def cut(self, frames: slice) -> PersonMotion:
         """Select frames."""

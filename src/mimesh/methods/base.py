@@ -7,7 +7,7 @@ The identity has a normalisation of its own; all frames of the driving have that
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
@@ -29,6 +29,8 @@ Drive = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray
 """Maps driving frames to the identity's vertices, one frame at a time, so that memory does not grow with the clip."""
 Pose = tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]
 """World rotation and position of every joint."""
+RestPose = tuple[Float[np.ndarray, "D 3 3"], Float[np.ndarray, "D 3"]]
+"""The same of the joints of a driving at rest."""
 SurfaceMotion = Callable[[SurfacePoints], Float[np.ndarray, "T N 3"]]
 """Maps points of the driving's surface to their positions in frames of the whole clip, normalised."""
 
@@ -120,9 +122,12 @@ class KnownIdentity:
     """Person's joints that move a whole limb, and the one at the other end of the limb."""
     directions: Mapping[str, Float[np.ndarray, " 3"]]
     """Direction of these limbs in a T-pose."""
+    standing: Mapping[str, Float[np.ndarray, "3 3"]] = field(default_factory=dict)
+    """Rotations at rest (y up, +z front) of the person's joints that keep how they stand: they are turned from there by
+    as much as the driving's from its own rest."""
 
-    def linked(self, driving: tuple[str, ...]) -> LinkedJoints:
-        """Find the joint of a driving that each joint follows."""
+    def linked(self, driving: tuple[str, ...], rest: RestPose | None = None) -> LinkedJoints:
+        """Find the joint of a driving that each joint follows; `rest` is the driving at rest (y up, +z front)."""
         index = {name: k for k, name in enumerate(driving)}
         follows = _nearest_known(self.above, index)
         whole = {
@@ -130,7 +135,17 @@ class KnownIdentity:
             for name, end in self.whole.items()
             if name in index and end in index
         }
-        return LinkedJoints(driving, follows, whole, self.person)
+        linked = LinkedJoints(driving, follows, whole, self.person)
+        return linked if rest is None or not self.standing else replace(linked, standing=self._standing(linked, rest))
+
+    def _standing(self, linked: LinkedJoints, rest: RestPose) -> Float[np.ndarray, "J 3 3"]:
+        """Compute the rotations from the driving's rest to that of each joint which keeps how it stands."""
+        at_rest = linked.rotations(*(array[None] for array in rest))[0]
+        turned = np.tile(np.eye(3), (len(self.joints), 1, 1))
+        for j, names in enumerate(self.above):
+            if names and names[0] in self.standing:
+                turned[j] = at_rest[j].T @ self.standing[names[0]]
+        return turned
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +161,8 @@ class KnownDriving:
     legs: tuple[tuple[int, ...], ...]
     """Of each leg hip, knee and ankle, those of them that it has."""
     parents: tuple[int, ...]
+    rest: RestPose | None = None
+    """Rotations and positions of the joints at rest, y up, +z front; None: not known."""
 
     def soles(self, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"]) -> Soles:
         """Find the contact points of the feet among samples of the surface, in the first frame."""
@@ -222,6 +239,8 @@ class LinkedJoints:
     direction of the limb in a T-pose."""
     person: Mapping[str, int]
     """Index of each joint of the identity that is known to be a person's."""
+    standing: Float[np.ndarray, "J 3 3"] | None = None
+    """Rotation before that of each joint, in the frame of the joint; None: none."""
 
     def rotations(
         self, rotation: Float[np.ndarray, "T D 3 3"], positions: Float[np.ndarray, "T D 3"]
@@ -237,7 +256,7 @@ class LinkedJoints:
             new = unit_vectors(positions[:, end] - positions[:, start])
             columns = (rotate_between(old, new, rotation[:, start, :, k]) for k in range(3))
             linked[:, joint] = np.stack(list(columns), axis=-1)
-        return linked
+        return linked if self.standing is None else linked @ self.standing
 
 
 @dataclass(frozen=True, eq=False)

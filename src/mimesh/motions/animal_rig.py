@@ -32,6 +32,8 @@ class AnimalRig(HumanoidRig):
     """An animal at rest with its known joints, in the axes and unit of its file; `limbs` is empty."""
 
     body_name: ClassVar[str] = "quadruped"
+    stands: ClassVar[frozenset[str]] = frozenset(itertools.chain.from_iterable(CHAINS))
+    """Animals rest on their feet, and how their bones lie in their legs differs from rig to rig."""
 
     @property
     def person(self) -> tuple[str, ...]:

@@ -53,6 +53,9 @@ class HumanoidRig:
 
     body_name: ClassVar[str] = "human"
     """The shipped body whose joints these are."""
+    stands: ClassVar[frozenset[str]] = frozenset()
+    """Joints that keep how they stand at rest (`KnownIdentity.standing`). People rest in T-poses, A-poses and others,
+    which say nothing about how they stand."""
 
     @property
     def body(self) -> RiggedBody:
@@ -103,7 +106,8 @@ class HumanoidRig:
         column_of = {self.joints[name]: k for k, name in enumerate(names)}
         weights = character.summed_weights(character.nearest_columns(column_of, 0), len(names))
         up, front = axis_name(self.turn[1]), axis_name(self.turn[2])
-        return PersonMotion(names, moved @ frames, world[..., :3, 3], self.leg, weights, front, up)
+        at_rest = self.turn @ frames, rest[:, :3, 3] @ self.turn.T
+        return PersonMotion(names, moved @ frames, world[..., :3, 3], self.leg, weights, front, up, at_rest)
 
     def tree(self) -> tuple[list[int], tuple[int, ...]]:
         """Select the joints that move with the hips, the hips first, and the parent of each among them.

@@ -300,6 +300,7 @@ def known_identity(humanoid: HumanoidRig, norm: Normalization) -> KnownIdentity:
         above=tuple(person_above),
         whole=humanoid.whole_limbs,
         directions=directions,
+        standing={name: humanoid.turn @ humanoid.frames[name] for name in humanoid.stands & humanoid.joints.keys()},
     )
 
 
@@ -310,9 +311,8 @@ def known_driving(motion: PersonMotion, fps: float, norm: Normalization) -> Know
     index = {name: k for k, name in enumerate(motion.joints)}
     chains = anatomy_of_joints(motion.joints).legs
     legs = tuple(tuple(index[name] for name in leg if name in index) for leg in chains)
-    return KnownDriving(
-        motion.joints, track, motion.leg / norm.radius, motion.weights, legs, person_parents(motion.joints)
-    )
+    leg, parents = motion.leg / norm.radius, person_parents(motion.joints)
+    return KnownDriving(motion.joints, track, leg, motion.weights, legs, parents, motion.rest)
 
 
 def person_parents(names: tuple[str, ...]) -> tuple[int, ...]:

@@ -29,7 +29,7 @@ from ...core.rig import Rig, leg_length
 from ...core.skinning import SkinnedMesh
 from ...core.soles import Feet, Soles, find_soles
 from ...core.surface_points import SurfacePoints
-from ..base import KnownDriving, KnownIdentity, LinkedJoints, Pose, SkinnedDrive, SurfaceMotion, linked_to_body
+from ..base import KnownDriving, KnownIdentity, LinkedJoints, Pose, RestPose, SkinnedDrive, SurfaceMotion, linked_to_body
 from ..confidence import MAX_UNMATCHED_SURFACE, Confidence, largest_flexion, mean_angle
 from ..npt import generator
 from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
@@ -113,6 +113,8 @@ class DrivingReading:
     confidence: Confidence | None = None
     keyframes: KeyframePrediction | None = None
     known: JointTrack | None = None
+    rest: RestPose | None = None
+    """The joints at rest, where the file has them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,12 +264,12 @@ class MimeMethod:
             )
         samples = SurfacePoints.of(clip.mesh, SOLE_SAMPLES, generator(self.seed, 1))
         soles = known.soles(samples, clip.vertices[0])
-        return DrivingReading(known.joints, _unread, known.leg, samples, soles, known=known.track)
+        return DrivingReading(known.joints, _unread, known.leg, samples, soles, known=known.track, rest=known.rest)
 
     def _linked(self, theirs: DrivingReading) -> LinkedJoints | None:
         """Return which joint of the driving each joint of the identity follows, where the two have not the same."""
         if self.known_identity is not None:
-            return self.known_identity.linked(theirs.joints)
+            return self.known_identity.linked(theirs.joints, theirs.rest)
         if theirs.known is None:
             return None
         return linked_to_body(self.joints, self.parents, theirs.joints)
