@@ -29,7 +29,16 @@ from ...core.rig import Rig, leg_length
 from ...core.skinning import SkinnedMesh
 from ...core.soles import Feet, Soles, find_soles
 from ...core.surface_points import SurfacePoints
-from ..base import KnownDriving, KnownIdentity, LinkedJoints, Pose, RestPose, SkinnedDrive, SurfaceMotion, linked_to_body
+from ..base import (
+    KnownDriving,
+    KnownIdentity,
+    LinkedJoints,
+    Pose,
+    RestPose,
+    SkinnedDrive,
+    SurfaceMotion,
+    linked_to_body,
+)
 from ..confidence import MAX_UNMATCHED_SURFACE, Confidence, largest_flexion, mean_angle
 from ..npt import generator
 from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
