@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
 from ...core.rig import Rig
 from ..confidence import mean_angle
@@ -21,11 +22,15 @@ def agreeing(rigs: list[Rig]) -> list[int]:
     before (docs/LOG.md, "Agreement").
     """
     angles = np.array([[mean_angle(one.rotation, other.rotation) for one in rigs] for other in rigs])
-    up, front = (np.array([rig.rotation[0, k, k] for rig in rigs]) for k in (1, 2))
-    votes = np.where((up > 0) & (front <= 0), FACES_AWAY, 1.0)
+    votes = np.array([FACES_AWAY if faces_away(rig.rotation[0]) else 1.0 for rig in rigs])
     # Of those with the same votes, the one nearest to the others: the second term is below the smallest vote.
     centre = angles[((angles < CONTRADICTION) @ votes - FACES_AWAY * angles.mean(axis=1) / 180).argmax()]
     return [int(k) for k in np.argsort(centre, kind="stable") if centre[k] < CONTRADICTION]
+
+
+def faces_away(root: Float[np.ndarray, "3 3"]) -> bool:
+    """Tell whether a figure with this rotation of its root joint is upright and faces away from +z."""
+    return bool(root[1, 1] > 0 and root[2, 2] <= 0)
 
 
 def consensus(rigs: list[Rig]) -> Rig:

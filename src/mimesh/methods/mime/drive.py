@@ -18,112 +18,56 @@ from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ...bodies.anatomy import anatomy_of
-from ...core.canonical_order import CanonicalOrder, canonical_faces, canonical_order
+from ...core.canonical_order import canonical_faces, canonical_order
 from ...core.geometry import vertex_normals
-from ...core.joint_tracks import JointTrack
 from ...core.mesh import Clip, Mesh
 from ...core.rig import Rig, leg_length
 from ...core.skinning import SkinnedMesh
-from ...core.soles import Feet, Soles, find_soles
+from ...core.soles import Feet, find_soles
 from ...core.surface_points import SurfacePoints
 from ..base import (
     KnownDriving,
     KnownIdentity,
     LinkedJoints,
     Pose,
-    RestPose,
     SkinnedDrive,
     SurfaceMotion,
     linked_to_body,
 )
-from ..confidence import MAX_UNMATCHED_SURFACE, Confidence, largest_flexion, mean_angle
+from ..confidence import MAX_UNMATCHED_SURFACE, Confidence
 from ..npt import generator
 from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
 from .body_weights import corrected_weights
-from .consensus import CONTRADICTION, agreeing, consensus
+from .consensus import consensus
 from .denoise import Denoiser, face_outward
 from .dense_weights import DENSE, CoarseSurface
+from .ensemble import ENSEMBLE, TRACKED, Ensemble, KeyframePrediction, sampled_points
 from .hands import FoundFingers, HandFinder, WeightedMesh, follow_fingers, with_fingers
 from .joint_network import JointNetwork, NetworkPoints
 from .joint_targets import JointTargets
 from .kept_results import kept
 from .part_tracking import PartTracker
+from .readings import DrivingReading, IdentityReading
 from .tail_weights import with_whole_tail
 from .weight_cleanup import clean_weights
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
-ENSEMBLE, WEIGHT_ENSEMBLE = 8, 3
-"""Predictions for a mesh, each from other samples, whose consensus is taken; and how many of those that agree predict
-weights too (of 6,890 vertices they cost four times as much as the joints)."""
-REFERENCE_ENSEMBLE = 4
-"""Predictions for the reference among the keyframes of a clip; each other keyframe gets one."""
 SOLE_SAMPLES = 8192
 """Points of a driving's surface among which those of the soles are, where its joints are known."""
-TRACKED = 2
-"""Every TRACKED-th sample is tracked through a clip."""
 KEPT_RIGS, KEPT_DRIVINGS, KEPT_QUICK = 8, 16, 256
 """How many results are kept (see `kept_results.py`): the weights of 10,000 vertices
 take 2.4 MB, a driving 8 MB. One pair may need four rigs: both meshes as both bodies."""
 RETRIES, DISAGREEMENT = 4, 15.0
 """How many further keyframes are tried as the reference while the predictions for all keyframes, carried back to the
 reference by the measured motion, differ from their consensus by more than this angle (degrees, median)."""
-
-
-@dataclass(frozen=True, eq=False)
-class KeyframePrediction:
-    """Consensus of the predictions for all keyframes, carried to one of them, the reference."""
-
-    reference: int
-    """Index of the keyframe."""
-    points: Float[np.ndarray, "N 3"]
-    """Tracked points in the reference."""
-    consensus: Rig
-    """Joints in the reference, and skinning weights of the tracked points."""
-    leg: float
-    """Length of a leg, in the normalised frame of the driving."""
-    confidence: Confidence
-    samples: SurfacePoints
-    """All samples of the surface, more than are tracked."""
-    soles: Soles = ()
-    """Contact points of the soles, as indices of samples."""
-
-
-@dataclass(frozen=True, eq=False)
-class IdentityReading:
-    """The joints of an identity: of its file, or predicted."""
-
-    vertices: Float[np.ndarray, "W 3"]
-    joints: tuple[str, ...]
-    parents: tuple[int, ...]
-    rig: Rig
-    group: Int[np.ndarray, " V"]
-    """Index of each vertex of the mesh among `vertices`."""
-    legs: tuple[tuple[int, ...], ...]
-    leg: float
-    confidence: Confidence | None = None
-    skinned: SkinnedMesh | None = None
-    """The skinned mesh of the file."""
-
-
-@dataclass(frozen=True, eq=False)
-class DrivingReading:
-    """The joints of a driving clip: of its file, or predicted and tracked."""
-
-    joints: tuple[str, ...]
-    follow: Callable[[Float[np.ndarray, "U 3"]], Pose]
-    leg: float
-    samples: SurfacePoints
-    soles: Soles
-    confidence: Confidence | None = None
-    keyframes: KeyframePrediction | None = None
-    known: JointTrack | None = None
-    rest: RestPose | None = None
-    """The joints at rest, where the file has them."""
+LIE = ("quadruped",)
+"""Bodies for which other orientations are tried where the predictions disagree: animals lie on their sides, and trunks
+of leaping ones point up or down. Of people figures of blocks became worse (docs/LOG.md, "Animals that lie")."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +110,11 @@ class MimeMethod:
     def network(self) -> JointNetwork:
         """The network."""
         return JointNetwork(self.session, self.joints)
+
+    @cached_property
+    def ensemble(self) -> Ensemble:
+        """Makes several predictions of a mesh with the network."""
+        return Ensemble(self.network, self.parents, self.legs)
 
     @property
     def kept_key(self) -> Hashable:
@@ -312,7 +261,7 @@ class MimeMethod:
         mesh = face_outward(mesh)
         ranked = canonical_order(mesh.vertices)
         denoised = Denoiser.of(mesh, ranked)(mesh.vertices)
-        samples = _samples(mesh, denoised, ranked, self.points, generator(self.seed, 0))
+        samples = sampled_points(mesh, denoised, ranked, self.points, generator(self.seed, 0))
         sampled = NetworkPoints.of(samples, denoised)
         rig = self.network.predict(sampled, sampled)
         return Confidence.of(0.0, rig.weights, self.joints, self.parents).weight_entropy, rig.rotation[0]
@@ -328,14 +277,14 @@ class MimeMethod:
             vertices, faces = coarse.points, coarse.faces
         normals = vertex_normals(vertices, faces) if len(faces) else np.zeros_like(vertices)
         denoised = Denoiser.of(mesh, ranked)(mesh.vertices)
-        samples = _samples(mesh, denoised, ranked, ENSEMBLE * self.points, generator(self.seed, 0))
+        samples = sampled_points(mesh, denoised, ranked, ENSEMBLE * self.points, generator(self.seed, 0))
         # Confidence is measured at samples, which are spread evenly over the surface; vertices are not.
         queries = NetworkPoints(vertices, normals).joined(NetworkPoints.of(samples.part(0, ENSEMBLE), denoised))
-        rigs = [self._predict(samples, denoised, k) for k in range(ENSEMBLE)]
-        mean = dataclasses.replace(consensus(rigs), weights=self._weights(rigs, samples, denoised, queries))
+        rigs = [self.ensemble.predict(samples, denoised, k) for k in range(ENSEMBLE)]
+        mean = dataclasses.replace(consensus(rigs), weights=self.ensemble.weights(rigs, samples, denoised, queries))
         # Smoothing improves the normals but shrinks the surface: points are taken from the original mesh.
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
-        confidence = self._confidence(rigs, mean, mean.weights[len(vertices) :])
+        confidence = self.ensemble.confidence(rigs, mean, mean.weights[len(vertices) :])
         if self.identity_targets is None:
             rig, confidence, fit = self._with_fit(mean, confidence, sample)
         else:
@@ -349,24 +298,6 @@ class MimeMethod:
         weights = clean_weights(weights, vertices, faces, self.parents, nearest, self.trunk)
         weights = weights if coarse is None else coarse.carried(weights)
         return dataclasses.replace(rig, weights=weights), confidence
-
-    def _predict(
-        self, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"], k: int, queries: NetworkPoints | None = None
-    ) -> Rig:
-        """Make prediction k of ENSEMBLE for a mesh, from samples of its own; odd ones are of the mirror image."""
-        sampled = NetworkPoints.of(samples.part(k, ENSEMBLE), vertices)
-        return self.network.predict(sampled, queries, mirrored=k % 2 == 1)
-
-    def _weights(
-        self, rigs: list[Rig], samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"], queries: NetworkPoints
-    ) -> Float[np.ndarray, "V J"]:
-        """Predict the weights of the queries: the mean of WEIGHT_ENSEMBLE of the predictions that agree."""
-        kept = agreeing(rigs)[:WEIGHT_ENSEMBLE]
-        total = np.ascontiguousarray(self._predict(samples, vertices, kept[0], queries).weights)
-        for k in kept[1:]:  # one after the other: those of all take several times the memory
-            total += self._predict(samples, vertices, k, queries).weights
-        total /= len(kept)
-        return total
 
     def _with_fit(
         self, rig: Rig, confidence: Confidence, sample: SurfaceSample
@@ -402,12 +333,6 @@ class MimeMethod:
             return confidence
         return dataclasses.replace(confidence, prediction_spread=0.0, fit_angle=0.0, flexion=0.0)
 
-    def _confidence(self, rigs: list[Rig], mean: Rig, weights: Float[np.ndarray, "N J"]) -> Confidence:
-        """Measure how far predictions are from their consensus, and how decided the weights of even samples are."""
-        spread = float(np.median([mean_angle(rig.rotation, mean.rotation) for rig in rigs]))
-        confidence = Confidence.of(spread, weights, self.joints, self.parents)
-        return dataclasses.replace(confidence, flexion=largest_flexion(mean.joints, self.joints))
-
     @kept(most=KEPT_DRIVINGS)
     def _follow(self, keyframes: Clip) -> tuple[Callable[[Float[np.ndarray, "U 3"]], Pose], KeyframePrediction]:
         """Return the function that finds the pose of the joints in each frame of a clip, and what it starts from.
@@ -421,14 +346,19 @@ class MimeMethod:
         ranked, frames = canonical_order(keyframes.mesh.vertices), list(keyframes.vertices)
         denoiser = Denoiser.of(keyframes.mesh, ranked)
         denoised = [denoiser(vertices) for vertices in frames]
-        samples = _samples(keyframes.mesh, denoised[0], ranked, ENSEMBLE * self.points, generator(self.seed, 1))
+        samples = sampled_points(keyframes.mesh, denoised[0], ranked, ENSEMBLE * self.points, generator(self.seed, 1))
         tracked = samples.part(0, TRACKED)
         targets = self.driving_targets
-        best = self._predict_keyframes(samples, frames, denoised, 0 if targets is None else len(frames) - 1)
+        best = self.ensemble.predict_keyframes(samples, frames, denoised, 0 if targets is None else len(frames) - 1)
         # Points were drawn on the first frame; they are the same points of the surface in every other one.
         for t in range(1, len(denoised), max(1, len(denoised) // RETRIES)):
             if targets is None and best.confidence.prediction_spread > DISAGREEMENT:
-                other = self._predict_keyframes(samples, frames, denoised, t)
+                other = self.ensemble.predict_keyframes(samples, frames, denoised, t)
+                best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
+        if targets is None and self.body in LIE and best.confidence.prediction_spread > DISAGREEMENT:
+            turn = self.ensemble.turn_to_stand(samples, denoised[best.reference])
+            if turn is not None:
+                other = self.ensemble.predict_keyframes(samples, frames, denoised, best.reference, turn)
                 best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
         sample = SurfaceSample(samples.points(frames[best.reference]), samples.normals(denoised[best.reference]))
         if targets is None:
@@ -449,35 +379,6 @@ class MimeMethod:
 
         return follow, best
 
-    def _predict_keyframes(
-        self, samples: SurfacePoints, frames: list[np.ndarray], denoised: list[np.ndarray], t: int
-    ) -> KeyframePrediction:
-        """Return the consensus of the predictions for all keyframes, with keyframe t as the reference.
-
-        Points are tracked in `frames`; the network's input is taken from the same frames `denoised`.
-        """
-        # Other keyframes add one prediction each; a single pose gets the whole ensemble.
-        tracked, count = samples.part(0, TRACKED), ENSEMBLE if len(denoised) == 1 else REFERENCE_ENSEMBLE
-        rigs = [self._predict(samples, denoised[t], k) for k in range(count)]
-        weights = self._weights(rigs, samples, denoised[t], NetworkPoints.of(tracked, denoised[t]))
-        joints = consensus(rigs).joints  # positions are those of the reference; only rotations are carried back
-        tracker = PartTracker.of(tracked.points(frames[t]), weights, joints, self.parents)
-        for k, vertices in enumerate(frames):
-            if k != t:
-                motion = tracker.follow(tracked.points(vertices))[0]  # rotations from the reference to this keyframe
-                # The network was trained on people who face +z: the frame is turned back by the motion of the root.
-                rig = self._predict(samples, denoised[k] @ motion[0], k % ENSEMBLE)
-                # Undo that turn, then the motion of each joint: the rotations as they would be in the reference.
-                in_reference = motion.swapaxes(-1, -2) @ motion[0] @ rig.rotation
-                rigs.append(dataclasses.replace(rig, rotation=in_reference))
-        mean = consensus(rigs)
-        leg = float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))
-        confidence = self._confidence(rigs, mean, weights)
-        if min(agreeing(rigs)) >= count:  # joints and weights of the reference do not belong to these rotations
-            confidence = dataclasses.replace(confidence, prediction_spread=CONTRADICTION)
-        rig = Rig(mean.rotation, joints, weights)
-        return KeyframePrediction(t, tracked.points(frames[t]), rig, leg, confidence, samples)
-
 
 def _feet(mine: IdentityReading, theirs: DrivingReading, skinned: SkinnedMesh) -> Feet | None:
     """Find the contact points of the feet that both have; None where a leg was not found."""
@@ -486,18 +387,6 @@ def _feet(mine: IdentityReading, theirs: DrivingReading, skinned: SkinnedMesh) -
         return None
     soles = find_soles(mine.vertices, mine.rig, mine.legs, mine.parents)
     return Feet.of(mine.legs, theirs.leg, soles, skinned, theirs.soles, theirs.samples)
-
-
-def _samples(
-    mesh: Mesh,
-    denoised: Float[np.ndarray, "V 3"],
-    ranked: CanonicalOrder,
-    count: int,
-    rng: np.random.Generator,
-) -> SurfacePoints:
-    """Draw points of a mesh on its denoised vertices; `ranked` is the canonical order of its own ones."""
-    unchanged = np.array_equal(denoised, mesh.vertices)
-    return SurfacePoints.of(dataclasses.replace(mesh, vertices=denoised), count, rng, ranked if unchanged else None)
 
 
 def _unread(vertices: Float[np.ndarray, "U 3"]) -> Pose:

@@ -57,6 +57,10 @@ class NetworkPoints:
         """Reflect the points at the plane x = 0."""
         return NetworkPoints(self.points * MIRROR, self.normals * MIRROR)
 
+    def turned(self, turn: Float[np.ndarray, "3 3"]) -> NetworkPoints:
+        """Rotate the points about the origin."""
+        return NetworkPoints(self.points @ turn.T, self.normals @ turn.T)
+
 
 @dataclass(frozen=True, eq=False)
 class JointNetwork:
@@ -66,12 +70,22 @@ class JointNetwork:
     joints: tuple[str, ...]
     """Names of the joints."""
 
-    def predict(self, samples: NetworkPoints, queries: NetworkPoints | None, mirrored: bool = False) -> Rig:
+    def predict(
+        self,
+        samples: NetworkPoints,
+        queries: NetworkPoints | None,
+        mirrored: bool = False,
+        turn: Float[np.ndarray, "3 3"] | None = None,
+    ) -> Rig:
         """Predict joints from samples of a mesh, and skinning weights of the queries, CHUNK at a time.
 
         With `mirrored` the network gets the mirror image, and its prediction is mirrored back: its errors are others,
-        so the mean of both kinds is nearer to the truth than that of as many of one kind.
+        so the mean of both kinds is nearer to the truth than that of as many of one kind. With `turn` it gets the mesh
+        after this rotation, which is undone in the prediction.
         """
+        if turn is not None:
+            rig = self.predict(samples.turned(turn), queries and queries.turned(turn), mirrored)
+            return Rig(turn.T @ rig.rotation, rig.joints @ turn, rig.weights)
         if mirrored:
             rig = self.predict(samples.mirrored(), queries and queries.mirrored())
             rotation = mirrored_rotations(rig.rotation[self._other_sides])

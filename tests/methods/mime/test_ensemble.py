@@ -1,0 +1,47 @@
+"""Predictions in other orientations: animals that lie on their sides."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mimesh.bodies.animals import animal
+from mimesh.core.canonical_order import canonical_order
+from mimesh.methods.find import find_method
+from mimesh.methods.mime.ensemble import ENSEMBLE, sampled_points
+from mimesh.methods.mime.joint_network import NetworkPoints
+from mimesh.methods.npt import generator
+
+METHOD = find_method("mime-quadruped")
+
+
+def points_of(turn: np.ndarray):
+    """Sample a horse that stands, rotated."""
+    mesh = animal("horse")
+    vertices = (mesh.vertices - mesh.vertices.mean(axis=0)) @ turn.T
+    mesh = mesh.with_vertices(vertices)
+    ranked = canonical_order(vertices)
+    return sampled_points(mesh, vertices, ranked, ENSEMBLE * METHOD.points, generator(0, 1)), vertices
+
+
+@pytest.mark.parametrize("axis", ["x", "z"])
+@pytest.mark.parametrize("angle", [-90, 100])
+def test_a_mesh_that_lies_is_turned_to_stand(axis, angle):
+    turn = Rotation.from_euler(axis, angle, degrees=True).as_matrix()
+    found = METHOD.ensemble.turn_to_stand(*points_of(turn))
+    assert found is not None
+    assert (found @ turn)[1, 1] > np.cos(np.radians(20))
+
+
+def test_a_mesh_that_stands_is_left_alone():
+    assert METHOD.ensemble.turn_to_stand(*points_of(np.eye(3))) is None
+
+
+def test_predictions_after_a_turn_are_those_of_the_turned_mesh():
+    turn = Rotation.from_euler("xyz", [30, 40, 50], degrees=True).as_matrix()
+    samples, vertices = points_of(np.eye(3))
+    points = NetworkPoints.of(samples.part(0, ENSEMBLE), vertices)
+    direct = METHOD.network.predict(points.turned(turn), points.turned(turn))
+    back = METHOD.network.predict(points, points, turn=turn)
+    np.testing.assert_allclose(turn @ back.rotation, direct.rotation, atol=1e-5)
+    np.testing.assert_allclose(back.joints @ turn.T, direct.joints, atol=1e-5)
+    np.testing.assert_allclose(back.weights, direct.weights, atol=1e-6)
