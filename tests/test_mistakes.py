@@ -52,6 +52,12 @@ def test_lists_and_other_numbers_are_converted():
     assert mimesh.Mesh(CUBE.vertices).faces.shape == as_faces([]).shape == (0, 3)
 
 
+def test_meshes_clips_and_results_are_shown_without_their_arrays():
+    assert repr(CUBE) == f"Mesh({CUBE.name!r}, {len(CUBE.vertices)} vertices, {len(CUBE.faces)} faces)"
+    assert repr(CLIP) == f"Clip({CUBE.name!r}, 2 frames at 30 fps, {len(CUBE.vertices)} vertices)"
+    assert "array(" not in repr(MOVING)
+
+
 def test_arrays_that_can_be_used_are_not_copied():
     vertices = CUBE.vertices.astype(np.float32)
     mesh = mimesh.Mesh(vertices, CUBE.faces)

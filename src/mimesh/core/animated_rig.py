@@ -41,6 +41,10 @@ class AnimatedRig:
     positions: Float[np.ndarray, "T J 3"] | None = None
     """Position of every joint; None: bones keep their lengths, so positions follow from `root` and `rotation`."""
 
+    def __repr__(self) -> str:
+        """Sum up the rig: arrays of thousands of numbers say nothing."""
+        return f"AnimatedRig({self.mesh.name!r}, {len(self.names)} joints, {len(self.rotation)} frames)"
+
     def joint_positions(self) -> Float[np.ndarray, "T J 3"]:
         """Return the position of every joint in every frame."""
         if self.positions is not None:

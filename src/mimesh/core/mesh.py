@@ -113,6 +113,10 @@ class Mesh:
             if value is not None:
                 object.__setattr__(self, name, as_floats(f"Mesh.{name}", value, shape, hint))
 
+    def __repr__(self) -> str:
+        """Sum up the mesh: arrays of thousands of numbers say nothing."""
+        return f"Mesh({self.name!r}, {len(self.vertices)} vertices, {len(self.faces)} faces)"
+
     def with_vertices(self, vertices: Float[np.ndarray, "V 3"]) -> Mesh:
         """Return this mesh with other points; corner normals are turned along with the surface.
 
@@ -192,6 +196,10 @@ class Clip:
         """
         check_kind("mesh", mesh, "Mesh")
         return cls(mesh, mesh.vertices[None])
+
+    def __repr__(self) -> str:
+        """Sum up the clip: arrays of thousands of numbers say nothing."""
+        return f"Clip({self.mesh.name!r}, {len(self)} frames at {self.fps:g} fps, {self.vertices.shape[1]} vertices)"
 
     def __len__(self) -> int:
         """Number of frames."""
