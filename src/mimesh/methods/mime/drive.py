@@ -262,9 +262,7 @@ class MimeMethod:
         ranked = canonical_order(mesh.vertices)
         denoised = Denoiser.of(mesh, ranked)(mesh.vertices)
         samples = sampled_points(mesh, denoised, ranked, self.points, generator(self.seed, 0))
-        sampled = NetworkPoints.of(samples, denoised)
-        rig = self.network.predict(sampled, sampled)
-        return Confidence.of(0.0, rig.weights, self.joints, self.parents).weight_entropy, rig.rotation[0]
+        return self.ensemble.predict_once(NetworkPoints.of(samples, denoised))
 
     @kept(most=KEPT_RIGS)
     def _rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from ...core.canonical_order import CanonicalOrder
 from ...core.mesh import Mesh
-from ...core.normalization import ROTATIONS
+from ...core.normalization import ORIENTATIONS, ROTATIONS
 from ...core.rig import Rig, leg_length
 from ...core.soles import Soles
 from ...core.surface_points import SurfacePoints
@@ -137,6 +137,13 @@ class Ensemble:
         rig = Rig(mean.rotation, joints, weights)
         return KeyframePrediction(t, tracked.points(frames[t]), rig, leg, confidence, samples)
 
+    def predict_once(
+        self, points: NetworkPoints, turn: Float[np.ndarray, "3 3"] | None = None
+    ) -> tuple[float, Float[np.ndarray, "3 3"]]:
+        """Predict once: mean entropy (nats) of the skinning weights of the points, and world rotation of the root."""
+        rig = self.network.predict(points, points, turn=turn)
+        return Confidence.of(0.0, rig.weights, self.joints, self.parents).weight_entropy, rig.rotation[0]
+
     def turn_to_stand(
         self, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"]
     ) -> Float[np.ndarray, "3 3"] | None:
@@ -147,18 +154,14 @@ class Ensemble:
         and faces away, which has been decided before.
         """
         sampled = NetworkPoints.of(samples.part(0, ENSEMBLE), vertices)
-
-        def predict(turn: Float[np.ndarray, "3 3"]) -> tuple[float, Float[np.ndarray, "3 3"]]:
-            rig = self.network.predict(sampled, sampled, turn=turn)
-            confidence = Confidence.of(0.0, rig.weights, self.joints, self.parents)
-            return confidence.weight_entropy, rig.rotation[0]
-
-        found = [(entropy, hips) for entropy, hips in map(predict, ROTATIONS) if not faces_away(hips)]
+        predictions = [self.predict_once(sampled, turn) for turn in ROTATIONS]
+        found = [(entropy, hips) for entropy, hips in predictions if not faces_away(hips)]
         if not found:
             return None
         _, hips = min(found, key=lambda prediction: prediction[0])
-        entropy, _ = predict(hips.T)
-        return hips.T if entropy < predict(np.eye(3))[0] - DECIDED else None
+        as_it_stands, _ = predictions[ORIENTATIONS.index(("+y", "+z"))]
+        entropy, _ = self.predict_once(sampled, hips.T)
+        return hips.T if entropy < as_it_stands - DECIDED else None
 
 
 def sampled_points(
