@@ -1,5 +1,7 @@
 """The options of `animate` for game engines: what they write, and one line where they do not fit."""
 
+import numpy as np
+import pygltflib
 import pytest
 from people import person, walk
 
@@ -58,3 +60,26 @@ def test_options_that_do_not_fit_are_refused_in_one_line(files, options, message
     error = capsys.readouterr().err
     assert message in error
     assert len(error.strip().splitlines()) == 1
+
+
+def test_thighs_beside_the_hips_of_an_own_rig_are_noted_with_a_scheme(files, capsys):
+    assert animate(files) == 0
+    gltf = pygltflib.GLTF2().load(str(files / "out.glb"))
+    nodes = {node.name: (number, node) for number, node in enumerate(gltf.nodes)}
+    (hips, hips_node), root = nodes["Hips"], pygltflib.Node(name="Body", children=[])
+    for joint, thigh in (("LHipJoint", "LeftUpLeg"), ("RHipJoint", "RightUpLeg")):
+        number, node = nodes[thigh]
+        above = [hips_node.translation, nodes[joint][1].translation]
+        node.translation = np.sum([node.translation, *above], axis=0).tolist()  # no bone is turned at rest
+        nodes[joint][1].children.remove(number)
+        root.children.append(number)
+    root.children.append(hips)
+    gltf.animations = []
+    gltf.nodes.append(root)
+    gltf.scenes[0].nodes = [n for n in gltf.scenes[0].nodes if n != hips] + [len(gltf.nodes) - 1]
+    gltf.save(str(files / "body.glb"))
+    words = ["animate", files / "body.glb", files / "walk.glb", "-o", files / "moved.glb", "--no-preview"]
+    assert run([str(word) for word in words]) == 0
+    assert "thighs" not in capsys.readouterr().out
+    assert run([str(word) for word in (*words, "--names", "vrm")]) == 0
+    assert "note: body: its thighs are not below its hips" in capsys.readouterr().out

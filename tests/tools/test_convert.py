@@ -14,7 +14,7 @@ from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.formats import CLIP_WRITERS, MESH_WRITERS
 from mimesh.motions import load_motion, window
-from mimesh.pipeline.first_frame import first_frame_note
+from mimesh.pipeline.odd_frames import far_frames_note, first_frame_note
 from mimesh.render.movie import MOVIES
 from mimesh.tools.convert import (
     LARGE,
@@ -202,6 +202,21 @@ def test_a_first_frame_far_from_all_others_is_noted():
     (note,) = first_frame_note(posed, 0, "a.bvh")
     assert note.startswith("a.bvh: frame 0 differs from the others")
     assert first_frame_note(posed, 1, "a.bvh") == ()
+
+
+def test_single_frames_far_from_their_neighbours_are_noted():
+    rest = zoo.cube()
+    vertices = rest.vertices + 0.3 * np.arange(40)[:, None, None]  # a fast way over the ground is no fault
+    assert far_frames_note(Clip(rest, vertices, 30.0), "a.glb") == ()
+    vertices[7] += [5, 0, 0]
+    (note,) = far_frames_note(Clip(rest, vertices, 30.0), "a.glb")
+    assert note.startswith("a.glb: frame 7 is far from the frames before and after")
+    vertices[20] += [0, 5, 0]
+    (note,) = far_frames_note(Clip(rest, vertices, 30.0), "a.glb")
+    assert note.startswith("a.glb: frames 7, 20 are far")
+    vertices[::2] += [5, 0, 0]  # every second one: a motion of which few frames are taken
+    assert far_frames_note(Clip(rest, vertices, 30.0), "a.glb") == ()
+    assert far_frames_note(Clip(rest, vertices[:2], 30.0), "a.glb") == ()
 
 
 def test_chosen_frames_of_driving_files_have_the_notes_of_the_whole(tmp_path):

@@ -307,7 +307,7 @@ def animate(
     from ..io.atomic import together
     from ..pipeline import animate as run_animate
     from ..pipeline.run import MotionOptions
-    from ..tools.convert import read_driving, resampled_note
+    from ..tools.convert import hierarchy_note, read_driving, resampled_note
     from ..tools.driving_clips import choose_clips
 
     _refuse_motion(identity, output)
@@ -368,7 +368,8 @@ def animate(
                 driving_joints=corrected.driving,
             )
         result.seconds["load"] += seconds
-        notes.append(of_clip + resampled_note(result.clip, output_fps))
+        hierarchy = hierarchy_note(result.own, names, mesh.name)
+        notes.append(of_clip + resampled_note(result.clip, output_fps) + hierarchy)
         results.append(result)
         corrections.append(corrected.described())
     with together():

@@ -18,9 +18,9 @@ from ..methods.base import Method
 from ..methods.find import find_method, takes_rigs
 from ..motions.humanoid_rig import HumanoidRig
 from .corrections import Corrections, GivenJoints
-from .first_frame import first_frame_note
 from .live import LiveSession, limited_threads, live_session
 from .move import move, prepare_frames
+from .odd_frames import far_frames_note, first_frame_note
 from .report import TransferReport
 from .result import ClipResult, Result, Timer
 from .rigs import still_clip
@@ -206,7 +206,7 @@ def animate(
     options = MotionOptions(root, ground, smooth, skinned, _usable_rig(rig, model), body)
     moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32, corrections)
     _name_axis_sources(moved.report, up, driving_up)
-    notes = clip.notes + moved.notes
+    notes = clip.notes + moved.notes + far_frames_note(clip, clip.mesh.name)
     if not isinstance(driving, Clip):
         notes += first_frame_note(clip, start, Path(driving).name)
     if len(clip) == 1:

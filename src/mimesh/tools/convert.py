@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..bodies.joint_names import ancestors
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_cut, cut_clip
@@ -24,9 +25,11 @@ from ..io import (
 )
 from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
+from ..io.gltf.own_animation import OwnAnimation
+from ..io.gltf.scene import node_parents
 from ..io.timing import DEFAULT_FPS
 from ..motions.on_body import is_motion_file
-from ..pipeline.first_frame import LONE_FRAMES, first_frame_note
+from ..pipeline.odd_frames import LONE_FRAMES, first_frame_note
 from ..render.movie import MOVIES, write_clip
 from .driving_clips import ALL, DrivingClip
 
@@ -232,6 +235,26 @@ def skinned_note(report: Mapping[str, Any]) -> tuple[str, ...]:
         cause = DEVIATION_CAUSES.get(report.get("deviation_cause", ""), "")
         notes += (f"a vertex of the file is up to {written:.2g} of the mesh's size from its frame{cause}",)
     return notes
+
+
+def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[str, ...]:
+    """Return a note on thighs that are not below the hips in an identity's own rig, whose bones a scheme renames.
+
+    Args:
+        own: the motion on the bones of the identity's file; None: other bones are written.
+        scheme: names of bones that were asked for.
+        name: that of the identity.
+    """
+    hips, thighs = "Hips", ("LeftUpLeg", "RightUpLeg")
+    if own is None or scheme == "own" or not {hips, *thighs} <= own.joints.keys():
+        return ()
+    parents = tuple(node_parents(own.source.document))
+    if all(own.joints[hips] in ancestors(parents, own.joints[thigh]) for thigh in thighs):
+        return ()
+    return (
+        f"{name}: its thighs are not below its hips, which programs that map a humanoid by its hierarchy need; "
+        "--rig mimesh writes joints that are",
+    )
 
 
 def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
