@@ -8,7 +8,9 @@ from networks import write_network
 from people import person
 
 from mimesh.cli import run
+from mimesh.evaluate.tables import TABLES
 from mimesh.io import load_mesh, save_mesh
+from mimesh.methods.find import is_table_model
 
 
 @pytest.fixture
@@ -77,3 +79,13 @@ def test_protocols_without_their_folder_are_refused(protocol, tmp_path, capsys):
 def test_unknown_names_are_refused_with_the_known_ones(arguments, capsys):
     assert run(arguments) == 2
     assert "expected a" in capsys.readouterr().err
+
+
+def test_all_networks_that_a_table_lacks_are_named_at_once(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(["table", "npt-1"]) == 2
+    (message,) = capsys.readouterr().err.splitlines()
+    missing = [row.method for row in TABLES["npt-1"].rows if is_table_model(row.method)]
+    assert len(missing) > 1
+    assert f"{', '.join(missing)}: expected weights in ablations" in message
+    assert " ".join(f"--without {method}" for method in missing) in message

@@ -80,6 +80,7 @@ def evaluate(
     """
     from ..evaluate.markdown import markdown
     from ..evaluate.run import evaluate_command
+    from ..methods.find import ABLATIONS
 
     options: tuple = (refine, height, fps, mirror)
     if torch:
@@ -97,7 +98,7 @@ def evaluate(
         say("± is half of the 95 % interval of the mean; columns: docs/conventions.md")
         for note in figures.get("notes", ()):
             say(f"note: {note}")
-        if figures["protocol"] == "human-npt":
+        if figures["protocol"] == "human-npt" and ABLATIONS.is_dir():  # a checkout, which has the networks of the rows
             print_next("table", "npt-1")
 
 

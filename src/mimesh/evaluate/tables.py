@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.errors import InputError, did_you_mean
 from ..core.frame_buffer import Progress
-from ..methods.find import REDUCED_MODELS
+from ..methods.find import REDUCED_MODELS, check_weights
 from .markdown import cell, markdown_table, with_interval
 from .run import evaluate_command
 
@@ -217,6 +217,7 @@ def table_command(
     """
     table = find_table(name, without)
     methods = list(dict.fromkeys(method for row in table.rows for method in trained.get(row.method, [row.method])))
+    check_weights(*methods)
     report = evaluate_command(table.protocol, methods, out, pairs=pairs, progress=progress, data=data)
     return report, paper_table(name, report, trained=trained, without=without)
 

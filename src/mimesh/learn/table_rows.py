@@ -119,9 +119,8 @@ def train_table(
     if not 0 < minutes < float("inf"):  # 0 in a configuration means that its number of pairs counts: days
         raise InputError(f"--minutes: expected a positive number, found {minutes:g}; give another")
     rows = rows_of(table, long, without)
-    for method in (row.method for row in find_table(table, without).rows):
-        if REDUCED_MODELS.get(method, method) not in rows:
-            check_weights(method)
+    methods = [row.method for row in find_table(table, without).rows]
+    check_weights(*(method for method in methods if REDUCED_MODELS.get(method, method) not in rows))
     folders = [folder / f"seed{seed}" for seed in range(seeds)]
     work = [(row, seed) for seed in range(seeds) for row in rows]
     timed = [row_config(*one, minutes).minutes for one in work]

@@ -57,17 +57,20 @@ def is_table_model(model: str) -> bool:
     return REDUCED_MODELS.get(name, name) in TABLE_MODELS
 
 
-def check_weights(model: str) -> None:
-    """Check that a network of the tables has its weights.
+def check_weights(*models: str) -> None:
+    """Check that networks of the tables have their weights; other names and paths pass.
 
     Raises:
-        InputError: it has not; other names and paths pass.
+        InputError: some have not; all of them are named.
     """
-    if is_table_model(model) and not weights_path(model).is_file():
+    missing = [model for model in models if is_table_model(model) and not weights_path(model).is_file()]
+    if missing:
+        folders = ", ".join(dict.fromkeys(str(weights_path(model).parent) for model in missing))
+        without = " ".join(f"--without {model}" for model in missing)
         raise InputError(
-            f"{model}: expected its weights in {weights_path(model)}, found no file; run this in a checkout of the "
-            "repository, train them with mimesh table --train (--long for those that take hours), or leave the row out "
-            "of the table with --without"
+            f"{', '.join(missing)}: expected weights in {folders}, found no files; run this in a checkout of the "
+            "repository, train them with mimesh table --train (--long for those that take hours), or leave rows out of "
+            f"the table with {without}"
         )
 
 
