@@ -78,12 +78,21 @@ def test_transfer_json_is_one_object_with_the_documented_keys(files, capsys):
     lines = capsys.readouterr().out.splitlines()
     facts = json.loads(lines[0])
     assert len(lines) == 1
-    assert set(facts) == {"output", "model", "vertices", "frames", "fps", "seconds", "report"}
+    assert set(facts) == {"output", "replaced", "model", "vertices", "frames", "fps", "seconds", "report"}
+    assert not facts["replaced"]
     assert set(facts["seconds"]) == {"load", "prepare", "drive", "refine", "write"}
     assert facts["output"] == str(files / "hero-pose.obj")
     assert (facts["model"], facts["vertices"], facts["frames"], facts["fps"]) == ("copy", 8, 1, None)
     assert facts["report"]["pictures"] == []
     assert not list(files.glob("*.preview.*"))
+
+
+def test_a_second_run_says_that_it_replaced_the_file_of_the_first(files, capsys):
+    args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "--no-preview"]
+    assert run(args) == 0
+    assert "replaced" not in capsys.readouterr().out
+    assert run(args) == 0
+    assert f"{files / 'hero-pose.obj'} (replaced): 8 vertices" in capsys.readouterr().out
 
 
 def test_transfer_equals_the_python_function(files):

@@ -248,3 +248,22 @@ def test_method_object_equals_the_method_of_its_name():
     from_object, from_name = transfer(identity, driving, CopyMethod()), transfer(identity, driving, "copy")
     assert np.array_equal(from_object.vertices, from_name.vertices)
     assert from_object.model == animate(identity, walk(), CopyMethod()).model == "copy"
+
+
+def test_meshes_of_arrays_are_called_by_what_they_are_for():
+    identity, clip = Mesh(person(0).vertices, person(0).faces), walk(frames=3)
+    flat = Mesh(np.zeros((5, 3)) + [1, 2, 3])
+    with pytest.raises(InputError, match="^driving: expected a mesh with some size"):
+        transfer(identity, flat, "copy")
+    with pytest.raises(InputError, match="^identity: "):
+        transfer(flat, identity, "copy")
+    with pytest.raises(InputError, match="^driving: "):
+        animate(identity, Clip(flat, np.repeat(flat.vertices[None], 3, axis=0), clip.fps), "copy")
+    with pytest.raises(InputError, match="^hero: "):
+        transfer(Mesh(flat.vertices, name="hero"), identity, "copy")
+
+
+def test_models_with_joints_report_each_frame_once(model):
+    calls = []
+    animate(person(0), walk(frames=5), model, progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(k, 5) for k in range(1, 6)]

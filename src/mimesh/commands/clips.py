@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ..core.printable import say
-from .terminal import output_beside, print_next, tell_size
+from .terminal import output_beside, tell_size
 
 if TYPE_CHECKING:
     from ..bodies.engine_rig import Layout
     from ..core.mesh import Clip, Mesh
     from ..pipeline.result import ClipResult
     from ..pipeline.run import MotionOptions
-    from ..tools.driving_clips import DrivingClip
 
 JOINT_SUFFIXES = (".glb", ".gltf", ".fbx")
 """Formats that hold joints and morph targets."""
@@ -169,72 +167,3 @@ def save_clips(
         save_skinned(results, output, animations=names, layout=layout)
     else:
         first.save(output, blendshapes=blendshapes, progress=progress)
-
-
-def joined_facts(facts: Sequence[dict[str, Any]], driving: Sequence[DrivingClip]) -> dict[str, Any]:
-    """Return the facts about one file of several clips: sums and unions, and under "clips" those of each."""
-    kept = ("frames", "fps", "seconds", "report")
-    clips = [
-        {"name": clip.name, "driving": str(clip.path), **{key: one[key] for key in kept}}
-        for one, clip in zip(facts, driving, strict=True)
-    ]
-    rates = {one["fps"] for one in facts}
-    reports = [one["report"] for one in facts]
-    report = {
-        "notes": list(dict.fromkeys(note for report in reports for note in report["notes"])),
-        "pictures": [path for report in reports for path in report["pictures"]],
-        "page": reports[0]["page"],
-    }
-    return {
-        **{key: facts[0][key] for key in ("output", "model", "vertices")},
-        "frames": sum(one["frames"] for one in facts),
-        "fps": rates.pop() if len(rates) == 1 else None,
-        "seconds": {step: round(sum(one["seconds"][step] for one in facts), 4) for step in facts[0]["seconds"]},
-        "report": report,
-        "clips": clips,
-    }
-
-
-def moved_by(facts: dict[str, Any]) -> str:
-    """Name what moved the identity: the model, or the rig of its own file."""
-    return "on its own rig" if facts["report"].get("rig") == "own" else facts["model"]
-
-
-def print_clips(facts: dict[str, Any]) -> None:
-    """Print a file of several clips: a line for each, notes with the clips that they are about, and the pages."""
-    from ..tools.convert import frames_at
-
-    clips, seconds = facts["clips"], sum(facts["seconds"].values())
-    by = moved_by({**facts, "report": clips[0]["report"]})
-    say(f"{facts['output']}: {facts['vertices']} vertices, {len(clips)} clips, {by}, {seconds:.1f} s")
-    for clip in clips:
-        say(f"clip: {clip['name']}, {frames_at(clip['frames'], clip['fps'])}")
-    for line in dict.fromkeys(line for clip in clips for line in clip["report"].get("joints", ())):
-        say(f"joints: {line}")
-    for note in facts["report"]["notes"]:
-        about = [clip["name"] for clip in clips if note in clip["report"]["notes"]]
-        say(f"note: {note}" if len(about) == len(clips) else f"note: {', '.join(about)}: {note}")
-    for clip in clips:
-        print_previews(clip["report"])
-    print_viewing(facts)
-
-
-def print_previews(report: dict[str, Any]) -> None:
-    """Print the paths of the picture and the page of a result, if they were written."""
-    for path in report["pictures"]:
-        say(f"picture: {path}")
-    if report["page"]:
-        say(f"page: {report['page']}")
-
-
-def print_viewing(facts: dict[str, Any]) -> None:
-    """Print how to look at a result: its page, or the command that makes a page or a picture of it."""
-    output = Path(facts["output"])
-    if facts["report"]["page"]:
-        say(f"next: open {facts['report']['page']} in a browser")
-    elif facts["fps"] is None and "clips" not in facts:
-        print_next("render", output, "-o", output.with_suffix(".png"))
-    elif output.suffix.lower() == ".vrma":
-        print_next("look", output)
-    else:
-        print_next("render", output, "-o", output.with_suffix(".html"))

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..core.printable import say
 from .clips import (
     check_clip_output,
     check_frames_size,
@@ -15,17 +14,13 @@ from .clips import (
     check_single,
     check_suffix,
     clip_output,
-    joined_facts,
-    moved_by,
     moves_joints,
-    print_clips,
-    print_previews,
-    print_viewing,
     save_clips,
 )
 from .common import LOGGER
 from .completion import one_of
 from .joint_files import JointFiles, check_joint_outputs, save_joint_files
+from .summary import joined_facts, print_facts, result_facts
 from .terminal import (
     Animations,
     BlendShapes,
@@ -43,7 +38,6 @@ from .terminal import (
     open_page,
     output_beside,
     output_path,
-    print_json,
     progress,
     refuse_existing,
     refuse_inputs,
@@ -208,6 +202,7 @@ def transfer(
             driving_joints=corrected.driving,
         )
     result.seconds["load"] += seconds
+    replaced = target.is_file()
     with together():
         result.save(target)
         save_joint_files(result, identity, driving, save_joints, save_driving_joints)
@@ -216,7 +211,7 @@ def transfer(
         open_page(shown["page"])
     _log(result, model, body)
     notes += taken_pose_note(mesh, identity)
-    return _print_facts(_facts(result, target, shown, notes, corrected.described()), json, quiet)
+    return print_facts(result_facts(result, target, replaced, shown, notes, corrected.described()), json, quiet)
 
 
 def _refuse_motion(identity: Path, output: str | None) -> None:
@@ -372,6 +367,7 @@ def animate(
         notes.append(of_clip + resampled_note(result.clip, output_fps) + hierarchy)
         results.append(result)
         corrections.append(corrected.described())
+    replaced = target.is_file()
     with together():
         with progress("writing", quiet or json) as advance:
             save_clips(results, target, [clip.name for clip in clips], as_joints, blendshapes, layout, advance)
@@ -384,10 +380,10 @@ def animate(
     for result in results:
         _log(result, model, body)
     facts = [
-        _facts(result, target, paths, about, corrected, output_fps)
+        result_facts(result, target, replaced, paths, about, corrected, output_fps)
         for result, paths, about, corrected in zip(results, shown, notes, corrections, strict=True)
     ]
-    return _print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), json, quiet)
+    return print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), json, quiet)
 
 
 def _log(result: Result | ClipResult, model: str, body: str) -> None:
@@ -406,70 +402,6 @@ def _log(result: Result | ClipResult, model: str, body: str) -> None:
     own = report.get("rig") == "own"
     bones = "; on the rig of IDENTITY's own file" if own else "; joints found on the surface" if result.joints else ""
     log.info("method: %s (%s)%s", result.model, why, bones)
-
-
-def _facts(
-    result: Result | ClipResult,
-    output: Path,
-    shown: dict[str, Any],
-    driving_notes: tuple[str, ...] = (),
-    joints: tuple[str, ...] = (),
-    output_fps: float | None = None,
-) -> dict[str, Any]:
-    """Return the facts about a result and its file, with all notes.
-
-    `shown` are the paths of the preview, `output_fps` is the rate of the file if it differs from the result's.
-    """
-    from ..core.animated_rig import frames_around
-    from ..pipeline.result import Result
-    from ..tools.convert import blend_note, not_kept, posed_vrm_note, rate_note, size_note, skinned_note
-
-    mesh = result.moved.mesh
-    fps, frames = None if isinstance(result, Result) else result.fps, len(result.moved)
-    if fps is not None and output_fps is not None:
-        fps, frames = output_fps, len(frames_around(frames, fps, output_fps)[0])
-    rate = () if fps is None else (*rate_note(fps, output), *size_note(output))
-    blended = blend_note(result.report.get("blendshapes_deviation"))
-    kept = (*not_kept(mesh, output), *posed_vrm_note(output))
-    notes = [*result.notes, *kept, *rate, *blended, *skinned_note(result.report), *driving_notes]
-    facts: dict[str, Any] = {
-        "output": str(output),
-        "model": result.model,
-        "vertices": len(mesh.vertices),
-        "frames": frames,
-        "fps": fps,
-        "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
-        "report": {**result.report, "notes": notes, **shown},
-    }
-    if joints:
-        facts["report"]["joints"] = list(joints)
-    return facts
-
-
-def _print_facts(facts: dict[str, Any], json: bool, quiet: bool) -> dict[str, Any]:
-    """Print facts about a file as JSON, or as a summary, and return them."""
-    if json:
-        print_json(facts)
-    elif not quiet:
-        print_clips(facts) if "clips" in facts else _print_summary(facts)
-    return facts
-
-
-def _print_summary(facts: dict[str, Any]) -> None:
-    """Print the output, its notes and previews, and a command for the next step."""
-    from ..render.movie import MOVIES
-    from ..tools.convert import frames_at
-
-    length = "" if facts["fps"] is None else f", {frames_at(facts['frames'], facts['fps'])}"
-    seconds = sum(facts["seconds"].values())
-    say(f"{facts['output']}: {facts['vertices']} vertices{length}, {moved_by(facts)}, {seconds:.1f} s")
-    for line in facts["report"].get("joints", ()):
-        say(f"joints: {line}")
-    for note in facts["report"]["notes"]:
-        say(f"note: {note}")
-    print_previews(facts["report"])
-    if Path(facts["output"]).suffix.lower() not in MOVIES:
-        print_viewing(facts)
 
 
 def _write_preview(

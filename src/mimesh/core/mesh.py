@@ -21,6 +21,9 @@ from .errors import InputError
 from .frame_buffer import each_frame
 from .person_motion import JointSource
 
+UNNAMED = "mesh"
+"""Name of meshes that were given none."""
+
 
 @runtime_checkable
 class Source(Protocol):
@@ -84,7 +87,7 @@ class Mesh:
     """Points in the axes and unit of the file."""
     faces: Int[np.ndarray, "F 3"] = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     """The three vertices of each triangle, counted from 0, counter-clockwise seen from outside."""
-    name: str = "mesh"
+    name: str = UNNAMED
     """Name in messages, and of the mesh in files that have names."""
     corner_uv: Float[np.ndarray, "F 3 2"] | None = None
     """Texture coordinate of each face corner, origin at the lower left as in OBJ (v of glTF is 1 minus this v)."""

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..core.arguments import described, for_caller, public
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip
+from ..core.mesh import UNNAMED, Clip, Mesh, check_clip, check_mesh, cut_clip
 from ..core.normalization import Normalization
 from ..methods.base import Method
 from ..methods.find import find_method, takes_rigs
@@ -89,7 +89,7 @@ def transfer(
     """
     timer = Timer()
     with timer.step("load"):
-        identity, driving = _read_mesh(identity), _read_mesh(driving)
+        identity, driving = _read_mesh(identity, "identity"), _read_mesh(driving, "driving")
     model = _usable_model(model)
     axes = (up, front, driving_up, driving_front)
     choice = _choice(model, ensemble, seed, reference, markers)
@@ -192,7 +192,7 @@ def animate(
 
     timer = Timer()
     with timer.step("load"):
-        identity = _read_mesh(identity)
+        identity = _read_mesh(identity, "identity")
         if driving_joints is None and not isinstance(driving, Clip):
             clip = load_clip(driving, fps=fps, animation=animation, frames=slice(start, stop, step))
             corrections = Corrections.read(joints, None, clip)
@@ -283,8 +283,8 @@ def prepare(
         >>> session.pose(frame).shape  # (V, 3)
         (502, 3)
     """
-    identity = _read_mesh(identity)
-    known = Clip.still(check_mesh(driving, driving.name)) if isinstance(driving, Mesh) else driving
+    identity = _read_mesh(identity, "identity")
+    known = Clip.still(_read_mesh(driving, "driving")) if isinstance(driving, Mesh) else driving
     clip = dataclasses.replace(_read_clip(known, None, None), skeleton=None)
     corrections = Corrections.read(joints, driving_joints, clip)
     model = _usable_model(model)
@@ -312,7 +312,7 @@ def _choice(model: str | Method, ensemble: int, seed: int, reference, markers) -
     """Return the function that makes the method, given the driving's normalisation (which the reference needs too)."""
     if isinstance(model, Method):
         return lambda norm: model
-    reference = None if reference is None else _read_mesh(reference)
+    reference = None if reference is None else _read_mesh(reference, "reference")
     if isinstance(markers, (str, Path)):
         from ..io.markers import load_markers
 
@@ -387,8 +387,10 @@ def driving_axes(clip: Clip, up: str | None, front: str | None) -> tuple[str | N
     return "+y", ("+" if max(x, z, key=abs) > 0 else "-") + ("x" if abs(x) > abs(z) else "z")
 
 
-def _read_mesh(mesh: Mesh | str | Path) -> Mesh:
+def _read_mesh(mesh: Mesh | str | Path, role: str) -> Mesh:
+    """Read a mesh, or check one of arrays, which messages call by what it is for if it has no name."""
     if isinstance(mesh, Mesh):
+        mesh = dataclasses.replace(mesh, name=role) if mesh.name == UNNAMED else mesh
         return check_mesh(mesh, mesh.name)
     from ..io import load_mesh
 
@@ -397,6 +399,8 @@ def _read_mesh(mesh: Mesh | str | Path) -> Mesh:
 
 def _read_clip(clip: Clip | str | Path, fps: float | None, animation: str | int | None) -> Clip:
     if isinstance(clip, Clip):
+        if clip.mesh.name == UNNAMED:
+            clip = dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name="driving"))
         if animation is not None:
             raise InputError(
                 f"animation: expected the path of a file with it, found {described(clip)}; give the path, or the "

@@ -327,7 +327,7 @@ def play(
         if isinstance(prepared.drive, SkinnedDrive):
             # Options need the whole motion, so all joints are tracked before the first frame is made: two passes.
             passes = 2
-            half = progress and (lambda done, total: progress(done // 2, total))
+            half = progress and (lambda done, total: None if done % 2 else progress(done // 2, total))
             driving = counted(driving, len(clip), half)
             scale = driving_norm.radius / identity_norm.radius
             limited = len(clip) > 1 if options.skinned is None else options.skinned
@@ -350,7 +350,7 @@ def play(
             # Long results are on disk: pages that have been written need not stay in memory.
             if t % PAGED == 0:
                 release_pages(moved)
-            if progress is not None:
+            if progress is not None and (before + t + 1) % passes == 0:
                 progress((before + t + 1) // passes, len(clip))
     report = surface_report(identity, clip, moved, (identity_norm, driving_norm))
     report |= {"body": prepared.method.body} if isinstance(prepared.method, BodyMethod) else {}
