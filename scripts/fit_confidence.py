@@ -34,8 +34,9 @@ from mimesh.evaluate.run import find_protocol
 from mimesh.methods.base import SkinnedDrive
 from mimesh.methods.confidence import Confidence
 from mimesh.methods.find import find_method
+from mimesh.pipeline.play import play
+from mimesh.pipeline.prepared import MotionOptions, prepare
 from mimesh.pipeline.result import Timer
-from mimesh.pipeline.run import MotionOptions, play, prepare
 
 SHIPPED_BODY = ("human-npt", "human-wide", "contact", "dressed", "noise", "cross-topology")
 """Protocols of the shipped body: COUNT pairs of each kind."""
@@ -71,7 +72,11 @@ def collect(
             meshes = [dataclasses.asdict(confidence) for confidence in confidences]
             for mesh in meshes:
                 del mesh["standards"]  # those of people, all of them
-            pmd, error = CREATURE_ERROR if name == CREATURES else _errors(play(prepared, Timer()).vertices[0], pair)
+            pmd, error = (
+                CREATURE_ERROR
+                if name == CREATURES
+                else _errors(play(prepared, Timer(), MotionOptions()).vertices[0], pair)
+            )
             rows.append({"kind": name, "pmd_e4": pmd, "error": error, "meshes": meshes})
     output.write_text(json.dumps(rows))
 

@@ -58,10 +58,10 @@ LINEAR, FLAT = 1.05, 0.1
 GROWTH = {"mime": ("vertices", (100_000, 300_000, 1_000_000, 3_000_000)), "animate": ("frames", (100, 1000, 10_000))}
 """Cases of `growth` with what grows, and the sizes to measure."""
 STEPS = {
-    "normalise": ("mimesh.pipeline.run", "fitted_norms"),
-    "choose_body": ("mimesh.pipeline.run", "with_body"),
-    "find_joints": ("mimesh.pipeline.run", "_prepared_drive"),
-    "report": ("mimesh.pipeline.run", "surface_report"),
+    "normalise": ("mimesh.pipeline.prepared", "fitted_norms"),
+    "choose_body": ("mimesh.pipeline.prepared", "with_body"),
+    "find_joints": ("mimesh.pipeline.prepared", "_prepared_drive"),
+    "report": ("mimesh.pipeline.play", "surface_report"),
 }
 """Steps inside of `transfer` and `animate`: module and function."""
 

@@ -22,8 +22,8 @@ from mimesh.io import save_mesh
 from mimesh.methods.find import MODELS
 from mimesh.methods.onnx_runtime import THREADS
 from mimesh.pipeline.body_choice import BODIES
+from mimesh.pipeline.prepared import ROOTS
 from mimesh.pipeline.rigs import RIGS
-from mimesh.pipeline.run import ROOTS
 
 
 @pytest.fixture

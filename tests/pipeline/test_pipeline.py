@@ -253,13 +253,13 @@ def test_method_object_equals_the_method_of_its_name():
 def test_meshes_of_arrays_are_called_by_what_they_are_for():
     identity, clip = Mesh(person(0).vertices, person(0).faces), walk(frames=3)
     flat = Mesh(np.zeros((5, 3)) + [1, 2, 3])
-    with pytest.raises(InputError, match="^driving: expected a mesh with some size"):
+    with pytest.raises(InputError, match=r"^driving: expected a mesh with some size"):
         transfer(identity, flat, "copy")
-    with pytest.raises(InputError, match="^identity: "):
+    with pytest.raises(InputError, match=r"^identity: "):
         transfer(flat, identity, "copy")
-    with pytest.raises(InputError, match="^driving: "):
+    with pytest.raises(InputError, match=r"^driving: "):
         animate(identity, Clip(flat, np.repeat(flat.vertices[None], 3, axis=0), clip.fps), "copy")
-    with pytest.raises(InputError, match="^hero: "):
+    with pytest.raises(InputError, match=r"^hero: "):
         transfer(Mesh(flat.vertices, name="hero"), identity, "copy")
 
 

@@ -11,8 +11,8 @@ from .terminal import output_beside, tell_size
 if TYPE_CHECKING:
     from ..bodies.engine_rig import Layout
     from ..core.mesh import Clip, Mesh
+    from ..pipeline.prepared import MotionOptions
     from ..pipeline.result import ClipResult
-    from ..pipeline.run import MotionOptions
 
 JOINT_SUFFIXES = (".glb", ".gltf", ".fbx")
 """Formats that hold joints and morph targets."""

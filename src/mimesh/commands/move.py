@@ -301,7 +301,7 @@ def animate(
     from ..io import load_mesh
     from ..io.atomic import together
     from ..pipeline import animate as run_animate
-    from ..pipeline.run import MotionOptions
+    from ..pipeline.prepared import MotionOptions
     from ..tools.convert import hierarchy_note, read_driving, resampled_note
     from ..tools.driving_clips import choose_clips
 

@@ -25,9 +25,10 @@ from ..io.gltf.character_write import write_character
 from ..io.gltf.own_rig import GltfJoints, read_own_rig
 from ..methods.find import find_method
 from ..pipeline import animate
+from ..pipeline.play import play
+from ..pipeline.prepared import MotionOptions, prepare
 from ..pipeline.result import ClipResult, Timer
 from ..pipeline.rigs import Rigs
-from ..pipeline.run import MotionOptions, play, prepare
 from .limb_calibration import LimbedCharacter
 from .limb_metrics import PosedLimbs, limb_angles, limb_metrics
 

@@ -15,7 +15,7 @@ from ..core.errors import InputError
 from ..core.normalization import parse_axis
 from ..io.formats import MESH_WRITERS
 from ..methods.find import find_method
-from ..pipeline.run import MotionOptions
+from ..pipeline.prepared import MotionOptions
 from ..tools.preview import names_beside
 from .command_lines import parsed
 from .table import BatchJob

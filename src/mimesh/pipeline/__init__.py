@@ -21,10 +21,10 @@ from .corrections import Corrections, GivenJoints
 from .live import LiveSession, limited_threads, live_session
 from .move import move, prepare_frames
 from .odd_frames import far_frames_note, first_frame_note
+from .prepared import Choice, MotionOptions
 from .report import TransferReport
 from .result import ClipResult, Result, Timer
 from .rigs import still_clip
-from .run import Choice, MotionOptions
 
 
 @public()

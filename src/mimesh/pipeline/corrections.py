@@ -22,7 +22,7 @@ from ..core.normalization import Normalization
 from ..methods.base import CorrectableMethod, Method, SkinnedDrive
 
 if TYPE_CHECKING:
-    from .run import Prepared
+    from .prepared import Prepared
 
 HIDDEN = {
     "human": ("LHipJoint", "RHipJoint", "LThumb", "RThumb", "LeftFingerBase", "RightFingerBase", "LeftHandFinger1",

@@ -22,8 +22,9 @@ from ..core.joint_tracks import JointTrack
 from ..core.mesh import LARGEST, Clip, Mesh
 from ..io.beside import missing_images, missing_images_notes
 from ..methods.base import BodyMethod, Drive, SkinnedDrive
+from .play import report_confidence
+from .prepared import Prepared
 from .report import TransferReport, facing, facing_note
-from .run import Prepared, report_confidence
 
 PoseFrame = Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]
 """Maps the vertices of a driving frame to the identity's; both normalised."""

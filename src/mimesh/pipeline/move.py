@@ -28,23 +28,11 @@ from .corrections import NO_CORRECTIONS, Corrections
 from .creatures import MatchedCreatures
 from .marked_mesh import MarkedFrame, marked_frame
 from .matched_rigs import finds_joints, joint_finder
+from .play import MovedIdentity, play, pose_frame, surface_report
+from .prepared import Choice, MotionOptions, Prepared, check_identity, first_frame, fitted_norms, prepare, read_rigs
 from .report import TransferReport, facing
 from .result import Timer
 from .rigs import NO_RIGS, OTHER, Axes, Rigs
-from .run import (
-    Choice,
-    MotionOptions,
-    MovedIdentity,
-    Prepared,
-    check_identity,
-    first_frame,
-    fitted_norms,
-    play,
-    pose_frame,
-    prepare,
-    read_rigs,
-    surface_report,
-)
 from .same_mesh import ReferenceFrame, nearest_frame, same_mesh
 
 

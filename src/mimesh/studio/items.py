@@ -10,8 +10,8 @@ from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
 from ..pipeline.move import PreparedMove
+from ..pipeline.prepared import Prepared
 from ..pipeline.result import ClipResult
-from ..pipeline.run import Prepared
 from .options import Options
 
 

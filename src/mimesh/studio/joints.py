@@ -15,7 +15,7 @@ from ..io.joint_file import describe_corrections, load_corrections, side_file
 from ..methods.base import CorrectableMethod, Method
 from ..pipeline.corrections import Corrections, correctable_joints, found_joints, shown_bones
 from ..pipeline.move import PreparedMove
-from ..pipeline.run import Prepared
+from ..pipeline.prepared import Prepared
 from .items import Item
 
 

@@ -11,8 +11,8 @@ from ..core.errors import InputError
 from ..methods.base import BodyMethod, Method, SkinnedMethod
 from ..methods.find import takes_rigs
 from ..pipeline.body_choice import BODIES
+from ..pipeline.prepared import ROOTS, MotionOptions
 from ..pipeline.rigs import RIGS
-from ..pipeline.run import ROOTS, MotionOptions
 
 
 @dataclass(frozen=True)

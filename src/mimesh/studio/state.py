@@ -13,8 +13,8 @@ from ..core.normalization import AXES, UNSURE
 from ..methods.find import MODELS, REDUCED_MODELS
 from ..motions.animal_clips import ANIMAL_MOTIONS
 from ..motions.clips import SEGMENTS
+from ..pipeline.prepared import ROOTS
 from ..pipeline.result import ClipResult
-from ..pipeline.run import ROOTS
 from ..player.pack import Panel, pack_scene
 from . import operations
 from .exports import Export, formats

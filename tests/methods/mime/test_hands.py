@@ -17,7 +17,7 @@ from mimesh.evaluate.pairs import Person
 from mimesh.methods.find import find_method
 from mimesh.methods.mime.hands import DIFFERENT_ABOVE, SAME_BELOW, settled_bends
 from mimesh.methods.onnx_models import load_hand_finder
-from mimesh.pipeline.run import KEYFRAMES, MotionOptions, prepare
+from mimesh.pipeline.prepared import KEYFRAMES, MotionOptions, prepare
 
 AXES = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
 BODY = body_with_fingers()
