@@ -13,7 +13,7 @@ AXE := .clients/axe/node_modules/axe-core/axe.min.js
 CODE := src tests scripts benchmarks blender docs examples
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 
-.PHONY: demo test lint check smoke bench setup blender web gallery clients docs release clean axe
+.PHONY: demo test test-all lint check smoke bench setup blender web gallery clients docs release clean axe
 
 # The development install can run the demo, too; a plain install must not replace it.
 demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
@@ -22,14 +22,17 @@ demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
 test: $(VENV)/.dev
 	$(TESTS)
 
+# With the slow tests, and with types and shapes of all arguments checked at run time, which takes 1.75 times as long.
+test-all: $(VENV)/.dev
+	$(TESTS) -m 'not gpu and not client' --jaxtyping-packages=mimesh,beartype.beartype
+
 # Format, style and types; pyright (standard) reads src, scripts and benchmarks, see pyproject.toml.
 lint: $(VENV)/.dev
 	$(BIN)/ruff format --check $(CODE)
 	$(BIN)/ruff check $(CODE)
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
-check: lint
-	$(TESTS)
+check: lint test-all
 
 smoke: $(VENV)/.dev
 	$(BIN)/python -m pytest -q tests/learn/test_smoke.py

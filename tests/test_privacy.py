@@ -187,6 +187,7 @@ def test_a_command_connects_to_nothing_and_writes_its_output_alone(command, driv
     }
 
 
+@pytest.mark.slow
 def test_the_studio_answers_on_loopback_and_writes_to_its_temporary_folder_alone(inputs, place):
     require_strace()
     output = place.root / "trace.txt"

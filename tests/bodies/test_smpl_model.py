@@ -37,6 +37,7 @@ def test_posed_vertices_are_those_of_plain_loops(seed, tmp_path):
     np.testing.assert_allclose(frames, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_models_of_full_size_are_posed_as_by_loops(name, tmp_path):
     joints, shapes = LAYOUTS[name]

@@ -76,6 +76,7 @@ def test_a_player_that_cannot_start_is_accessible(check, watch, player):
     check(watch(player, script="delete window.DecompressionStream").page, "refused")
 
 
+@pytest.mark.slow
 def test_the_studio_is_accessible(check, studio, watch_all, tmp_path):
     save_mesh(person(0), tmp_path / "hero.glb")
     save_clip(walk(frames=3), tmp_path / "walk.npz")

@@ -127,6 +127,7 @@ def test_train_your_own(ran, tmp_path, monkeypatch):
     assert len(load_mesh(folder / "result.glb").vertices) == len(person(0).vertices)
 
 
+@pytest.mark.slow
 def test_batch_is_continued_and_lists_unusable_files(ran, tmp_path):
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "broken.obj").write_text("v 1 2\n")

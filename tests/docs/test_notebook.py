@@ -14,6 +14,7 @@ FEWER = {"step=2": "step=20", "step=6": "step=40", '("scale", "keep", "drop")': 
 NOTEBOOK = Path(__file__).parents[2] / "examples" / "mimesh.ipynb"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the kernel's own warnings are not ours
 def test_the_notebook_runs_with_fewer_frames(tmp_path):
     notebook = nbformat.read(NOTEBOOK, as_version=4)

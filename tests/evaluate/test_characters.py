@@ -230,6 +230,7 @@ def test_pools_without_pairs_are_refused(protocol, tmp_path):
         find_protocol("characters")
 
 
+@pytest.mark.slow
 def test_characters_are_evaluated(folder, tmp_path):
     """Within one skeleton by vertices and limbs, across skeletons by limbs alone; by maker; the worst are drawn."""
     options = {"split": "val", "pairs": 2, "data": folder}

@@ -39,6 +39,7 @@ def test_figure_is_drawn_with_one_row(name, network, people, tmp_path):
     assert picture.std() > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["aniformer-5", "aniformer-noise"])
 def test_figure_of_a_clip_has_rows_of_frames(name, people, tmp_path):
     network = str(write_sequence_network(tmp_path / "tiny.onnx"))

@@ -36,6 +36,7 @@ def assert_same_figures(row, expected):
             assert row["each"][metric] == pytest.approx(values, rel=1e-4, abs=1e-6), metric
 
 
+@pytest.mark.slow
 def test_generated_pairs_have_the_figures_of_their_protocol(tmp_path):
     assert run(["generate", "human-npt", "-o", str(tmp_path / "meshes"), "--pairs", "1", "-q"]) == 0
     out = tmp_path / "figures.json"
@@ -55,6 +56,7 @@ def motions(tmp_path_factory):
     return write_folder(tmp_path_factory.mktemp("motions"))
 
 
+@pytest.mark.slow
 def test_generated_clips_have_the_figures_of_their_protocol(motions, tmp_path, capsys):
     """In kind `seen`, driving people and identities are both counted from 0, and have motions of one name."""
     clips = tmp_path / "clips"

@@ -58,6 +58,7 @@ def test_growth_tells_whether_time_is_linear_and_memory_flat(script, power, line
     assert found["animate"]["exponent"] < found["animate"]["exponent_largest"] <= 1
 
 
+@pytest.mark.slow
 def test_a_case_is_measured_in_a_process_of_its_own(tmp_path):
     output = tmp_path / "large.json"
     command = [sys.executable, str(SCRIPT), "-o", str(output), "--cases", "copy", "--vertices", "7000", "8000"]

@@ -52,6 +52,7 @@ def test_the_truth_is_the_identity_with_the_gait_of_the_driving(gait):
     assert trial.clip.vertices[..., 1].min() > -0.05
 
 
+@pytest.mark.slow
 def test_deformation_transfer_moves_the_lion_like_the_horse():
     trial = species_clip("lion", "horse", "walk")
     frames = result_frames(trial, "deformation-transfer-13")

@@ -200,6 +200,7 @@ def test_table_of_a_paper_has_its_values_next_to_ours(tmp_path):
         table_command("npt-3")
 
 
+@pytest.mark.slow
 def test_table_of_animals_has_three_kinds_and_no_figures_of_papers():
     report = evaluate_command("quadruped", ["copy", "deformation-transfer-13"], split="val", pairs=1)
     lines = paper_table("animals", report).splitlines()

@@ -33,6 +33,7 @@ def test_a_report_has_the_figures_of_every_pair_and_their_statistics():
     assert win_share(copy, identity) == 1.0, "the driving person's vertices are nearer than the identity at rest"
 
 
+@pytest.mark.slow
 def test_people_are_named_in_reports():
     """Fourteen people in human-npt; pairs of another protocol have people of their own."""
     seen = evaluate_command("human-npt", ["identity"], split="val", pairs=30)["results"][0]["each"]

@@ -193,6 +193,7 @@ def test_interrupted_caller_leaves_no_child(run, monkeypatch):
     assert not os.path.isdir(f"/proc/{started[0]}")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGXCPU"), reason="a system without limits on processor time")
 def test_each_report_starts_the_limit_of_time_again(run):
     calls = []

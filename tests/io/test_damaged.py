@@ -87,6 +87,7 @@ def check_mutations(path: Path, content: bytes, seeds: range) -> None:
     assert found - {"clip"}  # some of it was damage
 
 
+@pytest.mark.slow
 def test_some_mutations_are_read_or_refused(sound):
     check_mutations(*sound, range(6))
 

@@ -12,6 +12,7 @@ SCRIPT = Path(__file__).parents[2] / "scripts" / "measure_kills.py"
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks, signals and /proc")
 
 
+@pytest.mark.slow
 def test_a_conversion_may_be_killed_before_any_operation(tmp_path):
     """It writes three files that belong together: an .obj, its .mtl and an image."""
     output = tmp_path / "kills.json"

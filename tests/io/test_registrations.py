@@ -54,6 +54,7 @@ def test_registrations_of_faust_in_one_folder_are_a_clip(tmp_path):
     np.testing.assert_allclose(clip.vertices, [BODY.vertices + k for k in range(3)], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_registration_of_mg_is_read(tmp_path, capsys):
     vertices, faces = subdivided().positions(BODY.vertices), subdivided().faces
     assert (len(vertices), len(faces)) == (27554, 4 * 13776)

@@ -179,6 +179,7 @@ def test_a_failed_job_does_not_stop_others(files, capfd):
     assert poses().counts == {"done": 2, "done before": 2, "failed": 0, "not run": 0}
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_complete_files_and_a_summary(files):
     clip = Clip.still(zoo.cube())
     for k in range(200):  # so many that the batch cannot end before the signal

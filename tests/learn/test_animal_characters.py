@@ -179,6 +179,7 @@ def test_npt_takes_rigged_animals_beside_the_shipped_quadruped(folder):
     assert ((after / before - 1).abs().median(dim=1).values < 0.1).all()
 
 
+@pytest.mark.slow
 def test_a_training_on_animals_is_exported_as_one(folder, tmp_path):
     out = train_command("mime", "small", tmp_path / "run", None, None, [*TINY, "minutes=0"], None, folder)
     state = checkpoint.load(out / "last.safetensors")

@@ -32,6 +32,8 @@ from mimesh.learn.tasks.npt_batches import PairSource  # noqa: E402
 from mimesh.learn.train import train_command  # noqa: E402
 from mimesh.methods.find import find_method  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 CPU = torch.device("cpu")
 TINY = ["data.body=quadruped", "data.vertices=32", "pairs=8", "batch=4", "validate_every=8", "validation_pairs=1"]
 TINY += ["precision=fp32", "warmup=0", "ema=0", "model.encoder=[8,16,16]"]

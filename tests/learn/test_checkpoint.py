@@ -26,6 +26,7 @@ ROOT = Path(__file__).parents[2]
 ZOO = ROOT / "src" / "mimesh" / "zoo"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimizer", ["adam", "muon"])
 def test_a_compact_checkpoint_is_half_as_large_and_continues(tmp_path, optimizer):
     config = dataclasses.replace(TINY, optimizer=optimizer, precision="fp32")

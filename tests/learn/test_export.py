@@ -31,6 +31,7 @@ ZOO = Path(mimesh.__file__).parent / "zoo"
 CARDS = [path for folder in (ZOO, ZOO.parents[2] / "ablations") for path in sorted(folder.glob("*.json"))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pose_code", ["per_vertex", "global_max"])
 def test_npt_in_onnx_gives_what_torch_gives(pose_code):
     torch.manual_seed(0)
@@ -50,6 +51,7 @@ def test_npt_in_onnx_gives_what_torch_gives(pose_code):
     assert sizes[0] < 0.65 * sizes[1] < 0.65**2 * sizes[2]
 
 
+@pytest.mark.slow
 def test_mime_exports_joints_and_weights():
     torch.manual_seed(0)
     model = MimeNetwork(
@@ -75,6 +77,7 @@ def test_mime_exports_joints_and_weights():
             assert np.abs(ours - theirs.numpy()).max() < 1e-4 * (1 + np.abs(theirs.numpy()).max())
 
 
+@pytest.mark.slow
 def test_export_writes_network_and_card(tmp_path):
     run = TrainingRun.start(TINY, tmp_path)
     run.advance()

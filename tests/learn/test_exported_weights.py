@@ -20,6 +20,8 @@ from mimesh.learn.models.npt import NPTConfig
 from mimesh.learn.train import train_command
 from mimesh.learn.training_run import TrainingRun
 
+pytestmark = pytest.mark.slow
+
 NARROW_ANIFORMER = {
     "network": "aniformer",
     "model": {"encoder": [16, 16, 32], "layers": [32, 32, 16, 16], "attention": "frames"},

@@ -19,6 +19,8 @@ from mimesh.learn.train import train
 from mimesh.learn.training_run import TrainingRun
 from mimesh.learn.vertex_sampler import share_of
 
+pytestmark = pytest.mark.slow
+
 PARTS = dataclasses.replace(TINY, batch=4, pairs=16, validate_every=8, precision="fp32", accumulate=2)
 
 

@@ -22,6 +22,8 @@ from mimesh.learn.export import infer_onnx
 from mimesh.learn.published_weights import load_published, read_state
 from mimesh.methods.find import find_method
 
+pytestmark = pytest.mark.slow
+
 VERTICES = 60
 """Of a small AniFormer: the arrays that hold a number for each vertex."""
 

@@ -321,6 +321,7 @@ def test_the_configurations_of_the_papers_take_meshes(folder, clips):
             assert load_config(name, model, changes).data.kind == "meshes"
 
 
+@pytest.mark.slow
 def test_train_on_what_generate_writes(tmp_path, monkeypatch):
     few = dataclasses.replace(HUMAN_NPT, people=3, poses=4)
     monkeypatch.setattr("mimesh.evaluate.generate.find_protocol", lambda *_: few)
@@ -347,6 +348,7 @@ def train_by_command(network, config, data, folder):
     return state
 
 
+@pytest.mark.slow
 def test_train_export_and_transfer_by_the_command_line(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     state = train_by_command("npt", MESHES, folder, tmp_path)

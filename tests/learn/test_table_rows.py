@@ -14,6 +14,8 @@ from mimesh.learn import checkpoint, table_rows
 from mimesh.learn.table_rows import ROWS, TrainedRow, row_config, rows_of, train_row
 from mimesh.methods.find import is_table_model, weights_path
 
+pytestmark = pytest.mark.slow
+
 TINY = ("model.encoder=[8,16,16]", "model.decoder=[16,8,8]", "data.vertices=32", "batch=2", "validation_pairs=1")
 
 

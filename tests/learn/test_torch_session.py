@@ -21,6 +21,8 @@ from mimesh.learn.torch_session import in_torch
 from mimesh.learn.training_run import TrainingRun
 from mimesh.methods import find_method
 
+pytestmark = pytest.mark.slow
+
 ANIFORMER = {
     "network": "aniformer",
     "model": {"encoder": [16, 16, 32], "layers": [32, 32, 16, 16], "attention": "frames"},

@@ -157,6 +157,7 @@ def test_a_validation_that_is_broken_off_changes_nothing(tmp_path):
     assert not (tmp_path / "best.safetensors").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGINT"])
 def test_a_signal_ends_a_training_with_a_checkpoint_that_resumes_exactly(tmp_path, name):
     config = dataclasses.replace(TINY, pairs=10**9, validate_every=10**9, precision="fp32")
@@ -245,6 +246,7 @@ def test_schedule():
     assert schedule(NPTTrainConfig(), 799_999, 0.999) == 1.0
 
 
+@pytest.mark.slow
 def test_a_training_may_last_for_minutes_instead_of_pairs(tmp_path):
     config = dataclasses.replace(TINY, minutes=0.05, pairs=1, validate_every=10**9)
     state = checkpoint.load(train(config, tmp_path / "run") / "last.safetensors")

@@ -48,6 +48,7 @@ def surface(arrays: dict, take: dict, joints: int) -> np.ndarray:
     return np.stack([x, z, -y], axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("joints", "shapes"), [(24, 10), (52, 16)])
 def test_an_archive_becomes_the_recorded_surface(joints, shapes, tmp_path, capsys):
     arrays, take = smpl_arrays(joints, shapes), recording(joints)
@@ -267,6 +268,7 @@ def test_animate_drives_with_the_recorded_surface(tmp_path, capsys):
     np.testing.assert_allclose(lengths, scale * true_lengths, atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", ["take.npz", "registration.pkl"])
 def test_transfer_takes_the_pose_of_the_first_recorded_frame(source, tmp_path, capsys):
     """`copy` gives the driving's own vertices back, in the place and size of the identity."""

@@ -64,6 +64,7 @@ def test_joints_and_movement_over_the_ground_turn_with_the_driving():
     assert skeleton.deviation(result.clip.vertices) < 1e-5  # what the file plays is what is returned
 
 
+@pytest.mark.slow
 def test_animals_too():
     identity, driving = animal("cat"), animal("horse")
     plain = mimesh.transfer(identity, driving, body="quadruped").mesh.vertices

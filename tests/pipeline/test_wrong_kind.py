@@ -71,6 +71,7 @@ def test_a_thing_beside_a_person_is_never_moved_without_a_word(files, tmp_path, 
     assert "man does not" not in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["npt-maxpool", "aniformer"])
 def test_networks_of_people_say_that_an_animal_is_none(model, files, tmp_path, capsys):
     words = ["transfer", files["cow"], files["cow"], "-m", model, "--up", "+y", "--driving-up", "+y"]
@@ -90,6 +91,7 @@ def test_networks_of_people_say_nothing_about_people(files, tmp_path, capsys):
     assert not any("trained on people" in note for note in report_of(words, capsys)["report"]["notes"])
 
 
+@pytest.mark.slow
 def test_look_says_what_a_mesh_without_a_rig_is_taken_for(files, capsys):
     for name, said in (
         ("man", "taken for a person"),

@@ -71,6 +71,7 @@ def vertices(session):
     return next(iter(session.identities.values())).outcome.result.clip.vertices
 
 
+@pytest.mark.slow
 def test_animals_are_offered_and_their_joints_are_corrected(session, client):
     state = client.get("/api/state").json()
     assert state["animals"] == list(ANIMALS)
@@ -127,6 +128,7 @@ def test_creatures_are_moved_as_by_animate(session, client, files, body):
     assert not any("--" in note for note in outcome["notes"])
 
 
+@pytest.mark.slow
 def test_options_of_creatures_are_those_of_animate(session, client, files):
     upload(client, "identity", files / "bird.glb")
     upload(client, "driving", files / "large.glb")
@@ -146,6 +148,7 @@ def test_options_of_creatures_are_those_of_animate(session, client, files):
     assert moved(client)["outcome"]["error"] == ""
 
 
+@pytest.mark.slow
 def test_a_creature_is_exported_with_its_own_bones(client, files, tmp_path):
     upload(client, "identity", files / "bird.glb")
     upload(client, "driving", files / "large.glb")

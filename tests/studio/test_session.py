@@ -87,6 +87,7 @@ def animal_session(tmp_path_factory):
     session.close()
 
 
+@pytest.mark.slow
 def test_the_body_is_found_or_given(animal_session):
     session, folder = animal_session
     for body in ("auto", "quadruped"):
@@ -111,6 +112,7 @@ def test_the_body_is_found_or_given(animal_session):
     session.set_options({"model": "mime", "body": "auto"})
 
 
+@pytest.mark.slow
 def test_a_person_with_an_animal_gives_an_error_in_the_words_of_the_page(animal_session):
     session, folder = animal_session
     session.set_options({"body": "auto"})

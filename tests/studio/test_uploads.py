@@ -114,6 +114,7 @@ NAMING = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", NAMING.values(), ids=NAMING)
 def test_layers_and_assets_of_usd_are_confined(folders, text):
     pytest.importorskip("pxr")

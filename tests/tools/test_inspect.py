@@ -59,6 +59,7 @@ def test_facts_fit_in_json_and_in_lines(make):
     assert len({line[2:].index(line.split(maxsplit=1)[1]) for line in lines[1:]}) == 1  # aligned
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [m for m in zoo.ZOO if m is not zoo.point_cloud])
 def test_order_and_split_vertices_do_not_matter(make):
     mesh, rng = make(), np.random.default_rng(0)

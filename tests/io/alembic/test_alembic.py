@@ -341,6 +341,7 @@ for path in sys.argv[1:]:
 """
 
 
+@pytest.mark.slow
 def test_truncated_archives_are_refused_without_a_crash(tmp_path):
     save_clip(full_clip(), tmp_path / "whole.abc")
     data = (tmp_path / "whole.abc").read_bytes()

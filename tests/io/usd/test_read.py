@@ -247,6 +247,7 @@ def test_rewritten_file_is_read_again(tmp_path):
         np.testing.assert_allclose(load_mesh(path).vertices, CUBE * factor)
 
 
+@pytest.mark.slow
 def test_damaged_files_raise_input_errors(tmp_path):
     save_mesh(zoo.grid(9), tmp_path / "a.usdc")
     content = np.frombuffer((tmp_path / "a.usdc").read_bytes(), np.uint8)

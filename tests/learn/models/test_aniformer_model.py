@@ -233,6 +233,7 @@ def exported(request):
     return model, to_onnx(AniFormerTask.onnx_interface(model))
 
 
+@pytest.mark.slow
 @torch.no_grad()
 def test_onnx_gives_what_torch_gives_with_fewer_and_more_vertices_than_keys(exported):
     model, network = exported

@@ -127,6 +127,7 @@ def test_resuming_continues_exactly(tmp_path):
     assert begun + [float(second.advance()) for _ in range(2)] == expected
 
 
+@pytest.mark.slow
 def test_a_training_validates_on_clips(tmp_path):
     folder = train(TINY, tmp_path / "run")
     log = (folder / "log.jsonl").read_text()

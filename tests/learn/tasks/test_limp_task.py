@@ -115,6 +115,7 @@ def test_batches_hold_one_person_twice_on_the_templates_vertices():
     assert relative_change(lengths[1], lengths[0]) < 0.08
 
 
+@pytest.mark.slow
 def test_a_training_becomes_a_method_for_the_template(tmp_path):
     train(config_from(CONFIG, "here"), tmp_path)
     export_command(tmp_path / "last.safetensors", tmp_path / "limp.onnx", bits=8)

@@ -137,6 +137,7 @@ def test_props_are_moved_by_one_joint(source, monkeypatch):
     assert figures.props.there.float().mean(1).min() > 0
 
 
+@pytest.mark.slow
 def test_a_training_on_characters_says_whose_they_are_and_resumes_with_the_same(pool, tmp_path):
     changes = ["data.characters=0.5", "pairs=32", "batch=8", "validate_every=1000", "validation_pairs=1"]
     changes += ["compile=false", "data.vertices=32", "model.width=32", "precision=fp32"]
@@ -179,6 +180,7 @@ def clips(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_augmentations_and_clips_may_begin_where_a_training_is_resumed(pool, clips, tmp_path):
     out = train_command("mime", "small", tmp_path / "run", None, 0.001, TINY, None, pool)
     before = checkpoint.load(out / "last.safetensors")

@@ -90,6 +90,7 @@ def test_characters_are_a_share_of_every_batch(pool):
     assert batch.edges.shape == (8, 16, 2)
 
 
+@pytest.mark.slow
 def test_train_npt_on_characters_by_the_command_line(pool, tmp_path, capsys):
     data = {"kind": "wide", "vertices": 32, "target_scale": "identity"}
     values = dataclasses.asdict(TINY) | {"data": data, "pairs": 8, "batch": 4, "precision": "fp32"}
