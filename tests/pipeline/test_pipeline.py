@@ -261,9 +261,3 @@ def test_meshes_of_arrays_are_called_by_what_they_are_for():
         animate(identity, Clip(flat, np.repeat(flat.vertices[None], 3, axis=0), clip.fps), "copy")
     with pytest.raises(InputError, match=r"^hero: "):
         transfer(Mesh(flat.vertices, name="hero"), identity, "copy")
-
-
-def test_models_with_joints_report_each_frame_once(model):
-    calls = []
-    animate(person(0), walk(frames=5), model, progress=lambda done, total: calls.append((done, total)))
-    assert calls == [(k, 5) for k in range(1, 6)]
