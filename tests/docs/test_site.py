@@ -40,6 +40,7 @@ def site(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_links_of_the_site_work_and_pages_load_nothing_from_other_hosts(site, inserts):
     import links
 

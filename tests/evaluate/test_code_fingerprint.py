@@ -104,6 +104,7 @@ def on(*protocols: str) -> set[tuple[str, str]]:
     return {(method, protocol) for method, protocol in ALL if protocol in protocols}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("definition", "expected"),
     [

@@ -25,6 +25,7 @@ PLAIN = [name for name, target in TARGETS.items() if not target.native]
 LIBRARIES = [name for name, target in TARGETS.items() if target.native]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLAIN)
 def test_damaged_files_are_read_or_refused(name, tmp_path):
     target, kinds = TARGETS[name], Counter()
@@ -37,6 +38,7 @@ def test_damaged_files_are_read_or_refused(name, tmp_path):
     assert kinds["refused"] > 2
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="workers are limited as Linux can")
 @pytest.mark.parametrize("name", LIBRARIES)
 def test_damaged_files_of_native_libraries_are_read_or_refused(name, capsys):

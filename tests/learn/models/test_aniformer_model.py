@@ -245,6 +245,7 @@ def test_onnx_gives_what_torch_gives_with_fewer_and_more_vertices_than_keys(expo
         assert np.abs(infer_onnx(half, identity.numpy(), driving.numpy()) - expected).max() < 5e-2
 
 
+@pytest.mark.slow
 def test_the_graph_stores_nothing_larger_than_all_features_or_the_products_of_one_head(exported):
     """Run with every intermediate as an output and look at the sizes themselves."""
     onnxruntime = import_onnxruntime()
