@@ -1,4 +1,4 @@
-# make demo: install (without PyTorch) and run the demo.   make test: install for development and run the tests.
+# make demo: install (without PyTorch) and run the demo.   make test: install for development and run the quick tests.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin

@@ -95,6 +95,14 @@ def test_a_second_run_says_that_it_replaced_the_file_of_the_first(files, capsys)
     assert f"{files / 'hero-pose.obj'} (replaced): 8 vertices" in capsys.readouterr().out
 
 
+def test_frames_that_are_written_again_are_replaced_too(files, capsys):
+    args = ["animate", str(files / "hero.obj"), str(files / "walk"), "-m", "copy", "--fps", "10", "--no-preview"]
+    assert run([*args, "-o", str(files / "frames")]) == 0
+    assert "replaced" not in capsys.readouterr().out
+    assert run([*args, "-o", str(files / "frames")]) == 0
+    assert f"{files / 'frames'} (replaced): 8 vertices" in capsys.readouterr().out
+
+
 def test_transfer_equals_the_python_function(files):
     output = files / "out.npz"
     args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "-o", str(output), "-q"]

@@ -82,4 +82,4 @@ def test_thighs_beside_the_hips_of_an_own_rig_are_noted_with_a_scheme(files, cap
     assert run([str(word) for word in words]) == 0
     assert "thighs" not in capsys.readouterr().out
     assert run([str(word) for word in (*words, "--names", "vrm")]) == 0
-    assert "note: body: its thighs are not below its hips" in capsys.readouterr().out
+    assert "note: body: in the hierarchy of its rig the thighs are not children of the hips" in capsys.readouterr().out

@@ -32,15 +32,13 @@ from mimesh.learn.tasks.npt_batches import PairSource  # noqa: E402
 from mimesh.learn.train import train_command  # noqa: E402
 from mimesh.methods.find import find_method  # noqa: E402
 
-pytestmark = pytest.mark.slow
-
 CPU = torch.device("cpu")
 TINY = ["data.body=quadruped", "data.vertices=32", "pairs=8", "batch=4", "validate_every=8", "validation_pairs=1"]
 TINY += ["precision=fp32", "warmup=0", "ema=0", "model.encoder=[8,16,16]"]
 LAYERS = {"npt": "model.decoder=[19,8,8]", "aniformer": "model.layers=[16,16,8,8]"}
 
 
-@pytest.fixture(scope="module", params=LAYERS)
+@pytest.fixture(scope="module", params=[pytest.param(network, marks=pytest.mark.slow) for network in LAYERS])
 def trained(request, tmp_path_factory):
     """A network that was trained for seconds, exported: its name, its file and the folder of the training."""
     folder = tmp_path_factory.mktemp(request.param)

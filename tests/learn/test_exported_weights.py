@@ -20,8 +20,6 @@ from mimesh.learn.models.npt import NPTConfig
 from mimesh.learn.train import train_command
 from mimesh.learn.training_run import TrainingRun
 
-pytestmark = pytest.mark.slow
-
 NARROW_ANIFORMER = {
     "network": "aniformer",
     "model": {"encoder": [16, 16, 32], "layers": [32, 32, 16, 16], "attention": "frames"},
@@ -60,6 +58,7 @@ def exported(tmp_path_factory):
     return export
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("network", "bits"), [("npt", 16), ("npt", 8), ("aniformer", 8), ("mime", 16)])
 def test_an_exported_network_is_read_back(exported, network, bits):
     (model, trained), path = exported(network, bits)
@@ -71,6 +70,7 @@ def test_an_exported_network_is_read_back(exported, network, bits):
     assert (start.pairs, start.spent()) == (trained.pairs, trained.spent())
 
 
+@pytest.mark.slow
 def test_an_exported_network_exported_again_is_the_same(exported, tmp_path):
     """Rows of int8 are rounded to themselves."""
     _, path = exported("npt", 8)
@@ -93,6 +93,7 @@ def test_a_training_begins_with_an_exported_network(exported, tmp_path):
     assert state.before[0]["operations"] == trained.operations
 
 
+@pytest.mark.slow
 def test_what_is_no_start_is_refused(exported, tmp_path):
     _, whole = exported("npt", 16)
     path, card = (Path(shutil.copy(file, tmp_path)) for file in (whole, whole.with_suffix(".json")))

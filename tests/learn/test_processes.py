@@ -19,8 +19,6 @@ from mimesh.learn.train import train
 from mimesh.learn.training_run import TrainingRun
 from mimesh.learn.vertex_sampler import share_of
 
-pytestmark = pytest.mark.slow
-
 PARTS = dataclasses.replace(TINY, batch=4, pairs=16, validate_every=8, precision="fp32", accumulate=2)
 
 
@@ -84,6 +82,7 @@ def launch(folder, config, *more, count=2):
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimizer", ["adam", "muon"])
 def test_two_processes_take_the_steps_of_one(tmp_path, optimizer):
     config = dataclasses.replace(PARTS, optimizer=optimizer)
@@ -101,6 +100,7 @@ def test_two_processes_take_the_steps_of_one(tmp_path, optimizer):
     assert done.stdout.count("last.safetensors") == 1
 
 
+@pytest.mark.slow
 def test_a_batch_that_two_processes_cannot_share_is_refused(tmp_path):
     done = launch(tmp_path, dataclasses.replace(PARTS, accumulate=4))
     assert done.returncode != 0

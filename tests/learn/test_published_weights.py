@@ -22,8 +22,6 @@ from mimesh.learn.export import infer_onnx
 from mimesh.learn.published_weights import load_published, read_state
 from mimesh.methods.find import find_method
 
-pytestmark = pytest.mark.slow
-
 VERTICES = 60
 """Of a small AniFormer: the arrays that hold a number for each vertex."""
 
@@ -58,6 +56,7 @@ def person(seed: int, vertices: int = 40) -> Mesh:
     return Mesh(points - (points.min(axis=0) + points.max(axis=0)) / 2, rng.integers(vertices, size=(60, 3)))
 
 
+@pytest.mark.slow
 def test_imported_network_gives_what_the_reference_gives(imported, state):
     network = onnx.load(str(imported))
     identity, driving = torch.rand(2, 1, VERTICES, 3) * 2 - 1
@@ -67,6 +66,7 @@ def test_imported_network_gives_what_the_reference_gives(imported, state):
     assert (facts["model"], facts["pose_code"], facts["target_scale"]) == ("npt", "per_vertex", "identity")
 
 
+@pytest.mark.slow
 def test_imported_network_moves_meshes(imported, tmp_path, capsys):
     for seed, name in enumerate(("hero.obj", "pose.obj")):
         save_mesh(person(seed), tmp_path / name)
@@ -75,6 +75,7 @@ def test_imported_network_moves_meshes(imported, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["model"] == str(imported)
 
 
+@pytest.mark.slow
 def test_card_says_what_was_imported(imported, weights):
     card = json.loads(imported.with_suffix(".json").read_text())
     assert card["imported"]["kind"] == "npt"
@@ -84,6 +85,7 @@ def test_card_says_what_was_imported(imported, weights):
     assert len(card["imported"]["sha256"]) == 64
 
 
+@pytest.mark.slow
 def test_json_says_which_network_it_is(imported):
     printed = json.loads(imported.with_name("printed.json").read_text())
     assert printed == {
@@ -96,6 +98,7 @@ def test_json_says_which_network_it_is(imported):
     }
 
 
+@pytest.mark.slow
 def test_command_says_which_network_it_is(weights, tmp_path, capsys):
     out = tmp_path / "pooled.onnx"
     assert run(["import-checkpoint", str(weights), "-o", str(out), "--maxpool", "--bits", "16"]) == 0
@@ -229,6 +232,7 @@ def imported_sequence(sequence_state, tmp_path_factory) -> Path:
     return path.with_name("authors.onnx")
 
 
+@pytest.mark.slow
 def test_imported_aniformer_takes_meshes_of_its_vertices_in_their_order(imported_sequence, sequence_state):
     method = find_method(str(imported_sequence))
     identity = person(0, VERTICES)
@@ -251,6 +255,7 @@ def test_imported_aniformer_takes_meshes_of_its_vertices_in_their_order(imported
             method.prepare(identity, driving)
 
 
+@pytest.mark.slow
 def test_aniformer_says_what_is_left_out_and_what_it_needs(imported_sequence, tmp_path, capsys):
     printed = imported_sequence.with_name("printed.txt").read_text()
     assert "aniformer, 12,1" in printed

@@ -14,8 +14,6 @@ from mimesh.learn import checkpoint, table_rows
 from mimesh.learn.table_rows import ROWS, TrainedRow, row_config, rows_of, train_row
 from mimesh.methods.find import is_table_model, weights_path
 
-pytestmark = pytest.mark.slow
-
 TINY = ("model.encoder=[8,16,16]", "model.decoder=[16,8,8]", "data.vertices=32", "batch=2", "validation_pairs=1")
 
 
@@ -39,6 +37,7 @@ def run(*words):
     return CliRunner().invoke(app, ["table", "npt-2", "--pairs", "1", "--minutes", "0.001", *words])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_table")
 def test_a_table_is_trained_with_seeds_and_measured(tmp_path):
     done = run("--train", "--seeds", "2", "--long", "-o", "table.json")
@@ -58,6 +57,7 @@ def test_a_table_is_trained_with_seeds_and_measured(tmp_path):
     assert "6 trainings: 0 CPU minutes, and those that end after a number of pairs" in done.output
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_table")
 def test_rows_left_out_are_neither_trained_nor_measured_and_need_no_weights(tmp_path):
     """`npt-full` is not trained without --long, and has no weights here."""
@@ -90,6 +90,7 @@ def test_rows_to_leave_out_must_be_rows_of_the_table(capsys, tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_table")
 def test_finished_rows_are_kept_and_others_refused_in_their_place(tmp_path):
     train_row("npt-equal", 0, 0.001, tmp_path)
@@ -104,6 +105,7 @@ def test_finished_rows_are_kept_and_others_refused_in_their_place(tmp_path):
         train_row("npt-equal", 0, 0.002, tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_table")
 def test_the_command_names_what_differs_in_the_folder(capsys, monkeypatch, tmp_path):
     """As where a training of an earlier recipe lies in the folder: other vertices and layers."""

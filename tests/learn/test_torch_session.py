@@ -21,8 +21,6 @@ from mimesh.learn.torch_session import in_torch
 from mimesh.learn.training_run import TrainingRun
 from mimesh.methods import find_method
 
-pytestmark = pytest.mark.slow
-
 ANIFORMER = {
     "network": "aniformer",
     "model": {"encoder": [16, 16, 32], "layers": [32, 32, 16, 16], "attention": "frames"},
@@ -52,6 +50,7 @@ def exported(tmp_path_factory):
     return export
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("precision", "tolerance"), [("fp32", 1e-5), ("bf16", 0.1)])
 @pytest.mark.parametrize("network", CONFIGS)
 def test_results_are_those_of_onnxruntime(network, precision, tolerance, exported, tmp_path, monkeypatch):

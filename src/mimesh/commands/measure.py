@@ -80,7 +80,6 @@ def evaluate(
     """
     from ..evaluate.markdown import markdown
     from ..evaluate.run import evaluate_command
-    from ..methods.find import ABLATIONS
 
     options: tuple = (refine, height, fps, mirror)
     if torch:
@@ -98,8 +97,8 @@ def evaluate(
         say("± is half of the 95 % interval of the mean; columns: docs/conventions.md")
         for note in figures.get("notes", ()):
             say(f"note: {note}")
-        if figures["protocol"] == "human-npt" and ABLATIONS.is_dir():  # a checkout, which has the networks of the rows
-            print_next("table", "npt-1")
+        if figures["protocol"] == "human-npt":
+            print_next("figure", "npt-6", "-o", "npt-6.png")
 
 
 def table(
@@ -182,7 +181,7 @@ def figure(
         print_json({"output": str(output), "figure": name, "rows": drawn})
     elif not quiet:
         say(f"{output}: {drawn} rows")
-        print_next("table", "npt-1")
+        print_next("evaluate", "human-npt", "-m", "mime,npt,copy")
 
 
 def generate(

@@ -367,7 +367,7 @@ def animate(
         notes.append(of_clip + resampled_note(result.clip, output_fps) + hierarchy)
         results.append(result)
         corrections.append(corrected.described())
-    replaced = target.is_file()
+    replaced = target.exists()
     with together():
         with progress("writing", quiet or json) as advance:
             save_clips(results, target, [clip.name for clip in clips], as_joints, blendshapes, layout, advance)

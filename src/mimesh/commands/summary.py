@@ -25,7 +25,7 @@ def result_facts(
 ) -> dict[str, Any]:
     """Return the facts about a result and its file, with all notes.
 
-    `replaced` says that a file of this name was there, `shown` are the paths of the preview, `output_fps` is the
+    `replaced`: whether a file or a folder of this name was there. `shown`: the paths of the preview. `output_fps`: the
     rate of the file if it differs from the result's.
     """
     from ..core.animated_rig import frames_around

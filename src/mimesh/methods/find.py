@@ -66,11 +66,11 @@ def check_weights(*models: str) -> None:
     missing = [model for model in models if is_table_model(model) and not weights_path(model).is_file()]
     if missing:
         folders = ", ".join(dict.fromkeys(str(weights_path(model).parent) for model in missing))
-        without = " ".join(f"--without {model}" for model in missing)
+        without = " ".join(f"--without {Path(model).name}" for model in missing)
         raise InputError(
-            f"{', '.join(missing)}: expected weights in {folders}, found no files; run this in a checkout of the "
-            "repository, train them with mimesh table --train (--long for those that take hours), or leave rows out of "
-            f"the table with {without}"
+            f"{', '.join(missing)}: expected weights in {folders}, found no files; make them with mimesh table --train "
+            "(--long for those that take hours; a checkout has npt-full and aniformer-full), or leave their rows out "
+            f"of a table with {without}"
         )
 
 

@@ -1,4 +1,4 @@
-"""The public functions `transfer`, `animate` and `prepare`: they read and check arguments; `run.py` does the work."""
+"""The public functions `transfer`, `animate` and `prepare`: they read and check arguments; others do the work."""
 
 from __future__ import annotations
 
@@ -388,19 +388,23 @@ def driving_axes(clip: Clip, up: str | None, front: str | None) -> tuple[str | N
 
 
 def _read_mesh(mesh: Mesh | str | Path, role: str) -> Mesh:
-    """Read a mesh, or check one of arrays, which messages call by what it is for if it has no name."""
+    """Read a mesh, or check one in memory; see `_named`."""
     if isinstance(mesh, Mesh):
-        mesh = dataclasses.replace(mesh, name=role) if mesh.name == UNNAMED else mesh
+        mesh = _named(mesh, role)
         return check_mesh(mesh, mesh.name)
     from ..io import load_mesh
 
     return load_mesh(Path(mesh))
 
 
+def _named(mesh: Mesh, role: str) -> Mesh:
+    """Name a mesh of arrays that has no name by what it is for, in messages and in files that are written."""
+    return dataclasses.replace(mesh, name=role) if mesh.name == UNNAMED and mesh.source is None else mesh
+
+
 def _read_clip(clip: Clip | str | Path, fps: float | None, animation: str | int | None) -> Clip:
     if isinstance(clip, Clip):
-        if clip.mesh.name == UNNAMED:
-            clip = dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name="driving"))
+        clip = dataclasses.replace(clip, mesh=_named(clip.mesh, "driving"))
         if animation is not None:
             raise InputError(
                 f"animation: expected the path of a file with it, found {described(clip)}; give the path, or the "

@@ -1,7 +1,7 @@
 """Move a mesh in the way that the files of a transfer allow: by copied or matched joints, a reference, or a method.
 
 The same skeleton in both files is copied; rigs of other creatures are matched with each other; two shapes of one mesh
-are moved by deformation transfer. Everything else is done by the method (`run.py`).
+are moved by deformation transfer. Everything else is done by the method (`prepared.py`, `play.py`).
 """
 
 from __future__ import annotations

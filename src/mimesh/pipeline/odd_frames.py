@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..core.frame_buffer import PAGED, release_pages
 from ..core.mesh import Clip
 
 LONE_FRAMES = 12
@@ -21,9 +22,10 @@ FAR_VERTICES = 24
 FAR_STEP = 0.5
 """Mean distance of a vertex from the middle of the frames before and after, over the size, from which on a frame is a
 fault. In 324 animations of games and captures it is at most 0.07 in frames that are twice as far from that middle as
-those two from each other, and at most 0.36 where every fourth frame is taken."""
+those two from each other, 0.36 where every fourth frame is taken, and 0.54 where every eighth is (docs/LOG.md,
+2026-11-26)."""
 FAR_SHARE = 0.05
-"""Share of the frames above which these are no faults but a fast motion, of which few frames are taken."""
+"""Largest share of the frames that are taken for faults; more are a fast motion, of which few frames were taken."""
 
 
 def first_frame_note(clip: Clip, start: int, name: str) -> tuple[str, ...]:
@@ -50,21 +52,23 @@ def far_frames_note(clip: Clip, name: str) -> tuple[str, ...]:
 
     Args:
         clip: the frames that are taken.
-        name: that of its file.
+        name: that of the clip.
     """
-    if len(clip) < 3:
+    if len(clip) * FAR_SHARE < 1:
         return ()
     every = max(1, len(clip.mesh.vertices) // FAR_VERTICES)
-    frames = np.asarray(clip.vertices[:, ::every], np.float64)
+    frames = np.empty((len(clip), *clip.mesh.vertices[::every].shape))
+    for t in range(len(clip)):
+        frames[t] = clip.vertices[t, ::every]
+        if t % PAGED == 0:
+            release_pages(clip.vertices)
     size = np.median(np.ptp(frames, axis=1).max(axis=-1))
     before, after = frames[:-2], frames[2:]
     away = np.linalg.norm(frames[1:-1] - (before + after) / 2, axis=-1).mean(axis=-1)
     apart = np.linalg.norm(after - before, axis=-1).mean(axis=-1)
     far = 1 + np.flatnonzero((away > FAR_STEP * size) & (away > 2 * apart))
-    if not 0 < len(far) <= max(1, FAR_SHARE * len(clip)):
+    if not 0 < len(far) <= FAR_SHARE * len(clip):
         return ()
     listed = ", ".join(map(str, far[:3])) + (", ..." if len(far) > 3 else "")
     which = f"frame {listed} is" if len(far) == 1 else f"frames {listed} are"
-    return (
-        f"{name}: {which} far from the frames before and after (a fault of the file?), counted from 0 in those taken",
-    )
+    return (f"{name}: {which} far from the frames before and after, counted from 0 in those taken; a fault, perhaps",)

@@ -21,10 +21,7 @@ from ..core.normalization import Normalization
 from ..core.rig import Rig
 from ..io.beside import missing_images, missing_images_notes
 from ..io.gltf.own_animation import OwnAnimation
-from ..methods.base import (
-    BodyMethod,
-    SkinnedDrive,
-)
+from ..methods.base import BodyMethod, SkinnedDrive
 from .corrections import JointPositions
 from .prepared import KEYFRAMES, MotionOptions, Prepared, evenly_spread
 from .refine import Refinement
@@ -95,8 +92,9 @@ def play(
         if isinstance(prepared.drive, SkinnedDrive):
             # Options need the whole motion, so all joints are tracked before the first frame is made: two passes.
             passes = 2
-            half = progress and (lambda done, total: None if done % 2 else progress(done // 2, total))
-            driving = counted(driving, len(clip), half)
+            # Each frame is tracked, then made: two passes count as one frame.
+            half_progress = progress and (lambda done, total: None if done % 2 else progress(done // 2, total))
+            driving = counted(driving, len(clip), half_progress)
             scale = driving_norm.radius / identity_norm.radius
             limited = len(clip) > 1 if options.skinned is None else options.skinned
             # The weights of an identity's own file stay as they are.

@@ -238,7 +238,7 @@ def skinned_note(report: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[str, ...]:
-    """Return a note on thighs that are not below the hips in an identity's own rig, whose bones a scheme renames.
+    """Return a note on thighs that do not descend from the hips in an identity's own rig, whose bones a scheme renames.
 
     Args:
         own: the motion on the bones of the identity's file; None: other bones are written.
@@ -252,8 +252,8 @@ def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[st
     if all(own.joints[hips] in ancestors(parents, own.joints[thigh]) for thigh in thighs):
         return ()
     return (
-        f"{name}: its thighs are not below its hips, which programs that map a humanoid by its hierarchy need; "
-        "--rig mimesh writes joints that are",
+        f"{name}: in the hierarchy of its rig the thighs are not children of the hips; programs that map a humanoid by "
+        "its hierarchy may refuse it; --rig mimesh writes joints of another hierarchy",
     )
 
 
