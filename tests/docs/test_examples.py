@@ -76,6 +76,7 @@ def test_motion_capture(ran):
     assert (folder / "skinned.glb").stat().st_size < (folder / "morph.glb").stat().st_size
 
 
+@pytest.mark.slow
 def test_one_clip_many_people(ran, tmp_path):
     save_clip(walk(frames=2), tmp_path / "walk.glb")
     for k in range(2):
@@ -110,6 +111,7 @@ def test_your_own_method(ran, monkeypatch):
     assert table["mime twice"]["unseen"] < table["copy"]["unseen"] / 10
 
 
+@pytest.mark.slow
 def test_train_your_own(ran, tmp_path, monkeypatch):
     """All but the export, which takes half a minute and is tested with `learn.export`."""
     pytest.importorskip("torch")
@@ -153,6 +155,7 @@ def test_batch_of_shipped_characters(tmp_path):
     assert len(list(motions.iterdir())) == 2
 
 
+@pytest.mark.slow
 def test_animals(ran):
     folder, text = ran("animals", "--frames", "3")
     assert len(load_clip(folder / "result.glb", fps=30.0)) == 3

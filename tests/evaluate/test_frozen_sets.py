@@ -42,6 +42,7 @@ FOLDERS = {
 """Environment variables that name folders of files, and the protocols that read them."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", GENERATED, ids="/".join)
 def test_generated_sets_are_the_frozen_ones(key):
     name, split, kind = key

@@ -40,6 +40,7 @@ def full_mesh(smooth: bool = True) -> Mesh:
     return dataclasses.replace(mesh, name="Körper 1", corner_normals=normals, corner_uv=uv, parts=parts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("smooth", [True, False])
 def test_new_clip_round_trips(suffix, smooth, tmp_path):
@@ -137,6 +138,7 @@ def untouched_properties(path: Path) -> dict[str, str]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("before", SUFFIXES)
 @pytest.mark.parametrize("after", SUFFIXES)
 def test_moved_mesh_changes_only_points_normals_and_extent(before, after, tmp_path):

@@ -31,6 +31,7 @@ def predictions(monkeypatch) -> list[int]:
     keep_results(False)
 
 
+@pytest.mark.slow
 def test_kept_results_save_predictions_and_change_nothing(predictions):
     keep_results(False)
     identity, clip = person(0), walk(frames=3)
