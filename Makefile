@@ -6,6 +6,8 @@ PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check 
 # One process a core, so one thread each.
 # -rs: what is skipped, and why. Without reordering: files of few long tests would come last, for one of the processes.
 TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -rs -n auto --dist loadfile --no-loadscope-reorder
+# Types and shapes of all arguments are checked at run time, which takes 1.75 times as long.
+TYPED := --jaxtyping-packages=mimesh,beartype.beartype
 # Blender 4.5 as a module is for Python 3.11 alone.
 BLENDER_PYTHON ?= python3.11
 BPY := .clients/bpy/bin/python
@@ -22,9 +24,9 @@ demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
 test: $(VENV)/.dev
 	$(TESTS)
 
-# With the slow tests, and with types and shapes of all arguments checked at run time, which takes 1.75 times as long.
+# With the slow tests, and TYPED.
 test-all: $(VENV)/.dev
-	$(TESTS) -m 'not gpu and not client' --jaxtyping-packages=mimesh,beartype.beartype
+	$(TESTS) $(TYPED) -m 'not gpu and not client'
 
 # Format, style and types; pyright (standard) reads src, scripts and benchmarks, see pyproject.toml.
 lint: $(VENV)/.dev
@@ -35,7 +37,7 @@ lint: $(VENV)/.dev
 check: lint test-all
 
 smoke: $(VENV)/.dev
-	$(BIN)/python -m pytest -q tests/learn/test_smoke.py
+	$(BIN)/python -m pytest -q $(TYPED) tests/learn/test_smoke.py
 
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/bench.py
@@ -55,7 +57,7 @@ gallery: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
 
 # Checks the pages with axe-core, which tests of tests/browser skip without.
 axe: $(VENV)/.dev $(AXE)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -rs tests/browser/test_accessibility.py
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -rs $(TYPED) -m '' tests/browser/test_accessibility.py
 
 $(AXE):
 	npm install --silent --prefix .clients/axe axe-core@4.14.1
@@ -67,7 +69,7 @@ clients: $(VENV)/.dev
 	  three@0.187.0 @pixiv/three-vrm@3.5.5 @pixiv/three-vrm-animation@3.5.5
 	-test -d .clients/puppeteer || npm install --silent --prefix .clients/puppeteer puppeteer-core@24.43.1
 	-test -x $(BPY) || { $(BLENDER_PYTHON) -m venv .clients/bpy && $(BPY) -m pip install --quiet bpy==4.5.15; }
-	OMP_NUM_THREADS=1 MIMESH_FORMATS=docs/formats.json $(BIN)/python -m pytest -q -rs -m client tests/clients
+	OMP_NUM_THREADS=1 MIMESH_FORMATS=docs/formats.json $(BIN)/python -m pytest -q -rs $(TYPED) -m client tests/clients
 	$(BIN)/python scripts/write_formats.py
 
 # The site, in docs/_build; then the links that lead out of it, which nothing here follows.

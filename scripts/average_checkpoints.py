@@ -1,4 +1,4 @@
-"""Average the networks of several checkpoints or `.onnx` files of mime, the first of which gives all else.
+"""Average the networks of several checkpoints or files of `mimesh export`, the first of which gives all else.
 
 python scripts/average_checkpoints.py runs/a/last.safetensors runs/b/last.safetensors -o average.safetensors
 python scripts/average_checkpoints.py A B C --shares 0.35 0.35 0.3 -o average.safetensors
@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 from mimesh.learn import checkpoint
-from mimesh.learn.exported_weights import load_exported
+from mimesh.learn.exported_weights import load_start
 
 
 def main() -> None:
@@ -24,8 +24,7 @@ def main() -> None:
     shares = args.shares or [1.0] * len(args.checkpoints)
     if len(shares) != len(args.checkpoints):
         parser.error(f"--shares: expected {len(args.checkpoints)}, one for each checkpoint, found {len(shares)}")
-    loaded = [load_exported(path)[1] if path.suffix == ".onnx" else checkpoint.load(path) for path in args.checkpoints]
-    average = checkpoint.average(loaded, shares)
+    average = checkpoint.average([load_start(path)[1] for path in args.checkpoints], shares)
     args.output.parent.mkdir(parents=True, exist_ok=True)
     checkpoint.save(args.output, average)
     print(f"{args.output}: average of {len(shares)} checkpoints; next: mimesh export {args.output} -o NAME.onnx")

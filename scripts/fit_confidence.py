@@ -63,20 +63,19 @@ def collect(
     method = find_method(model)
     axes = (AXES["up"], AXES["front"], AXES["driving_up"], AXES["driving_front"])
     rows = []
+    options = MotionOptions()
     with typer.progressbar(list(_pairs(characters, people)), label="pairs") as bar:
         for name, make in bar:
             pair = make()
-            prepared = prepare(pair.identity, Clip.still(pair.driving), lambda _: method, axes, False, MotionOptions())
+            prepared = prepare(pair.identity, Clip.still(pair.driving), lambda _: method, axes, False, options)
             assert isinstance(prepared.drive, SkinnedDrive)
             confidences = [confidence for confidence in prepared.drive.confidence or () if confidence is not None]
             meshes = [dataclasses.asdict(confidence) for confidence in confidences]
             for mesh in meshes:
                 del mesh["standards"]  # those of people, all of them
-            pmd, error = (
-                CREATURE_ERROR
-                if name == CREATURES
-                else _errors(play(prepared, Timer(), MotionOptions()).vertices[0], pair)
-            )
+            pmd, error = CREATURE_ERROR
+            if name != CREATURES:
+                pmd, error = _errors(play(prepared, Timer(), options).vertices[0], pair)
             rows.append({"kind": name, "pmd_e4": pmd, "error": error, "meshes": meshes})
     output.write_text(json.dumps(rows))
 
