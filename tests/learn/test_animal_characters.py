@@ -164,6 +164,21 @@ def test_truths_of_a_batch_are_the_identity_in_the_pose_of_the_driving(character
     assert not torch.equal(source.batch(6, 1).truth.points, batch.truth.points)
 
 
+def test_driving_characters_have_a_share_of_joint_limits_of_their_own(folder):
+    surfaces = TrainingCharacters.read(folder, BODY)
+
+    def drawn(limits, of_characters):
+        config = DataConfig(
+            "wide", 64, "identity", characters=0.5, body="quadruped", limits=limits, character_limits=of_characters
+        )
+        return SurfaceSource(config, BODY, CPU, 0, surfaces).batch(12, 0).driving.rotation
+
+    both, body_only, same = drawn(1.0, None), drawn(1.0, 0.0), drawn(1.0, 1.0)
+    assert torch.equal(both, same)
+    assert torch.equal(both[:6], body_only[:6])
+    assert not torch.equal(both[6:], body_only[6:])
+
+
 def test_npt_takes_rigged_animals_beside_the_shipped_quadruped(folder):
     config = DataConfig("wide", 64, "identity", characters=0.5, body="quadruped")
     source = CharacterPairSource(config, BODY, CPU, 0, TrainingCharacters.read(folder, BODY))

@@ -94,10 +94,10 @@ def test_limbs_of_recombined_windows_move_as_in_one_window_of_the_motions():
 
 def test_a_share_of_driving_meshes_is_posed_anyhow_within_the_joint_limits():
     few, all_of_them = (
-        BodySampler(DataConfig("wide", 64, limits=share), shipped_body(), torch.device("cpu"), 0)._sample_people(
-            200, torch.Generator().manual_seed(1)
+        BodySampler(DataConfig("wide", 64, limits=of_all), shipped_body(), torch.device("cpu"), 0)._sample_pairs(
+            200, torch.Generator().manual_seed(1), share
         )[1]
-        for share in (0.1, 1.0)
+        for of_all, share in ((0.1, None), (0.5, 1.0))
     )
     torch.testing.assert_close(few[0], all_of_them[0])  # identities are the same
     same = (few[1] - all_of_them[1]).abs().amax((1, 2, 3)) < 1e-6

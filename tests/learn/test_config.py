@@ -46,11 +46,19 @@ def test_configurations_of_mime_load(name):
         ("data.kind=clips", "expected data.kind table6 or wide with mime, found clips"),
         ("data.target_scale=truth", "expected data.target_scale identity"),
         ("model.heads=3", "expected heads that divide width 128, found 3"),
+        ("data.character_limits=0.1", "expected data.character_limits null without characters of mime, found 0.1"),
+        ("data.character_limits=few", r"character_limits: expected float \| None, found 'few'"),
     ],
 )
 def test_mime_refuses_what_it_cannot_train_on(change, message):
     with pytest.raises(InputError, match=message):
         load_config("small", "mime", [change])
+
+
+@pytest.mark.parametrize(("given", "found"), [("0", 0.0), ("0.08", 0.08), ("null", None)])
+def test_characters_have_a_share_of_joint_limits_of_their_own(given, found):
+    config = load_config("small", "mime", ["data.characters=0.5", f"data.character_limits={given}"])
+    assert (config.data.character_limits, type(config.data.character_limits)) == (found, type(found))
 
 
 def test_aniformer_is_not_trained_with_weights_for_each_vertex():

@@ -52,6 +52,9 @@ class DataConfig:
     """`mime`, `npt` (`wide`) and `hands`: packs of the folder of characters that are not trained on."""
     limits: float = 0.12
     """`wide`: share of driving meshes that are posed anyhow within the joint limits."""
+    character_limits: float | None = None
+    """`mime`: the same share of driving characters and figures of primitives; None: that of `limits`. If it is large, the
+    network takes odd shapes for odd poses (docs/LOG.md, "Animals of the shipped body in any pose")."""
     low_poly: float = 0.0
     """`mime`, `wide`: share of meshes that are low-poly, as points with the normals of 200 to 1,200 flat triangles."""
     scans: float = 0.0
@@ -119,10 +122,16 @@ class BodySampler(VertexSampler):
             self.contacts = [self._tensor(array) for array in (sources.contact_shapes, sources.contact_poses)]
 
     def _sample_pairs(
-        self, size: int, rng: torch.Generator
+        self, size: int, rng: torch.Generator, limits: float | None = None
     ) -> tuple[Float[Tensor, "2 B K"], Float[Tensor, "2 B J 3 3"], Bool[Tensor, "2 B"]]:
-        """Draw shapes and local joint rotations of identities and driving meshes, and who is in self-contact."""
-        return (self._sample_table if self.config.kind in TABLE_KINDS else self._sample_people)(size, rng)
+        """Draw shapes and local joint rotations of identities and driving meshes, and who is in self-contact.
+
+        Args:
+            limits: share of driving meshes posed anyhow within the joint limits; None: that of the configuration.
+        """
+        if self.config.kind in TABLE_KINDS:
+            return self._sample_table(size, rng)
+        return self._sample_people(size, rng, limits)
 
     def _sample_table(self, size: int, rng: torch.Generator):
         """Draw two people of the table for each pair: the identity in a Table 6 pose, the driving in one or a frame."""
@@ -174,7 +183,7 @@ class BodySampler(VertexSampler):
         frame = torch.arange(frames, device=self.device)
         return rotvec_to_rotmat(start + step * frame[:, None, None] * (stop - start))
 
-    def _sample_people(self, size: int, rng: torch.Generator):
+    def _sample_people(self, size: int, rng: torch.Generator, limits: float | None = None):
         """Draw new people: identities mostly near a rest pose, driving meshes in all poses.
 
         Who is in self-contact is given because such a pose fits one shape only.
@@ -183,7 +192,7 @@ class BodySampler(VertexSampler):
         shapes = self.config.spread * shapes.clamp(-SHAPE_LIMIT, SHAPE_LIMIT)
         kinds = torch.rand(2, size, generator=rng, device=self.device)
         poses, touching = [], torch.zeros(2, size, dtype=torch.bool, device=self.device)
-        for row, mix in enumerate((IDENTITY_MIX, driving_mix(self.config.limits))):
+        for row, mix in enumerate((IDENTITY_MIX, driving_mix(self.config.limits if limits is None else limits))):
             pose = self._sample_poses(kinds[row], mix, rng)
             if self.config.contacts and len(self.contacts[0]):
                 shapes[row], pose, touching[row] = self._replace_by_contacts(shapes[row], pose, rng)

@@ -147,7 +147,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         fits = value in typing.get_args(hint)
     elif origin is tuple:
         value, fits = tuple(value), ... in typing.get_args(hint) or len(value) == len(typing.get_args(hint))
-    elif hint is float:
+    elif hint is float or (hint == float | None and value is not None):
         fits = isinstance(value, (int, float)) and not isinstance(value, bool)
         value = float(value) if fits else value
     else:

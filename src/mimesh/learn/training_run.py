@@ -25,7 +25,17 @@ from .user_data import refuse_other_data
 from .validation import Validation
 
 SCHEDULE = ("seed", "pairs", "minutes", "decay", "learning_rate", "accumulate", "doublings")
-MIXTURE = ("vertices", "characters", "contacts", "limits", "low_poly", "scans", "between", "recombine")
+MIXTURE = (
+    "vertices",
+    "characters",
+    "contacts",
+    "limits",
+    "character_limits",
+    "low_poly",
+    "scans",
+    "between",
+    "recombine",
+)
 RESUMABLE = (*SCHEDULE, *(f"data.{key}" for key in MIXTURE))
 """Keys that may change where a training is resumed: schedule and mixture of the data, not the network. Two trainings
 that go on from one checkpoint with two seeds see other batches and can be averaged."""

@@ -8,15 +8,18 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.hands import hand_joints
+from mimesh.bodies.quadruped import LIMITS
 from mimesh.bodies.sampling import sample_pose, sample_shape
 from mimesh.core.geometry import face_normals
 from mimesh.core.mesh import permute_vertices
+from mimesh.core.rig import Rig, descendants
 from mimesh.core.surface_points import at_barycentric, sample_surface
 from mimesh.evaluate.measure import AXES
 from mimesh.evaluate.metrics import pmd_of_pair
 from mimesh.evaluate.protocols import PROTOCOLS
+from mimesh.methods.confidence import mean_angle
 from mimesh.methods.mime import body_fit
-from mimesh.methods.mime.body_fit import BodyFit, SurfaceSample, fit_body
+from mimesh.methods.mime.body_fit import BodyFit, SurfaceSample, fit_body, fit_predictions
 from mimesh.pipeline import transfer
 
 BODY = load_body()
@@ -140,6 +143,62 @@ def test_fit_to_a_flat_surface_is_finite(flat):
     fit = fit_body(SurfaceSample(surface.points * flat, surface.normals), *true)
     assert np.isfinite(fit.joints).all()
     assert np.allclose(fit.rotation @ fit.rotation.mT, np.eye(3), atol=1e-6)
+
+
+ANIMAL = load_body("quadruped")
+
+
+def animal(seed=0, noise=0.3):
+    """An animal of the shipped body anywhere within its joint limits; a rough prediction, and the true rotations."""
+    shape = sample_shape(ANIMAL, seed, 0)
+    pose = Rotation.from_rotvec(sample_pose(ANIMAL, seed, 0, LIMITS)).as_matrix()
+    vertices, joints = ANIMAL.posed(shape, pose), ANIMAL.shaped(shape)[1]
+    rotation, offset = ANIMAL.skinning_transforms(joints, pose)
+    face, barycentric = sample_surface(vertices, ANIMAL.faces, 2560, np.random.default_rng(seed))
+    normals = face_normals(vertices, ANIMAL.faces)[face]
+    rng = np.random.default_rng(seed)
+    turns = Rotation.from_rotvec(noise * rng.normal(size=(len(joints), 3))).as_matrix()
+    places = offset + (rotation @ joints[..., None])[..., 0] + 0.03 * rng.normal(size=joints.shape)
+    surface = SurfaceSample(at_barycentric(vertices, ANIMAL.faces, face, barycentric), normals)
+    return surface, Rig(turns @ rotation, places, np.zeros((0, len(joints)))), rotation
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_fits_to_the_shipped_animal_go_on_from_rough_predictions(seed, monkeypatch):
+    surface, rough, true = animal(seed)
+    fit = fit_predictions(surface, rough, (), "quadruped")
+    monkeypatch.setattr(body_fit, "REFINED", ())
+    before = fit_predictions(surface, rough, (), "quadruped")
+    assert fit.distance < 0.8 * before.distance
+    assert mean_angle(fit.rotation, true) < mean_angle(before.rotation, true)
+
+
+def test_another_prediction_is_taken_where_it_fits_better():
+    surface, good, true = animal(1, noise=0.05)
+    leg, turn = ANIMAL.joint("LeftThigh"), Rotation.from_rotvec([1.5, 0, 0]).as_matrix()
+    below = list(descendants([leg], ANIMAL.parents))
+    rotation, joints = good.rotation.copy(), good.joints.copy()
+    rotation[below] = turn @ rotation[below]
+    joints[below] = (joints[below] - joints[leg]) @ turn.T + joints[leg]
+    bad = Rig(rotation, joints, good.weights)
+    one, best = (fit_predictions(surface, bad, others, "quadruped") for others in ((), (bad, good)))
+    assert best.cost <= body_fit.WELL_FITTED < one.cost
+    assert one.unmatched_body["left hind leg"] > 0.1
+    assert mean_angle(best.rotation, true) < 0.7 * mean_angle(one.rotation, true)
+
+
+def test_a_good_fit_asks_no_other_prediction():
+    surface, good, _ = animal(1, noise=0.02)
+    assert fit_predictions(surface, good, (None,), "quadruped").cost <= body_fit.WELL_FITTED
+
+
+def test_fits_to_other_shapes_stay_near_their_prediction(monkeypatch):
+    surface, rough, _ = animal(noise=0.1)
+    wavy = SurfaceSample(surface.points + 0.015 * np.sin(25 * surface.points[:, [1, 2, 0]]), surface.normals)
+    fit = fit_predictions(wavy, rough, (None,), "quadruped")
+    monkeypatch.setattr(body_fit, "REFINED", ())
+    assert fit.distance > body_fit.SHIPPED_SHAPE
+    assert np.array_equal(fit.rotation, fit_body(wavy, rough.rotation, rough.joints, name="quadruped").rotation)
 
 
 def pair():

@@ -112,9 +112,14 @@ class TrainConfig:
             share = getattr(self.data, name)
             if share and (self.network != "mime" or self.data.kind != "wide"):
                 raise InputError(f"{where}: expected data.{name} with mime and data.kind wide only, found {share}")
-        for name in ("limits", "low_poly", "scans", "reflect", "between", "recombine"):
+        if self.data.character_limits is not None and not (self.network == "mime" and self.data.characters):
+            raise InputError(
+                f"{where}: expected data.character_limits null without characters of mime, found "
+                f"{self.data.character_limits}; leave it out"
+            )
+        for name in ("limits", "character_limits", "low_poly", "scans", "reflect", "between", "recombine"):
             share = getattr(self.data, name)
-            if not 0.0 <= share <= 1.0:
+            if share is not None and not 0.0 <= share <= 1.0:
                 raise InputError(f"{where}: expected data.{name} from 0 to 1, found {share}")
 
 

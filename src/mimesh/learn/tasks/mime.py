@@ -148,7 +148,7 @@ class SurfaceSource(BodySampler):
 
     def _figures(self, size: int, rng: torch.Generator) -> tuple[PosedSurface, PosedSurface, PosedSurface]:
         """Make the same of pairs of characters."""
-        pairs = self.pairs.draw(self._sample_pairs(size, rng)[1], rng)
+        pairs = self.pairs.draw(self._sample_pairs(size, rng, self.config.character_limits)[1], rng)
         return pairs.identity, pairs.driving, pairs.truth
 
     def _dress(

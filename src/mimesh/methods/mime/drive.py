@@ -11,7 +11,7 @@ of the body to both surfaces. Each frame: the joints' rotations by least squares
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -39,7 +39,7 @@ from ..base import (
 )
 from ..confidence import MAX_UNMATCHED_SURFACE, Confidence
 from ..npt import generator
-from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
+from .body_fit import BodyFit, SurfaceSample, fit_body, fit_predictions, sampled_body
 from .body_weights import corrected_weights
 from .consensus import consensus
 from .denoise import Denoiser, face_outward
@@ -284,7 +284,7 @@ class MimeMethod:
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
         confidence = self.ensemble.confidence(rigs, mean, mean.weights[len(vertices) :])
         if self.identity_targets is None:
-            rig, confidence, fit = self._with_fit(mean, confidence, sample)
+            rig, confidence, fit = self._with_fit(mean, confidence, sample, rigs)
         else:
             rig, confidence, fit = self._with_corrections(mean, confidence, sample, queries, self.identity_targets)
             confidence = self._with_weights(confidence, rig.weights[len(vertices) :])
@@ -298,12 +298,15 @@ class MimeMethod:
         return dataclasses.replace(rig, weights=weights), confidence
 
     def _with_fit(
-        self, rig: Rig, confidence: Confidence, sample: SurfaceSample
+        self, rig: Rig, confidence: Confidence, sample: SurfaceSample, predictions: Sequence[Rig]
     ) -> tuple[Rig, Confidence, BodyFit | None]:
-        """Replace the joints of a rig by those of the body fitted to its surface, if `fits_body`."""
+        """Replace the joints of a rig, the consensus of predictions, by those of the body fitted to its surface.
+
+        Unchanged if not `fits_body`.
+        """
         if not self.fits_body:
             return rig, confidence, None
-        fit = fit_body(sample, rig.rotation, rig.joints, name=self.body)
+        fit = fit_predictions(sample, rig, predictions, self.body)
         return dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints), _with_measures(confidence, fit), fit
 
     def _with_corrections(
@@ -360,7 +363,7 @@ class MimeMethod:
                 best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
         sample = SurfaceSample(samples.points(frames[best.reference]), samples.normals(denoised[best.reference]))
         if targets is None:
-            rig, confidence, _ = self._with_fit(best.consensus, best.confidence, sample)
+            rig, confidence, _ = self._with_fit(best.consensus, best.confidence, sample, best.predictions)
         else:
             queries = NetworkPoints(best.points, tracked.normals(denoised[best.reference]))
             rig, confidence, _ = self._with_corrections(best.consensus, best.confidence, sample, queries, targets)

@@ -44,6 +44,8 @@ class KeyframePrediction:
     """Tracked points in the reference."""
     consensus: Rig
     """Joints in the reference, and skinning weights of the tracked points."""
+    predictions: tuple[Rig, ...]
+    """The predictions for the reference alone."""
     leg: float
     """Length of a leg, in the normalised frame of the driving."""
     confidence: Confidence
@@ -135,7 +137,7 @@ class Ensemble:
         if min(agreeing(rigs)) >= count:  # joints and weights of the reference do not belong to these rotations
             confidence = dataclasses.replace(confidence, prediction_spread=CONTRADICTION)
         rig = Rig(mean.rotation, joints, weights)
-        return KeyframePrediction(t, tracked.points(frames[t]), rig, leg, confidence, samples)
+        return KeyframePrediction(t, tracked.points(frames[t]), rig, tuple(rigs[:count]), leg, confidence, samples)
 
     def predict_once(
         self, points: NetworkPoints, turn: Float[np.ndarray, "3 3"] | None = None
