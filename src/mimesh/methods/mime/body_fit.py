@@ -48,8 +48,8 @@ RELIABLE_MISMATCH, MISMATCH_EXPONENT, MISMATCH_POINTS = 0.0022, 6, 16
 changes, and the neighbours that are averaged. People of the shipped body have 0.1 mm, dressed ones 0.5, those with
 noise of up to 5 % 1.9, realistic and stylised characters of others 1.6, figures of blocks 3 (docs/LOG.md)."""
 REFINED = ("quadruped",)
-"""Bodies whose fits go on where they have the shape of the surface. Of people, poses at the joint limits gain by it, and
-dressed ones lose (docs/LOG.md, "Animals of the shipped body in any pose")."""
+"""Bodies whose fits go on where they have the shape of the surface. Of people, poses at the joint limits gain by it,
+and dressed ones lose (docs/LOG.md, "Animals of the shipped body in any pose")."""
 SHIPPED_SHAPE, FURTHER_ROUNDS = 0.0008, 10
 """Mismatch (metres of the body) up to which a fit goes on, and by how many rounds at most. Before that, animals of the
 shipped body have 0.2 to 0.5 mm, those of other makers 2 to 8: these would drift away from what was predicted."""
