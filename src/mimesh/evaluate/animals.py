@@ -50,12 +50,16 @@ class Animals(Protocol):
     def left_out(self, split: str) -> dict[str, int]:
         return read_animals(self.data, split).refusals()
 
-    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+    def draw(self, split: str, i: int, rng: np.random.Generator) -> tuple[PoolCharacter, PoolCharacter, str, int]:
+        """Choose the identity of a pair, and the driving animal, clip and frame."""
         choices = _choices(self.data, split)
         identity, partners = choices[i % len(choices)]
         driving = partners[rng.integers(len(partners))]
         clip = list(driving.clips)[rng.integers(len(driving.clips))]
-        frame = int(rng.integers(len(driving.clips[clip])))
+        return identity, driving, clip, int(rng.integers(len(driving.clips[clip])))
+
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        identity, driving, clip, frame = self.draw(split, i, rng)
         transforms = driving.clip_transforms(clip, frame)
         size = _height(identity) / _height(driving)
         label = f"{clip.replace('/', '-').replace('|', '-')}{frame}"
