@@ -21,6 +21,7 @@ from jaxtyping import Float
 from mimesh import animate
 from mimesh.bodies.character_pool import PoolCharacter
 from mimesh.commands.terminal import progress
+from mimesh.core.frame_buffer import counted
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.person_motion import KnownJoints
 from mimesh.evaluate.animals import Animals, animals
@@ -38,12 +39,11 @@ def main() -> None:
     parser.add_argument("--split", default="val", choices=("val", "test"))
     parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/rigged_animals.json"))
     args = parser.parse_args()
-    protocol, rows = animals(args.folder), []
+    protocol = animals(args.folder)
     protocol.check(args.split)
     with progress("pairs", quiet=False) as advance:
-        for i in range(protocol.pairs):
-            rows.append(measured(protocol, args.split, i))
-            advance(i + 1, protocol.pairs)
+        pairs = counted(range(protocol.pairs), protocol.pairs, advance)
+        rows = [measured(protocol, args.split, i) for i in pairs]
     errors = [row["pmd_e4"] for row in rows]
     summary = {
         "pmd_e4": round(float(np.mean(errors)), 1),

@@ -271,15 +271,15 @@ def _optimise_further(
     The prior of each step is the pose before it: it keeps steps short, but no longer pulls to the prediction, which in
     poses within the joint limits is 20 degrees off.
     """
-    before = np.inf
+    mismatch = np.inf
     for _ in range(FURTHER_ROUNDS):
         posed, expected = PosedBody(body, state), LAST_DISTANCE * state.size
         matches = _matches(posed, surface, tree, OUTLIER_SCALE * expected)
         prior = Prior(body, state.size, state.rotation, posed.joints)
-        state, mismatch = body.stepped(state, _step(posed, matches, prior, expected)), _mismatch(posed, matches)
+        state = body.stepped(state, _step(posed, matches, prior, expected))
+        before, mismatch = mismatch, _mismatch(posed, matches)
         if mismatch > STEADY * before:
             break
-        before = mismatch
     return state, mismatch
 
 
