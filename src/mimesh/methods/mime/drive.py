@@ -309,6 +309,13 @@ class MimeMethod:
         fit = fit_predictions(sample, rig, predictions, self.body)
         return dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints), _with_measures(confidence, fit), fit
 
+    def _cost(self, reading: KeyframePrediction, frames: list[np.ndarray], denoised: list[np.ndarray]) -> float:
+        """Measure how badly the body fits a reading of a driving; without a fit, how far its predictions disagree."""
+        if not self.fits_body:
+            return reading.confidence.prediction_spread
+        sample = reading.surface(frames, denoised)
+        return fit_predictions(sample, reading.consensus, reading.predictions, self.body).cost
+
     def _with_corrections(
         self,
         rig: Rig,
@@ -360,8 +367,8 @@ class MimeMethod:
             turn = self.ensemble.turn_to_stand(samples, denoised[best.reference])
             if turn is not None:
                 other = self.ensemble.predict_keyframes(samples, frames, denoised, best.reference, turn)
-                best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
-        sample = SurfaceSample(samples.points(frames[best.reference]), samples.normals(denoised[best.reference]))
+                best = min(best, other, key=lambda reading: self._cost(reading, frames, denoised))
+        sample = best.surface(frames, denoised)
         if targets is None:
             rig, confidence, _ = self._with_fit(best.consensus, best.confidence, sample, best.predictions)
         else:

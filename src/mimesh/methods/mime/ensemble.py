@@ -19,6 +19,7 @@ from ...core.rig import Rig, leg_length
 from ...core.soles import Soles
 from ...core.surface_points import SurfacePoints
 from ..confidence import Confidence, largest_flexion, mean_angle
+from .body_fit import SurfaceSample
 from .consensus import CONTRADICTION, agreeing, consensus, faces_away
 from .joint_network import JointNetwork, NetworkPoints
 from .part_tracking import PartTracker
@@ -53,6 +54,11 @@ class KeyframePrediction:
     """All samples of the surface, more than are tracked."""
     soles: Soles = ()
     """Contact points of the soles, as indices of samples."""
+
+    def surface(self, frames: list[np.ndarray], denoised: list[np.ndarray]) -> SurfaceSample:
+        """Return the samples in the reference; normals are those of the denoised frame, whose surface is smaller."""
+        k = self.reference
+        return SurfaceSample(self.samples.points(frames[k]), self.samples.normals(denoised[k]))
 
 
 @dataclass(frozen=True, eq=False)
