@@ -1,11 +1,14 @@
 """Predictions in other orientations: animals that lie on their sides."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies.animals import animal
 from mimesh.core.canonical_order import canonical_order
+from mimesh.core.rig import Rig
 from mimesh.methods.find import find_method
 from mimesh.methods.mime.ensemble import ENSEMBLE, sampled_points
 from mimesh.methods.mime.joint_network import NetworkPoints
@@ -45,3 +48,16 @@ def test_predictions_after_a_turn_are_those_of_the_turned_mesh():
     np.testing.assert_allclose(turn @ back.rotation, direct.rotation, atol=1e-5)
     np.testing.assert_allclose(back.joints @ turn.T, direct.joints, atol=1e-5)
     np.testing.assert_allclose(back.weights, direct.weights, atol=1e-6)
+
+
+def test_the_body_fits_a_reading_better_than_the_same_upside_down():
+    samples, vertices = points_of(np.eye(3))
+    right = METHOD.ensemble.predict_keyframes(samples, [vertices], [vertices], 0)
+    over = Rotation.from_euler("z", 180, degrees=True).as_matrix()
+
+    def turned(rig: Rig) -> Rig:
+        return Rig(over @ rig.rotation, rig.joints @ over.T, rig.weights)
+
+    predictions = tuple(turned(rig) for rig in right.predictions)
+    wrong = dataclasses.replace(right, consensus=turned(right.consensus), predictions=predictions)
+    assert 10 * METHOD._cost(right, [vertices], [vertices]) < METHOD._cost(wrong, [vertices], [vertices])
