@@ -187,15 +187,31 @@ def test_another_prediction_is_taken_where_it_fits_better():
     assert mean_angle(best.rotation, true) < 0.7 * mean_angle(one.rotation, true)
 
 
-def test_a_good_fit_asks_no_other_prediction():
+@pytest.fixture
+def fits(monkeypatch):
+    """Collect what the body is fitted from."""
+    starts, original = [], body_fit.fit_body
+
+    def collected(surface, rotation, *args, **options):
+        starts.append(rotation)
+        return original(surface, rotation, *args, **options)
+
+    monkeypatch.setattr(body_fit, "fit_body", collected)
+    return starts
+
+
+def test_a_good_fit_asks_no_other_prediction(fits):
     surface, good, _ = animal(1, noise=0.02)
-    assert fit_predictions(surface, good, (None,), "quadruped").cost <= body_fit.WELL_FITTED
+    _, other, _ = animal(1, noise=0.1)
+    assert fit_predictions(surface, good, (other,), "quadruped").cost <= body_fit.WELL_FITTED
+    assert len(fits) == 1
 
 
-def test_fits_to_other_shapes_stay_near_their_prediction(monkeypatch):
+def test_fits_to_other_shapes_stay_near_their_prediction(monkeypatch, fits):
     surface, rough, _ = animal(noise=0.1)
     wavy = SurfaceSample(surface.points + 0.015 * np.sin(25 * surface.points[:, [1, 2, 0]]), surface.normals)
-    fit = fit_predictions(wavy, rough, (None,), "quadruped")
+    fit = fit_predictions(wavy, rough, (rough,), "quadruped")
+    assert len(fits) == 1
     monkeypatch.setattr(body_fit, "REFINED", ())
     assert fit.distance > body_fit.SHIPPED_SHAPE
     assert np.array_equal(fit.rotation, fit_body(wavy, rough.rotation, rough.joints, name="quadruped").rotation)
