@@ -53,8 +53,8 @@ class DataConfig:
     limits: float = 0.12
     """`wide`: share of driving meshes that are posed anyhow within the joint limits."""
     character_limits: float | None = None
-    """`mime`: the same share of driving characters and figures of primitives; None: that of `limits`. If it is large,
-    the network takes odd shapes for odd poses (docs/LOG.md, "Animals of the shipped body in any pose")."""
+    """`mime`: the same share of driving characters and figures of primitives; None: that of `limits`. One network
+    that saw many took odd shapes for odd poses (docs/LOG.md, "Animals of the shipped body in any pose")."""
     low_poly: float = 0.0
     """`mime`, `wide`: share of meshes that are low-poly, as points with the normals of 200 to 1,200 flat triangles."""
     scans: float = 0.0
