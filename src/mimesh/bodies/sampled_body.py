@@ -190,14 +190,14 @@ class PosedBody:
         scaled_rotation = state.size * state.rotation
         self.lengthwise, self._crosswise = scaled_rotation @ (length * body.along), scaled_rotation @ (girth * across)
         self.linear = self.lengthwise + self._crosswise
-        self._rest_joints = body.joints + body.joint_components @ state.shape
-        self.offset = (body.vertices + body.components @ state.shape)[:, None] - self._rest_joints
-        bones = self._rest_joints[1:] - self._rest_joints[list(body.parents[1:])]
+        self.rest_joints = body.joints + body.joint_components @ state.shape
+        self.offset = (body.vertices + body.components @ state.shape)[:, None] - self.rest_joints
+        bones = self.rest_joints[1:] - self.rest_joints[list(body.parents[1:])]
         self.joints = place_joints(state.root, bones, self.linear, body.parents)
         # Contribution of each joint to each point, w_ij (p_j + L_j o_ij).
         moved = body.weights[..., None] * np.einsum("jab,njb->nja", self.linear, self.offset)
-        self._contributions = moved + body.weights[..., None] * self.joints
-        self.points = self._contributions.sum(axis=1)
+        self.contributions = moved + body.weights[..., None] * self.joints
+        self.points = self.contributions.sum(axis=1)
         # Normals transform with the inverse transpose of L_j; the scale does not matter.
         normals = state.rotation @ (body.along / length + across / girth)
         self.normals = _unit(np.einsum("nab,nb->na", self._blended(normals), body.normals))
@@ -246,7 +246,7 @@ class PosedBody:
         kinds = body.one_hot.shape[1]
         jacobians = [np.zeros((3, shapes + 2 * kinds))]
         for j, parent in enumerate(body.parents[1:], 1):
-            bone = self._rest_joints[j] - self._rest_joints[parent]
+            bone = self.rest_joints[j] - self.rest_joints[parent]
             bone_components = body.joint_components[j] - body.joint_components[parent]
             jacobian = jacobians[parent].copy()
             jacobian[:, :shapes] += self.linear[parent] @ bone_components
@@ -259,7 +259,7 @@ class PosedBody:
     def _arms(self) -> Float[np.ndarray, "N J 3"]:
         """Lever arm of each joint j at each point: sum over descendants k of w_ik (p_k + L_k o_ik - p_j)."""
         below = self.body.below
-        return below @ self._contributions - (self.body.weights @ below.T)[..., None] * self.joints
+        return below @ self.contributions - (self.body.weights @ below.T)[..., None] * self.joints
 
     def _blended(self, matrices: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "N 3 3"]:
         return blend_matrices(self.body.weights, matrices)

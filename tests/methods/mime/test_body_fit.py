@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.hands import hand_joints
+from mimesh.bodies.joint_ranges import joint_ranges
 from mimesh.bodies.quadruped import LIMITS
 from mimesh.bodies.sampling import sample_pose, sample_shape
 from mimesh.core.geometry import face_normals
@@ -18,8 +19,9 @@ from mimesh.evaluate.measure import AXES
 from mimesh.evaluate.metrics import pmd_of_pair
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.methods.confidence import mean_angle
-from mimesh.methods.mime import body_fit
-from mimesh.methods.mime.body_fit import BodyFit, SurfaceSample, fit_body, fit_predictions
+from mimesh.methods.mime import body_fit, limb_search
+from mimesh.methods.mime.body_fit import BodyFit, fit_body, fit_predictions
+from mimesh.methods.mime.surface_sample import SurfaceSample
 from mimesh.pipeline import transfer
 
 BODY = load_body()
@@ -173,18 +175,44 @@ def test_fits_to_the_shipped_animal_go_on_from_rough_predictions(seed, monkeypat
     assert mean_angle(fit.rotation, true) < mean_angle(before.rotation, true)
 
 
-def test_another_prediction_is_taken_where_it_fits_better():
-    surface, good, true = animal(1, noise=0.05)
+def with_leg_turned(rig):
+    """Turn a hind leg of a prediction forwards by 86 degrees."""
     leg, turn = ANIMAL.joint("LeftThigh"), Rotation.from_rotvec([1.5, 0, 0]).as_matrix()
     below = list(descendants([leg], ANIMAL.parents))
-    rotation, joints = good.rotation.copy(), good.joints.copy()
+    rotation, joints = rig.rotation.copy(), rig.joints.copy()
     rotation[below] = turn @ rotation[below]
     joints[below] = (joints[below] - joints[leg]) @ turn.T + joints[leg]
-    bad = Rig(rotation, joints, good.weights)
-    one, best = (fit_predictions(surface, bad, others, "quadruped") for others in ((), (bad, good)))
-    assert best.cost <= body_fit.WELL_FITTED < one.cost
+    return Rig(rotation, joints, rig.weights)
+
+
+def test_a_leg_that_is_off_the_surface_is_searched():
+    surface, good, true = animal(1, noise=0.05)
+    bad = with_leg_turned(good)
+    alone = fit_body(surface, bad.rotation, bad.joints, name="quadruped")
+    searched = fit_predictions(surface, bad, (), "quadruped")
+    assert searched.gaps["left hind leg"] < 0.5 * alone.gaps["left hind leg"]
+    assert mean_angle(searched.rotation, true) < 0.7 * mean_angle(alone.rotation, true)
+
+
+def test_another_prediction_is_taken_where_it_fits_better(monkeypatch):
+    monkeypatch.setattr(limb_search, "SEARCHES", 0)
+    surface, good, true = animal(1, noise=0.05)
+    one, best = (fit_predictions(surface, with_leg_turned(good), others, "quadruped") for others in ((), (good,)))
+    assert max(best.gaps.values()) <= body_fit.STILL_OFF < max(one.gaps.values())
     assert one.unmatched_body["left hind leg"] > 0.1
     assert mean_angle(best.rotation, true) < 0.7 * mean_angle(one.rotation, true)
+
+
+def test_joints_of_animals_stay_within_their_ranges():
+    surface, good, _ = animal(1, noise=0.05)
+    twisted, hand = good.rotation.copy(), ANIMAL.joint("LeftHand")
+    below = list(descendants([hand], ANIMAL.parents))
+    along = good.joints[below[1]] - good.joints[hand]
+    twisted[below] = Rotation.from_rotvec(2.6 * along / np.linalg.norm(along)).as_matrix() @ twisted[below]
+    fit = fit_predictions(surface, Rig(twisted, good.joints, good.weights), (), "quadruped")
+    ranges = joint_ranges("quadruped")
+    local = ranges.local(fit.posed.state.rotation)
+    assert (np.abs(local - np.clip(local, ranges.low, ranges.high)) < np.radians(12)).all()
 
 
 @pytest.fixture
@@ -203,7 +231,7 @@ def fits(monkeypatch):
 def test_a_good_fit_asks_no_other_prediction(fits):
     surface, good, _ = animal(1, noise=0.02)
     _, other, _ = animal(1, noise=0.1)
-    assert fit_predictions(surface, good, (other,), "quadruped").cost <= body_fit.WELL_FITTED
+    assert max(fit_predictions(surface, good, (other,), "quadruped").gaps.values()) <= body_fit.STILL_OFF
     assert len(fits) == 1
 
 
@@ -212,9 +240,10 @@ def test_fits_to_other_shapes_stay_near_their_prediction(monkeypatch, fits):
     wavy = SurfaceSample(surface.points + 0.015 * np.sin(25 * surface.points[:, [1, 2, 0]]), surface.normals)
     fit = fit_predictions(wavy, rough, (rough,), "quadruped")
     assert len(fits) == 1
-    monkeypatch.setattr(body_fit, "REFINED", ())
     assert fit.distance > body_fit.SHIPPED_SHAPE
     assert np.array_equal(fit.rotation, fit_body(wavy, rough.rotation, rough.joints, name="quadruped").rotation)
+    monkeypatch.setattr(body_fit, "REFINED", ())
+    assert mean_angle(fit.rotation, fit_body(wavy, rough.rotation, rough.joints, name="quadruped").rotation) < 12
 
 
 def pair():

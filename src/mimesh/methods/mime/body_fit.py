@@ -6,10 +6,10 @@ squares find pose, shape and bone lengths more precisely than the network, which
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -17,14 +17,14 @@ from jaxtyping import Bool, Float
 from ...bodies import load_body
 from ...bodies.character_limbs import SIDES
 from ...bodies.hands import hand_joints
+from ...bodies.joint_ranges import JointRanges, joint_ranges
 from ...bodies.sampled_body import BodyState, PosedBody, SampledBody
 from ...core.geometry import nearest_rotation
 from ...core.rig import Rig
 from ..confidence import limb_joints, mean_angle
 from .joint_targets import JointTargets
-
-if TYPE_CHECKING:
-    from scipy.spatial import KDTree
+from .limb_search import limb_gaps, search_limbs
+from .surface_sample import SurfaceSample
 
 # docs/LOG.md ("a person laid onto the surface") says which of these values matter, with figures on val.
 BODY_POINTS = 1000
@@ -41,6 +41,8 @@ ROTATION_SIGMA, JOINT_SIGMA = 0.2, 0.1
 """Standard deviation of the predicted rotations (radians) and joint positions (metres of the body)."""
 SHAPE_SIGMA, BONE_SIGMA = 3.0, 0.1
 """Standard deviation of the shape coefficients, and of the logarithms of bone lengths and girths; their mean is 0."""
+RANGE_SIGMA = 0.1
+"""Standard deviation (radians) of how far joints turn beyond their ranges."""
 CORRECTED_SIGMA = 0.005
 """Standard deviation (metres of the body) of joint positions that the user has picked."""
 RELIABLE_MISMATCH, MISMATCH_EXPONENT, MISMATCH_POINTS = 0.0022, 6, 16
@@ -50,13 +52,13 @@ noise of up to 5 % 1.9, realistic and stylised characters of others 1.6, figures
 REFINED = ("quadruped",)
 """Bodies whose fits go on where they have the shape of the surface. Of people, poses at the joint limits gain by it,
 and dressed ones lose (docs/LOG.md, "Animals of the shipped body in any pose")."""
-SHIPPED_SHAPE, FURTHER_ROUNDS = 0.0008, 10
+SHIPPED_SHAPE, FURTHER_ROUNDS = 0.0012, 10
 """Mismatch (metres of the body) up to which a fit goes on, and by how many rounds at most. Before that, animals of the
 shipped body have 0.2 to 0.5 mm, those of other makers 2 to 8: these would drift away from what was predicted."""
 STEADY = 0.98
 """Ratio of a round's mismatch to that of the round before from which on a fit goes no further."""
-WELL_FITTED = 0.00013
-"""Cost (`BodyFit.cost`) up to which no other prediction is tried."""
+STILL_OFF = 0.015
+"""Gap of a limb (see `limb_gaps`, metres of the body) after the search from which on single predictions are tried."""
 CHUNK = 65_536
 """Points of a surface whose nearest points of the fitted body are found at once; bounds the memory."""
 NEAREST = 3
@@ -66,23 +68,6 @@ SAME_SHAPE, SHAPE_EXPONENT = 0.0004, 4
 changes: the body's are better only where it has the shape of the surface (docs/LOG.md, "Weights of the body")."""
 UNMATCHED_BODY, UNMATCHED_SURFACE = 0.05, 0.08
 """Distance (metres of the body) from which on a point of the body is unmatched by the surface, and the reverse."""
-
-
-@dataclass(frozen=True, eq=False)
-class SurfaceSample:
-    """Points of a surface, spread evenly and in random order, so that the first few represent all of it."""
-
-    points: Float[np.ndarray, "N 3"]
-    normals: Float[np.ndarray, "N 3"]
-    """Unit normals, or zeros where they are unknown."""
-
-    def outward(self, posed: PosedBody) -> SurfaceSample:
-        """Flip all normals if most of them point against those of the nearest points of a posed body."""
-        from scipy.spatial import KDTree
-
-        nearest = KDTree(posed.points).query(self.points)[1]
-        inward = np.median((posed.normals[nearest] * self.normals).sum(axis=1)) < 0
-        return replace(self, normals=-self.normals) if inward else self
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,11 +100,18 @@ class BodyFit:
     """Mean angle (degrees) between the rotations of the fitted body and the predicted ones."""
     posed: PosedBody
     """The fitted body."""
+    gaps: Mapping[str, float]
+    """How far each limb of the body and the surface next to it are apart; see `limb_gaps`."""
 
     @property
     def cost(self) -> float:
         """Mismatch of the shapes, larger where limbs of the body are away from the surface."""
         return self.distance * (1 + sum(self.unmatched_body.values()))
+
+    @property
+    def gap(self) -> float:
+        """Sum of the gaps of all limbs."""
+        return sum(self.gaps.values())
 
     def nearest(self, points: Float[np.ndarray, "V 3"]) -> NearestBody:
         """Find the nearest point of the fitted body to each of some points of the surface."""
@@ -168,28 +160,34 @@ def fit_body(
     joints: Float[np.ndarray, "J 3"],
     targets: JointTargets | None = None,
     name: str = "human",
+    others: Sequence[Float[np.ndarray, "J 3 3"]] = (),
 ) -> BodyFit:
     """Fit a shipped body to a surface, from predicted rotations and positions of its joints.
 
     The unknowns are size, root position, shape coefficients, bone lengths and girths, and the joint rotations (see
     `SampledBody`). Joints are those of the fitted body where it covers the surface closely, the predicted ones where it
     does not, and between the two a blend. The surface may have any unit, position and heading. Joints are the shipped
-    body's, in its order; those with `targets` keep these positions.
+    body's, in its order; those with `targets` keep these positions. `others` are more predicted rotations, from which
+    limbs that do not lie on the surface are searched.
     """
     from scipy.spatial import KDTree
 
-    body, tree = sampled_body(name), KDTree(surface.points)
-    state = body.mean_person(_initial_size(body, joints), joints[0].copy(), rotation)
+    body = sampled_body(name)
+    ranges = joint_ranges(name) if name in REFINED and targets is None else None
+    start = rotation if ranges is None else ranges.world(rotation[0], ranges.clipped(rotation))
+    state = body.mean_person(_initial_size(body, joints), joints[0].copy(), start)
     surface = surface.outward(PosedBody(body, state))
-    state, mismatch = _optimise(body, state, Prior(body, state.size, rotation, joints, targets), surface, tree)
-    if name in REFINED and targets is None and mismatch < SHIPPED_SHAPE * state.size:
-        state, mismatch = _optimise_further(body, state, surface, tree)
+    state, mismatch = _optimise(body, state, Prior(body, state.size, start, joints, targets, ranges), surface)
+    if ranges is not None and mismatch < SHIPPED_SHAPE * state.size:
+        state, mismatch = _optimise_further(body, state, surface, ranges)
+        if others:
+            state, mismatch = _with_searched_limbs(body, state, surface, ranges, others)
     posed = PosedBody(body, state)
     # Where the body does not have the shape of the surface, its joints are less right than the predicted ones.
     distance = mismatch / state.size
     share = 1 / (1 + (distance / RELIABLE_MISMATCH) ** MISMATCH_EXPONENT)
     blended = nearest_rotation(share * state.rotation + (1 - share) * rotation)
-    unmatched = tree.query(posed.points)[0] > UNMATCHED_BODY * state.size
+    unmatched = surface.tree.query(posed.points)[0] > UNMATCHED_BODY * state.size
     unmatched_body = {limb: float(unmatched[points].mean()) for limb, points in _limb_points(name).items()}
     to_body = KDTree(posed.points).query(surface.points[: 2 * BODY_POINTS])[0]
     unmatched_surface = float((to_body > UNMATCHED_SURFACE * state.size).mean())
@@ -202,22 +200,25 @@ def fit_body(
         distance=distance,
         angle=mean_angle(state.rotation, rotation),
         posed=posed,
+        gaps=limb_gaps(posed, surface) if ranges is not None else {},
     )
 
 
 def fit_predictions(surface: SurfaceSample, consensus: Rig, predictions: Sequence[Rig], name: str) -> BodyFit:
     """Fit a shipped body to a surface from the consensus of some predictions.
 
-    If a body of REFINED has the shape of the surface, but not yet its pose, it is also fitted from each of the
-    predictions, until one fits well. The fit of the lowest cost is returned.
+    If a body of REFINED has the shape of the surface, but a limb does not lie on it even after a search, the body is
+    also fitted from each of the predictions, and limbs are searched from the best. The fit with the smaller gaps is
+    returned.
     """
-    best = fit_body(surface, consensus.rotation, consensus.joints, name=name)
-    if name not in REFINED or best.distance > SHIPPED_SHAPE:
+    rotations = [consensus.rotation, *(rig.rotation for rig in predictions)]
+    best = fit_body(surface, consensus.rotation, consensus.joints, name=name, others=rotations)
+    if not predictions or best.distance > SHIPPED_SHAPE or max(best.gaps.values(), default=0.0) < STILL_OFF:
         return best
-    for rig in predictions:
-        if best.cost > WELL_FITTED:
-            best = min(best, fit_body(surface, rig.rotation, rig.joints, name=name), key=lambda fit: fit.cost)
-    return best
+    fits = [fit_body(surface, rig.rotation, rig.joints, name=name).gap for rig in predictions]
+    start = predictions[int(np.argmin(fits))]
+    other = fit_body(surface, start.rotation, start.joints, name=name, others=rotations)
+    return min(best, other, key=lambda fit: fit.gap)
 
 
 @cache
@@ -236,9 +237,7 @@ def _initial_size(body: SampledBody, joints: Float[np.ndarray, "J 3"]) -> float:
     return float(np.exp(np.median(np.log(np.maximum(predicted[long], 1e-9) / rest[long]))))
 
 
-def _optimise(
-    body: SampledBody, state: BodyState, prior: Prior, surface: SurfaceSample, tree: KDTree
-) -> tuple[BodyState, float]:
+def _optimise(body: SampledBody, state: BodyState, prior: Prior, surface: SurfaceSample) -> tuple[BodyState, float]:
     """Alternate between matching nearest points and one Gauss-Newton step, from coarse to fine.
 
     Returns the state, and the mismatch of the shapes (see `_mismatch`).
@@ -255,7 +254,7 @@ def _optimise(
         # 1.48 medians are the standard deviation of a normal distribution, and outliers move them little.
         expected = max(state.size * FIRST_DISTANCE * fraction, 1.48 * distance)
         posed = PosedBody(coarse if k < COARSE_ROUNDS else body, state)
-        matches = _matches(posed, surface, tree, OUTLIER_SCALE * expected)
+        matches = _matches(posed, surface, OUTLIER_SCALE * expected)
         distance = float(np.median(np.abs(matches.residual)))
         if k == ROUNDS - 1:
             mismatch = _mismatch(posed, matches)
@@ -264,7 +263,7 @@ def _optimise(
 
 
 def _optimise_further(
-    body: SampledBody, state: BodyState, surface: SurfaceSample, tree: KDTree
+    body: SampledBody, state: BodyState, surface: SurfaceSample, ranges: JointRanges
 ) -> tuple[BodyState, float]:
     """Go on from a fit whose body has the shape of the surface, as long as the mismatch falls.
 
@@ -274,13 +273,31 @@ def _optimise_further(
     mismatch = np.inf
     for _ in range(FURTHER_ROUNDS):
         posed, expected = PosedBody(body, state), LAST_DISTANCE * state.size
-        matches = _matches(posed, surface, tree, OUTLIER_SCALE * expected)
-        prior = Prior(body, state.size, state.rotation, posed.joints)
+        matches = _matches(posed, surface, OUTLIER_SCALE * expected)
+        prior = Prior(body, state.size, state.rotation, posed.joints, ranges=ranges)
         state = body.stepped(state, _step(posed, matches, prior, expected))
         before, mismatch = mismatch, _mismatch(posed, matches)
         if mismatch > STEADY * before:
             break
     return state, mismatch
+
+
+def _with_searched_limbs(
+    body: SampledBody,
+    state: BodyState,
+    surface: SurfaceSample,
+    ranges: JointRanges,
+    others: Sequence[Float[np.ndarray, "J 3 3"]],
+) -> tuple[BodyState, float]:
+    """Search other poses of the limbs that do not lie on the surface; a fit goes on from what is found."""
+
+    def refined(other: BodyState) -> BodyState:
+        return _optimise_further(body, other, surface, ranges)[0]
+
+    state = search_limbs(PosedBody(body, state), surface, others, ranges, refined)
+    posed = PosedBody(body, state)
+    matches = _matches(posed, surface, OUTLIER_SCALE * LAST_DISTANCE * state.size)
+    return state, _mismatch(posed, matches)
 
 
 def _step(posed: PosedBody, matches: Matches, prior: Prior, expected: float) -> Float[np.ndarray, " U"]:
@@ -314,7 +331,7 @@ class Matches(NamedTuple):
     weight: Float[np.ndarray, " M"]
 
 
-def _matches(posed: PosedBody, surface: SurfaceSample, tree: KDTree, scale: float) -> Matches:
+def _matches(posed: PosedBody, surface: SurfaceSample, scale: float) -> Matches:
     """Match nearest points in both directions.
 
     Only body to surface would leave parts of the surface uncovered, only surface to body would let limbs of the body
@@ -324,7 +341,7 @@ def _matches(posed: PosedBody, surface: SurfaceSample, tree: KDTree, scale: floa
 
     count = len(posed.points)
     points, normals = surface.points[: 2 * count], surface.normals[: 2 * count]
-    to_surface, to_body = tree.query(posed.points), KDTree(posed.points).query(points)
+    to_surface, to_body = surface.tree.query(posed.points), KDTree(posed.points).query(points)
     index = np.concatenate([np.arange(count), to_body[1]])
     target = np.concatenate([surface.points[to_surface[1]], points])
     target_normal, body_normal = np.concatenate([surface.normals[to_surface[1]], normals]), posed.normals[index]
@@ -345,8 +362,9 @@ class Prior:
     """Terms of the least squares that keep a body near the prediction and near the mean person.
 
     Each is a squared difference over a variance: joint positions (JOINT_SIGMA), joint rotations (ROTATION_SIGMA), shape
-    coefficients (SHAPE_SIGMA), and bone lengths and girths (BONE_SIGMA). They decide what no match determines.
-    Positions that the user has picked have the small CORRECTED_SIGMA.
+    coefficients (SHAPE_SIGMA), bone lengths and girths (BONE_SIGMA), and with ranges of the joints how far these turn
+    beyond them (RANGE_SIGMA). They decide what no match determines. Positions that the user has picked have the small
+    CORRECTED_SIGMA.
     """
 
     def __init__(
@@ -356,8 +374,9 @@ class Prior:
         rotation: Float[np.ndarray, "J 3 3"],
         joints: Float[np.ndarray, "J 3"],
         targets: JointTargets | None = None,
+        ranges: JointRanges | None = None,
     ) -> None:
-        self.rotation, self.joints, self.targets = rotation, joints, targets
+        self.rotation, self.joints, self.targets, self.ranges = rotation, joints, targets, ranges
         self.target_sigma = CORRECTED_SIGMA * size
         self.joint_weight = 1 / (JOINT_SIGMA * size) ** 2
         self.turns = body.unknowns["turns"]
@@ -379,6 +398,10 @@ class Prior:
         rotation_vector = (difference - difference.swapaxes(-1, -2))[:, [2, 0, 1], [1, 2, 0]] / 2
         hessian[self.turns, self.turns] += self.turn_jacobian.T @ self.turn_jacobian / ROTATION_SIGMA**2
         gradient[self.turns] += self.turn_jacobian.T @ rotation_vector.reshape(-1) / ROTATION_SIGMA**2
+        if self.ranges:
+            of_ranges, slope = self.ranges.normal_equations(state.rotation)
+            hessian[self.turns, self.turns] += of_ranges / RANGE_SIGMA**2
+            gradient[self.turns] += slope / RANGE_SIGMA**2
         if self.targets:
             corrected = jacobian.reshape(-1, 3, jacobian.shape[1])[self.targets.index].reshape(-1, jacobian.shape[1])
             difference = (posed.joints[self.targets.index] - self.targets.positions).reshape(-1)

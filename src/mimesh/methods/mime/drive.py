@@ -39,7 +39,7 @@ from ..base import (
 )
 from ..confidence import MAX_UNMATCHED_SURFACE, Confidence
 from ..npt import generator
-from .body_fit import BodyFit, SurfaceSample, fit_body, fit_predictions, sampled_body
+from .body_fit import BodyFit, fit_body, fit_predictions, sampled_body
 from .body_weights import corrected_weights
 from .consensus import consensus
 from .denoise import Denoiser, face_outward
@@ -51,6 +51,7 @@ from .joint_targets import JointTargets
 from .kept_results import kept
 from .part_tracking import PartTracker
 from .readings import DrivingReading, IdentityReading
+from .surface_sample import SurfaceSample
 from .tail_weights import with_whole_tail
 from .weight_cleanup import clean_weights
 

@@ -19,10 +19,10 @@ from ...core.rig import Rig, leg_length
 from ...core.soles import Soles
 from ...core.surface_points import SurfacePoints
 from ..confidence import Confidence, largest_flexion, mean_angle
-from .body_fit import SurfaceSample
 from .consensus import CONTRADICTION, agreeing, consensus, faces_away
 from .joint_network import JointNetwork, NetworkPoints
 from .part_tracking import PartTracker
+from .surface_sample import SurfaceSample
 
 ENSEMBLE, WEIGHT_ENSEMBLE = 8, 3
 """Predictions for a mesh, each from other samples, whose consensus is taken; and how many of those that agree predict
