@@ -118,6 +118,7 @@ def _points_of(body: SampledBody, joints: list[int]) -> Bool[np.ndarray, " N"]:
 
 
 def _mean(values: Float[np.ndarray, " N"]) -> float:
+    """Compute the mean of at least FEWEST values; those that lack are 0."""
     return float(values.sum() / max(len(values), FEWEST))
 
 
@@ -133,12 +134,9 @@ def _with_other_limbs(
     state, before = posed.state, limb_gaps(posed, surface)
     rotation, found = state.rotation.copy(), []
     points, placed = posed.points.copy(), np.ones(len(posed.points), dtype=bool)
-    searched = {limb: LimbPoses.of(posed, joints) for limb, joints in limbs(posed.body.name).items()}
-    searched = {
-        limb: searched[limb]
-        for limb in sorted(before, key=before.__getitem__, reverse=True)
-        if limb in searched and before[limb] > LIES_ON
-    }
+    joints_of = limbs(posed.body.name)
+    worst_first = sorted(joints_of, key=before.__getitem__, reverse=True)
+    searched = {limb: LimbPoses.of(posed, joints_of[limb]) for limb in worst_first if before[limb] > LIES_ON}
     for limb, poses in searched.items():
         placed[poses.mask] = before[limb] < LIES_OFF
     for limb, poses in searched.items():
@@ -155,7 +153,7 @@ def _with_other_limbs(
     after = limb_gaps(PosedBody(posed.body, tried), surface)
     kept = [limb for limb in found if after[limb] < GAIN * before[limb]]
     if kept and kept != found:
-        back = [j for limb in found if limb not in kept for j in limbs(posed.body.name)[limb]]
+        back = [j for limb in found if limb not in kept for j in joints_of[limb]]
         tried = refined(replace(tried, rotation=_turned_back(tried.rotation, state.rotation, back, ranges)))
         after = limb_gaps(PosedBody(posed.body, tried), surface)
     return tried if kept and sum(after.values()) < sum(before.values()) else None
