@@ -8,6 +8,7 @@ from mimesh.bodies import load_body
 from mimesh.bodies.joint_ranges import MARGIN, joint_ranges
 from mimesh.bodies.quadruped import LIMITS
 from mimesh.bodies.sampling import JOINT_LIMITS, sample_pose
+from mimesh.core.rig import descendant_matrix
 
 
 @pytest.mark.parametrize(("name", "table"), [("human", JOINT_LIMITS), ("quadruped", LIMITS)])
@@ -44,9 +45,7 @@ def test_derivatives_are_those_of_the_excess():
     body, ranges = load_body("quadruped"), joint_ranges("quadruped")
     rng = np.random.default_rng(0)
     world = ranges.world(np.eye(3), 1.5 * ranges.high * rng.uniform(0.5, 1.5, ranges.high.shape))
-    below = np.eye(len(world))
-    for j, parent in enumerate(body.parents[1:], 1):
-        below[:, j] += below[:, parent]
+    below = descendant_matrix(body.parents)
 
     def energy(turns):
         turned = Rotation.from_rotvec(below.T @ turns).as_matrix() @ world

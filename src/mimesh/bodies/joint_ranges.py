@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from . import load_body, quadruped
-from .sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat
+from .body_model import RiggedBody
+from .sampling import JOINT_LIMITS, TABLE_6, Range, limits_rotvec, rotvec_to_rotmat
 
 MARGIN = np.radians(10.0)
 """How much farther joints may turn than in random poses: those of gaits do by up to 9 degrees."""
-
 HINGE, TWISTED = np.radians(45.0), np.radians(30.0)
 """Widest range of a hinge about its other axes, and how far beyond the ranges a joint is twisted."""
 
@@ -86,11 +86,16 @@ class JointRanges:
         return hessian.reshape(3 * count, 3 * count), gradient.reshape(-1)
 
 
+def ranges_of(body: RiggedBody) -> tuple[dict[str, tuple[Range, Range, Range]], dict[str, tuple[Range, Range, Range]]]:
+    """Give the tables of everyday poses and of joint limits of a shipped body."""
+    return (quadruped.USUAL, quadruped.LIMITS) if body.name == "quadruped" else (TABLE_6, JOINT_LIMITS)
+
+
 @cache
 def joint_ranges(name: str) -> JointRanges:
     """Return the ranges of a shipped body's joints, MARGIN wider than those of random poses."""
     body = load_body(name)
-    low, high = limits_rotvec(body, quadruped.LIMITS if name == "quadruped" else JOINT_LIMITS)
+    low, high = limits_rotvec(body, ranges_of(body)[1])
     return JointRanges(low[1:] - MARGIN, high[1:] + MARGIN, np.array(body.parents[1:]))
 
 

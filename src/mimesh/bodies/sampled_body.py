@@ -121,6 +121,10 @@ class SampledBody:
         arrays = ("vertices", "normals", "components", "weights")
         return replace(self, **{name: getattr(self, name)[:count] for name in arrays})
 
+    def weighted_to(self, joints: list[int]) -> Bool[np.ndarray, " N"]:
+        """Return a mask of the points that are weighted mostly to some joints."""
+        return self.weights[:, joints].sum(axis=1) > 0.5
+
     @cached_property
     def below(self) -> Float[np.ndarray, "J J"]:
         """Descendant matrix: 1 at [j, k] if joint k is joint j or a descendant of it."""

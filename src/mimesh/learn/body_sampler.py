@@ -14,13 +14,14 @@ from torch import Tensor
 
 from ..bodies import RiggedBody
 from ..bodies.anatomy import anatomy_of_joints
+from ..bodies.joint_ranges import ranges_of
 from ..bodies.sampling import limits_rotvec, sample_pose
 from ..bodies.sampling import rotvec_to_rotmat as numpy_rotmat
 from ..core.rig import descendants
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER
 from ..evaluate.protocols import HUMAN_NPT
 from .bodies import TorchBody, rotvec_to_rotmat
-from .pose_sources import pose_sources, ranges_of
+from .pose_sources import pose_sources
 from .vertex_sampler import VertexSampler
 
 

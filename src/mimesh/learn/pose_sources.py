@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody, quadruped
 from ..bodies.contacts import contact_bank
-from ..bodies.sampling import JOINT_LIMITS, TABLE_6, Range, limits_rotvec, lowered_arms
+from ..bodies.joint_ranges import ranges_of
+from ..bodies.sampling import limits_rotvec, lowered_arms
 from ..motions import mirror, pose_bank
 from ..motions.clips import split_windows
 from ..motions.gaits import quadruped_poses, quadruped_takes
@@ -34,11 +35,6 @@ class PoseSources(NamedTuple):
     """Shape coefficients of bodies whose limbs touch each other."""
     contact_poses: Float[np.ndarray, "M J 3"]
     """Their poses; both are empty for bodies that have none."""
-
-
-def ranges_of(body: RiggedBody) -> tuple[dict[str, tuple[Range, Range, Range]], dict[str, tuple[Range, Range, Range]]]:
-    """Give the tables of everyday poses and of joint limits of a shipped body."""
-    return (quadruped.USUAL, quadruped.LIMITS) if body.name == "quadruped" else (TABLE_6, JOINT_LIMITS)
 
 
 def pose_sources(body: RiggedBody) -> PoseSources:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mimesh.bodies import load_body
 from mimesh.bodies.joint_ranges import joint_ranges
 from mimesh.bodies.sampled_body import PosedBody
 from mimesh.core.geometry import face_normals
@@ -24,8 +25,6 @@ def standing(size=1.0):
 
 def surface_of(posed):
     """Points of the body's surface that are not those that are matched."""
-    from mimesh.bodies import load_body
-
     body = load_body("quadruped")
     vertices = body.vertices * posed.state.size - body.joints[0] * posed.state.size
     face, barycentric = sample_surface(vertices, body.faces, 2560, np.random.default_rng(5))

@@ -219,7 +219,7 @@ def _limb_points(name: str) -> dict[str, Bool[np.ndarray, " N"]]:
     """Limb -> mask of a body's points that are weighted mostly to its joints."""
     body = sampled_body(name)
     joints = limb_joints(body.names, body.parents)
-    return {limb: body.weights[:, indices].sum(axis=1) > 0.5 for limb, indices in joints.items()}
+    return {limb: body.weighted_to(indices) for limb, indices in joints.items()}
 
 
 def _initial_size(body: SampledBody, joints: Float[np.ndarray, "J 3"]) -> float:

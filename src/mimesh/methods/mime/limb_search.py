@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 
 from ...bodies import load_body
 from ...bodies.joint_ranges import JointRanges
-from ...bodies.sampled_body import BodyState, PosedBody, SampledBody
+from ...bodies.sampled_body import BodyState, PosedBody
 from ...bodies.sampling import rotvec_to_rotmat
 from ..confidence import limb_joints
 from .surface_sample import SurfaceSample
@@ -94,14 +94,11 @@ def limb_gaps(posed: PosedBody, surface: SurfaceSample) -> dict[str, float]:
     Returns:
         Limb -> sum of both means (metres of the body). The trunk is "trunk".
     """
-    from scipy.spatial import KDTree
-
-    size, sample = posed.state.size, surface.first(2 * len(posed.points))
-    of_body, of_surface = surface.distance_of(posed.points, size), sample.distance_to(posed.points, size)
-    nearest = np.asarray(KDTree(posed.points).query(sample.points)[1])
-    masks = {limb: _points_of(posed.body, joints) for limb, joints in limbs(posed.body.name).items()}
+    size, of_body = posed.state.size, surface.distance_of(posed.points, posed.state.size)
+    nearest, of_surface = surface.first(2 * len(posed.points)).nearest_of(posed.points, size)
+    masks = {limb: posed.body.weighted_to(joints) for limb, joints in limbs(posed.body.name).items()}
     masks["trunk"] = ~np.any(list(masks.values()), axis=0)
-    return {limb: float(of_body[mask].mean()) + _mean(of_surface[mask[nearest]]) for limb, mask in masks.items()}
+    return {limb: float(of_body[mask].mean() + _mean(of_surface[mask[nearest]])) for limb, mask in masks.items()}
 
 
 @cache
@@ -112,14 +109,9 @@ def limbs(name: str) -> dict[str, list[int]]:
     return limb_joints(body.joint_names, body.parents) | ({"tail": tail} if tail else {})
 
 
-def _points_of(body: SampledBody, joints: list[int]) -> Bool[np.ndarray, " N"]:
-    """Return a mask of the points of a body that are weighted mostly to some joints."""
-    return body.weights[:, joints].sum(axis=1) > 0.5
-
-
-def _mean(values: Float[np.ndarray, " N"]) -> float:
+def _mean(values: Float[np.ndarray, "*C N"]) -> Float[np.ndarray, "*C"]:
     """Compute the mean of at least FEWEST values; those that lack are 0."""
-    return float(values.sum() / max(len(values), FEWEST))
+    return np.asarray(values.sum(axis=-1) / max(values.shape[-1], FEWEST))
 
 
 def _with_other_limbs(
@@ -154,19 +146,21 @@ def _with_other_limbs(
     kept = [limb for limb in found if after[limb] < GAIN * before[limb]]
     if kept and kept != found:
         back = [j for limb in found if limb not in kept for j in joints_of[limb]]
-        tried = refined(replace(tried, rotation=_turned_back(tried.rotation, state.rotation, back, ranges)))
+        tried = refined(replace(tried, rotation=_turned_back(tried.rotation, state.rotation, back, posed.body.parents)))
         after = limb_gaps(PosedBody(posed.body, tried), surface)
     return tried if kept and sum(after.values()) < sum(before.values()) else None
 
 
 def _turned_back(
-    rotation: Float[np.ndarray, "J 3 3"], before: Float[np.ndarray, "J 3 3"], joints: list[int], ranges: JointRanges
+    rotation: Float[np.ndarray, "J 3 3"],
+    before: Float[np.ndarray, "J 3 3"],
+    joints: list[int],
+    parents: tuple[int, ...],
 ) -> Float[np.ndarray, "J 3 3"]:
     """Give some joints, parents first, the rotation from their parents that they had before."""
     rotation = rotation.copy()
     for j in joints:
-        parent = ranges.parents[j - 1]
-        rotation[j] = rotation[parent] @ before[parent].T @ before[j]
+        rotation[j] = rotation[parents[j]] @ before[parents[j]].T @ before[j]
     return rotation
 
 
@@ -219,13 +213,13 @@ def _distance_to_surface(
     sample = surface.first(2 * len(posed.points))
     uncovered = KDTree(rest).query(sample.points)[0] > UNCOVERED * size
     part = SurfaceSample(sample.points[uncovered], sample.normals[uncovered]).first(MOST)
-    from_rest = part.distance_to(rest, size)
+    _, from_rest = part.nearest_of(rest, size)
 
     def distance(poses: Float[np.ndarray, "C K 3"]) -> Float[np.ndarray, " C"]:
         points = limb.points(poses)
         of_limb = surface.distance_of(points.reshape(-1, 3), size).reshape(len(poses), -1).mean(axis=1)
         covered = np.minimum(part.distance_to_each(points, size), from_rest)
-        return of_limb + covered.sum(axis=1) / max(len(part.points), FEWEST)
+        return of_limb + _mean(covered)
 
     return distance
 
@@ -245,7 +239,7 @@ class LimbPoses:
     @classmethod
     def of(cls, posed: PosedBody, joints: list[int]) -> LimbPoses:
         """Take the joints of a limb of a posed body."""
-        mask = _points_of(posed.body, joints)
+        mask = posed.body.weighted_to(joints)
         own = posed.contributions[mask]
         return cls(posed, joints, mask, own.sum(axis=1) - own[:, joints].sum(axis=1))
 

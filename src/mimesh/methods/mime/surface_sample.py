@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ...bodies.sampled_body import PosedBody
 
@@ -51,15 +51,17 @@ class SurfaceSample:
         nearest = np.asarray(self.tree.query(points)[1])
         return _distance(points - self.points[nearest], self.normals[nearest], size)
 
-    def distance_to(self, points: Float[np.ndarray, "M 3"], size: float) -> Float[np.ndarray, " N"]:
-        """Measure how far the surface is from points, in metres of a body of that size."""
+    def nearest_of(
+        self, points: Float[np.ndarray, "M 3"], size: float
+    ) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+        """Find the nearest of some points to each of the surface, and the distance in metres of a body of that size."""
         from scipy.spatial import KDTree
 
         nearest = np.asarray(KDTree(points).query(self.points)[1])
-        return _distance(self.points - points[nearest], self.normals, size)
+        return nearest, _distance(self.points - points[nearest], self.normals, size)
 
     def distance_to_each(self, sets: Float[np.ndarray, "C M 3"], size: float) -> Float[np.ndarray, "C N"]:
-        """Measure the same for several small sets of points, ten times as fast as one by one with a tree each."""
+        """Measure these distances for several small sets of points, ten times as fast as with a tree each."""
         rows = np.empty((len(sets), len(self.points)))
         for points, row in zip(sets, rows, strict=True):
             # |a - b|^2 without |a|^2, which does not change which is the nearest.
