@@ -36,6 +36,9 @@ class DataConfig:
     registered meshes or clips of a folder."""
     vertices: int = 0
     """Vertices of each mesh: 0 for all, else a random subset (ends of random edges for identity and truth)."""
+    pairing: Literal["random", "order"] = "random"
+    """Which driving vertex an identity vertex is paired with: a random one (NPT shuffles every mesh), or its own
+    (AniFormer's public code never shuffles what it trains on)."""
     target_scale: Literal["truth", "identity"] = "truth"
     """Whose radius the truth is divided by. The papers normalise every mesh; users do not know the truth's radius."""
     spread: float = 1.3
@@ -67,6 +70,8 @@ class DataConfig:
     instead of in one of the 80 motions."""
     recombine: float = 0.0
     """`table6`, `clips80`: share of poses, or windows, whose head, arms and legs are each turned as in another one."""
+    mix_people: float = 0.0
+    """`table6`, `clips80`: share of people who are random mixtures of the 16 (`_sample_table_people`)."""
     pattern: str = ""
     """`meshes`: how the files are named, such as "{person}-{pose}.ply"; empty: found (`mesh_layouts.LAYOUTS`)."""
     up: str = ""
@@ -97,9 +102,7 @@ class BodySampler(VertexSampler):
     """Draws people, poses and vertices of one kind of data on one device; subclasses make batches of them."""
 
     def __init__(self, config: DataConfig, body: RiggedBody, device: torch.device, seed: int) -> None:
-        vertices, by_area = config.vertices, config.kind == "wide"
-        super().__init__(body.vertices, body.faces, vertices, device, seed, config.reflect, by_area)
-        self.config = config
+        super().__init__(body.vertices, body.faces, config, device, seed, by_area=config.kind == "wide")
         self.body = TorchBody(body).to(device)
         self.extreme = torch.from_numpy(extreme_vertices(body)).to(device)
         self._load(body)
@@ -136,13 +139,29 @@ class BodySampler(VertexSampler):
 
     def _sample_table(self, size: int, rng: torch.Generator):
         """Draw two people of the table for each pair: the identity in a Table 6 pose, the driving in one or a frame."""
-        who = self._random_index(len(self.table_shapes), (2, size), rng)
+        shapes = self._sample_table_people(size, rng)
         table = self.table_poses[:, None]
         identity = self._recombine(self._random_window(table, size, 1, rng), table, rng)
         driving = self._recombine(self._random_window(self.motions, size, 1, rng), self.motions, rng)
         driving = self._replace_by_straight(driving, rng)
         nobody = torch.zeros(2, size, dtype=torch.bool, device=self.device)
-        return self.table_shapes[who], torch.stack([identity[:, 0], driving[:, 0]]), nobody
+        return shapes, torch.stack([identity[:, 0], driving[:, 0]]), nobody
+
+    def _sample_table_people(self, size: int, rng: torch.Generator) -> Float[Tensor, "2 B K"]:
+        """Draw identities and driving people of the table: its people, the configured share mixtures of them.
+
+        A mixture is their mean plus normal multiples of what each departs from it, so that its mean and covariance are
+        those of the people. New people are as hard as new poses: 16 do not span a body of as many shape components.
+        """
+        people = self.table_shapes
+        shapes = people[self._random_index(len(people), (2, size), rng)]
+        if not self.config.mix_people:
+            return shapes
+        mean = people.mean(0)
+        normal = torch.randn(2, size, len(people), generator=rng, device=self.device)
+        mixtures = mean + normal @ (people - mean) / math.sqrt(len(people))
+        some = torch.rand(2, size, 1, generator=rng, device=self.device) < self.config.mix_people
+        return torch.where(some, mixtures, shapes)
 
     def _recombine(
         self, window: Float[Tensor, "B W J 3 3"], motions: Float[Tensor, "M T J 3 3"], rng: torch.Generator

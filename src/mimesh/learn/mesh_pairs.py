@@ -40,7 +40,7 @@ class MeshSampler(VertexSampler):
     """Draws pairs and vertices of registered meshes, which lie on the device; subclasses make batches of them."""
 
     def __init__(self, config: DataConfig, meshes: RegisteredMeshes, device: torch.device, seed: int) -> None:
-        super().__init__(meshes.points[0], meshes.faces, config.vertices, device, seed, config.reflect)
+        super().__init__(meshes.points[0], meshes.faces, config, device, seed)
         self.keep_unit = config.target_scale == "identity"
         self.points = torch.from_numpy(meshes.points).to(device)
         self.radius = self._tensor(meshes.radius)

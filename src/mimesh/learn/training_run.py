@@ -35,6 +35,7 @@ MIXTURE = (
     "scans",
     "between",
     "recombine",
+    "mix_people",
 )
 RESUMABLE = (*SCHEDULE, *(f"data.{key}" for key in MIXTURE))
 """Keys that may change where a training is resumed: schedule and mixture of the data, not the network. Two trainings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -10,6 +11,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..core import geometry
+
+if TYPE_CHECKING:
+    from .body_sampler import DataConfig
 
 
 def share_of(size: int, share: float, step: int) -> int:
@@ -32,21 +36,18 @@ class VertexSampler:
         self,
         vertices: Float[np.ndarray, "V 3"],
         faces: Int[np.ndarray, "F 3"],
-        wanted: int,
+        config: DataConfig,
         device: torch.device,
         seed: int,
-        reflect: float = 0.0,
         by_area: bool = False,
     ) -> None:
         """Prepare the topology.
 
         Args:
             vertices: of one mesh, for the areas and the order in space.
-            wanted: vertices of each mesh, or 0 for all.
-            reflect: share of every batch that is mirrored.
             by_area: half of the meshes lean towards even density by area.
         """
-        self.wanted, self.reflect, self.by_area = wanted, reflect, by_area
+        self.config, self.by_area = config, by_area
         self.device, self.seed, self.total = device, seed, len(vertices)
         self.edges = torch.from_numpy(geometry.edges(faces)).to(device)
         order = geometry.spatial_order(vertices)
@@ -73,18 +74,20 @@ class VertexSampler:
         """Draw indices of identity and truth, of driving, edges among the former, and edges of the mesh over these.
 
         With a subset, every second identity vertex is a random neighbour of the one before it, so that edge losses have
-        edges to measure.
+        edges to measure. With `pairing: order` the driving's are those of the identity.
         """
-        if self.wanted == 0:
+        ordered = self.config.pairing == "order"
+        if self.config.vertices == 0:
             order = torch.rand(2, size, self.total, generator=rng, device=self.device).argsort(-1)
             rank = order[0].argsort(-1)
             edges = rank[:, self.edges.flatten()].unflatten(1, self.edges.shape)
-            return order[0], order[1], edges, 1.0
-        index = self._stratified_vertices(size, self.wanted // 2, rng)
+            return order[0], order[0] if ordered else order[1], edges, 1.0
+        index = self._stratified_vertices(size, self.config.vertices // 2, rng)
         start, end = self.first_neighbour[index], self.first_neighbour[index + 1]
         pick = torch.rand(index.shape, generator=rng, device=self.device) * (end - start)
         index = torch.stack([index, self.neighbours[start + pick.long()]], -1).flatten(1)
-        return index, self._stratified_vertices(size, index.shape[1], rng), pairs_of_rows(index), self.edge_share
+        driving = index if ordered else self._stratified_vertices(size, index.shape[1], rng)
+        return index, driving, pairs_of_rows(index), self.edge_share
 
     @property
     def edge_share(self) -> float:
@@ -111,9 +114,11 @@ class VertexSampler:
         Pairs of a batch are drawn independently of their place in it, so the first ones are as good as any. A share
         that is not a whole number of pairs is rounded up or down at random: it is right in the mean.
         """
-        part = torch.rand((), generator=rng, device=self.device).item()
+        # The number of them stays on the device: to read it would make the host wait in every step.
+        count = (self.config.reflect * len(meshes[0]) + torch.rand((), generator=rng, device=self.device)).floor()
+        sign = torch.where(torch.arange(len(meshes[0]), device=self.device) < count, -1.0, 1.0)
         for mesh in meshes:
-            mesh[: math.floor(self.reflect * len(mesh) + part), ..., 0] *= -1.0
+            mesh[..., 0] *= sign.view(-1, *[1] * (mesh.ndim - 2))
 
 
 def pairs_of_rows(index: Int[Tensor, "B N"]) -> Int[Tensor, "B E 2"]:

@@ -122,11 +122,11 @@ class WindowSource(BodySampler):
 
     def _sample_motions(self, size: int, rng: torch.Generator):
         """Draw two people of the table, a window of one of the 80 motions, and a Table 6 pose for the identity."""
-        who = self._random_index(len(self.table_shapes), (2, size), rng)
+        shapes = self._sample_table_people(size, rng)
         window = self._recombine(self._random_window(self.motions, size, self.frames, rng), self.motions, rng)
         window = self._replace_by_straight(window, rng)
         pose = self.table_poses[self._random_index(len(self.table_poses), (size,), rng)]
-        return self.table_shapes[who], pose, window
+        return shapes, pose, window
 
     def _sample_windows(self, size: int, rng: torch.Generator):
         """Draw new people, windows of takes at some speed or straight ways between two poses, and headings."""

@@ -94,8 +94,15 @@ class TrainConfig:
             )
         if self.data.between and self.data.kind != "clips80":
             raise InputError(f"{where}: expected data.between 0 with {self.data.kind}, found {self.data.between}")
-        if self.data.recombine and self.data.kind not in TABLE_KINDS:
-            raise InputError(f"{where}: expected data.recombine 0 with {self.data.kind}, found {self.data.recombine}")
+        for name in ("recombine", "mix_people"):
+            share = getattr(self.data, name)
+            if share and self.data.kind not in TABLE_KINDS:
+                raise InputError(f"{where}: expected data.{name} 0 with {self.data.kind}, found {share}")
+        if self.data.pairing == "order" and (self.network not in ("npt", "aniformer") or self.data.characters):
+            raise InputError(
+                f"{where}: expected data.pairing random with {self.network}"
+                f"{' and data.characters' * bool(self.data.characters)}, found order; leave it out"
+            )
         if self.data.kind == "meshes" and self.network not in ("npt", "aniformer"):
             raise InputError(f"{where}: expected data.kind meshes with npt or aniformer, found it with {self.network}")
         if self.doublings and not self.data.vertices:
@@ -117,7 +124,7 @@ class TrainConfig:
                 f"{where}: expected data.character_limits null without characters of mime, found "
                 f"{self.data.character_limits}; leave it out"
             )
-        for name in ("limits", "character_limits", "low_poly", "scans", "reflect", "between", "recombine"):
+        for name in ("limits", "character_limits", "low_poly", "scans", "reflect", "between", "recombine", "mix_people"):
             share = getattr(self.data, name)
             if share is not None and not 0.0 <= share <= 1.0:
                 raise InputError(f"{where}: expected data.{name} from 0 to 1, found {share}")
