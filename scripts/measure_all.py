@@ -3,9 +3,9 @@
     python scripts/measure_all.py [--characters DIR] [--people DIR] [--clips DIR] [--garments DIR] [PROTOCOL ...]
 
 Run it in the root of a checkout, which contains `ablations/`. characters and fingers are measured if --characters is a
-pool of rigged characters, cross-body if --people is a folder of them, clips-aniformer and clips-ordered if --clips is a folder
-of motions, and dressed in test garments too if --garments is their folder. Existing reports are replaced. Several of
-these can run at the same time, on different protocols.
+pool of rigged characters, cross-body if --people is a folder of them, clips-aniformer and clips-ordered if --clips is a
+folder of motions, and dressed in test garments too if --garments is their folder. Existing reports are replaced.
+Several of these can run at the same time, on different protocols.
 """
 
 from __future__ import annotations

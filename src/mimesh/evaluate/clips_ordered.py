@@ -108,7 +108,7 @@ CLIPS_ORDERED = clips_ordered()
 
 @cache
 def _last_seconds() -> tuple[Motion, ...]:
-    """Return 20 of the seconds that begin every half second in the last parts of the takes, and of their mirror images."""
+    """Return 20 of the seconds that begin every half second of the takes' last parts, and of their mirror images."""
     seconds = [second for take in split_windows("test") for second in split_into_seconds(take, FRAMES // 2)]
     both = [*seconds, *map(mirror, seconds)]
     return tuple(both[k] for k in np.linspace(0, len(both) - 1, UNSEEN).round().astype(int))
