@@ -365,6 +365,11 @@ def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
     return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step, headings=headings, skeleton=skeleton)
 
 
+def same_mesh(mesh: Mesh, other: Mesh) -> bool:
+    """Tell whether two meshes are shapes of one: as many vertices, and the same triangles."""
+    return len(mesh.vertices) == len(other.vertices) and np.array_equal(mesh.faces, other.faces)
+
+
 def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:
     """Reorder vertices and rename face indices together: new vertex i is old vertex `order[i]`.
 
