@@ -12,10 +12,10 @@ def reconstruction(result: Float[Tensor, "B V 3"], truth: Float[Tensor, "B V 3"]
 
 
 def edge_ratio(
-    result: Float[Tensor, "B V 3"], identity: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]
+    result: Float[Tensor, "B V 3"], reference: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]
 ) -> Float[Tensor, ""]:
-    """Compute the edge term of NPT's public code: |length / identity's length - 1|, mean over edges."""
-    old = edge_vectors(identity, edges).norm(dim=-1)
+    """Compute the edge term of NPT's public code: |length / reference length - 1|, mean over edges."""
+    old = edge_vectors(reference, edges).norm(dim=-1)
     return (edge_vectors(result, edges).norm(dim=-1) / old.clamp_min(1e-8) - 1.0).abs().mean()
 
 

@@ -11,9 +11,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ..core.normalization import bbox_centre, radius
-from ..evaluate.clip_protocols import ClipPair
+from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, ClipsAniformer
+from ..evaluate.clips_ordered import CLIPS_ORDERED
 from ..evaluate.metrics import pmd_of_pair
 from ..evaluate.pairs import Pair
+from .body_sampler import DataConfig
 from .losses import match_frames
 from .tasks.base import Task
 
@@ -71,6 +73,11 @@ class Validation:
         if kind == FRESH:
             return self.task.batch_error(model, self.fresh.batch(FRESH_BATCH, index))
         return self.task.trial_error(model, self.trial(kind, index))
+
+
+def clips_protocol(data: DataConfig) -> ClipsAniformer:
+    """Give the protocol of networks that are trained on clips: meshes in one vertex order, or shuffled apart."""
+    return CLIPS_ORDERED if data.pairing == "order" else CLIPS_ANIFORMER
 
 
 def pair_error(infer: Infer, trial: Pair, target_scale: str, device: torch.device) -> float:

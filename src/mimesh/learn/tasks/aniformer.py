@@ -23,7 +23,7 @@ from torch import Tensor
 from ...bodies import RiggedBody
 from ...core.errors import InputError
 from ...evaluate import protocols
-from ...evaluate.clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair
+from ...evaluate.clip_protocols import FRAMES, ClipPair
 from ...evaluate.pairs import Pair
 from ...evaluate.quadruped import QUADRUPED
 from .. import losses
@@ -33,7 +33,7 @@ from ..losses import edge_vectors, match_frames, mean_squared_distance
 from ..mesh_pairs import HeldOutMeshes, MeshSampler, WindowBatch
 from ..models.aniformer import AniFormer, AniFormerConfig
 from ..pose_sources import training_takes
-from ..validation import clip_error, pair_error
+from ..validation import clip_error, clips_protocol, pair_error
 from .base import OnnxInterface, Task, TrainConfig
 
 MAX_SPEED = 3
@@ -289,7 +289,7 @@ class AniFormerTask(Task[AniFormerTrainConfig, AniFormer]):
         """Clips: those held out where the data are clips of a folder; of animals pairs, whose driving stands still."""
         if self.meshes and (held_out := HeldOutMeshes.of(self.meshes)):
             return held_out
-        return QUADRUPED if self.config.data.body == "quadruped" else CLIPS_ANIFORMER
+        return QUADRUPED if self.config.data.body == "quadruped" else clips_protocol(self.config.data)
 
     def make_model(self) -> AniFormer:
         """Build the network with fresh weights."""

@@ -124,7 +124,16 @@ class TrainConfig:
                 f"{where}: expected data.character_limits null without characters of mime, found "
                 f"{self.data.character_limits}; leave it out"
             )
-        for name in ("limits", "character_limits", "low_poly", "scans", "reflect", "between", "recombine", "mix_people"):
+        for name in (
+            "limits",
+            "character_limits",
+            "low_poly",
+            "scans",
+            "reflect",
+            "between",
+            "recombine",
+            "mix_people",
+        ):
             share = getattr(self.data, name)
             if share is not None and not 0.0 <= share <= 1.0:
                 raise InputError(f"{where}: expected data.{name} from 0 to 1, found {share}")
