@@ -24,6 +24,7 @@ from ...bodies import RiggedBody
 from ...core.errors import InputError
 from ...evaluate import protocols
 from ...evaluate.clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair
+from ...evaluate.clips_ordered import CLIPS_ORDERED
 from ...evaluate.pairs import Pair
 from ...evaluate.quadruped import QUADRUPED
 from .. import losses
@@ -289,7 +290,9 @@ class AniFormerTask(Task[AniFormerTrainConfig, AniFormer]):
         """Clips: those held out where the data are clips of a folder; of animals pairs, whose driving stands still."""
         if self.meshes and (held_out := HeldOutMeshes.of(self.meshes)):
             return held_out
-        return QUADRUPED if self.config.data.body == "quadruped" else CLIPS_ANIFORMER
+        if self.config.data.body == "quadruped":
+            return QUADRUPED
+        return CLIPS_ORDERED if self.config.data.pairing == "order" else CLIPS_ANIFORMER
 
     def make_model(self) -> AniFormer:
         """Build the network with fresh weights."""

@@ -12,6 +12,7 @@ from torch import Tensor
 from ...core.errors import InputError
 from ...evaluate import protocols
 from ...evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair
+from ...evaluate.clips_ordered import CLIPS_ORDERED
 from ...evaluate.pairs import Pair
 from ...evaluate.quadruped import QUADRUPED
 from ..losses import edge_ratio, edge_vectors, mean_squared_distance, reconstruction
@@ -91,7 +92,9 @@ class NPTTask(Task[NPTTrainConfig, NPT]):
             return held_out
         if self.config.data.body == "quadruped":
             return QUADRUPED
-        return CLIPS_ANIFORMER if self.config.data.kind in ("clips", "clips80") else protocols.HUMAN_NPT
+        if self.config.data.kind not in ("clips", "clips80"):
+            return protocols.HUMAN_NPT
+        return CLIPS_ORDERED if self.config.data.pairing == "order" else CLIPS_ANIFORMER
 
     def make_model(self) -> NPT:
         """Build the network with fresh weights."""
