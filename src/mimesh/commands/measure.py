@@ -102,7 +102,12 @@ def evaluate(
 
 
 def table(
-    name: Annotated[str, typer.Argument(metavar="TABLE", help="npt-1, npt-2, npt-7, aniformer-1 or -2, animals.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="TABLE", help="npt-1, npt-2, npt-7, aniformer-1 or -2, aniformer-1-random or -2-random, animals."
+        ),
+    ],
     output: Figures = None,
     pairs: Pairs = 0,
     data: Data = None,

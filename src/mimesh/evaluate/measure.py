@@ -86,6 +86,7 @@ def extra_inputs(method: str) -> str:
     network = find_method(method)
     shipped = "our quadruped" if getattr(network, "body", "human") == "quadruped" else "our body"
     body = "own meshes" if trained_on(method) == "meshes" else shipped
+    body += ", true correspondence" * (getattr(network, "pairing", "random") == "order")
     if needs_true_size(network):
         return f"trained on {body}, true size"
     return f"trained on {body}, which it fits" if getattr(network, "fits_body", False) else f"trained on {body}"

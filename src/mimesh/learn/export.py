@@ -161,6 +161,8 @@ def test_set(card: dict[str, Any]) -> str:
     """Give the protocol whose figures belong into a card: clips for networks that are trained on them, else pairs."""
     if card["config"].get("data", {}).get("body") == "quadruped":
         return "quadruped"
+    if card["config"].get("data", {}).get("pairing") == "order":
+        return "clips-ordered"
     return find_task(card["config"].get("network", "npt")).test_set
 
 

@@ -92,9 +92,9 @@ class NPTTask(Task[NPTTrainConfig, NPT]):
             return held_out
         if self.config.data.body == "quadruped":
             return QUADRUPED
-        return (
-            clips_protocol(self.config.data) if self.config.data.kind in ("clips", "clips80") else protocols.HUMAN_NPT
-        )
+        if self.config.data.kind not in ("clips", "clips80"):
+            return protocols.HUMAN_NPT
+        return clips_protocol(self.config.data)
 
     def make_model(self) -> NPT:
         """Build the network with fresh weights."""
