@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ..core.errors import InputError
 from ..core.geometry import edges
@@ -143,8 +143,8 @@ class Output(NamedTuple):
     """Vertices of the result in the unit of the pair (metres), of all frames for a clip with their path."""
     origin: Float[np.ndarray, "*T 3"] | None = None
     """Where the method puts the centre of the truth's box: the origin of a network that was trained on centred truths,
-    so that an offset of its shapes is an error, as in the papers. None: the centre of the result's own box. Such results
-    stand in the world, and their position is no part of the task."""
+    so that an offset of its shapes is an error, as in the papers. None: the centre of the result's own box. Those
+    results stand in the world, and their position is no part of the task."""
     confidence: Mapping[str, Any] = MappingProxyType({})
     """`uncertainty` of the result (the larger of the two meshes'), and whether the user is `warned`; empty if a method
     gives no confidence."""
@@ -156,9 +156,7 @@ class Output(NamedTuple):
         values = [result.report[mesh].get("uncertainty") for mesh in ("identity", "driving")]
         known = [value for value in values if value is not None]
         # Up and front are given, so that every note is one of low confidence.
-        return cls(
-            vertices, confidence={"uncertainty": max(known), "warned": bool(result.notes)} if known else {}
-        )
+        return cls(vertices, confidence={"uncertainty": max(known), "warned": bool(result.notes)} if known else {})
 
     def beside(self, truth: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T V 3"]:
         """Move the result to where it is compared with the truth, frame by frame."""
@@ -319,9 +317,7 @@ def timed(
     return result, {**result.confidence, "seconds": seconds}
 
 
-def shape_metrics(
-    result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], pair: Pair
-) -> dict[str, float]:
+def shape_metrics(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], pair: Pair) -> dict[str, float]:
     """Return all metrics of one mesh against its truth, beside which it lies (`Output.beside`)."""
     faces, pairs = pair.identity.faces, edges(pair.identity.faces)
     return {

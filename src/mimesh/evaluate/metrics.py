@@ -13,6 +13,10 @@ from jaxtyping import Float, Int
 from ..core.geometry import face_vectors
 from ..core.normalization import bbox_centre
 
+VERSION = 2
+"""Of these figures, in reports, cards and checkpoints; two versions are never compared. Version 1 moved both meshes to
+their vertex centroids, and divided by the radius about that of the truth, in both formulas."""
+
 
 def box_radius(mesh: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T"]:
     """Compute the largest distance of a vertex from the centre of the bounding box: the unit of the papers' figures."""
@@ -40,6 +44,12 @@ def pmd(result: Float[np.ndarray, "*T V 3"], truth: Float[np.ndarray, "*S W 3"])
     """
     _same_shape(result, truth)
     return float((np.square(result - truth).sum(axis=-1).mean(axis=-1) / box_radius(truth) ** 2).mean())
+
+
+def pmd_aligned(result: Float[np.ndarray, "*T V 3"], truth: Float[np.ndarray, "*S W 3"]) -> float:
+    """Compute `pmd` of a result whose position is no part of the task: its box gets the centre of the truth's."""
+    _same_shape(result, truth)
+    return pmd(box_aligned(result, truth), truth)
 
 
 def pmd_public(result: Float[np.ndarray, "*T V 3"], truth: Float[np.ndarray, "*S W 3"], metres: float = 1.0) -> float:

@@ -260,7 +260,7 @@ class BodySampler(VertexSampler):
     ) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B 1 1"]]:
         """Pose people and give chosen vertices, centred on the bounding box and divided by `radius`, and their own one.
 
-        Centre and radius are those of the whole mesh, of which few vertices need to be posed. None: divide by their own.
+        Centre and radius are those of the whole mesh, of which few vertices need to be posed. None: divide by the own.
         """
         count = index.shape[1]
         if count == self.body.vertex_count:

@@ -33,7 +33,7 @@ def match_frames(truth: Shaped[Tensor, "B W ..."], frames: int) -> Shaped[Tensor
 def mean_squared_distance(
     result: Float[Tensor, "*B V 3"], truth: Float[Tensor, "*B V 3"], radius: Float[Tensor, "*B"] | float = 1.0
 ) -> Float[Tensor, ""]:
-    """Compute the PMD (NPT and AniFormer Eq. 7): squared distance over the truth's radius, mean over vertices and batch.
+    """Compute the PMD (NPT and AniFormer Eq. 7): squared distance over squared radius, mean over vertices and batch.
 
     As `evaluate.metrics.pmd`, of some vertices of meshes whose whole radius is known.
     """

@@ -41,8 +41,8 @@ class NPTMethod:
     pose_code: str
     """"per_vertex" (driving and identity need one count) or "global_max" (any driving count)."""
     target_scale: str
-    """Unit of the network's shapes: "identity", the identity's radius; or "truth", the unknown radius of the true result.
-    Then `drive_of` rescales them by `PatchDistances` of the identity."""
+    """Unit of the network's shapes: "identity", the identity's radius; or "truth", the unknown radius of the true
+    result. Then `drive_of` rescales them by `PatchDistances` of the identity."""
     ensemble: int = 1
     """Random pairings over which results are averaged."""
     seed: int = 0

@@ -20,7 +20,7 @@ from ...bodies.anatomy import anatomy_of
 from ...core import geometry, surface_points
 from ...core.errors import InputError
 from ...core.mesh import Mesh
-from ...evaluate import metrics
+from ...evaluate.metrics import pmd_aligned
 from ...evaluate.pairs import Pair
 from ...evaluate.protocols import Protocol
 from ...evaluate.quadruped import QUADRUPED
@@ -46,7 +46,8 @@ ONE_SIDED = 0.1
 MAX_NOISE = 0.02
 """Largest standard deviation of the noise on driving points (metres); mostly it is far less."""
 RECONSTRUCTION_KNEE, ROTATION_KNEE, JOINT_KNEE = 5e-4, 0.02, 0.002
-"""Of squared errors: of a pair (`reconstruction`), of a joint's rotation matrix, of a joint in units of the points' spread."""
+"""Of squared errors: of a pair (`reconstruction`), of a joint's rotation matrix, and of a joint in units of the points'
+spread."""
 
 
 @dataclass(frozen=True)
@@ -217,11 +218,6 @@ def reconstruction(result: Float[Tensor, "B N 3"], batch: SurfaceBatch) -> Float
     return (result - batch.truth.points[:, : result.shape[1]]).square().sum(-1).mean(1) / radius.square()
 
 
-def pmd_in_place(result: Float[np.ndarray, "*B N 3"], truth: Float[np.ndarray, "*B N 3"]) -> float:
-    """Compute Eq. 7 of the papers with each result about the centre of its box, as `measure.Output` compares it."""
-    return metrics.pmd(metrics.box_aligned(result, truth), truth)
-
-
 def joint_errors(
     prediction: Prediction,
     rotation: tuple[Float[Tensor, "B J 3 3"], Bool[Tensor, "B #J"]],
@@ -282,7 +278,7 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
             own, other = (model.predict_joints(*self._points(m)) for m in (mesh, trial.driving))
             scores = model.predict_weights(own, vertices, normals)
         result = model.skin(vertices, scores, own, other)[0]
-        return pmd_in_place(result.double().cpu().numpy(), trial.truth)
+        return pmd_aligned(result.double().cpu().numpy(), trial.truth)
 
     def _points(self, mesh: Mesh) -> tuple[Float[Tensor, "1 N 3"], Float[Tensor, "1 N 3"]]:
         """Draw random points of a surface, always the same ones, and their normals."""
@@ -300,7 +296,7 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
         count = scores.shape[1]
         result = model.skin(batch.identity.points[:, :count], scores, own, other, batch.truth.joints[:, 0])
         pair = (points.double().cpu().numpy() for points in (result, batch.truth.points[:, :count]))
-        return pmd_in_place(*pair)
+        return pmd_aligned(*pair)
 
     def flops_per_pair(self, model: MimeNetwork) -> float:
         """Count the floating-point operations of one training pair's forward pass."""

@@ -41,8 +41,8 @@ class PairBatch:
     def joined(cls, batches: Sequence[PairBatch]) -> PairBatch:
         """Concatenate batches of as many vertices."""
         names = ("identity", "driving", "truth", "truth_radius", "edges")
-        joined = (torch.cat([getattr(batch, name) for batch in batches]) for name in names)
-        return cls(*joined, batches[0].edges_of_mesh)
+        joined = {name: torch.cat([getattr(batch, name) for batch in batches]) for name in names}
+        return cls(**joined, edges_of_mesh=batches[0].edges_of_mesh)
 
 
 class PairSource(BodySampler):
@@ -122,7 +122,7 @@ class CharacterPairSource(PairSource):
 def in_unit_sphere(
     points: Float[Tensor, "B P 3"], index: Int[Tensor, "B N"], radius: Float[Tensor, "B 1 1"] | None = None
 ) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B 1 1"]]:
-    """Centre some of the points on the bounding box of all and divide them by `radius` (None: of all); give that of all."""
+    """Centre some of the points on the box of all, divide them by `radius` (None: that of all); give that of all."""
     centred = points - (points.amax(1, keepdim=True) + points.amin(1, keepdim=True)) / 2
     own = centred.norm(dim=-1).amax(1)[:, None, None]
     return centred.gather(1, index[..., None].expand(-1, -1, 3)) / (own if radius is None else radius), own
