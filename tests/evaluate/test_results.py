@@ -141,9 +141,7 @@ def test_reports_of_another_split_are_refused(tmp_path):
 def test_reports_of_an_earlier_version_of_the_metrics_are_refused(tmp_path):
     old = report("noise", [row("npt", "holes", 1.0)])
     del old["metrics"]
-    with pytest.raises(
-        InputError, match=r"noise-0\.json: expected figures of version 2 .*, found version 1"
-    ):
+    with pytest.raises(InputError, match=r"noise-0\.json: expected figures of version 2 .*, found version 1"):
         results_page(written(tmp_path, old))
 
 

@@ -74,7 +74,7 @@ def pair_error(infer: Infer, trial: Pair, target_scale: str, device: torch.devic
     """
     identity, size = to_unit_sphere(trial.identity.vertices, device)
     driving, _ = to_unit_sphere(trial.driving.vertices, device)
-    return _pmd(infer(identity, driving[None]), size, trial.truth[None], target_scale)
+    return _pmd(infer(identity, driving[None])[:1], size, trial.truth[None], target_scale)
 
 
 def clip_error(infer: Infer, trial: ClipPair, target_scale: str, device: torch.device, frames: int = WINDOW) -> float:
