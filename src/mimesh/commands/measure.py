@@ -76,7 +76,7 @@ def evaluate(
     """Measure models on a named test set, or on lists of your own files.
 
     A list has lines of three names: identity, driving, truth. PMD is Eq. 7 of the papers,
-    x1e-4, in the truth's unit sphere.
+    x1e-4, with the truth in the unit sphere about its box.
     """
     from ..evaluate.markdown import markdown
     from ..evaluate.run import evaluate_command

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from ..core.normalization import bbox_centre, radius
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, ClipsAniformer
 from ..evaluate.clips_ordered import CLIPS_ORDERED
-from ..evaluate.metrics import pmd_of_pair
+from ..evaluate.metrics import box_radius, pmd
 from ..evaluate.pairs import Pair
 from .body_sampler import DataConfig
 from .losses import match_frames
@@ -50,6 +50,7 @@ class Validation:
     def measure(self, model: nn.Module, stop: Callable[[], bool] = lambda: False) -> dict[str, float] | None:
         """Measure PMD x1e4 on each kind of `val` and on fresh data; `val` is the mean of `unseen` and `fresh`.
 
+        All are Eq. 7 as printed, on what the network gives: about its origin, over the radius of the truth.
         None if `stop` returned true before the end; it is called before every trial and batch, which take seconds.
         """
         protocol, count = self.task.protocol, self.task.config.validation_pairs
@@ -88,7 +89,7 @@ def pair_error(infer: Infer, trial: Pair, target_scale: str, device: torch.devic
     """
     identity, size = to_unit_sphere(trial.identity.vertices, device)
     driving, _ = to_unit_sphere(trial.driving.vertices, device)
-    return _pmd(infer(identity, driving[None])[0], size, trial.truth, target_scale)
+    return _pmd(infer(identity, driving[None])[:1], size, trial.truth[None], target_scale)
 
 
 def clip_error(infer: Infer, trial: ClipPair, target_scale: str, device: torch.device, frames: int = WINDOW) -> float:
@@ -99,8 +100,7 @@ def clip_error(infer: Infer, trial: ClipPair, target_scale: str, device: torch.d
     driving = torch.stack([to_unit_sphere(v, device)[0] for v in trial.clip.vertices[window].astype(np.float64)])
     results = infer(identity, driving)
     truths = torch.from_numpy(trial.truth_frames[window].astype(np.float64))
-    truths = match_frames(truths[None], len(results))[0].numpy()
-    return float(np.mean([_pmd(r, size, t, target_scale) for r, t in zip(results, truths, strict=True)]))
+    return _pmd(results, size, match_frames(truths[None], len(results))[0].numpy(), target_scale)
 
 
 def to_unit_sphere(points: Float[np.ndarray, "V 3"], device: torch.device) -> tuple[Float[Tensor, "V 3"], float]:
@@ -110,8 +110,8 @@ def to_unit_sphere(points: Float[np.ndarray, "V 3"], device: torch.device) -> tu
 
 
 def _pmd(
-    result: Float[Tensor, "V 3"], identity_radius: float, truth: Float[np.ndarray, "V 3"], target_scale: str
+    results: Float[Tensor, "T V 3"], identity_radius: float, truth: Float[np.ndarray, "T V 3"], target_scale: str
 ) -> float:
-    """Compute the PMD of a result, scaled by the radius that the truths of the training were divided by."""
-    scale = identity_radius if target_scale == "identity" else radius(truth - bbox_centre(truth))
-    return pmd_of_pair((result.double() * scale).cpu().numpy(), truth)
+    """Compute the PMD of results about the origin, scaled by the radius that the training divided truths by."""
+    size = identity_radius if target_scale == "identity" else box_radius(truth)[:, None, None]
+    return pmd(results.double().cpu().numpy() * size, truth - bbox_centre(truth)[:, None])

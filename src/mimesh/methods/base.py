@@ -23,7 +23,7 @@ from ..core.skinning import SkinnedMesh
 from ..core.soles import Feet, Soles, find_soles
 from ..core.surface_points import SurfacePoints
 from .confidence import Confidence
-from .root_motion import check_size
+from .root_motion import Shapes, check_size
 
 Drive = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray, "V 3"]]]
 """Maps driving frames to the identity's vertices, one frame at a time, so that memory does not grow with the clip."""
@@ -54,6 +54,23 @@ class Method(Protocol):
             identity: the mesh to move, normalised.
             driving: keyframes of the driving clip, normalised: a few frames, evenly spread, the clip's first one first.
                 Its `mesh` has the vertices of that first frame.
+        """
+        ...
+
+
+@runtime_checkable
+class ShapeMethod(Method, Protocol):
+    """A network of the papers, trained on centred meshes: its results have no place, and some have no size."""
+
+    @property
+    def target_scale(self) -> str:
+        """Unit of the shapes: "identity", the identity's radius; or "truth", that of the true result."""
+        ...
+
+    def shapes(self, identity: Mesh, driving: Clip) -> Shapes:
+        """As `Method.prepare`; the function that is returned gives the network's own results.
+
+        The origin is where the training had the centre of the true result's bounding box.
         """
         ...
 

@@ -225,11 +225,11 @@ class Task(ABC, Generic[Config, Network]):
 
     @abstractmethod
     def trial_error(self, model: Network, trial: Any) -> float:
-        """Compute the PMD of one pair of the protocol, in the truth's unit sphere."""
+        """Compute the PMD of one pair of the protocol (Eq. 7 of the papers, `evaluate.metrics.pmd`)."""
 
     @abstractmethod
     def batch_error(self, model: Network, batch: Any) -> float:
-        """Compute the mean PMD of a training-like batch."""
+        """Compute the mean PMD of a training-like batch, in the same unit."""
 
     @abstractmethod
     def flops_per_pair(self, model: Network) -> float:
