@@ -11,10 +11,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ..core.normalization import bbox_centre, radius
-from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, ClipsAniformer
+from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, ClipsAniformer, reorder_clip_vertices
 from ..evaluate.clips_ordered import CLIPS_ORDERED
 from ..evaluate.metrics import box_radius, pmd
-from ..evaluate.pairs import Pair
+from ..evaluate.pairs import Pair, reorder_vertices
 from .body_sampler import DataConfig
 from .losses import match_frames
 from .tasks.base import Task
@@ -42,9 +42,11 @@ class Validation:
         return self.task.protocol.pair("val", kind, index)
 
     def _ordered(self, kind: str, index: int) -> Pair:
-        """Make a pair whose vertices are in one order: that of the training does not matter, only that it is one."""
         protocol = self.task.protocol
-        return protocol.unshuffled_pair("val", kind, index, protocol.rng("val", kind, index))
+        rng = protocol.rng("val", kind, index)
+        trial = protocol.unshuffled_pair("val", kind, index, rng)
+        order = rng.permutation(len(trial.identity.vertices))
+        return (reorder_clip_vertices if isinstance(trial, ClipPair) else reorder_vertices)(trial, order, order)
 
     @torch.no_grad()
     def measure(self, model: nn.Module, stop: Callable[[], bool] = lambda: False) -> dict[str, float] | None:
