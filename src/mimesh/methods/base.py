@@ -88,6 +88,15 @@ class MotionMethod(Method, Protocol):
         ...
 
 
+@runtime_checkable
+class SizedMethod(Method, Protocol):
+    """A method that may need the sizes of the meshes, which normalised ones do not have."""
+
+    def with_sizes(self, identity: tuple[str, float], driving: tuple[str, float]) -> Method:
+        """Return this method for two meshes, given by name and radius in the unit of the files."""
+        ...
+
+
 def linked_to_body(joints: tuple[str, ...], parents: tuple[int, ...], driving: tuple[str, ...]) -> LinkedJoints:
     """Find the joint of a driving that each joint of a person follows."""
     index = {name: k for k, name in enumerate(driving)}

@@ -23,6 +23,7 @@ from ..methods.base import (
     Method,
     MotionMethod,
     QuickPredictor,
+    SizedMethod,
     SkinnedDrive,
     SkinnedMethod,
     SurfaceMotion,
@@ -250,6 +251,8 @@ def _prepared_drive(
     corrected, keyframes = corrections.apply(method, identity, _keyframes(clip, first, norms[1]), norms)
     if isinstance(corrected, MotionMethod):
         corrected = corrected.with_motion(_surface_motion(clip, norms[1]))
+    if isinstance(corrected, SizedMethod):
+        corrected = corrected.with_sizes((identity.name, norms[0].radius), (clip.mesh.name, norms[1].radius))
     return corrected.prepare(normalised(identity, norms[0]), keyframes)
 
 
