@@ -78,8 +78,16 @@ class DataConfig:
     """`meshes`: axis of the files away from the ground, such as "+z"; empty: that of the files, or detected."""
     front: str = ""
     """`meshes`: axis of the files that people face; empty: detected, the same for all meshes."""
+    hold_out_people: str = ""
+    """`meshes`: people that networks are validated on instead of trained: a number (the last ones by name), names with
+    commas between (one name ends with a comma), or none; empty: a tenth."""
+    hold_out_poses: str = ""
+    """`meshes`: the same of poses, or motions."""
+    frames: int = 0
+    """`meshes`: so many evenly spread frames of each clip, AniFormer's 30 for example; 0: all."""
     body: Literal["human", "quadruped"] = "human"
-    """`mime` and `npt` (`wide`), `aniformer` (`clips`): shipped body of the people, or the animals, that are drawn."""
+    """`mime` and `npt` (`wide`), `aniformer` (`clips`): shipped body of the people, or the animals, that are drawn.
+    `meshes`: what the meshes are."""
 
 
 TABLE_KINDS = ("table6", "clips80")
