@@ -29,8 +29,8 @@ def main() -> None:
     stored = frozen_sets() if OUTPUT.exists() else {}
     sets = []
     for name in (*WITHOUT_FOLDER, *FOLDERS):
-        # People with fingers need no folder, only the characters of `fingers` do.
-        needs_folder = name in FOLDERS and name not in (*folders, "fingers")
+        # Only some kinds of these two need a folder.
+        needs_folder = name in FOLDERS and name not in (*folders, "fingers", "clips-ordered")
         made = [] if needs_folder else freeze_protocol(name, folders.get(name), stored)
         known = {(entry.split, entry.kind) for entry in made}
         # Some kinds of `dressed` need a folder too.

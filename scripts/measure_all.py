@@ -3,9 +3,9 @@
     python scripts/measure_all.py [--characters DIR] [--people DIR] [--clips DIR] [--garments DIR] [PROTOCOL ...]
 
 Run it in the root of a checkout, which contains `ablations/`. characters and fingers are measured if --characters is a
-pool of rigged characters, cross-body if --people is a folder of them, clips-aniformer if --clips is a folder of
-motions, and dressed in test garments too if --garments is their folder. Existing reports are replaced. Several of
-these can run at the same time, on different protocols.
+pool of rigged characters, cross-body if --people is a folder of them, clips-aniformer and clips-ordered if --clips is a
+folder of motions, and dressed in test garments too if --garments is their folder. Existing reports are replaced.
+Several of these can run at the same time, on different protocols.
 """
 
 from __future__ import annotations
@@ -39,12 +39,13 @@ def main() -> None:
     parser.add_argument("protocols", nargs="*", metavar="PROTOCOL", help=", ".join((*WITHOUT_FOLDER, *FOLDERS)))
     parser.add_argument("--characters", type=Path, help="pool of rigged characters, for characters and fingers")
     parser.add_argument("--people", type=Path, help="rigged characters, for cross-body")
-    parser.add_argument("--clips", type=Path, help="DeepMimic clips, for clips-aniformer")
+    parser.add_argument("--clips", type=Path, help="motions, for clips-aniformer and clips-ordered")
     parser.add_argument("--animals", type=Path, help="rigged four-legged animals, for animals")
     parser.add_argument("--garments", type=Path, help="folder of test_dress.npz, for dressed")
     args = parser.parse_args()
-    folders = {"characters": args.characters, "cross-body": args.people, "clips-aniformer": args.clips}
-    folders |= {"dressed": args.garments, "fingers": args.characters, "animals": args.animals}
+    folders = {"characters": args.characters, "fingers": args.characters, "cross-body": args.people}
+    folders |= {"clips-aniformer": args.clips, "clips-ordered": args.clips}
+    folders |= {"dressed": args.garments, "animals": args.animals}
     for name in args.protocols or (*WITHOUT_FOLDER, *(name for name in FOLDERS if folders[name])):
         out = write_results.RESULTS / f"{name}.json"
         with progress(name, quiet=False) as advance:
@@ -61,7 +62,7 @@ def methods(protocol: str) -> list[str]:
     if protocol in ("quadruped", "animals"):
         trained = [row for row in rows if weights_path(row).is_file()]  # these are not in the repository
         return list(dict.fromkeys([*ANIMAL_METHODS, *trained]))
-    left_out = SLOW if protocol == "clips-aniformer" else ()
+    left_out = SLOW if protocol in ("clips-aniformer", "clips-ordered") else ()
     return [method for method in dict.fromkeys([*METHODS, *rows]) if method not in left_out]
 
 

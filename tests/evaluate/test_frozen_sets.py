@@ -9,6 +9,7 @@ import pytest
 
 from mimesh.evaluate.characters import characters
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, clips_aniformer
+from mimesh.evaluate.clips_ordered import CLIPS_ORDERED
 from mimesh.evaluate.cross_body import cross_body
 from mimesh.evaluate.fingers import fingers
 from mimesh.evaluate.frozen_sets import (
@@ -26,7 +27,7 @@ from mimesh.evaluate.protocols import HUMAN_NPT, HUMAN_WIDE, PROTOCOLS, with_tes
 
 STORED = frozen_sets()
 WITHOUT_FILES = {name: protocol for name, protocol in PROTOCOLS.items() if name not in INEXACT}
-WITHOUT_FILES |= {"clips-aniformer": CLIPS_ANIFORMER, "fingers": fingers()}
+WITHOUT_FILES |= {"clips-aniformer": CLIPS_ANIFORMER, "clips-ordered": CLIPS_ORDERED, "fingers": fingers()}
 NEEDS_FILES = {("clips-aniformer", kind) for kind in ("held-out", "stress")}
 NEEDS_FILES |= {("fingers", "characters")}
 NEEDS_FILES |= {("dressed", f"new-{kind}") for kind in ("identity", "driving", "both")}
@@ -70,7 +71,7 @@ def test_sets_of_files_are_the_frozen_ones(name):
 
 
 def test_every_set_of_every_protocol_is_stored():
-    protocols = (*PROTOCOLS.values(), CLIPS_ANIFORMER, fingers())
+    protocols = (*PROTOCOLS.values(), CLIPS_ANIFORMER, CLIPS_ORDERED, fingers())
     expected = {(p.name, split, kind) for p in protocols for split in ("val", "test") for kind in kinds_of(p, split)}
     assert expected <= STORED.keys()
     for key, stored in STORED.items():

@@ -5,6 +5,8 @@ import torch
 
 from mimesh.learn.body_sampler import BodySampler, DataConfig, extreme_vertices
 from mimesh.learn.tasks.base import shipped_body
+from mimesh.learn.tasks.npt_batches import PairSource
+from mimesh.learn.training_run import STEPS_AHEAD, BatchesAhead
 
 
 def test_subsets_are_normalised_as_the_whole():
@@ -102,3 +104,46 @@ def test_a_share_of_driving_meshes_is_posed_anyhow_within_the_joint_limits():
     torch.testing.assert_close(few[0], all_of_them[0])  # identities are the same
     same = (few[1] - all_of_them[1]).abs().amax((1, 2, 3)) < 1e-6
     assert 0.05 < same.float().mean() < 0.15
+
+
+def test_ordered_pairs_are_of_the_same_vertices():
+    device, body = torch.device("cpu"), shipped_body()
+    for vertices in (64, 0):
+        ordered, random = (
+            BodySampler(DataConfig("table6", vertices, pairing), body, device, 0) for pairing in ("order", "random")
+        )
+        index, driving, edges, _ = ordered._sample_vertices(2, ordered._generator(0))
+        assert torch.equal(index, driving)
+        other_index, other, _, _ = random._sample_vertices(2, random._generator(0))
+        assert torch.equal(index, other_index)
+        assert (other != index).float().mean() > 0.9
+        ends = torch.from_numpy(body.faces)
+        for row, pairs in zip(index, edges[:, :20], strict=True):
+            assert all((ends == a).any(1).logical_and((ends == b).any(1)).any() for a, b in row[pairs].tolist())
+
+
+def test_mixed_people_have_the_mean_and_the_spread_of_the_people():
+    device, body = torch.device("cpu"), shipped_body()
+    mixed = BodySampler(DataConfig("table6", 64, mix_people=1.0), body, device, 0)
+    shapes = mixed._sample_table_people(40_000, mixed._generator(0)).flatten(0, 1)
+    people = mixed.table_shapes
+    assert torch.allclose(shapes.mean(0), people.mean(0), atol=0.03)
+    assert torch.allclose(shapes.T.cov(correction=0), people.T.cov(correction=0), atol=0.06)
+    assert torch.cdist(shapes[:100], people).amin() > 0
+    some = BodySampler(DataConfig("table6", 64, mix_people=0.25), body, device, 0)
+    of_table = (some._sample_table_people(2000, some._generator(0))[0][:, None] == people).all(2).any(1)
+    assert 0.7 < of_table.float().mean() < 0.8
+
+
+def test_batches_made_together_are_divided_among_steps_with_equal_shares():
+    source = PairSource(DataConfig("table6", 32, reflect=0.5), shipped_body(), torch.device("cpu"), 0)
+    ahead = BatchesAhead(source)
+    steps = [ahead.batch(4, step) for step in range(STEPS_AHEAD)]
+    together = source.batch(4 * STEPS_AHEAD, 0)
+    for k, batch in enumerate(steps):
+        assert torch.equal(batch.truth, together.truth[k::STEPS_AHEAD])
+        assert torch.equal(batch.edges, together.edges[k::STEPS_AHEAD])
+        assert batch.edges_of_mesh == together.edges_of_mesh
+    again = BatchesAhead(source).batch(4, STEPS_AHEAD + 3)
+    assert torch.equal(ahead.batch(4, STEPS_AHEAD + 3).identity, again.identity)
+    assert not torch.equal(again.identity, steps[3].identity)

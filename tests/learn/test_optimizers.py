@@ -65,7 +65,8 @@ def test_orthogonalizing_keeps_singular_vectors_and_evens_values(shape):
     torch.manual_seed(0)
     u, _, v = torch.linalg.svd(torch.randn(shape), full_matrices=False)
     values = torch.linspace(0.2, 3.0, min(shape))
-    result = orthogonalize((u * values) @ v, torch.float32)
+    result, other = orthogonalize(torch.stack([(u * values) @ v, torch.randn(shape)]), torch.float32)
+    assert not torch.equal(result, other)
     mixed = u.T @ result @ v.T
     assert (mixed - mixed.diag().diag()).abs().max() < 1e-4
     assert ((mixed.diag() > 0.6) & (mixed.diag() < 1.3)).all()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from networks import write_network, write_sequence_network
-from people import person, walk
+from people import person, split_everywhere, walk
 from zoo import point_cloud, two_parts
 
 from mimesh.core.canonical_order import canonical_order
@@ -27,11 +27,6 @@ onnx = pytest.importorskip("onnx")
 @pytest.fixture
 def network(tmp_path):
     return str(write_network(tmp_path / "tiny.onnx"))
-
-
-def split_everywhere(mesh: Mesh) -> Mesh:
-    """Give every face its own vertices, as in flat-shaded GLB files."""
-    return Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(mesh.faces.size).reshape(-1, 3))
 
 
 def test_seams_stay_closed_and_do_not_matter(network):

@@ -9,9 +9,12 @@ import numpy as np
 
 
 def write_network(
-    path: Path, pose_code: str = "per_vertex", target_scale: str = "identity", metadata: bool = True
+    path: Path, pose_code: str = "per_vertex", target_scale: str = "identity", metadata: bool = True, **facts: str
 ) -> Path:
-    """Write a tiny NPT: 1x1 convolutions and instance norm of the driving, times a gate, added to the identity."""
+    """Write a tiny NPT: 1x1 convolutions and instance norm of the driving, times a gate, added to the identity.
+
+    `facts` are added to the metadata.
+    """
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
@@ -48,7 +51,7 @@ def write_network(
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     if metadata:
-        card = {"model": "npt", "pose_code": pose_code, "target_scale": target_scale, "config": {}}
+        card = {"model": "npt", "pose_code": pose_code, "target_scale": target_scale, "config": {}, **facts}
         helper.set_model_props(model, {"mimesh": json.dumps(card)})
     onnx.save(model, str(path))
     return path

@@ -41,6 +41,11 @@ def person(shape: int = 0, pose: int | None = None, faces: int = 1000, wide: boo
     return Mesh(vertices[remaining], triangles, name=f"person{shape}")
 
 
+def split_everywhere(mesh: Mesh) -> Mesh:
+    """Give every face its own vertices, as in flat-shaded GLB files."""
+    return Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(mesh.faces.size).reshape(-1, 3))
+
+
 def boxes_person(head: float) -> Mesh:
     """Make a person of boxes who stands y up and faces +z, with a cube of half size `head` for a head.
 

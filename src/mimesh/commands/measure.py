@@ -13,7 +13,7 @@ from .terminal import Json, Quiet, print_json, print_next, progress, require
 
 PROTOCOLS = (
     "human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body, characters, fingers, clips-aniformer, "
-    "quadruped or animals"
+    "clips-ordered, quadruped or animals"
 )
 """Names of the test sets, written out because importing these takes a second; a test compares them."""
 Protocol = Annotated[str, typer.Argument(metavar="PROTOCOL", help=f"{PROTOCOLS}.")]
@@ -34,7 +34,7 @@ Data = Annotated[
     Path | None,
     typer.Option(
         help="Folder: rigged characters for cross-body, a pool of them for characters, fingers and animals, motions "
-        "for clips-aniformer, test garments for dressed.",
+        "for clips-aniformer and clips-ordered, test garments for dressed.",
         metavar="DIR",
     ),
 ]
@@ -61,7 +61,7 @@ def evaluate(
         Path | None,
         typer.Option(
             help="Folder: rigged characters for cross-body, a pool of them for characters, fingers and animals, "
-            "motions for clips-aniformer, test garments for dressed; of a list, where its files lie.",
+            "motions for clips-aniformer and clips-ordered, test garments for dressed; of a list, where its files lie.",
             metavar="DIR",
         ),
     ] = None,

@@ -52,6 +52,13 @@ Identity = Annotated[
 ]
 Axis = Annotated[str | None, typer.Option(metavar="AXIS", help="x, y, z, -x, -y or -z, instead of the one found.")]
 Ensemble = Annotated[int, typer.Option(help="Average over this many random pairings (npt, aniformer).")]
+Pairing = Annotated[
+    str,
+    typer.Option(
+        help="Pair vertices at random, by order (two shapes of one mesh), or auto: by the triangles (npt, aniformer).",
+        autocompletion=one_of("pairing"),
+    ),
+]
 Refine = Annotated[
     bool | None,
     typer.Option("--refine/--no-refine", help="Smooth the result along IDENTITY's surface; by default npt, aniformer."),
@@ -142,6 +149,7 @@ def transfer(
     driving_up: Axis = None,
     driving_front: Axis = None,
     ensemble: Ensemble = 1,
+    pairing: Pairing = "auto",
     refine: Refine = None,
     reference: Reference = None,
     markers: Markers = None,
@@ -192,6 +200,7 @@ def transfer(
             driving_up=driving_up,
             driving_front=driving_front,
             ensemble=ensemble,
+            pairing=pairing,
             refine=refine,
             seed=seed,
             reference=reference,
@@ -257,6 +266,7 @@ def animate(
     driving_up: Axis = None,
     driving_front: Axis = None,
     ensemble: Ensemble = 1,
+    pairing: Pairing = "auto",
     refine: Refine = None,
     reference: Reference = None,
     markers: Markers = None,
@@ -345,6 +355,7 @@ def animate(
                 driving_up=driving_up,
                 driving_front=driving_front,
                 ensemble=ensemble,
+                pairing=pairing,
                 refine=refine,
                 seed=seed,
                 reference=reference,

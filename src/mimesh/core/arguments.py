@@ -41,13 +41,14 @@ PHRASES = {
 }
 """What is said in another way in Python."""
 OPTIONS = (
-    *("up", "front", "driving-up", "driving-front", "ensemble", "seed", "refine", "reference", "markers", "model"),
+    *("up", "front", "driving-up", "driving-front", "ensemble", "seed", "pairing", "refine", "reference"),
+    *("markers", "model"),
     *("fps", "animation", "start", "stop", "step", "root", "ground", "smooth", "skinned", "rig", "body", "joints"),
     *("driving-joints", "names", "root-bone", "rest", "blendshapes", "body-model", "output", "workers", "summary"),
     *("cluster", "threads"),
 )
 """Options of the command line that are arguments in Python, with underscores."""
-VALUES = "[+-][xyz]|own|mimesh|human|quadruped|other|auto|file|[TA]|mixamo|unreal|vrm|godot|rigify|\\d+"
+VALUES = "[+-][xyz]|own|mimesh|human|quadruped|other|auto|file|random|order|[TA]|mixamo|unreal|vrm|godot|rigify|\\d+"
 """Values that follow an option in messages."""
 OPTION = re.compile(rf"(give |with )?(?<![\w-])--({'|'.join(OPTIONS)})(?![\w-])(?: ({VALUES})(?![\w-]))?")
 

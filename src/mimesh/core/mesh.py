@@ -377,6 +377,11 @@ def spread_clip(clip: Clip, count: int) -> Clip:
     return dataclasses.replace(clip, vertices=clip.vertices[chosen], fps=fps, headings=headings, skeleton=None)
 
 
+def same_mesh(mesh: Mesh, other: Mesh) -> bool:
+    """Tell whether two meshes are shapes of one: as many vertices, and the same triangles."""
+    return len(mesh.vertices) == len(other.vertices) and np.array_equal(mesh.faces, other.faces)
+
+
 def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:
     """Reorder vertices and rename face indices together: new vertex i is old vertex `order[i]`.
 

@@ -163,14 +163,18 @@ class ClipsAniformer(Protocol):
         self._check_name(split)
         motion = self.motion(split, kind, i)
         split, stream, i = _stream(split, kind, i)
-        target = i % self.targets
-        identity = Person(human(), sample_shape(human(), self.seed(split), target, self.spread), str(target))
         number = 1000 * STREAMS[stream][0] + i
         shape = sample_shape(human(), self.seed(f"{split}/actors"), number, self.spread)
-        rest = Pose(rotvec_to_rotmat(sample_pose(human(), self.seed(split), target)), str(target))
         # Driving people are numbered after the identities: files are named by person.
         driving = Person(human(), shape, str(self.targets + number))
+        identity, rest = self.target(split, i)
         return make_clip_pair(identity, driving, rest, motion)
+
+    def target(self, split: str, i: int) -> tuple[Person, Pose]:
+        """Return the identity of trial i of a split, and the pose that it rests in."""
+        i %= self.targets
+        identity = Person(human(), sample_shape(human(), self.seed(split), i, self.spread), str(i))
+        return identity, Pose(rotvec_to_rotmat(sample_pose(human(), self.seed(split), i)), str(i))
 
     def pair(self, split: str, kind: str, i: int) -> ClipPair:
         """Generate trial i as methods get it: vertices shuffled, with one order for all frames."""
@@ -199,12 +203,18 @@ def make_clip_pair(identity: Person, driving: Person, rest: Pose, motion: Motion
 
 def shuffle_clip_vertices(trial: ClipPair, rng: np.random.Generator) -> ClipPair:
     """Shuffle the vertices of identity and driving clip independently, with one order for all frames."""
-    orders = order, driving_order = random_orders(trial, rng)
+    return reorder_clip_vertices(trial, *random_orders(trial, rng))
+
+
+def reorder_clip_vertices(
+    trial: ClipPair, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]
+) -> ClipPair:
+    """Reorder the vertices of a trial in all frames, as `reorder_vertices`."""
     first = reorder_vertices(trial, order, driving_order)
     template = trial.template
     if template is not None:
         # Vertex numbers follow by the inverse orders.
-        columns = zip(orders, template.T, strict=True)
+        columns = zip((order, driving_order), template.T, strict=True)
         template = np.stack([np.argsort(new_order)[vertices] for new_order, vertices in columns], axis=1)
     return dataclasses.replace(
         first,
@@ -256,7 +266,7 @@ CLIPS_ANIFORMER = clips_aniformer()
 @cache
 def _seen_motions(body: RiggedBody, seed: int) -> tuple[Motion, ...]:
     """Make the 80 seen motions: seconds of the takes, mirror images of some of them, walks and splines."""
-    seconds = [second for take in split_windows("train") for second in _split_into_seconds(take)]
+    seconds = [second for take in split_windows("train") for second in split_into_seconds(take)]
     mirrored = np.linspace(0, len(seconds) - 1, SEEN["mirrored"]).round().astype(int)
     length = {"seconds": FRAMES / FPS, "fps": FPS}
     return (
@@ -270,7 +280,7 @@ def _seen_motions(body: RiggedBody, seed: int) -> tuple[Motion, ...]:
 @cache
 def _later_seconds() -> tuple[Motion, ...]:
     """Return the seconds of the takes that directly follow those of training, and their mirror images."""
-    seconds = [second for take in split_windows("val") for second in _split_into_seconds(take)]
+    seconds = [second for take in split_windows("val") for second in split_into_seconds(take)]
     return (*seconds, *map(mirror, seconds))
 
 
@@ -304,9 +314,9 @@ def _middle_second(motion: Motion) -> Motion:
     return _cut(motion, (len(motion) - FRAMES) // 2, motion.name)
 
 
-def _split_into_seconds(take: Motion) -> list[Motion]:
-    """Split a take into consecutive disjoint windows of 30 frames; a shorter remainder is dropped."""
-    starts = range(0, len(take) - FRAMES + 1, FRAMES)
+def split_into_seconds(take: Motion, step: int = FRAMES) -> list[Motion]:
+    """Cut a take into windows of 30 frames that begin every `step` frames; a shorter remainder is dropped."""
+    starts = range(0, len(take) - FRAMES + 1, step)
     return [_cut(take, start, f"{take.name}+{start / FPS:g}") for start in starts]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import platform
 import subprocess
@@ -30,5 +31,9 @@ def machine() -> str:
 
 
 def libraries() -> dict[str, str]:
-    """Versions of LIBRARIES."""
-    return {name: metadata.version(name) for name in LIBRARIES}
+    """Versions of LIBRARIES; those that are not installed (nothing here asks for them) are left out."""
+    found: dict[str, str] = {}
+    for name in LIBRARIES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found

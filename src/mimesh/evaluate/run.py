@@ -30,6 +30,7 @@ from ..methods.find import (
 from .animals import animals
 from .characters import Characters, characters
 from .clip_protocols import ClipsAniformer, clips_aniformer
+from .clips_ordered import clips_ordered
 from .code_fingerprint import PackageSource
 from .cross_body import cross_body
 from .fingers import FingerGestures, fingers
@@ -44,7 +45,7 @@ from .summary import summary
 
 WITHOUT_FOLDER: dict[str, Protocol] = {**PROTOCOLS, QUADRUPED.name: QUADRUPED}
 """Protocols that need no folder."""
-FOLDERS = ("cross-body", "characters", "clips-aniformer", "fingers", "animals")
+FOLDERS = ("cross-body", "characters", "clips-aniformer", "clips-ordered", "fingers", "animals")
 """Names of the protocols that read a folder."""
 
 
@@ -315,6 +316,8 @@ def find_protocol(
         return animals(data)
     if name == "clips-aniformer":
         return clips_aniformer(data)
+    if name == "clips-ordered":
+        return clips_ordered(data)
     if name == "fingers":
         return fingers(data)
     if name == DRESSED.name and data is not None:

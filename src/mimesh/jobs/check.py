@@ -92,7 +92,7 @@ def _check_options(command: str, options: tuple[tuple[str, str], ...]) -> None:
     values = parsed(BatchJob("options", command, "identity", "driving", "output", options))
     for name in AXIS_OPTIONS:
         parse_axis(values[name], f"--{name.replace('_', '-')}")
-    method = find_method(values["model"], ensemble=values["ensemble"], seed=values["seed"])
+    method = find_method(values["model"], **{name: values[name] for name in ("ensemble", "seed", "pairing")})
     motion: dict[str, Any] = {name: values[name] for name in ("root", "ground", "smooth") if name in values}
     MotionOptions(**motion, rig=values["rig"], body=values["body"]).check(method)
 

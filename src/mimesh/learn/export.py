@@ -79,7 +79,8 @@ def export_command(path: Path, out: Path, bits: int = 16) -> dict[str, Any]:
     check_output(out, bits, STORED_BITS)
     model, trained = checkpoint.load_model(path)
     config = trained.config
-    facts = {"target_scale": config.data.target_scale, "body": config.data.body}
+    data = config.data
+    facts = {"target_scale": data.target_scale, "body": data.body, "pairing": data.pairing}
     with together():
         save_network(model, config.network, facts, config.model, out, bits)
         card = make_card(out, path, trained)

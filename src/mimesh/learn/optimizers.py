@@ -58,31 +58,36 @@ class Muon(Optimizer):
     def step(self, closure: None = None) -> None:  # type: ignore[override]
         """Move every matrix that has a gradient."""
         for group in self.param_groups:
-            lr, decay = group["lr"], group["weight_decay"]
-            for matrix in group["params"]:
-                if matrix.grad is None:
-                    continue
-                state = self.state[matrix]
-                if "momentum_buffer" not in state:
-                    state["momentum_buffer"] = torch.zeros_like(matrix.grad)
-                average = state["momentum_buffer"].lerp_(matrix.grad, 1 - MOMENTUM)
-                update = orthogonalize(matrix.grad.lerp(average, MOMENTUM), self.dtype)
-                matrix.mul_(1 - lr * decay)
+            matrices = [matrix for matrix in group["params"] if matrix.grad is not None]
+            for matrix in matrices:
+                if "momentum_buffer" not in self.state[matrix]:
+                    self.state[matrix]["momentum_buffer"] = torch.zeros_like(matrix.grad)
+            averages = [self.state[matrix]["momentum_buffer"] for matrix in matrices]
+            torch._foreach_lerp_(averages, [matrix.grad for matrix in matrices], 1 - MOMENTUM)
+            updates = [matrix.grad.lerp(average, MOMENTUM) for matrix, average in zip(matrices, averages, strict=True)]
+            if group["weight_decay"]:
+                torch._foreach_mul_(matrices, 1 - group["lr"] * group["weight_decay"])
+            for shape in dict.fromkeys(matrix.shape for matrix in matrices):
+                alike = [i for i, matrix in enumerate(matrices) if matrix.shape == shape]
+                moves = orthogonalize(torch.stack([updates[i] for i in alike]), self.dtype).unbind()
                 # An orthogonal A x B matrix has entries of root mean square 1 / sqrt(max(A, B)).
-                matrix.add_(update, alpha=-lr * UPDATE_RMS * math.sqrt(max(matrix.shape)))
+                size = -group["lr"] * UPDATE_RMS * math.sqrt(max(shape))
+                torch._foreach_add_([matrices[i] for i in alike], [move.float() for move in moves], alpha=size)
 
 
-def orthogonalize(matrix: Float[Tensor, "A B"], dtype: torch.dtype) -> Float[Tensor, "A B"]:
-    """Bring all singular values of a matrix near 1 and keep its singular vectors, by Newton-Schulz iterations.
+def orthogonalize(matrices: Float[Tensor, "N A B"], dtype: torch.dtype) -> Float[Tensor, "N A B"]:
+    """Bring all singular values of matrices near 1 and keep their singular vectors, by Newton-Schulz iterations.
 
     Each iteration applies an odd polynomial to the singular values: with X = U S V^T, a X + b (X X^T) X + c (X X^T)^2 X
-    is U (a S + b S^3 + c S^5) V^T. Only matrix products are needed, and of the shorter side's size.
+    is U (a S + b S^3 + c S^5) V^T. Only matrix products are needed, and of the shorter side's size. Matrices of one
+    shape go together: a GPU would wait longer for the start of each product than for its end.
     """
-    tall = matrix.shape[0] > matrix.shape[1]
-    x = (matrix.T if tall else matrix).to(dtype)
-    x = x / x.norm().clamp(min=1e-7)  # the Frobenius norm bounds the largest singular value, which must be at most 1
+    tall = matrices.shape[1] > matrices.shape[2]
+    x = (matrices.mT if tall else matrices).to(dtype)
+    # The Frobenius norm bounds the largest singular value, which must be at most 1.
+    x = x / x.norm(dim=(1, 2), keepdim=True).clamp(min=1e-7)
     a, b, c = COEFFICIENTS
     for _ in range(ITERATIONS):
-        gram = x @ x.T
-        x = torch.addmm(x, torch.addmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
-    return x.T if tall else x
+        gram = x @ x.mT
+        x = torch.baddbmm(x, torch.baddbmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
+    return x.mT if tall else x

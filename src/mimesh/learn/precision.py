@@ -36,6 +36,7 @@ def product_rate(dtype: torch.dtype, device: torch.device, seconds: float = 0.05
     """Measure floating-point operations a second of products of square matrices: the best within a moment."""
     side = SIDE[device.type]
     a, b = torch.randn(2, side, side, generator=torch.Generator().manual_seed(0)).to(device, dtype)
+    float((a @ b)[0, 0])  # the first product also loads the library, on a GPU for longer than the others take
     best, end = float("inf"), time.perf_counter() + seconds
     while best == float("inf") or time.perf_counter() < end:
         started = time.perf_counter()

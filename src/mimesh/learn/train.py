@@ -26,6 +26,9 @@ CHARACTER_SHARE = 0.5
 """Share of every batch that characters of a folder have, unless the configuration says otherwise."""
 SAVE_SECONDS = 60.0
 """Wall-clock time between checkpoints."""
+FULL_RATE = "full-rate.safetensors"
+"""Checkpoint of the last step before the learning rate falls. A longer training goes on from there (`--weights`): a rate
+that has fallen to zero and rises again undoes more than a short training brings back (docs/LOG.md)."""
 
 
 @contextlib.contextmanager
@@ -190,7 +193,7 @@ def train(
 
 def run_to_end(run: TrainingRun, validation: Validation, folder: Path, log: TrainingLog, stop: StopRequest) -> None:
     """Take steps, validate and save until the schedule ends or `stop` says so in one of the processes."""
-    last, first = folder / "last.safetensors", run.step
+    last, first, falling = folder / "last.safetensors", run.step, run.rate_falls()
     while True:
         stopped, killed, run.seconds = run.processes.largest(stop(), stop.signal is not None, run.seconds)
         if stopped and (run.step > first or killed or run.share() >= 1.0):
@@ -203,6 +206,9 @@ def run_to_end(run: TrainingRun, validation: Validation, folder: Path, log: Trai
         elif run.share() >= 1.0:
             break
         else:
+            if not falling and run.rate_falls():
+                falling = True
+                run.save(folder / FULL_RATE)
             log.add(run.advance())
             if time.monotonic() - run.saved > SAVE_SECONDS:
                 run.save(last)

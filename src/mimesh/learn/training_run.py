@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -41,6 +42,43 @@ MIXTURE = (
 RESUMABLE = (*SCHEDULE, *(f"data.{key}" for key in MIXTURE))
 """Keys that may change where a training is resumed: schedule and mixture of the data, not the network. Two trainings
 that go on from one checkpoint with two seeds see other batches and can be averaged."""
+
+COMPILE_OPTIONS = {"triton.mix_order_reduction": False}
+"""Of torch.compile: the fusion of sums along two axes fails for AniFormer with an assertion (PyTorch 2.11)."""
+STEPS_AHEAD = 8
+"""Batches that a GPU makes at once. It computes one faster than its hundreds of small operations can be started."""
+
+
+@dataclass
+class BatchesAhead:
+    """Makes the batches of several steps at once, for a device that waits for the start of small operations."""
+
+    source: BatchSource
+    group: int = -1
+    together: Any = None
+
+    def batch(self, size: int, step: int) -> Any:
+        """Give the pairs of a step: every `STEPS_AHEAD`th of those of its group, so that all have their share of each
+        kind. A pure function of the source's seed and `step`.
+        """
+        if self.group != step // STEPS_AHEAD:
+            self.group = step // STEPS_AHEAD
+            self.together = self.source.batch(size * STEPS_AHEAD, self.group)
+        parts = {field.name: getattr(self.together, field.name) for field in dataclasses.fields(self.together)}
+        own = slice(step % STEPS_AHEAD, None, STEPS_AHEAD)
+        return dataclasses.replace(
+            self.together, **{key: part[own] for key, part in parts.items() if isinstance(part, Tensor)}
+        )
+
+
+def batches_of(task: Task, seed: int) -> BatchSource:
+    """Build the generator of a training's batches on its device."""
+    source = task.source(seed)
+    if task.device.type == "cpu":
+        return source
+    one = source.batch(1, 0)
+    flat = all(isinstance(getattr(one, field.name), (Tensor, float)) for field in dataclasses.fields(one))
+    return BatchesAhead(source) if flat else source
 
 
 @dataclass
@@ -105,8 +143,8 @@ class TrainingRun:
         model = task.make_model().to(device)
         ema = {k: v.detach().clone() for k, v in model.state_dict().items()} if config.ema else {}
         optimizers = make_optimizers(model, config, device, DTYPES[precision])
-        source = task.source(config.seed)
-        step_model: Any = torch.compile(model) if config.compile else model
+        source = batches_of(task, config.seed)
+        step_model: Any = torch.compile(model, options=COMPILE_OPTIONS) if config.compile else model
         if state:
             refuse_other_data(pool, {"characters": state.characters, "meshes": state.meshes}, folder)
         run = cls(config, task, model, step_model, ema, optimizers, source, processes, reason, saved=time.monotonic())
@@ -154,9 +192,13 @@ class TrainingRun:
         advice = "for a short training set minutes (its length), warmup (pairs) and validate_every with --set"
         if pairs < self.config.warmup:
             return f"; after {pairs:,} of {self.config.warmup:,} pairs the learning rate was still rising: {advice}"
-        if self.config.decay and share < 1.0 - self.config.decay:
+        if self.config.decay and not self.rate_falls():
             return f"; after {share:.0%} of its length the learning rate had not begun to fall: {advice}"
         return ""
+
+    def rate_falls(self) -> bool:
+        """Tell whether the learning rate has begun to fall towards the end of the training."""
+        return bool(self.config.decay) and self.share() >= 1.0 - self.config.decay
 
     def validation_due(self) -> bool:
         """Tell whether the steps since the last validation passed a multiple of `validate_every` pairs, or the end."""
@@ -194,8 +236,7 @@ class TrainingRun:
             optimizer.step()
         if self.ema:
             current = self.model.state_dict()
-            for name, average in self.ema.items():
-                average.lerp_(current[name], 1.0 - config.ema)
+            torch._foreach_lerp_(list(self.ema.values()), [current[name] for name in self.ema], 1.0 - config.ema)
         self.step += 1
         self.samples += parts
         self.operations += training_operations(self.task, self.model, config.batch)
@@ -209,7 +250,7 @@ class TrainingRun:
         vertices = self.config.data.vertices << doubled
         if self.task.config.data.vertices != vertices:
             self.task = self.task.with_vertices(vertices)
-            self.source = self.task.source(self.config.seed)
+            self.source = batches_of(self.task, self.config.seed)
         return self.config.accumulate << doubled
 
     def validate(

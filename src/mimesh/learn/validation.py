@@ -34,8 +34,16 @@ class Validation:
 
     def __init__(self, task: Task) -> None:
         self.task = task
-        self.trial = functools.cache(functools.partial(task.protocol.pair, "val"))
+        self.trial = functools.cache(self._ordered if task.config.data.pairing == "order" else self._shuffled)
         self.fresh = task.source(task.config.seed + FRESH_SEED)
+
+    def _shuffled(self, kind: str, index: int) -> Pair:
+        return self.task.protocol.pair("val", kind, index)
+
+    def _ordered(self, kind: str, index: int) -> Pair:
+        """Make a pair whose vertices are in one order: that of the training does not matter, only that it is one."""
+        protocol = self.task.protocol
+        return protocol.unshuffled_pair("val", kind, index, protocol.rng("val", kind, index))
 
     @torch.no_grad()
     def measure(

@@ -25,7 +25,15 @@ from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from ..core.surface_points import PaddedVertices, padded_vertices
 from .base import Drive
-from .npt import METRES, PatchDistances, batch_of_one, driving_input, generator, radii_in_metres
+from .npt import (
+    METRES,
+    PatchDistances,
+    batch_of_one,
+    check_same_mesh,
+    driving_input,
+    generator,
+    radii_in_metres,
+)
 from .root_motion import check_size, with_root_motion
 
 if TYPE_CHECKING:
@@ -61,6 +69,8 @@ class AniFormerMethod:
     """Vertices that both meshes must have, in the order of the network's training; 0: any two meshes."""
     body: str = "human"
     """As in `NPTMethod`."""
+    pairing: str = "random"
+    """As in `NPTMethod`."""
     sizes: tuple[float, float] | None = None
     """As in `NPTMethod`."""
 
@@ -74,7 +84,7 @@ class AniFormerMethod:
         """Rank both meshes and choose the driving points and their pairings, once for all frames.
 
         Raises:
-            InputError: the network needs a vertex count that one of the meshes has not.
+            InputError: the network needs a vertex count that one of the meshes has not, or meshes that correspond.
         """
         match = self._in_file_order if self.vertices else self._paired
         ranked, points, pairings = match(identity, driving.mesh)
@@ -105,8 +115,12 @@ class AniFormerMethod:
         return drive
 
     def _paired(self, identity: Mesh, driving: Mesh) -> tuple[CanonicalOrder, PaddedVertices, list[Pairing]]:
-        """Weld both meshes, and pair their points at random."""
+        """Weld both meshes, and pair their points at random, or by index: those of both in the same random order."""
         ranked = canonical_order(identity.vertices)
+        if self.pairing == "order":
+            check_same_mesh(self.name, identity, driving)
+            orders = [self._pairing(k, len(ranked), 0)[0] for k in range(self.ensemble)]
+            return ranked, PaddedVertices.of(ranked), [(order, order) for order in orders]
         points = padded_vertices(driving, len(ranked), generator(self.seed, 0))
         return ranked, points, [self._pairing(k, len(ranked), len(points)) for k in range(self.ensemble)]
 
@@ -119,8 +133,7 @@ class AniFormerMethod:
                     f"order, found {len(mesh.vertices)}; choose another model"
                 )
         order = file_order(self.vertices)
-        none = PaddedVertices(order, np.zeros((0, 3), np.int64), np.zeros((0, 3)))
-        return order, none, [(order.order, order.order)]
+        return order, PaddedVertices.of(order), [(order.order, order.order)]
 
     def _pairing(self, k: int, points: int, driving_points: int) -> Pairing:
         """Return random orders of both meshes' points.

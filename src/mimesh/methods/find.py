@@ -14,11 +14,16 @@ from jaxtyping import Int
 from ..core.errors import InputError, did_you_mean
 from ..core.mesh import Mesh
 from .base import Method, RigMethod
+from .onnx_metadata import PAIRINGS
 
-# Names that `find_method` takes, besides "copy", "deformation-transfer", "skeleton" and paths of .onnx files.
+# Names that `find_method` takes, besides those of WITHOUT_NETWORK and paths of .onnx files.
 SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
 NETWORK_OF_BODY = {"human": "mime", "quadruped": "mime-quadruped"}
 """Shipped body -> the network that finds its joints. `mime` opens the others itself; their names are for measuring."""
+INDEX_PAIRED = ("npt", "aniformer")
+"""Shipped networks that pair driving and identity vertices; weights that do so by index are beside the others."""
+WITHOUT_NETWORK = ("copy", "deformation-transfer", "skeleton")
+"""Methods that have no weights."""
 TABLE_MODELS = (
     *("mime-table", "npt-full", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
@@ -35,7 +40,7 @@ WITHOUT_FINGERS = {"mime-rigid-fingers": "mime"}
 """Name -> network whose results have fingers that follow the hand, to measure what moving them contributes."""
 REDUCED_MODELS = WITHOUT_FIT | WITHOUT_FINGERS
 """All networks that are used without a part."""
-MODELS = ("copy", "deformation-transfer", "skeleton", *SHIPPED_NETWORKS)
+MODELS = (*WITHOUT_NETWORK, *SHIPPED_NETWORKS)
 """Names of the methods that every installation has."""
 
 
@@ -49,6 +54,11 @@ def weights_path(model: str) -> Path:
     if model in (*SHIPPED_NETWORKS, *NETWORK_OF_BODY.values()):
         return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
     return Path(model)
+
+
+def ordered_weights(model: str) -> Path | None:
+    """Return the path of the weights of one of INDEX_PAIRED that pair vertices by index; None for other networks."""
+    return weights_path(model).with_name(f"{model}-ordered.onnx") if model in INDEX_PAIRED else None
 
 
 def is_table_model(model: str) -> bool:
@@ -80,7 +90,7 @@ def takes_rigs(model: str | Method) -> bool:
     Raises:
         InputError: as `find_method`.
     """
-    if model in (*NETWORK_OF_BODY.values(), "copy", "deformation-transfer", "skeleton"):
+    if model in (*NETWORK_OF_BODY.values(), *WITHOUT_NETWORK):
         return model in NETWORK_OF_BODY.values()
     return isinstance(find_method(model) if isinstance(model, str) else model, RigMethod)
 
@@ -108,6 +118,7 @@ def find_method(
     *,
     ensemble: int = 1,
     seed: int = 0,
+    pairing: str = "auto",
     reference: Mesh | None = None,
     markers: Int[np.ndarray, "M 2"] | None = None,
 ) -> Method:
@@ -117,18 +128,25 @@ def find_method(
         model: the name or the path.
         ensemble: average over this many random pairings of driving and identity vertices (index-paired networks only).
         seed: seed of those pairings, and of sampled points.
+        pairing: "random" or "order": how the network must pair vertices, where INDEX_PAIRED have weights for both;
+            "auto": as it does, at random where there are both.
         reference: the driving subject in the identity's pose, normalised like the driving mesh, whose vertices and
             faces it shares (deformation transfer only).
         markers: identity and driving vertex of points that correspond (deformation transfer only).
 
     Raises:
-        InputError: no such model, its file is missing or was not written by `mimesh export`, or `ensemble` is below 1.
+        InputError: no such model, its file is missing or was not written by `mimesh export`, or an option cannot be
+            used with it.
     """
     from .copy import CopyMethod
     from .onnx_models import load_network
 
     if ensemble < 1:
         raise InputError(f"--ensemble: expected 1 or more pairings, found {ensemble}; give a positive number")
+    if pairing not in ("auto", *PAIRINGS):
+        raise InputError(f"--pairing: expected auto, random or order, found {pairing!r}; choose one of them")
+    if pairing == "order" and model in WITHOUT_NETWORK:
+        raise _other_pairing(pairing, model)
     if model == "copy":
         return CopyMethod()
     if model == "deformation-transfer":
@@ -141,6 +159,13 @@ def find_method(
         return SkeletonBaseline(seed=seed)
     check_weights(model)
     path = weights_path(model)
+    if pairing == "order" and (ordered := ordered_weights(model)) is not None:
+        path = ordered
+        if not path.is_file():
+            raise InputError(
+                f"--pairing order: expected weights in {path}, found no file; make some with mimesh train {model} "
+                "--set data.pairing=order and mimesh export, and choose that file, or leave --pairing out"
+            )
     if path.suffix == ".onnx":
         known = Path(model).name
         name = known if known in REDUCED_MODELS else path.stem
@@ -152,8 +177,18 @@ def find_method(
             fits=known not in WITHOUT_FIT,
             fingers=known not in (*REDUCED_MODELS, *TABLE_MODELS),
         )
+        if pairing not in ("auto", getattr(network, "pairing", "random")):
+            raise _other_pairing(pairing, model)
         return _with_other_bodies(network, seed) if model == "mime" else network
     raise InputError(
         f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}"
         + did_you_mean(model, (*MODELS, *NETWORK_OF_BODY.values()))
+    )
+
+
+def _other_pairing(pairing: str, model: str) -> InputError:
+    """Return the error of a model that does not pair vertices as it must."""
+    return InputError(
+        f"--pairing {pairing}: expected a network of npt or aniformer that was trained with data.pairing={pairing}, "
+        f"found {model}; leave --pairing out"
     )

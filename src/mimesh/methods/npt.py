@@ -2,8 +2,9 @@
 
 Inputs "identity" (B, V, 3) and "driving" (B, V, 3) or, where the pose is pooled, (B, U, 3); output "result" (B, V, 3).
 Each input is centred on its bounding box and divided by its largest distance from there; the result is centred on its
-own bounding box, in units of the identity's radius. The file's metadata (key "mimesh") give `pose_code` and
-`target_scale`. Networks of the papers' public code have the `target_scale` metres: they get and give metres.
+own bounding box, in units of the identity's radius. The file's metadata (key "mimesh") give `pose_code`,
+`target_scale` and `pairing`. Networks of the papers' public code have the `target_scale` metres: they get and give
+metres.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from ..core.canonical_order import canonical_order
+from ..core.canonical_order import CanonicalOrder, canonical_order
 from ..core.errors import InputError
 from ..core.geometry import edges, spatial_order
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, same_mesh
 from ..core.normalization import bbox_centre, radius
-from ..core.surface_points import padded_vertices
+from ..core.surface_points import PaddedVertices, padded_vertices
 from .base import Drive
 from .root_motion import with_root_motion
 
@@ -54,6 +55,8 @@ class NPTMethod:
     seed: int = 0
     body: str = "human"
     """Name of the shipped body that it was trained on."""
+    pairing: str = "random"
+    """Driving point of an identity vertex: "random"; or "order", that of its own index, of the same mesh."""
     sizes: tuple[float, float] | None = None
     """Metres. Radius of the identity and of the driving's first frame, for METRES; None: the network gets radius 1."""
 
@@ -68,17 +71,14 @@ class NPTMethod:
         return dataclasses.replace(self, sizes=radii_in_metres(identity, driving))
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:
-        """Rank both meshes and choose the driving points and their pairings, once for all frames."""
+        """Rank both meshes and choose the driving points and their pairings, once for all frames.
+
+        Raises:
+            InputError: vertices are paired by index, and those of the two meshes do not correspond.
+        """
         ranked = canonical_order(identity.vertices)
         rest = ranked.merge(identity.vertices)
-        # A network with one pose code for each vertex needs as many driving points as the identity has: where the
-        # driving has fewer, random points of its surface are added, where it has more, each pairing leaves some out.
-        pooled = self.pose_code == "global_max"
-        points = padded_vertices(driving.mesh, 0 if pooled else len(ranked), generator(self.seed, 0))
-        count = min(len(points), POOLED_POINTS) if pooled else len(ranked)
-        # A pooled pose does not depend on the order of the driving points: there is no pairing to average over.
-        rounds = 1 if pooled else self.ensemble
-        pairings = [generator(self.seed, 1 + k).permutation(len(points))[:count] for k in range(rounds)]
+        points, pairings = self._paired(ranked, identity, driving.mesh)
         lengths = PatchDistances.of(rest, edges(ranked.group[identity.faces]))
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
@@ -88,6 +88,22 @@ class NPTMethod:
             return result[ranked.group]
 
         return lambda frames: with_root_motion(frames, pose, driving.mesh.name)
+
+    def _paired(
+        self, ranked: CanonicalOrder, identity: Mesh, driving: Mesh
+    ) -> tuple[PaddedVertices, list[Int[np.ndarray, " N"]]]:
+        """Choose the driving points, and their order for each run of the network."""
+        # A pooled pose does not depend on the order of the driving points: there is no pairing to average over.
+        pooled = self.pose_code == "global_max"
+        if self.pairing == "order":
+            check_same_mesh(self.name, identity, driving)
+            return PaddedVertices.of(ranked), [np.arange(len(ranked))]
+        # A network with one pose code for each vertex needs as many driving points as the identity has: where the
+        # driving has fewer, random points of its surface are added, where it has more, each pairing leaves some out.
+        points = padded_vertices(driving, 0 if pooled else len(ranked), generator(self.seed, 0))
+        count = min(len(points), POOLED_POINTS) if pooled else len(ranked)
+        rounds = 1 if pooled else self.ensemble
+        return points, [generator(self.seed, 1 + k).permutation(len(points))[:count] for k in range(rounds)]
 
     def _run(
         self,
@@ -154,6 +170,22 @@ def driving_input(
     """Centre the vertices of a driving frame on their bounding box, in their unit sphere or, with sizes, in metres."""
     centred = vertices - bbox_centre(vertices)
     return centred / radius(centred) if sizes is None else centred * sizes[1]
+
+
+def check_same_mesh(method: str, identity: Mesh, driving: Mesh) -> None:
+    """Check that vertices can be paired by index: by their number and, where both meshes have some, by the triangles.
+
+    Raises:
+        InputError: they cannot.
+    """
+    counts = len(identity.vertices), len(driving.vertices)
+    points = 0 in (len(identity.faces), len(driving.faces)) and counts[0] == counts[1]
+    if not points and not same_mesh(identity, driving):
+        found = f"{counts[1]} vertices" if counts[0] != counts[1] else "other triangles"
+        raise InputError(
+            f"{driving.name}: expected the {counts[0]} vertices and the triangles of {identity.name}, which {method} "
+            f"pairs by index, found {found}; give --pairing random with npt or aniformer"
+        )
 
 
 def batch_of_one(points: Float[np.ndarray, "*T N 3"]) -> Float32[np.ndarray, "1 *T N 3"]:

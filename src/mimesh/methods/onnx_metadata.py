@@ -21,6 +21,8 @@ CHOICES = {
     "hands": {},
 }
 """Model -> keys of its metadata, with the values that are allowed."""
+PAIRINGS = ("random", "order")
+"""How networks are trained to pair the vertices of two meshes; files without this key: at random."""
 MAX_WINDOW = 64
 """Largest number of driving frames in a window of aniformer."""
 LARGEST = {
@@ -60,6 +62,7 @@ def read_metadata(session: InferenceSession, path: Path) -> dict[str, Any]:
         _check_number(card.get(key), key, 1, largest, path)
     if model == "aniformer":
         _check_number(card.get("vertices", 0), "vertices", 0, LARGEST["limp"]["vertices"], path)
+    _check_choice({"pairing": "random"} | card, "pairing", PAIRINGS, path)
     if not isinstance(card.get("body", ""), str):
         raise _error(path, "body to be a name", card["body"])
     if model == "mime":

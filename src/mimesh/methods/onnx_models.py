@@ -55,10 +55,10 @@ def load_network(
         raise InputError(f"{path}: expected the weights of model {name}, found no file; choose another model or path")
     session = _open_session(path)
     card = read_metadata(session, path)
-    body = card.get("body", "human")
+    body, pairing = card.get("body", "human"), card.get("pairing", "random")
     if card["model"] == "aniformer":
         facts = (card["frames"], card["head"], card["target_scale"])
-        return AniFormerMethod(name, session, *facts, ensemble, seed, card.get("vertices", 0), body)
+        return AniFormerMethod(name, session, *facts, ensemble, seed, card.get("vertices", 0), body, pairing)
     if card["model"] == "limp":
         return LIMPMethod(name, session, card["vertices"], card["target_scale"])
     if card["model"] == "hands":
@@ -67,7 +67,9 @@ def load_network(
         joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
         hands = load_hand_finder(joints, seed) if fingers else None
         return MimeMethod(name, session, joints, parents, legs, card["points"], body, fits, seed, hands=hands)
-    return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed, body)
+    # A network that pools the pose pairs nothing, however it was trained.
+    pairing = pairing if card["pose_code"] == "per_vertex" else "random"
+    return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed, body, pairing)
 
 
 def hands_path() -> Path:

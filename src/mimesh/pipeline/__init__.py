@@ -15,7 +15,7 @@ from ..core.frame_buffer import Progress
 from ..core.mesh import UNNAMED, Clip, Mesh, check_clip, check_mesh, cut_clip
 from ..core.normalization import Normalization
 from ..methods.base import Method
-from ..methods.find import find_method, takes_rigs
+from ..methods.find import find_method, ordered_weights, takes_rigs
 from ..motions.humanoid_rig import HumanoidRig
 from .corrections import Corrections, GivenJoints
 from .live import LiveSession, limited_threads, live_session
@@ -25,6 +25,7 @@ from .prepared import Choice, MotionOptions
 from .report import TransferReport
 from .result import ClipResult, Result, Timer
 from .rigs import still_clip
+from .same_mesh import same_triangles
 
 
 @public()
@@ -39,6 +40,7 @@ def transfer(
     driving_front: str | None = None,
     ensemble: int = 1,
     seed: int = 0,
+    pairing: str = "auto",
     refine: bool | None = None,
     reference: Mesh | str | Path | None = None,
     markers: ArrayLike | str | Path | None = None,
@@ -55,13 +57,17 @@ def transfer(
         identity: the mesh to move, or its path.
         driving: the mesh whose pose is taken, or its path.
         model: a name of `mimesh models`, the path of an .onnx file, or a method of your own (see `methods.Method`),
-            which is used as it is: `ensemble`, `seed`, `reference` and `markers` are for names and paths only.
+            which is used as it is: `ensemble`, `seed`, `pairing`, `reference` and `markers` are for names and paths
+            only.
         up: the identity's axis away from the ground ("+y", "-z"); detected from its shape by default.
         front: the identity's axis to its front; detected by default.
         driving_up: as `up`, of the driving.
         driving_front: as `front`, of the driving.
         ensemble: average over this many random pairings (index-paired networks only).
         seed: seed of all random choices of the model.
+        pairing: driving vertex of each of the identity's (npt and aniformer only): "random"; "order", that of its own
+            index, of two shapes of one mesh; or "auto", by index where both have the same triangles and there is a
+            network for it.
         refine: smooth the result, keeping the identity's surface details; None leaves it to the model.
         reference: the driving mesh in the identity's pose (deformation transfer only).
         markers: pairs (identity vertex, driving vertex) that correspond, or a file of them (deformation transfer only).
@@ -92,7 +98,7 @@ def transfer(
         identity, driving = _read_mesh(identity, "identity"), _read_mesh(driving, "driving")
     model = _usable_model(model)
     axes = (up, front, driving_up, driving_front)
-    choice = _choice(model, ensemble, seed, reference, markers)
+    choice = _choice(model, (identity, driving), ensemble, seed, pairing, reference, markers)
     clip = still_clip(driving)
     corrections = Corrections.read(joints, driving_joints, clip)
     options = MotionOptions(rig=_usable_rig(rig, model), body=body)
@@ -125,6 +131,7 @@ def animate(
     driving_front: str | None = None,
     ensemble: int = 1,
     seed: int = 0,
+    pairing: str = "auto",
     refine: bool | None = None,
     reference: Mesh | str | Path | None = None,
     markers: ArrayLike | str | Path | None = None,
@@ -153,7 +160,7 @@ def animate(
         driving: the clip whose motion is taken, or its path.
         model: see `transfer`.
         up, front, driving_up, driving_front: see `transfer`.
-        ensemble, seed, refine, reference, markers: see `transfer`.
+        ensemble, seed, pairing, refine, reference, markers: see `transfer`.
         fps: frame rate of the driving clip, where its file has none or a wrong one.
         animation: which animation of a driving glTF file, by name or number; the first by default.
         start: first frame to take, counted from 0.
@@ -202,7 +209,7 @@ def animate(
             clip = cut_clip(whole, start, stop, step)
     model = _usable_model(model)
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
-    choice = _choice(model, ensemble, seed, reference, markers)
+    choice = _choice(model, (identity, clip.mesh), ensemble, seed, pairing, reference, markers)
     options = MotionOptions(root, ground, smooth, skinned, _usable_rig(rig, model), body)
     moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32, corrections)
     _name_axis_sources(moved.report, up, driving_up)
@@ -239,6 +246,7 @@ def prepare(
     driving_front: str | None = None,
     ensemble: int = 1,
     seed: int = 0,
+    pairing: str = "auto",
     refine: bool | None = None,
     reference: Mesh | str | Path | None = None,
     markers: ArrayLike | str | Path | None = None,
@@ -265,7 +273,7 @@ def prepare(
         root: displacement over the ground, as in `animate`; other values than "scale" for mime only.
         model: see `transfer`.
         up, front, driving_up, driving_front: see `transfer`.
-        ensemble, seed, refine, reference, markers: see `transfer`.
+        ensemble, seed, pairing, refine, reference, markers: see `transfer`.
         rig, body, joints, driving_joints: see `transfer`.
         threads: threads of linear algebra while a session is prepared and used; None leaves what the libraries are set
             to. They are set for the whole process during each call, and set back.
@@ -291,7 +299,7 @@ def prepare(
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
     options = MotionOptions(root, False, rig=_usable_rig(rig, model), body=body)
     with limited_threads(threads)():
-        choice = _choice(model, ensemble, seed, reference, markers)
+        choice = _choice(model, (identity, clip.mesh), ensemble, seed, pairing, reference, markers)
         prepared = prepare_frames(identity, clip, choice, axes, refine, options, corrections)
     session = live_session(prepared, clip, _name(model), root, threads)
     _name_axis_sources(session.report, up, driving_up)
@@ -308,10 +316,18 @@ def _name_axis_sources(report: TransferReport, up: str | None, driving_up: str |
             facing["up_from"] = "joints"
 
 
-def _choice(model: str | Method, ensemble: int, seed: int, reference, markers) -> Choice:
-    """Return the function that makes the method, given the driving's normalisation (which the reference needs too)."""
+def _choice(
+    model: str | Method, meshes: tuple[Mesh, Mesh], ensemble: int, seed: int, pairing: str, reference, markers
+) -> Choice:
+    """Return the function that makes the method, given the driving's normalisation (which the reference needs too).
+
+    `meshes` are the identity and the driving, by which `pairing` "auto" is decided.
+    """
     if isinstance(model, Method):
         return lambda norm: model
+    ordered = ordered_weights(model)
+    if pairing == "auto" and ordered is not None and ordered.is_file() and same_triangles(*meshes):
+        pairing = "order"
     reference = None if reference is None else _read_mesh(reference, "reference")
     if isinstance(markers, (str, Path)):
         from ..io.markers import load_markers
@@ -324,7 +340,8 @@ def _choice(model: str | Method, ensemble: int, seed: int, reference, markers) -
         normalised = None
         if reference is not None:
             normalised = dataclasses.replace(reference, vertices=norm.apply(reference.vertices))
-        return find_method(model, ensemble=ensemble, seed=seed, reference=normalised, markers=markers)
+        options = {"ensemble": ensemble, "seed": seed, "pairing": pairing}
+        return find_method(model, **options, reference=normalised, markers=markers)
 
     return choose
 

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, allocate_frames
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, same_mesh
 from ..core.normalization import Normalization
 from ..io.beside import missing_images, missing_images_notes
 from ..io.gltf.edit import GltfSource
@@ -33,7 +33,7 @@ from .prepared import Choice, MotionOptions, Prepared, check_identity, first_fra
 from .report import TransferReport, facing
 from .result import Timer
 from .rigs import NO_RIGS, OTHER, Axes, Rigs
-from .same_mesh import ReferenceFrame, nearest_frame, same_mesh
+from .same_mesh import ReferenceFrame, nearest_frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,8 +219,8 @@ def _other_shape(
     if not finds_joints(method):
         return None
     if options.body == OTHER:
-        return nearest_frame(identity, clip) if same_mesh(identity, clip) else marked_frame(identity, clip, axes)
-    if rigs.bodies != (None, None) or len(clip) == 1 or not same_mesh(identity, clip):
+        return nearest_frame(identity, clip) if same_mesh(identity, clip.mesh) else marked_frame(identity, clip, axes)
+    if rigs.bodies != (None, None) or len(clip) == 1 or not same_mesh(identity, clip.mesh):
         return None
     if looks_like(method, identity, axes[:2]) or looks_like(method, first, axes[2:]):
         return None

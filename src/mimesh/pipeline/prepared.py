@@ -36,6 +36,7 @@ from .matched_rigs import finds_joints, joint_finder
 from .orientation import normalised, reorient
 from .refine import Refinement
 from .rigs import NO_RIGS, Axes, Rigs
+from .same_mesh import paired_note
 from .second_look import body_after_all
 
 Choice = Callable[[Normalization], Method]
@@ -152,6 +153,7 @@ def prepare(
     options.check(chosen)
     body = (corrections.body or options.body) if options.body == "auto" else options.body
     notes = trained_on_people(chosen, body, (identity, first), norms, rigs.axes(axes))
+    notes += paired_note(chosen, identity, first)
     method, norms = with_body(chosen, body, rigs, (identity, first), norms, rigs.axes(axes))
     if any(rigs.unnamed) and finds_joints(method):
         find = joint_finder(method, axes[:2]), joint_finder(method, axes[2:])

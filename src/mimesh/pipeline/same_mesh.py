@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ..core.errors import InputError
 from ..core.geometry import nearest_rotation
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, same_mesh
 from ..core.normalization import ORIENTATIONS, ROTATIONS, Normalization
 from ..methods.base import Method
 from ..methods.deformation_transfer import DeformationTransfer
@@ -63,9 +63,15 @@ class ReferenceFrame:
         )
 
 
-def same_mesh(identity: Mesh, clip: Clip) -> bool:
-    """Tell whether identity and driving are shapes of one mesh: as many vertices, and the same triangles."""
-    return len(identity.vertices) == len(clip.mesh.vertices) and np.array_equal(identity.faces, clip.mesh.faces)
+def same_triangles(identity: Mesh, driving: Mesh) -> bool:
+    """Tell whether identity and driving are shapes of one mesh, so that their vertices correspond; points need not."""
+    return len(identity.faces) > 0 and same_mesh(identity, driving)
+
+
+def paired_note(method: Method, identity: Mesh, driving: Mesh) -> tuple[str, ...]:
+    """Tell that a network pairs the vertices of the two meshes by index, if it does."""
+    paired = getattr(method, "pairing", "random") == "order" and same_triangles(identity, driving)
+    return ("both meshes have the same triangles, so vertices are paired by index",) if paired else ()
 
 
 def nearest_frame(identity: Mesh, clip: Clip) -> ReferenceFrame:

@@ -16,6 +16,8 @@ from torch import Tensor, nn
 
 EPSILON = 1e-5
 """Added to the variance (NPT Eq. 2)."""
+COORDINATES = 3
+"""Channels of a map of vertex positions."""
 
 
 def instance_norm(h: Float[Tensor, "C *B V"]) -> Float[Tensor, "C *B V"]:
@@ -36,6 +38,11 @@ class PointConv(nn.Module):
         self.bias = nn.Parameter(torch.empty(channels_out).uniform_(-bound, bound))
 
     def forward(self, h: Float[Tensor, "C *B V"]) -> Float[Tensor, "D *B V"]:
+        if self.weight.shape[1] == COORDINATES and torch.compiler.is_dynamo_compiling():
+            # A compiled step computes maps of coordinates where they are used, instead of writing them to memory.
+            of_channel = (-1, *[1] * (h.ndim - 1))
+            terms = [column.view(of_channel) * axis for column, axis in zip(self.weight.unbind(1), h, strict=True)]
+            return sum(terms, self.bias.view(of_channel))
         return torch.addmm(self.bias[:, None], self.weight, h.flatten(1)).unflatten(1, h.shape[1:])
 
 

@@ -1,0 +1,62 @@
+"""One step of every configuration on a GPU against the same step on the CPU. Run with `pytest -m gpu`."""
+
+from __future__ import annotations
+
+import dataclasses
+from importlib import resources
+from typing import Any
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from mimesh.learn.config import load_config  # noqa: E402
+from mimesh.learn.optimizers import make_optimizers  # noqa: E402
+from mimesh.learn.tasks.find import find_task  # noqa: E402
+
+pytestmark = pytest.mark.gpu
+CONFIGS = sorted(path.name.removesuffix(".yaml") for path in (resources.files("mimesh.learn") / "configs").iterdir())
+PAIRS, VERTICES = 2, 128
+TOLERANCE = {"fp32": 1e-4, "bf16": 5e-2}
+"""Relative difference of losses and of gradients' norms between devices: products are summed in another order."""
+
+
+def moved(value: Any, device: torch.device) -> Any:
+    """Copy the tensors of a batch to a device."""
+    if isinstance(value, torch.Tensor):
+        return value.to(device)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {f.name: moved(getattr(value, f.name), device) for f in dataclasses.fields(value) if f.init}
+        return dataclasses.replace(value, **fields)
+    if isinstance(value, (tuple, list)):
+        return type(value)(moved(item, device) for item in value)
+    return value
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_step_on_the_gpu_is_that_on_the_cpu(name: str, precision: str):
+    network, _, config_name = name.partition("-")
+    config = load_config(config_name, network)
+    if network in ("npt", "aniformer"):
+        config = dataclasses.replace(config, data=dataclasses.replace(config.data, vertices=VERTICES))
+    cpu, cuda = torch.device("cpu"), torch.device("cuda")
+    batch = find_task(network)(config, cpu).source(0).batch(PAIRS, 0)
+    start = find_task(network)(config, cpu).make_model().state_dict()
+    figures = []
+    for device in (cpu, cuda):
+        task = find_task(network)(config, device, precision)
+        model = task.make_model().to(device)
+        model.load_state_dict(start)
+        dtype = torch.bfloat16 if precision == "bf16" else torch.float32
+        optimizers = make_optimizers(model, config, device, dtype)
+        torch.manual_seed(0)
+        loss = task.loss(model, moved(batch, device), 0)
+        loss.backward()
+        norm = torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+        for optimizer in optimizers:
+            optimizer.step()
+        assert all(parameter.isfinite().all() for parameter in model.parameters())
+        figures.append((float(loss.detach()), float(norm)))
+    assert figures[1] == pytest.approx(figures[0], rel=TOLERANCE[precision])

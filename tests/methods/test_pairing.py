@@ -1,0 +1,143 @@
+"""Networks that pair vertices by index: what permutations do, which network is chosen, and meshes that are refused."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from networks import write_network, write_sequence_network
+from people import person, split_everywhere, walk
+from zoo import point_cloud
+
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip, Mesh, permute_vertices
+from mimesh.methods import find
+from mimesh.methods.find import find_method
+from mimesh.pipeline import animate, prepare, transfer
+
+pytest.importorskip("onnx")
+AXES = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
+NOTE = "both meshes have the same triangles, so vertices are paired by index"
+
+
+@pytest.fixture(params=["npt", "aniformer"])
+def ordered(request, tmp_path):
+    """A tiny network that was trained in one vertex order."""
+    if request.param == "npt":
+        return str(write_network(tmp_path / "tiny.onnx", pairing="order"))
+    return str(write_sequence_network(tmp_path / "tiny.onnx", metadata={"pairing": "order"}))
+
+
+@pytest.fixture
+def zoo(tmp_path, monkeypatch):
+    """The shipped weights of npt replaced by tiny ones; returns the path where the ordered ones are looked for."""
+    path, shipped = write_network(tmp_path / "npt.onnx"), find.weights_path
+    monkeypatch.setattr(find, "weights_path", lambda model: path if model == "npt" else shipped(model))
+    return tmp_path / "npt-ordered.onnx"
+
+
+def moved(identity: Mesh, driving: Mesh, model: str, **options) -> np.ndarray:
+    return transfer(identity, driving, model, **AXES, **options).vertices
+
+
+def test_permuting_both_meshes_permutes_the_result_and_permuting_one_changes_it(ordered):
+    identity, driving = person(0), person(1, 0)
+    expected = moved(identity, driving, ordered)
+    order = np.random.default_rng(0).permutation(len(identity.vertices))
+    both = moved(permute_vertices(identity, order), permute_vertices(driving, order), ordered)
+    assert np.array_equal(both, expected[order])
+    points = Mesh(driving.vertices[order], np.zeros((0, 3), int))
+    assert np.abs(moved(identity, points, ordered) - expected).max() > 0.01
+
+
+def test_each_vertex_gets_the_driving_vertex_of_its_index(tmp_path):
+    """Naive implementation: the network on the two files' vertices as they are numbered."""
+    identity, driving = person(0), person(1, 0)
+    method = find_method(str(write_network(tmp_path / "tiny.onnx", pairing="order")))
+    (result,) = method.prepare(identity, Clip.still(driving))(iter([driving.vertices]))
+    points = driving.vertices - (driving.vertices.min(axis=0) + driving.vertices.max(axis=0)) / 2
+    points = points / np.linalg.norm(points, axis=1).max()
+    inputs = {"identity": identity.vertices, "driving": points}
+    inputs = {name: array.astype(np.float32)[None] for name, array in inputs.items()}
+    expected = method.session.run(["result"], inputs)[0][0]
+    difference = result - expected  # but for where it stands
+    assert np.allclose(difference - difference.mean(axis=0), 0, atol=1e-5)
+
+
+def test_seams_stay_closed(ordered):
+    whole, driving = person(0), person(1, 0)
+    expected = moved(whole, driving, ordered)[whole.faces.ravel()]
+    assert np.allclose(moved(split_everywhere(whole), split_everywhere(driving), ordered), expected, atol=1e-6)
+
+
+def test_frames_of_a_clip_are_paired_by_index(ordered):
+    clip, identity = walk(frames=4), person(0)
+    expected = animate(identity, clip, ordered, **AXES).clip.vertices
+    order = np.random.default_rng(1).permutation(len(identity.vertices))
+    shuffled = Clip(permute_vertices(clip.mesh, order), clip.vertices[:, order], clip.fps)
+    result = animate(permute_vertices(identity, order), shuffled, ordered, **AXES).clip.vertices
+    assert np.array_equal(result, expected[:, order])
+
+
+@pytest.mark.parametrize("driving", [person(1, 0, faces=600), permute_vertices(person(1, 0), np.arange(502)[::-1])])
+def test_meshes_that_do_not_correspond_are_refused(ordered, driving):
+    with pytest.raises(InputError, match=r"expected the 502 vertices and the triangles of person0.*random"):
+        transfer(person(0), driving, ordered)
+
+
+def test_points_are_paired_by_index_if_there_are_as_many(ordered):
+    points = Mesh(person(1, 0).vertices, np.zeros((0, 3), int))
+    result = transfer(person(0), points, ordered, **AXES)
+    assert np.array_equal(result.vertices, moved(person(0), person(1, 0), ordered))
+    assert NOTE not in result.notes
+    with pytest.raises(InputError, match=f"found {len(point_cloud().vertices)} vertices"):
+        transfer(person(0), point_cloud(), ordered)
+
+
+def test_the_note_says_that_vertices_are_paired_by_index(ordered):
+    assert NOTE in transfer(person(0), person(1, 0), ordered).notes
+
+
+def test_a_pooled_pose_has_no_pairs(tmp_path):
+    pooled = str(write_network(tmp_path / "pooled.onnx", "global_max", pairing="order"))
+    result = transfer(person(0), person(1, 0, faces=600), pooled)
+    assert NOTE not in result.notes
+    assert np.isfinite(result.vertices).all()
+
+
+def test_auto_takes_the_ordered_network_for_shapes_of_one_mesh(zoo):
+    identity, driving, other = person(0), person(1, 0), person(1, 0, faces=600)
+    random = transfer(identity, driving, "npt")  # there are no ordered weights: said by nobody
+    assert NOTE not in random.notes
+    shutil.copy(write_network(zoo.with_name("other.onnx"), pairing="order"), zoo)
+    ordered = transfer(identity, driving, "npt")
+    assert NOTE in ordered.notes
+    assert np.array_equal(ordered.vertices, transfer(identity, driving, "npt", pairing="order").vertices)
+    assert not np.array_equal(ordered.vertices, random.vertices)
+    assert np.array_equal(transfer(identity, driving, "npt", pairing="random").vertices, random.vertices)
+    assert NOTE not in transfer(identity, other, "npt").notes
+    clouds = [Mesh(mesh.vertices, np.zeros((0, 3), int)) for mesh in (identity, driving)]
+    assert NOTE not in transfer(*clouds, "npt").notes
+    assert NOTE in animate(identity, Clip.still(driving), "npt").notes
+    assert prepare(identity, driving, "npt").pose(driving.vertices).shape == identity.vertices.shape
+
+
+def test_order_without_ordered_weights_says_how_to_make_them(zoo):
+    with pytest.raises(InputError, match=r"npt-ordered.onnx, found no file.*data.pairing=order"):
+        transfer(person(0), person(1, 0), "npt", pairing="order")
+
+
+def test_networks_of_another_pairing_are_refused(ordered, tmp_path):
+    random = str(write_network(tmp_path / "random.onnx"))
+    for model, pairing in ((random, "order"), (ordered, "random"), ("copy", "order"), ("mime", "order")):
+        with pytest.raises(
+            InputError, match=f"pairing.*trained with data.pairing={pairing}, found .*{Path(model).name}"
+        ):
+            transfer(person(0), person(1, 0), model, pairing=pairing)
+    with pytest.raises(InputError, match="expected auto, random or order"):
+        find_method("npt", pairing="index")
+
+
+def test_unknown_pairing_in_metadata_is_refused(tmp_path):
+    with pytest.raises(InputError, match="pairing"):
+        find_method(str(write_network(tmp_path / "odd.onnx", pairing="index")))
