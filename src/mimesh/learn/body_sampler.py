@@ -36,11 +36,11 @@ class DataConfig:
     registered meshes or clips of a folder."""
     vertices: int = 0
     """Vertices of each mesh: 0 for all, else a random subset (ends of random edges for identity and truth)."""
+    target_scale: Literal["truth", "identity"] = "truth"
+    """Whose radius the truth is divided by. The papers normalise every mesh; users do not know the truth's radius."""
     pairing: Literal["random", "order"] = "random"
     """Which driving vertex an identity vertex is paired with: a random one (NPT shuffles every mesh), or its own
     (AniFormer's public code never shuffles what it trains on)."""
-    target_scale: Literal["truth", "identity"] = "truth"
-    """Whose radius the truth is divided by. The papers normalise every mesh; users do not know the truth's radius."""
     spread: float = 1.3
     """Standard deviation of the shape coefficients of endless people."""
     heading: float = 45.0
