@@ -10,7 +10,7 @@ from pathlib import Path
 
 import mimesh
 from mimesh.core import geometry
-from mimesh.evaluate.metrics import edge_score, mean_error_mm, pmd_of_pair
+from mimesh.evaluate.metrics import box_aligned, edge_score, mean_error_mm, pmd_aligned
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.render import heat, sheet
 
@@ -28,14 +28,14 @@ def main(argv: list[str] | None = None) -> None:
     print(f"{'model':12} {'PMD x1e4':>9} {'mm':>6} {'edge score':>10}")
     for model in options.models:
         result = mimesh.transfer(identity, driving, model)
-        # The metrics centre both meshes, so a translation of the result does not count.
+        # Results stand in the world: moved to the truth by the centres of the boxes, their position does not count.
+        moved = box_aligned(result.vertices, truth.vertices)
         metrics = (
-            1e4 * pmd_of_pair(result.vertices, truth.vertices),
-            mean_error_mm(result.vertices, truth.vertices, height),
-            edge_score(result.vertices, truth.vertices, edges),
+            1e4 * pmd_aligned(moved, truth.vertices),
+            mean_error_mm(moved, truth.vertices, height),
+            edge_score(moved, truth.vertices, edges),
         )
         print("{:12} {:9.2f} {:6.1f} {:10.3f}".format(model, *metrics))
-        moved = result.vertices - result.vertices.mean(axis=0) + truth.vertices.mean(axis=0)
         picture = options.output / f"{Path(model).stem}.png"
         heat.heat_map(dataclasses.replace(result.mesh, vertices=moved), truth, limit=0.1, tile=(360, 440)).save(picture)
         print("wrote", picture)

@@ -28,7 +28,7 @@ from mimesh.bodies.character_pool import read_arrays
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.evaluate.characters import ACROSS
 from mimesh.evaluate.measure import AXES
-from mimesh.evaluate.metrics import mean_error_mm, pmd_of_pair
+from mimesh.evaluate.metrics import mean_error_mm, pmd_aligned
 from mimesh.evaluate.pairs import Pair
 from mimesh.evaluate.run import find_protocol
 from mimesh.methods.base import SkinnedDrive
@@ -83,7 +83,7 @@ def collect(
 def _errors(result: Float[np.ndarray, "V 3"], pair: Pair) -> tuple[float, float]:
     """Compute the PMD x1e4, and the mean distance in heights of the identity."""
     height = np.ptp(pair.identity.vertices[:, 1])
-    return pmd_of_pair(result, pair.truth) * 1e4, mean_error_mm(result, pair.truth, height) / 1700
+    return pmd_aligned(result, pair.truth) * 1e4, mean_error_mm(result, pair.truth, height) / 1700
 
 
 def _pairs(characters: Path, people: Path) -> Iterator[tuple[str, Callable[[], Pair]]]:

@@ -26,7 +26,7 @@ from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.person_motion import KnownJoints
 from mimesh.evaluate.animals import Animals, animals
 from mimesh.evaluate.measure import AXES
-from mimesh.evaluate.metrics import pmd_of_pair
+from mimesh.evaluate.metrics import pmd_aligned
 from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
 from mimesh.motions.animal_rig import animal_rig
@@ -58,14 +58,13 @@ def main() -> None:
 
 
 def measured(protocol: Animals, split: str, i: int) -> dict[str, Any]:
-    """Move the identity of pair `i` by the joints of both rigs; compare it with the truth, both about their means."""
+    """Move the identity of pair `i` by the joints of both rigs, and compare it with the truth."""
     (kind,) = protocol.kinds
     identity, driving, clip, frame = protocol.draw(split, i, protocol.rng(split, kind, i))
     pair = protocol.unshuffled_pair(split, kind, i, protocol.rng(split, kind, i))
     rig, _ = animal_rig(identity.rig, np.eye(3), identity.meta.file)
     moved = animate(pair.identity, posed(driving, pair.driving, clip, frame), "mime", rig=rig, ground=False, **AXES)
-    found = moved.clip.vertices[0].astype(np.float64)
-    error = pmd_of_pair(found - found.mean(axis=0), pair.truth - pair.truth.mean(axis=0))
+    error = pmd_aligned(moved.clip.vertices[0].astype(np.float64), pair.truth)
     return {"identity": identity.meta.file, "driving": pair.driving.name, "pmd_e4": round(1e4 * error, 2)}
 
 

@@ -1,8 +1,8 @@
 """Export trained checkpoints into the zoo, and write the measured errors of docs/results into the cards.
 
 Shipped weights are replaced only by weights that were trained on the same kind of data and have a lower validation
-error. If other settings of the data differ, the stored validation errors cannot be compared; then both networks are
-measured (mime with its body fit) on the split `val` of all kinds of pair.
+error. If other settings of the data differ, or the version of the metrics, the stored validation errors cannot be
+compared; then both networks are measured (mime with its body fit) on the split `val` of all kinds of pair.
 
     python scripts/ship_weights.py npt=runs/npt-small-0/best.safetensors aniformer=runs/aniformer-small-0/...
     python scripts/measure_all.py human-npt clips-aniformer --clips DIR
@@ -20,7 +20,9 @@ import write_results
 
 from mimesh.core.errors import InputError
 from mimesh.evaluate.measure import measure
+from mimesh.evaluate.metrics import VERSION
 from mimesh.evaluate.protocols import PROTOCOLS
+from mimesh.evaluate.results import read_reports
 from mimesh.evaluate.run import fingerprint
 from mimesh.io.atomic import whole_file
 from mimesh.learn import checkpoint
@@ -47,8 +49,8 @@ def main() -> None:
         if facts["config"].get("network") == "hands":
             continue  # no method of its own: its figures are those of `mime` on fingers
         protocol = test_set(facts)
-        reports = [json.loads(file.read_text()) for file in sorted(write_results.RESULTS.glob("*.json"))]
-        rows = [row for report in reports if report["protocol"] == protocol for row in report["results"]]
+        reports = read_reports(write_results.RESULTS)
+        rows = [row for report in reports.values() if report["protocol"] == protocol for row in report["results"]]
         if not fill_card(path, rows):
             print(f"{path.stem}: not measured yet on {protocol}; its card holds no test figures")
 
@@ -66,8 +68,9 @@ def ship(name: str, path: Path) -> None:
         data = facts["config"]["data"]
         if data["kind"] != state.config.data.kind:
             raise InputError(f"{path}: expected data {data['kind']} as shipped, found others")
-        old = facts["metrics"]["val"]["val_pmd_e4"]
-        if DataConfig(**data) != state.config.data:
+        stored = facts["metrics"]
+        old = stored["val"].get("val_pmd_e4", old)
+        if not state.metrics or stored.get("version") != VERSION or DataConfig(**data) != state.config.data:
             with tempfile.TemporaryDirectory() as folder:
                 exported = Path(folder) / f"{name}.onnx"
                 export_command(path, exported)
@@ -99,12 +102,14 @@ def fill_card(weights: Path, measured_rows: list[dict]) -> bool:
     measured = rows.get((weights.stem, unseen), {}).get("weights") == fingerprint(str(weights))
     card = weights.with_suffix(".json")
     facts = json.loads(card.read_text())
-    facts["metrics"]["test"] = {
+    val = facts["metrics"]["val"] if facts["metrics"].get("version") == VERSION else {}
+    test = {
         f"{prefix}{split}_pmd_e4": rows[method, split]["pmd_e4"]
         for prefix, method in (("", weights.stem), ("copy_", "copy"))
         for split in ("seen", unseen)
         if measured
     }
+    facts["metrics"] = {"version": VERSION, "val": val, "test": test}
     with whole_file(card) as temporary:
         temporary.write_text(json.dumps(facts, indent=2) + "\n")
     return measured

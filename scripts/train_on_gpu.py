@@ -13,6 +13,7 @@ is written anew after each of these steps, so it is complete up to where the mac
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import io
 import json
 import shutil
@@ -23,8 +24,10 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 
 import torch
+from torch._inductor.exc import InductorError
 
 from mimesh.io.atomic import whole_file
 from mimesh.learn import checkpoint
@@ -37,7 +40,9 @@ from mimesh.learn.training_run import TrainingRun
 
 WARM_STEPS, TIMED_STEPS, PROFILED_STEPS = 6, 40, 3
 """Of `--rate`: steps before the clock starts (the first compiles), steps timed, and steps listed kernel by kernel."""
-TINY = ("data.vertices=64", "batch=4", "validation_pairs=1", "warmup=16", "precision=fp32")
+WRITING = Lock()
+"""Held by who writes the parts of the results."""
+TINY = ("data.vertices=64", "compile=false", "batch=4", "validation_pairs=1", "warmup=16", "precision=fp32")
 """Changes of `--tiny`, beside `TINY_MODEL`."""
 TINY_MODEL = {
     "npt": ("model.encoder=[8,8,16]", "model.decoder=[16,16,16]"),
@@ -103,34 +108,35 @@ def main() -> None:
             write_parts(results, args.out, args.max_file_mib)
         return
     total = sum(job.share for job in jobs)
-    with ThreadPoolExecutor(1) as background:  # one after another, while the next job trains
-        waiting = []
+    with ThreadPoolExecutor(len(jobs)) as background:
         for job in jobs:
             train_job(job, args.minutes * job.share / total, args.work, args.tiny)
-            kept = job.name in args.keep
-            waiting.append(background.submit(finish, job, args.work, results, kept, args.tiny))
-            waiting.append(background.submit(write_parts, results, args.out, args.max_file_mib))
-        for future in waiting:
-            future.result()
+            background.submit(finish, job, args, results).add_done_callback(lambda done: done.result())
 
 
 def train_job(job: Job, minutes: float, work: Path, tiny: bool) -> None:
     """Train a job to the end of its minutes; one that was trained before goes on."""
     config, folder = job.config(minutes, tiny), work / job.name
     started = time.monotonic()
-    if job.start and not (folder / "last.safetensors").exists():
-        begin_with(config, work / job.start / FULL_RATE, folder)
-    train(config, folder)
+    for compiled in (config.compile, False):
+        config = dataclasses.replace(config, compile=compiled)
+        if job.start and not (folder / "last.safetensors").exists():
+            begin_with(config, work / job.start / FULL_RATE, folder)
+        try:
+            train(config, folder)
+            break
+        except InductorError as error:
+            print(f"{job.name}: goes on without compiling: {str(error)[:2000]}", flush=True)
     print(f"{job.name}: {time.monotonic() - started:.0f} s in all, {60 * minutes:.0f} s of them meant for steps")
 
 
-def finish(job: Job, work: Path, results: Path, kept: bool, tiny: bool) -> None:
+def finish(job: Job, args: argparse.Namespace, results: Path) -> None:
     """Export a trained job to the results and measure it; a step that fails is reported and costs no other."""
-    folder, onnx = work / job.name, results / f"{job.name}.onnx"
+    folder, onnx = args.work / job.name, results / f"{job.name}.onnx"
     shutil.copy(folder / "log.jsonl", results / f"{job.name}-log.jsonl")
-    if kept:
+    if job.name in args.keep:
         checkpoint.save_compact(folder / FULL_RATE, results / f"{job.name}-{FULL_RATE}", weights_only=True)
-    pairs = ["--pairs", "1"] if tiny else []
+    pairs = ["--pairs", "1"] if args.tiny else []
     commands = (
         ["export", folder / "last.safetensors", "-o", onnx, "--bits", "8"],
         ["evaluate", job.protocol, "-m", onnx, "--torch", "-o", results / f"{job.name}-test.json", *pairs],
@@ -142,6 +148,8 @@ def finish(job: Job, work: Path, results: Path, kept: bool, tiny: bool) -> None:
         if done.returncode:
             print(f"{job.name}: mimesh {command[0]} failed: {done.stderr[-2000:]}", flush=True)
             return
+        with WRITING:
+            write_parts(results, args.out, args.max_file_mib)
     print(f"{job.name}: exported and measured", flush=True)
 
 

@@ -268,7 +268,7 @@ def test_result_that_is_not_finite_is_counted_as_a_failure(protocol, monkeypatch
     for measurement in (measure, measure_characters):
         figures = measurement(pair, "identity")
         assert set(figures) == {"failed"}
-    good = {"pmd_e4": 1.0, "pmd_mse_e4": 1.0, "mm": 1.0, "seconds": 1.0}
+    good = {"pmd_e4": 1.0, "pmd_public_e4": 1.0, "mm": 1.0, "seconds": 1.0}
     row = summary("identity", "limits", [figures, good])
     assert (row["pairs"], row["failures"], "not_applicable" in row) == (1, 1, False)
     assert "| 1 of 2, 1 failed |" in kind_table([row])

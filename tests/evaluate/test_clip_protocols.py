@@ -13,7 +13,7 @@ from mimesh.core.errors import InputError
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, GAITS, SEEN, STRESS, clips_aniformer
 from mimesh.evaluate.frozen_sets import degrees_to_training, frozen_sets, training_poses
 from mimesh.evaluate.held_out_takes import ANIMATED, BOXING_SECONDS, ORDER, TAKES, is_held_out
-from mimesh.evaluate.metrics import pmd_of_pair, resized
+from mimesh.evaluate.metrics import pmd, resized
 from mimesh.evaluate.pairs import human
 from mimesh.motions import load_motion, resample, spline_motion
 from mimesh.motions.clips import SPLITS
@@ -91,8 +91,8 @@ def test_frames_of_the_truth_have_the_vertex_order_of_the_identity(protocol, kin
     assert trial.clip.fps == 30
     for t in (0, 11, 29):
         truth = trial.truth_frames[t]
-        assert pmd_of_pair(resized(trial.aligned_frames[t], truth), truth) < 80e-4
-        assert pmd_of_pair(np.roll(truth, 1, axis=0), truth) > 500e-4
+        assert pmd(resized(trial.aligned_frames[t], truth), truth) < 80e-4
+        assert pmd(np.roll(truth, 1, axis=0), truth) > 500e-4
         assert np.median(np.abs(edge_lengths(truth, trial) / edge_lengths(trial.identity.vertices, trial) - 1)) < 0.06
         np.testing.assert_allclose(
             np.sort(trial.clip.vertices[t], axis=0), np.sort(trial.aligned_frames[t], axis=0), atol=1e-12
@@ -132,7 +132,7 @@ def test_fields_of_a_pair_are_those_of_the_first_frame(protocol, kind):
     np.testing.assert_allclose(trial.aligned[identity], trial.driving.vertices[driving], atol=1e-12)
     np.testing.assert_allclose(trial.aligned_reference[identity], trial.reference[driving], atol=1e-12)
     rest = trial.identity.vertices
-    assert pmd_of_pair(resized(trial.aligned_reference, rest), rest) < 80e-4  # one pose, two people
+    assert pmd(resized(trial.aligned_reference, rest), rest) < 80e-4  # one pose, two people
 
 
 def edge_lengths(vertices, trial):

@@ -1,15 +1,18 @@
 """Clips in one vertex order: aligned trials, driving people of the training, and splits that share no second."""
 
+import dataclasses
 import itertools
 
 import numpy as np
 import pytest
 from held_out_files import write_all
+from networks import write_sequence_network
 
 from mimesh.core.errors import InputError
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
 from mimesh.evaluate.clips_ordered import CLIPS_ORDERED, UNSEEN, clips_ordered
 from mimesh.evaluate.frozen_sets import pair_checksum
+from mimesh.evaluate.measure import extra_inputs, result_frames
 from mimesh.evaluate.metrics import pmd_of_pair, resized
 from mimesh.evaluate.pairs import human
 from mimesh.motions import load_motion
@@ -97,3 +100,19 @@ def test_files_are_needed_for_held_out_motions_alone(tmp_path):
     for split in ("val", "test"):
         with pytest.raises(InputError, match="expected"):
             clips_ordered(tmp_path).check(split)
+
+
+def test_networks_that_pair_by_index_are_measured_here_and_refused_where_vertices_are_shuffled(tmp_path):
+    pytest.importorskip("onnx")
+    network = str(write_sequence_network(tmp_path / "tiny.onnx", metadata={"pairing": "order"}))
+    assert "true correspondence" in extra_inputs(network)
+    shuffled, ordered = (p.pair("val", "seen", 0) for p in (CLIPS_ANIFORMER, CLIPS_ORDERED))
+    short = dataclasses.replace(
+        ordered,
+        clip=dataclasses.replace(ordered.clip, vertices=ordered.clip.vertices[:3]),
+        truth_frames=ordered.truth_frames[:3],
+        aligned_frames=ordered.aligned_frames[:3],
+    )
+    assert result_frames(short, network).shape == (3, 6890, 3)
+    with pytest.raises(InputError, match="other triangles"):
+        result_frames(shuffled, network)

@@ -16,7 +16,7 @@ from mimesh.bodies.joint_names import named_joints
 from mimesh.bodies.sampling import JOINT_LIMITS, lowered_arms, rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
 from mimesh.evaluate.cross_body import check_character, cross_body, find_landmarks, pose_at_rest, pose_on_rig
-from mimesh.evaluate.metrics import pmd_of_pair, resized
+from mimesh.evaluate.metrics import pmd_aligned, resized
 from mimesh.io.gltf.skin_file import read_skin
 from mimesh.motions.retarget import BONES, to_local
 
@@ -183,7 +183,7 @@ def test_copy_exists_for_characters_with_the_same_triangles(characters):
     assert [pair.aligned is not None for pair in pairs] == [False, False, True, True]
     for pair in pairs[2:]:
         copied = resized(pair.aligned, pair.truth)
-        assert pmd_of_pair(copied, pair.truth) < 60e-4 < 100e-4 < pmd_of_pair(pair.identity.vertices, pair.truth)
+        assert pmd_aligned(copied, pair.truth) < 60e-4 < 100e-4 < pmd_aligned(pair.identity.vertices, pair.truth)
 
 
 def test_pairs_are_a_pure_function_of_split_kind_and_number(characters):

@@ -6,66 +6,116 @@ import zoo
 
 from mimesh.core.geometry import edges
 from mimesh.evaluate.metrics import (
+    box_aligned,
+    box_radius,
     chamfer,
     edge_score,
     flipped,
-    in_unit_sphere_of,
     largest_stretch,
     mean_error_mm,
     pmd,
-    pmd_of_pair,
     pmd_public,
+    resized,
 )
+
+SHIFT = np.array([1.0, -2.0, 3.0])
+
+
+def pair(seed=0, shape=(25, 3)):
+    return np.random.default_rng(seed).normal(size=(2, *shape))
+
+
+def naive_box(mesh):
+    """Centre of the box, and largest distance from it."""
+    centre = [(min(column) + max(column)) / 2 for column in mesh.T]
+    return centre, max(sum((x - c) ** 2 for x, c in zip(point, centre, strict=True)) ** 0.5 for point in mesh)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_pmd_is_equation_7(dtype):
-    rng = np.random.default_rng(0)
-    result, truth = rng.normal(size=(2, 2, 9, 3)).astype(dtype)
-    naive = [sum(sum((p - q) ** 2 for p, q in zip(a, b, strict=True)) for a, b in zip(m, n, strict=True)) / 9
-             for m, n in zip(result, truth, strict=True)]  # fmt: skip
-    np.testing.assert_allclose(pmd(result, truth), naive, rtol=1e-5)
-
-
-def test_pmd_never_broadcasts():
-    with pytest.raises(ValueError, match=r"\(1, 3\) and \(5, 3\)"):
-        pmd(np.zeros((1, 3)), np.zeros((5, 3)))
-
-
-def test_pmd_of_pair_ignores_translation_and_unit():
-    rng = np.random.default_rng(1)
-    result, truth = rng.normal(size=(2, 20, 3))
-    moved = pmd_of_pair(100 * result + [1, 2, 3], 100 * truth - [4, 5, 6])
-    assert moved == pytest.approx(pmd_of_pair(result, truth))
-    assert pmd_of_pair(truth + 1.0, truth) == pytest.approx(0, abs=1e-30)
-
-
-def test_unit_sphere_is_that_of_the_truth():
-    truth = np.random.default_rng(2).normal(size=(30, 3))
-    result, again = in_unit_sphere_of(truth, 2 * truth, truth)
-    assert np.linalg.norm(again, axis=1).max() == pytest.approx(1)
-    assert np.linalg.norm(result, axis=1).max() == pytest.approx(2)
-
-
-def test_mean_error_is_scaled_to_the_height_of_the_person():
-    truth = np.random.default_rng(3).normal(size=(40, 3))
-    shift = np.tile([[0.01, 0, 0], [-0.01, 0, 0]], (20, 1))
-    assert mean_error_mm(truth + shift, truth, height=1.7) == pytest.approx(10)
-    assert mean_error_mm(truth + shift, truth, height=0.85) == pytest.approx(20)
-
-
-def test_public_pmd_equals_a_naive_implementation_and_a_third_of_pmd_on_symmetric_meshes():
-    rng = np.random.default_rng(4)
-    result, truth = rng.normal(size=(2, 25, 3))
-    radius = max(np.linalg.norm(point - truth.mean(axis=0)) for point in truth)
+def test_pmd_is_equation_7_in_the_unit_sphere_about_the_box_of_the_truth(dtype):
+    result, truth = pair().astype(dtype)
+    centre, size = naive_box(truth)
     total = 0.0
-    for axis in range(3):
-        a, b = result[:, axis] / radius, truth[:, axis] / radius
-        a, b = a - (a.min() + a.max()) / 2, b - (b.min() + b.max()) / 2
-        total += sum((x - y) ** 2 for x, y in zip(a, b, strict=True))
+    for p, q in zip(result, truth, strict=True):
+        total += sum(((x - c) / size - (y - c) / size) ** 2 for x, y, c in zip(p, q, centre, strict=True))
+    assert pmd(result, truth) == pytest.approx(total / 25, rel=1e-5)
+
+
+def test_values_computed_by_hand():
+    """The box of the truth has the centre (1, 1, 0); its radius is the root of 2."""
+    truth = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]])
+    result = truth + [[0, 0, 0.3], [0, 0, 0.3], [0, 0, 0.6]]  # its box is 0.45 above that of the truth
+    assert pmd(result, truth) == pytest.approx((0.09 + 0.09 + 0.36) / 3 / 2)
+    assert pmd_public(result, truth) == pytest.approx(3 * 0.15**2 / 9)
+    assert mean_error_mm(result, truth, height=1.7) == pytest.approx(150)
+
+
+def test_pmd_of_a_clip_is_the_mean_over_frames_each_in_its_own_sphere():
+    result, truth = pair(1, (4, 20, 3))
+    truth *= 2.0 ** np.arange(4)[:, None, None]
+    frames = list(zip(result, truth, strict=True))
+    assert pmd(result, truth) == pytest.approx(np.mean([pmd(*frame) for frame in frames]))
+    assert pmd_public(result, truth) == pytest.approx(np.mean([pmd_public(*frame) for frame in frames]))
+
+
+def test_nothing_is_broadcast():
+    for metric in (pmd, pmd_public):
+        with pytest.raises(ValueError, match=r"\(1, 3\) and \(5, 3\)"):
+            metric(np.zeros((1, 3)), np.zeros((5, 3)))
+
+
+def test_moving_both_meshes_changes_nothing():
+    result, truth = pair(2)
+    assert pmd(result + SHIFT, truth + SHIFT) == pytest.approx(pmd(result, truth))
+    assert pmd_public(result + SHIFT, truth + SHIFT) == pytest.approx(pmd_public(result, truth))
+
+
+def test_moving_the_result_alone_changes_equation_7_and_not_the_public_formula():
+    result, truth = pair(3)
+    assert pmd_public(result + SHIFT, truth) == pytest.approx(pmd_public(result, truth))
+    assert pmd(truth + SHIFT, truth) == pytest.approx(SHIFT @ SHIFT / box_radius(truth) ** 2)
+    assert pmd_public(truth + SHIFT, truth) == pytest.approx(0, abs=1e-30)
+
+
+def test_scaling_both_leaves_equation_7_and_squares_in_the_public_formula():
+    result, truth = pair(4)
+    assert pmd(100 * result, 100 * truth) == pytest.approx(pmd(result, truth))
+    assert pmd_public(100 * result, 100 * truth) == pytest.approx(1e4 * pmd_public(result, truth))
+    assert pmd_public(100 * result, 100 * truth, metres=0.01) == pytest.approx(pmd_public(result, truth))
+
+
+def test_public_formula_equals_a_naive_implementation():
+    result, truth = pair(5)
+    centres = naive_box(result)[0], naive_box(truth)[0]
+    total = sum(
+        ((p[axis] - centres[0][axis]) - (q[axis] - centres[1][axis])) ** 2
+        for p, q in zip(result, truth, strict=True)
+        for axis in range(3)
+    )
     assert pmd_public(result, truth) == pytest.approx(total / (25 * 3))
-    symmetric = np.concatenate([truth, -truth])
-    assert pmd_public(1.1 * symmetric, symmetric) == pytest.approx(pmd_of_pair(1.1 * symmetric, symmetric) / 3)
+
+
+def test_equation_7_of_a_box_centred_result_is_three_times_the_public_formula_over_the_squared_radius():
+    result, truth = pair(6)
+    aligned = box_aligned(result, truth)
+    assert pmd(aligned, truth) == pytest.approx(3 * pmd_public(result, truth) / naive_box(truth)[1] ** 2)
+    assert pmd(aligned, truth) != pytest.approx(pmd(result, truth))
+
+
+def test_a_resized_mesh_has_box_centre_and_radius_of_the_truth():
+    mesh, truth = pair(7)
+    fitted = resized(5 * mesh + SHIFT, truth)
+    assert box_radius(fitted) == pytest.approx(naive_box(truth)[1])
+    assert naive_box(fitted)[0] == pytest.approx(naive_box(truth)[0])
+    assert pmd(resized(3 * truth - SHIFT, truth), truth) == pytest.approx(0, abs=1e-30)
+
+
+def test_mean_error_is_scaled_to_the_height_of_the_person_and_ignores_position():
+    result, truth = pair(8)
+    error = mean_error_mm(result, truth, height=1.7)
+    assert error == pytest.approx(1e3 * np.linalg.norm(box_aligned(result, truth) - truth, axis=1).mean())
+    assert mean_error_mm(result, truth, height=0.85) == pytest.approx(2 * error)
+    assert mean_error_mm(result + SHIFT, truth, height=1.7) == pytest.approx(error)
 
 
 def naive_edges(faces):

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from mimesh.bodies.dress import GARMENTS, TEST_FILE, TEST_GARMENTS
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.evaluate.frozen_sets import degrees_to_training, training_poses
-from mimesh.evaluate.metrics import pmd_of_pair, resized
+from mimesh.evaluate.metrics import pmd, resized
 from mimesh.evaluate.pairs import human
 from mimesh.evaluate.protocols import (
     CONTACT,
@@ -68,8 +68,8 @@ BODY = 6890
 def test_truth_has_the_vertex_order_of_the_identity(protocol, kind):
     """A wrong order is wrong by far more than another person, and tears edges."""
     pair = protocol.pair("val", kind, 0)
-    aligned = pmd_of_pair(resized(pair.aligned, pair.truth), pair.truth)
-    wrong = pmd_of_pair(np.roll(pair.truth, 1, axis=0), pair.truth)
+    aligned = pmd(resized(pair.aligned, pair.truth), pair.truth)
+    wrong = pmd(np.roll(pair.truth, 1, axis=0), pair.truth)
     assert aligned < 80e-4 < 500e-4 < wrong
     edge = pair.identity.faces[:, :2]
     old, new = (np.linalg.norm(np.diff(v[edge], axis=1)[:, 0], axis=1) for v in (pair.identity.vertices, pair.truth))
@@ -258,8 +258,8 @@ def test_kind_says_who_wears_test_garments(with_folder, who):
     plain = len(human().vertices)
     assert (len(pair.identity.vertices) > plain) == (who != "driving")
     assert (len(pair.driving.vertices) > plain) == (who != "identity")
-    aligned = pmd_of_pair(resized(pair.aligned, pair.truth), pair.truth)
-    assert aligned < 80e-4 < 500e-4 < pmd_of_pair(np.roll(pair.truth, 1, axis=0), pair.truth)
+    aligned = pmd(resized(pair.aligned, pair.truth), pair.truth)
+    assert aligned < 80e-4 < 500e-4 < pmd(np.roll(pair.truth, 1, axis=0), pair.truth)
     other = with_folder.pair("val", who, 0)
     assert other.truth.shape != pair.truth.shape or not np.allclose(other.truth, pair.truth)
 

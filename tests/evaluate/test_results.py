@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from mimesh.core.errors import InputError
+from mimesh.evaluate.metrics import VERSION
 from mimesh.evaluate.results import README_MARKS, readme_table, results_page, with_readme_table
 from mimesh.evaluate.run import fingerprint
 from mimesh.methods.find import is_table_model, weights_path
@@ -21,7 +22,7 @@ def report(protocol, rows, split="test"):
         "machine": "a box",
         "date": "2026-11-21T00:00",
     }
-    return {"protocol": protocol, "version": 1, "provenance": provenance, "results": rows}
+    return {"protocol": protocol, "version": 1, "metrics": VERSION, "provenance": provenance, "results": rows}
 
 
 def row(method, split, *errors, given="nothing", **more):
@@ -64,7 +65,7 @@ def test_rows_of_the_papers_tables_stand_apart_from_what_users_get(tmp_path):
     assert "`mime-table-network`" not in ours
     assert set(table_after(ours, "### Table 6, the papers' training poses")) == {"`npt`"}
     assert set(table_after(ours, "With the shipped body's model:")) == {"`mime`"}
-    assert "| `npt-full` | 1.1 | 9.3 | 7 |" in papers
+    assert "| NPT, full width | 1.1 / 9.3 | 7 |" in papers
 
 
 def test_mirror_images_stand_beside_their_pairs(tmp_path):
@@ -128,13 +129,20 @@ def test_page_has_reasons_and_provenance(tmp_path):
     page = results_page(tmp_path)
     assert "`deformation-transfer-13`, 2 of 2 pairs of points (no faces)" in page
     assert "01234567, a box, 2026-11-21" in page
-    assert "| DT, 13 control points | `deformation-transfer-13` | 7.7 | 6.7 | not measured |" in page
+    assert "| DT, 13 control points | 7.7 / 6.7 | not measured |" in page
 
 
 def test_reports_of_another_split_are_refused(tmp_path):
     (tmp_path / "noise.json").write_text(json.dumps(report("noise", [row("npt", "holes", 1.0)], "val")))
     with pytest.raises(InputError, match="split test"):
         results_page(tmp_path)
+
+
+def test_reports_of_an_earlier_version_of_the_metrics_are_refused(tmp_path):
+    old = report("noise", [row("npt", "holes", 1.0)])
+    del old["metrics"]
+    with pytest.raises(InputError, match=r"noise-0\.json: expected figures of version 2 .*, found version 1"):
+        results_page(written(tmp_path, old))
 
 
 @pytest.mark.skipif(not (DOCS / "RESULTS.md").exists(), reason="a package without its docs")

@@ -10,7 +10,7 @@ from mimesh.evaluate.summary import calibration, half_interval, summary, warning
 
 
 def figures(pmd, pair="", identity="a", driving="b", **more):
-    metrics = {"pmd_e4": pmd, "pmd_mse_e4": pmd / 3, "mm": np.sqrt(pmd), "seconds": 0.1}
+    metrics = {"pmd_e4": pmd, "pmd_public_e4": pmd / 3, "mm": np.sqrt(pmd), "seconds": 0.1}
     return {"pair": pair or str(pmd), "identity": identity, "driving": driving, **metrics, **more}
 
 
@@ -23,7 +23,7 @@ def test_a_report_has_the_figures_of_every_pair_and_their_statistics():
     for line in result["results"]:
         each = line["each"]
         assert {len(column) for column in each.values()} == {4}
-        for name in ("pmd_e4", "pmd_mse_e4", "mm"):
+        for name in ("pmd_e4", "pmd_public_e4", "mm"):
             np.testing.assert_allclose(line[name], np.mean(each[name]), rtol=1e-2)
             np.testing.assert_allclose(line[f"{name}_median"], np.median(each[name]), rtol=1e-2)
             np.testing.assert_allclose(line[f"{name}_p90"], np.quantile(each[name], 0.9), rtol=1e-2)

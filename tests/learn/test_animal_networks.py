@@ -16,7 +16,7 @@ from mimesh.bodies.sampling import sample_shape  # noqa: E402
 from mimesh.cli import run  # noqa: E402
 from mimesh.core.mesh import Mesh  # noqa: E402
 from mimesh.evaluate.measure import extra_inputs, training_facts  # noqa: E402
-from mimesh.evaluate.metrics import pmd_of_pair  # noqa: E402
+from mimesh.evaluate.metrics import pmd_aligned  # noqa: E402
 from mimesh.evaluate.quadruped import QUADRUPED  # noqa: E402
 from mimesh.io import load_mesh, save_mesh  # noqa: E402
 from mimesh.learn import export  # noqa: E402
@@ -111,7 +111,7 @@ def test_a_network_that_changes_nothing_has_the_error_of_the_identity(network, k
         return identity[:, None].expand(driving.shape)
 
     monkeypatch.setattr(model, "forward", unchanged)
-    assert task.trial_error(model, pair) == pytest.approx(pmd_of_pair(pair.identity.vertices, pair.truth), rel=1e-3)
+    assert task.trial_error(model, pair) == pytest.approx(pmd_aligned(pair.identity.vertices, pair.truth), rel=1e-3)
 
 
 def test_pairs_have_one_order_and_unit_and_are_reproducible():

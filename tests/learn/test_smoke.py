@@ -19,7 +19,7 @@ def test_npt_overfits_one_pair():
     for _ in range(250):
         optimizer.zero_grad()
         result = model(batch.identity, batch.driving)
-        npt_loss(result, batch.truth, batch.identity, batch.edges, edges_of_mesh=batch.edges_of_mesh).backward()
+        npt_loss(result, batch.truth, batch.edges, edges_of_mesh=batch.edges_of_mesh).backward()
         optimizer.step()
         errors.append(float((result - batch.truth).detach().square().sum(-1).mean()))
     assert errors[-1] < errors[0] / 100

@@ -14,7 +14,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.geometry import edges, face_areas, weld
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import bbox_centre, radius
-from mimesh.evaluate.metrics import pmd_of_pair, resized
+from mimesh.evaluate.metrics import pmd, resized
 from mimesh.methods.base import Method
 from mimesh.methods.deformation_transfer import (
     DeformationTransfer,
@@ -108,16 +108,16 @@ def test_identity_that_is_the_reference_becomes_the_driving():
 @WITH_AND_WITHOUT
 def test_error_on_an_unseen_pose_is_below_the_papers_and_the_drivings(markers):
     identity, reference, driving, truth = trio()
-    result = pmd_of_pair(resized(run(identity, reference, driving, markers), truth), truth)
+    result = pmd(resized(run(identity, reference, driving, markers), truth), truth)
     assert result < 6.7e-4
-    assert result < pmd_of_pair(resized(driving.vertices, truth), truth) / 2
+    assert result < pmd(resized(driving.vertices, truth), truth) / 2
 
 
 def test_markers_match_meshes_of_different_counts():
     identity, _, _, truth = trio()
     _, reference, driving, _ = trio(1500)
     markers = np.stack([markers_of(), markers_of(1500)], axis=1)
-    assert pmd_of_pair(resized(run(identity, reference, driving, markers), truth), truth) < 6.7e-4
+    assert pmd(resized(run(identity, reference, driving, markers), truth), truth) < 6.7e-4
 
 
 def test_permuted_identity_permutes_the_result_to_the_last_bit():

@@ -16,6 +16,8 @@ from mimesh.core.geometry import edges
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.normalization import ROTATIONS, bbox_centre, radius
 from mimesh.core.surface_points import padded_vertices
+from mimesh.evaluate.measure import placed_shapes
+from mimesh.evaluate.run import evaluate_command
 from mimesh.methods.find import SHIPPED_NETWORKS, find_method
 from mimesh.methods.npt import POOLED_POINTS, PatchDistances
 from mimesh.methods.onnx_models import load_network
@@ -217,6 +219,24 @@ def test_a_network_of_metres_gets_both_meshes_in_metres(tmp_path, write):
     raw = method.session.run(["result"], recorder.given[0])[0].reshape(-1, 3)[: len(tall.vertices)]
     found, raw = (points - bbox_centre(points) for points in (result.vertices, raw))
     assert radius(found) == pytest.approx(radius(raw), rel=1e-5)
+
+
+def test_a_network_of_metres_is_measured_in_metres(tmp_path):
+    """`evaluate` compares the network's own results; an imported network has a card without data of a training."""
+    path = write_network(tmp_path / "authors.onnx", target_scale="metres")
+    imported = {"config": {"network": "npt", "model": {}}, "imported": {"file": "original_169.model"}}
+    path.with_suffix(".json").write_text(json.dumps(imported))
+    method = find_method(str(path))
+    recorder, driving = Recorder(method.session), person(1, 0)
+    network = dataclasses.replace(method, session=recorder)
+    placed, origin = placed_shapes(network, person(0), Clip.still(driving), driving.vertices[None])
+    given = recorder.given[0]
+    assert radius(given["identity"][0]) == pytest.approx(radius(person(0).vertices - bbox_centre(person(0).vertices)))
+    own = method.session.run(["result"], given)[0][0]
+    assert radius(placed[0] - origin) == pytest.approx(radius(own), rel=1e-5)
+    figures = evaluate_command("human-npt", [str(path)], pairs=1)
+    assert "by its authors, original_169.model" in json.dumps(figures)
+    assert "trained on its authors' meshes" in json.dumps(figures)
 
 
 @pytest.mark.parametrize("write", [write_network, write_sequence_network])

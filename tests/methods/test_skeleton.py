@@ -13,7 +13,7 @@ from mimesh.bodies.body_parameters import BodyParameters, thin_body
 from mimesh.core.canonical_order import canonical_order
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import Normalization
-from mimesh.evaluate.metrics import pmd_of_pair
+from mimesh.evaluate.metrics import pmd_aligned
 from mimesh.methods.base import Method
 from mimesh.methods.skeleton import SkeletonBaseline, bind, bone_segments, bone_transforms, surface_sampler
 
@@ -69,9 +69,9 @@ def test_identity_as_driving_returns_the_identity():
 
 def test_result_is_near_the_truth():
     truth = person(0, pose=1).vertices
-    error = pmd_of_pair(IDENTITY_FRAME.radius * example(), truth)
+    error = pmd_aligned(IDENTITY_FRAME.radius * example(), truth)
     assert error < 5e-4  # the paper reports 27e-4
-    assert pmd_of_pair(IDENTITY.vertices, truth) > 10 * error
+    assert pmd_aligned(IDENTITY.vertices, truth) > 10 * error
 
 
 def test_permuted_identity_permutes_the_result_and_permuted_driving_changes_no_bit():
@@ -136,7 +136,7 @@ def test_frames_of_a_clip_are_near_the_truth():
     drive = SkeletonBaseline().prepare(normalised(identity), Clip.still(normalised(clip.mesh)))
     results = drive(frame.apply(vertices) for vertices in clip.vertices)
     for result, truth in zip(results, walk(0, frames=3).vertices, strict=True):
-        assert pmd_of_pair(size * result, truth) < 2e-4
+        assert pmd_aligned(size * result, truth) < 2e-4
 
 
 @pytest.mark.parametrize("make", ZOO, ids=lambda make: make.__name__)

@@ -18,7 +18,7 @@ from mimesh.bodies.characters import proportioned
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.cli import run
 from mimesh.core.errors import InputError
-from mimesh.evaluate.metrics import pmd_of_pair
+from mimesh.evaluate.metrics import pmd_aligned
 from mimesh.evaluate.pairs import Pair
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.evaluate.quadruped import QUADRUPED
@@ -286,7 +286,7 @@ def test_animals_without_rigs_are_taken_for_animals_and_moved(i):
     """Nearer to the truth than the identity as it is, in the driving's pose and not on its head."""
     pair = surfaces(i)
     result = mimesh.transfer(pair.identity, pair.driving, up="+y", driving_up="+y")
-    assert pmd_of_pair(result.mesh.vertices, pair.truth) < 0.5 * pmd_of_pair(pair.identity.vertices, pair.truth)
+    assert pmd_aligned(result.mesh.vertices, pair.truth) < 0.5 * pmd_aligned(pair.identity.vertices, pair.truth)
 
 
 def test_animals_without_axes_are_found_upright():

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.core.geometry import edges
 from mimesh.core.mesh import Mesh
-from mimesh.evaluate.metrics import pmd_of_pair
+from mimesh.evaluate.metrics import pmd_aligned
 from mimesh.pipeline.refine import Refinement
 from mimesh.pipeline.report import edge_stretch
 
@@ -29,11 +29,11 @@ def test_noise_is_smoothed_and_the_pose_is_kept():
     rough = POSED.vertices + noise
     refined = Refinement.of(IDENTITY)(rough)
     pairs = edges(IDENTITY.faces)
-    assert pmd_of_pair(refined, POSED.vertices) < 1.2 * pmd_of_pair(rough, POSED.vertices)
+    assert pmd_aligned(refined, POSED.vertices) < 1.2 * pmd_aligned(rough, POSED.vertices)
     before, after = (edge_stretch(POSED.vertices, v, pairs).mean() - 1 for v in (rough, refined))
     assert after < 0.5 * before
     clean = Refinement.of(IDENTITY)(POSED.vertices)
-    assert pmd_of_pair(clean, POSED.vertices) < 1e-4
+    assert pmd_aligned(clean, POSED.vertices) < 1e-4
 
 
 def test_vertex_order_does_not_matter():

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from ..core.printable import say
+from ..evaluate.metrics import VERSION
 from .terminal import Json, Open, Quiet, Stop, open_page, print_json, print_next, progress
 
 
@@ -73,7 +74,8 @@ MISSING = "its weights are missing here; install mimesh again"
 
 def _describe(card: dict[str, Any]) -> str:
     """Return size, licence and errors of a shipped network in one line."""
-    test = card.get("metrics", {}).get("test", {})
+    measured = card.get("metrics", {})
+    test = measured.get("test", {}) if measured.get("version") == VERSION else {}
     figures = ", ".join(
         f"{label} {test[f'{kind}_pmd_e4']:.3g}" for kind, label in FIGURES.items() if f"{kind}_pmd_e4" in test
     )

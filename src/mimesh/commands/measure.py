@@ -76,7 +76,7 @@ def evaluate(
     """Measure models on a named test set, or on lists of your own files.
 
     A list has lines of three names: identity, driving, truth. PMD is Eq. 7 of the papers,
-    x1e-4, in the truth's unit sphere.
+    x1e-4, with the truth in the unit sphere about its box.
     """
     from ..evaluate.markdown import markdown
     from ..evaluate.run import evaluate_command
@@ -102,7 +102,12 @@ def evaluate(
 
 
 def table(
-    name: Annotated[str, typer.Argument(metavar="TABLE", help="npt-1, npt-2, npt-7, aniformer-1 or -2, animals.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="TABLE", help="npt-1, npt-2, npt-7, aniformer-1 or -2, aniformer-1-random or -2-random, animals."
+        ),
+    ],
     output: Figures = None,
     pairs: Pairs = 0,
     data: Data = None,

@@ -135,9 +135,9 @@ def parse_axis(axis: str | None, option: str) -> str | None:
     return name
 
 
-def bbox_centre(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
+def bbox_centre(vertices: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T 3"]:
     """Compute the centre of the axis-aligned bounding box; exactly the same for any order of the vertices."""
-    return (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    return (vertices.min(axis=-2) + vertices.max(axis=-2)) / 2
 
 
 def radius(centred: Float[np.ndarray, "V 3"]) -> float:

@@ -73,6 +73,7 @@ class Animals(Protocol):
             driving=_mesh(driving, posed, label),
             truth=truth,
             height=_height(identity),
+            metres=1.7 / _height(identity),
             truth_name=f"{identity.meta.file}_{label}",
             groups=(identity.meta.file, driving.meta.file),
             reference=driving.rig.mesh.vertices,

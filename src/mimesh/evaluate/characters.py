@@ -222,11 +222,13 @@ def _pair(identity, driving, rest, transforms, labels, truth, truth_known) -> Ch
         PosedCharacter(character.meta, character.rig, character.limbs, pose)
         for character, pose in ((identity, rest), (driving, transforms))
     )
+    height = float(np.ptp(identity.rig.mesh.vertices[:, 1]))
     return CharacterPair(
         identity=_mesh(identity_posed, labels[0]),
         driving=_mesh(driving_posed, labels[1]),
         truth=truth,
-        height=float(np.ptp(identity.rig.mesh.vertices[:, 1])),
+        height=height,
+        metres=1.7 / height,
         truth_name=f"{identity.meta.file}_{labels[1]}",
         groups=(_group(identity.meta), _group(driving.meta)),
         identity_character=identity_posed,

@@ -19,7 +19,6 @@ import dataclasses
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -37,13 +36,12 @@ from .clip_protocols import (
     split_into_seconds,
 )
 from .held_out_takes import find_takes
-from .pairs import Pair, Person, human, reorder_vertices
+from .pairs import Person, human
 
 UNSEEN = 20
 """Unseen motions of `test`, as many as the paper's."""
 UNSEEN_STRIDE = 7
 """Trial i of `unseen` uses motion 7 i mod 20 of `test`, so that the first few trials cover both takes."""
-P = TypeVar("P", bound=Pair)
 
 
 @dataclass(frozen=True)
@@ -86,14 +84,9 @@ class ClipsOrdered(ClipsAniformer):
     def pair(self, split: str, kind: str, i: int) -> ClipPair:
         """Generate trial i as methods get it: one random vertex order for both meshes and all frames."""
         rng = self.rng(split, kind, i)
-        return in_one_order(self.unshuffled_pair(split, kind, i, rng), rng)
-
-
-def in_one_order(trial: P, rng: np.random.Generator) -> P:
-    """Shuffle the vertices of both meshes of a pair or a clip the same way; they have as many, and correspond."""
-    order = rng.permutation(len(trial.identity.vertices))
-    reorder = reorder_clip_vertices if isinstance(trial, ClipPair) else reorder_vertices
-    return reorder(trial, order, order)  # pyright: ignore[reportReturnType, reportArgumentType] (keeps the class)
+        trial = self.unshuffled_pair(split, kind, i, rng)
+        order = rng.permutation(len(trial.identity.vertices))
+        return reorder_clip_vertices(trial, order, order)
 
 
 def clips_ordered(data: Path | None = None) -> ClipsOrdered:

@@ -207,11 +207,13 @@ def _make_pair(identity: SkinnedCharacter, driving: SkinnedCharacter, rest: Pose
     identity_rest, reference = (rig.posed(pose_on_rig(rig, human(), rest.rotmat)) for rig in (identity, driving))
     truth, driving_posed = (rig.posed(pose_on_rig(rig, human(), pose.rotmat)) for rig in (identity, driving))
     same_topology = np.array_equal(identity.mesh.faces, driving.mesh.faces)
+    height = float(np.ptp(identity.mesh.vertices[:, 1]))
     return Pair(
         identity=_mesh(identity, identity_rest, rest.label),
         driving=_mesh(driving, driving_posed, pose.label),
         truth=truth,
-        height=float(np.ptp(identity.mesh.vertices[:, 1])),
+        height=height,
+        metres=1.7 / height,
         aligned=driving_posed if same_topology else None,
         aligned_reference=reference if same_topology else None,
         reference=reference,

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from .clip_protocols import ClipPair
-from .measure import result_frames, result_vertices
-from .metrics import in_unit_sphere_of, pmd_of_pair
+from .measure import run_on_clip, run_on_pair
+from .metrics import pmd
 from .pairs import Pair
 from .protocols import Protocol
 
@@ -49,25 +49,26 @@ def dump_worst(
 
 
 def _to_draw(pair: Pair, method: str, options: dict[str, Any]) -> tuple[Pair, Float[np.ndarray, "V 3"]]:
-    """Return a pair and the method's result; for a clip, those of the frame with the largest PMD."""
+    """Return a pair and the method's result beside its truth; for a clip, those of the frame with the largest PMD."""
     if not isinstance(pair, ClipPair):
-        return pair, result_vertices(pair, method, **options)
-    frames = result_frames(pair, method, **options)
-    worst = int(np.argmax([pmd_of_pair(a, b) for a, b in zip(frames, pair.truth_frames, strict=True)]))
+        return pair, run_on_pair(pair, method, **options).beside(pair.truth)
+    frames = run_on_clip(pair, method, **options).beside(pair.truth_frames)
+    worst = int(np.argmax([pmd(a, b) for a, b in zip(frames, pair.truth_frames, strict=True)]))
     return pair.frame(worst), frames[worst]
 
 
 def trial_picture(pair: Pair, result: Float[np.ndarray, "V 3"]) -> Image.Image:
     """Draw identity, driving, result and truth in a row, above the result's heat map (mm for a person of 1.7 m).
 
+    The result lies where it is compared with the truth.
+
     Without a true mesh, the first three are drawn.
     """
     from ..render.heat import heat_map
     from ..render.sheet import stack, transfer_sheet
 
-    centred = in_unit_sphere_of(pair.truth, result, pair.truth)
-    metres = np.linalg.norm(pair.truth - pair.truth.mean(axis=0), axis=1).max() * 1.7 / pair.height
-    shown, truth = (dataclasses.replace(pair.identity, vertices=points * metres) for points in centred)
+    scale = 1.7 / pair.height
+    shown, truth = (dataclasses.replace(pair.identity, vertices=scale * points) for points in (result, pair.truth))
     if not pair.truth_known:
         return transfer_sheet(pair.identity, pair.driving, shown)
     return stack([transfer_sheet(pair.identity, pair.driving, shown, truth), heat_map(shown, truth)])

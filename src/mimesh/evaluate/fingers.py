@@ -115,11 +115,13 @@ class FingerGestures(Wide):
             for character in (second, first)
         )
         part, tips = character_parts(first)
+        height = float(np.ptp(first.rig.mesh.vertices[:, 1]))
         return FingerPair(
             identity=first.rig.mesh,
             driving=dataclasses.replace(second.rig.mesh, vertices=driving, name=f"{second.rig.mesh.name}_{pose.label}"),
             truth=truth,
-            height=float(np.ptp(first.rig.mesh.vertices[:, 1])),
+            height=height,
+            metres=1.7 / height,
             truth_name=f"{first.rig.mesh.name}_{pose.label}",
             groups=(first.meta.file, second.meta.file),
             part=part,

@@ -88,11 +88,13 @@ class ListedPairs(Protocol):
         return self._pair(kind, triple, identity, driving, truth)
 
     def _pair(self, kind: str, triple: Triple, identity: Mesh, driving: Mesh, truth: Mesh) -> Pair:
+        height = self._height(kind, triple, identity)
         return Pair(
             identity=_plain(identity, triple),
             driving=_plain(driving, triple),
             truth=truth.vertices,
-            height=self._height(kind, triple, identity),
+            height=height,
+            metres=HEIGHT / height,
             aligned=driving.vertices if _corresponds(driving, identity) else None,
             truth_name=triple.paths[2].stem,
             groups=(_person(triple.names[0]), _person(triple.names[1])),

@@ -73,7 +73,7 @@ def kind_table(rows: list[dict[str, Any]], baselines: Sequence[dict[str, Any]] |
     for row in measured:
         cells = [_pairs(row), with_interval(row, "pmd_e4")]
         cells += [cell(row, f"pmd_e4_{end}") for end in ("median", "p90", "max")]
-        cells += [cell(row, name) for name in ("pmd_mse_e4", "mm", "mm_median", "mm_p90")]
+        cells += [cell(row, name) for name in ("pmd_public_e4", "mm", "mm_median", "mm_p90")]
         cells += [_wins(row, baseline) for baseline in against]
         cells += [cell(row, name) for name in ("edge_score", "flipped", *further, "seconds_per_frame")]
         lines.append([f"`{row['method']}`", *cells, row["given"]])

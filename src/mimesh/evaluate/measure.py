@@ -12,17 +12,18 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ..core.errors import InputError
 from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import Normalization, bbox_centre, radius
-from ..methods.base import Method, RigMethod
+from ..core.normalization import Normalization, bbox_centre
+from ..methods.base import Method, RigMethod, ShapeMethod, SizedMethod
 from ..methods.find import find_method, weights_path
+from ..methods.root_motion import check_size
 from ..pipeline import ClipResult, Result, animate, transfer
 from .characters import CharacterPair
 from .clip_protocols import ClipPair, on_template
@@ -31,18 +32,17 @@ from .limb_calibration import LimbedCharacter
 from .limb_metrics import limb_metrics
 from .metrics import (
     acceleration_ratio,
+    box_radius,
     chamfer,
-    clip_pmd,
     edge_score,
     flipped,
     foot_skate,
-    in_unit_sphere_of,
     jitter,
     largest_step_mm,
     largest_stretch,
     mean_error_mm,
     path_error_mm,
-    pmd_of_pair,
+    pmd,
     pmd_public,
     resized,
 )
@@ -85,20 +85,24 @@ def extra_inputs(method: str) -> str:
         return EXTRA_INPUTS[method]
     network = find_method(method)
     shipped = "our quadruped" if getattr(network, "body", "human") == "quadruped" else "our body"
-    body = "own meshes" if trained_on(method) == "meshes" else shipped
+    body = {"meshes": "own meshes", "imported": "its authors' meshes"}.get(trained_on(method) or "", shipped)
+    body += ", true correspondence" * (getattr(network, "pairing", "random") == "order")
     if needs_true_size(network):
         return f"trained on {body}, true size"
     return f"trained on {body}, which it fits" if getattr(network, "fits_body", False) else f"trained on {body}"
 
 
 def trained_on(method: str) -> str | None:
-    """Give the kind of data (`data.kind`) that a network's card names; None without a card."""
-    card = weights_path(method).with_suffix(".json")
-    return json.loads(card.read_text(encoding="utf-8"))["config"]["data"]["kind"] if card.exists() else None
+    """Give the kind of data (`data.kind`) that a network's card names, or "imported"; None without a card."""
+    path = weights_path(method).with_suffix(".json")
+    if not path.exists():
+        return None
+    card = json.loads(path.read_text(encoding="utf-8"))
+    return "imported" if "imported" in card else card["config"]["data"]["kind"]
 
 
 def training_facts(method: str) -> dict[str, Any]:
-    """Describe the training of a method for reports, from the card next to its weights: `trained`, and `pflop`.
+    """Describe a training for reports, from the card next to the weights: `trained`, `pairs_seen` and `pflop`.
 
     `before` in a card lists the earlier stages of a training in several stages; time and pairs are their sums.
     """
@@ -108,6 +112,8 @@ def training_facts(method: str) -> dict[str, Any]:
     if not path.with_suffix(".json").exists():
         return {"trained": "unknown"}
     card = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    if "imported" in card:
+        return {"trained": f"by its authors, {card['imported']['file']}"}
     data = TRAINED_ON[card["config"]["data"]["kind"]]
     if card["config"]["data"].get("body") == "quadruped":
         data = data.replace("people", "animals")
@@ -119,7 +125,7 @@ def training_facts(method: str) -> dict[str, Any]:
     minutes = f"{sum(stage['seconds_trained'] for stage in stages) / 60:.0f} min, {card['hardware']}"
     pairs = sum(stage["pairs"] for stage in stages)
     vertices = vertices_of_meshes(card)
-    facts = {"trained": f"{minutes}; {pairs:,} pairs of {vertices}; {data}"}
+    facts = {"trained": f"{minutes}; {pairs:,} pairs of {vertices}; {data}", "pairs_seen": pairs}
     return facts | ({"pflop": card["pflop"]} if "pflop" in card else {})
 
 
@@ -137,10 +143,14 @@ def vertices_of_meshes(card: dict[str, Any]) -> str:
 
 
 class Output(NamedTuple):
-    """What a method gives for a pair or a clip."""
+    """What a method gives for a pair or a clip, and where it is compared with the truth."""
 
     vertices: Float[np.ndarray, "*T V 3"]
-    """Vertices of the result in metres, of all frames for a clip."""
+    """Vertices of the result in the unit of the pair (metres), of all frames for a clip with their path."""
+    origin: Float[np.ndarray, "*T 3"] | None = None
+    """Where the method puts the centre of the truth's box: the origin of a network that was trained on centred truths,
+    so that an offset of its shapes is an error, as in the papers. None: the centre of the result's own box. Those
+    results stand in the world, and their position is no part of the task."""
     confidence: Mapping[str, Any] = MappingProxyType({})
     """`uncertainty` of the result (the larger of the two meshes'), and whether the user is `warned`; empty if a method
     gives no confidence."""
@@ -152,7 +162,12 @@ class Output(NamedTuple):
         values = [result.report[mesh].get("uncertainty") for mesh in ("identity", "driving")]
         known = [value for value in values if value is not None]
         # Up and front are given, so that every note is one of low confidence.
-        return cls(vertices, {"uncertainty": max(known), "warned": bool(result.notes)} if known else {})
+        return cls(vertices, confidence={"uncertainty": max(known), "warned": bool(result.notes)} if known else {})
+
+    def beside(self, truth: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T V 3"]:
+        """Move the result to where it is compared with the truth, frame by frame."""
+        origin = bbox_centre(self.vertices) if self.origin is None else self.origin
+        return self.vertices + (bbox_centre(truth) - origin)[..., None, :]
 
 
 def result_vertices(pair: Pair, method: str | Method, **options: Any) -> Float[np.ndarray, "V 3"]:
@@ -163,7 +178,7 @@ def result_vertices(pair: Pair, method: str | Method, **options: Any) -> Float[n
 def run_on_pair(
     pair: Pair, method: str | Method, ensemble: int = 1, refine: bool = False, runtime: Runtime | None = None
 ) -> Output:
-    """Run a method on a pair. Methods that take the true size are not refined.
+    """Run a method on a pair. Networks that take the true size are not refined.
 
     Args:
         method: a name (of EXTRA_INPUTS or of `methods.MODELS`), the path of an `.onnx` file, or a Method object.
@@ -175,7 +190,7 @@ def run_on_pair(
         NotApplicableError: the method cannot be applied to this pair, such as deformation transfer to a point cloud.
     """
     if not isinstance(method, str):
-        return Output.of(transfer(pair.identity, pair.driving, method, **AXES, refine=refine))
+        return _run_network(pair, method, refine)
     if method in ("identity", "truth"):
         return Output(pair.identity.vertices if method == "identity" else pair.truth)
     if method == "copy":
@@ -183,10 +198,13 @@ def run_on_pair(
     if method.startswith("deformation-transfer"):
         driving, inputs = deformation_transfer_inputs(pair, method)
         return Output.of(transfer(pair.identity, driving, "deformation-transfer", **AXES, **inputs))
-    network = open_network(method, ensemble, runtime)
-    if needs_true_size(network):
-        clip = Clip.still(pair.driving)
-        return Output(frames_at_true_size(network, pair.identity, clip, pair.truth[None])[0])
+    return _run_network(pair, open_network(method, ensemble, runtime), refine)
+
+
+def _run_network(pair: Pair, network: Method, refine: bool) -> Output:
+    if compared_as_shapes(network, refine):
+        vertices, origin = placed_shapes(network, pair.identity, Clip.still(pair.driving), pair.truth[None])
+        return Output(vertices[0], origin[0])
     options = {"refine": refine, **known_kind(network)}
     return Output.of(transfer(pair.identity, pair.driving, network, **AXES, **options))
 
@@ -232,24 +250,34 @@ def needs_true_size(method: Method) -> bool:
     return getattr(method, "target_scale", "identity") == "truth"
 
 
-def frames_at_true_size(
-    network: Any, identity: Mesh, clip: Clip, truth: Float[np.ndarray, "T V 3"]
-) -> Float[np.ndarray, "T V 3"]:
-    """Run a network that needs the true size on a clip and return the frames in metres.
+def compared_as_shapes(method: Method, refine: bool) -> TypeGuard[ShapeMethod]:
+    """Return whether a method is a network of the papers whose own results are compared, as in its training.
 
-    Each frame gets the radius of its truth; the path of the centres gets the radius of the first frame's truth.
+    Refined results are those of `transfer`, which needs a size of the method.
     """
-    unit = dataclasses.replace(network, target_scale="identity")
+    return isinstance(method, ShapeMethod) and (needs_true_size(method) or not refine)
+
+
+def placed_shapes(
+    network: ShapeMethod, identity: Mesh, clip: Clip, truth: Float[np.ndarray, "T V 3"]
+) -> tuple[Float[np.ndarray, "T V 3"], Float[np.ndarray, "T 3"]]:
+    """Run a network of the papers on a clip; give its shapes in metres on the driving's path, and their origins.
+
+    The unit is that of the training: the radius of each frame's truth, or the identity's. The path has that of frame 0.
+    """
     identity_norm = Normalization.fit(identity, "+y", "+z")
     driving_norm = Normalization.fit(clip.mesh, "+y", "+z")
     identity, driving = (
         dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices))
         for mesh, norm in ((identity, identity_norm), (clip.mesh, driving_norm))
     )
-    results = unit.prepare(identity, Clip.still(driving))(driving_norm.apply(vertices) for vertices in clip.vertices)
-    sizes = [radius(true - bbox_centre(true)) for true in truth]
-    centred = ((result, bbox_centre(result), size) for result, size in zip(results, sizes, strict=True))
-    return np.stack([(result - centre) * size + centre * sizes[0] for result, centre, size in centred])
+    if isinstance(network, SizedMethod):
+        network = network.with_sizes((identity.name, identity_norm.radius), (driving.name, driving_norm.radius))
+    frames = driving_norm.apply(clip.vertices.astype(np.float64))
+    shapes = np.stack(list(network.shapes(identity, Clip.still(driving))(check_size(frames, driving.name))))
+    sizes = box_radius(truth) if needs_true_size(network) else np.full(len(truth), identity_norm.radius)
+    origin = bbox_centre(frames) * sizes[0]
+    return shapes * sizes[:, None, None] + origin[:, None], origin
 
 
 def measure(pair: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
@@ -258,7 +286,7 @@ def measure(pair: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
     {"why": reason} if the method cannot be applied, {"failed": reason} if its result is not finite.
     """
     result, facts = timed(run_on_pair, pair, method, options)
-    return facts if result is None else shape_metrics(result, pair.truth, pair.identity.faces, pair.height) | facts
+    return facts if result is None else shape_metrics(result.beside(pair.truth), pair.truth, pair) | facts
 
 
 def measure_characters(pair: CharacterPair, method: str | Method, **options: Any) -> dict[str, Any]:
@@ -266,9 +294,9 @@ def measure_characters(pair: CharacterPair, method: str | Method, **options: Any
     result, facts = timed(run_on_pair, pair, method, options)
     if result is None:
         return facts
-    metrics = shape_metrics(result, pair.truth, pair.identity.faces, pair.height) if pair.truth_known else {}
+    metrics = shape_metrics(result.beside(pair.truth), pair.truth, pair) if pair.truth_known else {}
     identity, driving = (LimbedCharacter(c.rig, c.limbs) for c in (pair.identity_character, pair.driving_character))
-    return metrics | limb_metrics(identity, driving, result, pair.driving.vertices) | facts
+    return metrics | limb_metrics(identity, driving, result.vertices, pair.driving.vertices) | facts
 
 
 def measure_fingers(pair: FingerPair, method: str | Method, **options: Any) -> dict[str, Any]:
@@ -276,42 +304,35 @@ def measure_fingers(pair: FingerPair, method: str | Method, **options: Any) -> d
     result, facts = timed(run_on_pair, pair, method, options)
     if result is None:
         return facts
-    metrics = shape_metrics(result, pair.truth, pair.identity.faces, pair.height)
-    return metrics | finger_metrics(result, pair) | facts
+    return shape_metrics(result.beside(pair.truth), pair.truth, pair) | finger_metrics(result.vertices, pair) | facts
 
 
 def timed(
     run: Callable[..., Output], trial: Pair, method: str | Method, options: dict[str, Any]
-) -> tuple[Float[np.ndarray, "*T V 3"] | None, dict[str, Any]]:
-    """Run a method and return the vertices of its result, with its confidence and the seconds it took.
+) -> tuple[Output | None, dict[str, Any]]:
+    """Run a method and return its result, and its confidence with the seconds it took.
 
-    Without vertices: {"why": reason} if the method cannot be applied, {"failed": reason} if a coordinate is not finite.
+    Without a result: {"why": reason} if the method cannot be applied, {"failed": reason} if a coordinate is not finite.
     """
     started = time.perf_counter()
     try:
-        vertices, confidence = run(trial, method, **options)
+        result = run(trial, method, **options)
     except NotApplicableError as error:
         return None, {"why": str(error)}
     seconds = time.perf_counter() - started
-    if not np.isfinite(vertices).all():
+    if not np.isfinite(result.vertices).all():
         return None, {"failed": "the result has coordinates that are not finite"}
-    return vertices, {**confidence, "seconds": seconds}
+    return result, {**result.confidence, "seconds": seconds}
 
 
-def shape_metrics(
-    result: Float[np.ndarray, "V 3"],
-    truth: Float[np.ndarray, "V 3"],
-    faces: Int[np.ndarray, "F 3"],
-    height: float,
-) -> dict[str, float]:
-    """Return all metrics of one mesh against its truth; `height` is the person's (metres)."""
-    sized, true = in_unit_sphere_of(truth, result, truth)
-    pairs = edges(faces)
+def shape_metrics(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], pair: Pair) -> dict[str, float]:
+    """Return all metrics of one mesh against its truth, beside which it lies (`Output.beside`)."""
+    faces, pairs = pair.identity.faces, edges(pair.identity.faces)
     return {
-        "pmd_e4": 1e4 * pmd_of_pair(result, truth),
-        "pmd_mse_e4": 1e4 * pmd_public(result, truth),
-        "chamfer_e4": 1e4 * chamfer(sized, true),
-        "mm": mean_error_mm(result, truth, height),
+        "pmd_e4": 1e4 * pmd(result, truth),
+        "pmd_public_e4": 1e4 * pmd_public(result, truth, pair.metres),
+        "chamfer_e4": 1e4 * chamfer(result, truth) / float(box_radius(truth)) ** 2,
+        "mm": mean_error_mm(result, truth, pair.height),
         "edge_score": edge_score(result, truth, pairs),
         "stretch": largest_stretch(result, truth, pairs),
         "flipped": flipped(result, truth, faces),
@@ -346,16 +367,15 @@ def run_on_clip(
         return Output(trial.truth_frames)
     if method == "copy":
         aligned = required_input(trial.aligned_frames, method)
-        sizes = [np.mean([radius(v - v.mean(axis=0)) for v in clip]) for clip in (trial.truth_frames, aligned)]
-        return Output(aligned * (sizes[0] / sizes[1]))
+        return Output(aligned * (box_radius(trial.truth_frames).mean() / box_radius(aligned).mean()))
     if method.startswith("deformation-transfer"):
         driving, inputs = deformation_transfer_inputs(trial, method)
         frames = trial.aligned_frames if method.endswith("-dense") else trial.clip.vertices
         clip = Clip(driving, required_input(frames, method), trial.clip.fps)
         return Output.of(animate(trial.identity, clip, "deformation-transfer", **AXES, **inputs))
     network = open_network(method, ensemble, runtime)
-    if needs_true_size(network):
-        return Output(frames_at_true_size(network, trial.identity, trial.clip, trial.truth_frames))
+    if compared_as_shapes(network, refine):
+        return Output(*placed_shapes(network, trial.identity, trial.clip, trial.truth_frames))
     # The truth has the driving's rotations, and its soles slide: a method is measured without planted feet.
     options = {"refine": refine, "ground": False, **known_kind(network)}
     return Output.of(animate(trial.identity, trial.clip, network, **AXES, **options))
@@ -374,20 +394,18 @@ def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]
     result, facts = timed(run_on_clip, trial, method, options)
     if result is None:
         return facts
-    truth, fps = trial.truth_frames, trial.clip.fps
-    surface = (trial.identity.faces, trial.height)
-    frames = [shape_metrics(a, b, *surface) for a, b in zip(result, truth, strict=True)]
+    truth, fps, moved = trial.truth_frames, trial.clip.fps, result.vertices
+    frames = [shape_metrics(*both, trial) for both in zip(result.beside(truth), truth, strict=True)]
     metrics = {name: float(np.mean([frame[name] for frame in frames])) for name in frames[0]}
     return metrics | {
-        "pmd_e4": 1e4 * clip_pmd(result, truth),
         "stretch": max(frame["stretch"] for frame in frames),
-        "path_mm": path_error_mm(result, truth, trial.height),
-        "jitter": jitter(result, truth, trial.height, fps),
-        "liveliness": acceleration_ratio(result, truth),
+        "path_mm": path_error_mm(moved, truth, trial.height),
+        "jitter": jitter(moved, truth, trial.height, fps),
+        "liveliness": acceleration_ratio(moved, truth),
         "still_mm": largest_step_mm(result_frames(repeat_first_frame(trial), method, **options), trial.height),
-        "skate_cm_s": foot_skate(result, truth, trial.height, fps),
+        "skate_cm_s": foot_skate(moved, truth, trial.height, fps),
         **facts,
-        "seconds": facts["seconds"] / len(result),
+        "seconds": facts["seconds"] / len(moved),
     }
 
 

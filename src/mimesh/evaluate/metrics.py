@@ -1,4 +1,9 @@
-"""Metrics of a result against the truth. Shapes are never broadcast; docstrings state the divisor and the unit."""
+"""Metrics of a result against the truth. Shapes are never broadcast; docstrings state the divisor and the unit.
+
+Two formulas compare vertices, and both centre by bounding boxes as the papers' data are: `pmd` is Eq. 7 as printed, for
+a result that lies where the truth does (`measure.Output.beside`), and `pmd_public` is what the public evaluators
+compute. For a result whose box has the truth's centre, Eq. 7 is 3 `pmd_public` / radius².
+"""
 
 from __future__ import annotations
 
@@ -8,60 +13,63 @@ from jaxtyping import Float, Int
 from ..core.geometry import face_vectors
 from ..core.normalization import bbox_centre
 
-
-def pmd(
-    result: Float[np.ndarray, "*B V 3"], truth: Float[np.ndarray, "*C W 3"]
-) -> Float[np.ndarray, "*B"] | np.float64:
-    """Compute the point-wise mesh Euclidean distance: mean squared vertex distance (NPT Eq. 7, AniFormer Eq. 7).
-
-    Divides by V, not by 3 V as the public evaluators do. In the square of the inputs' unit; papers print it x1e4.
-
-    Raises:
-        ValueError: shapes differ; vertex counts are never broadcast.
-    """
-    if result.shape != truth.shape:
-        raise ValueError(
-            f"result and truth must have one shape, got {result.shape} and {truth.shape}; resample one of them first"
-        )
-    return np.square(result - truth).sum(-1).mean(-1)
+VERSION = 2
+"""Of these figures, in reports, cards and checkpoints; two versions are never compared. Version 1 moved both meshes to
+their vertex centroids, and divided by the radius about that of the truth, in both formulas."""
 
 
-def in_unit_sphere_of(
-    truth: Float[np.ndarray, "V 3"], *meshes: Float[np.ndarray, "V 3"]
-) -> tuple[Float[np.ndarray, "V 3"], ...]:
-    """Centre each mesh on its vertex centroid and divide it by the truth's radius: the scale of the papers' figures."""
-    radius = np.linalg.norm(truth - truth.mean(axis=0), axis=1).max()
-    return tuple((m - m.mean(axis=0)) / radius for m in meshes)
+def box_radius(mesh: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T"]:
+    """Compute the largest distance of a vertex from the centre of the bounding box: the unit of the papers' figures."""
+    return np.linalg.norm(mesh - bbox_centre(mesh)[..., None, :], axis=-1).max(axis=-1)
+
+
+def box_aligned(mesh: Float[np.ndarray, "*T V 3"], truth: Float[np.ndarray, "*T W 3"]) -> Float[np.ndarray, "*T V 3"]:
+    """Move a mesh so that its bounding box has the centre of the truth's."""
+    return mesh + (bbox_centre(truth) - bbox_centre(mesh))[..., None, :]
 
 
 def resized(mesh: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "W 3"]) -> Float[np.ndarray, "V 3"]:
-    """Centre a mesh on its vertex centroid and scale it to the truth's radius (about the truth's centroid)."""
-    return in_unit_sphere_of(mesh, mesh)[0] * np.linalg.norm(truth - truth.mean(axis=0), axis=1).max()
+    """Scale a mesh to the truth's radius, and move it to the centre of the truth's box."""
+    return box_aligned(mesh * (box_radius(truth) / box_radius(mesh)), truth)
 
 
-def pmd_of_pair(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"]) -> float:
-    """Compute the PMD of two meshes of any common unit, both in the truth's unit sphere."""
-    return float(pmd(*in_unit_sphere_of(truth, result, truth)))
+def pmd(result: Float[np.ndarray, "*T V 3"], truth: Float[np.ndarray, "*S W 3"]) -> float:
+    """Compute the point-wise mesh Euclidean distance (NPT Eq. 7; AniFormer Eq. 7, the mean over frames).
 
+    The truth of each frame is in the unit sphere about its box, and the result is where it lies beside it: nothing is
+    re-aligned. Squared distances are summed over coordinates, mean over vertices. Papers print it x1e4.
 
-def pmd_public(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"]) -> float:
-    """Compute the error of the papers' public evaluators: the mean squared difference over V vertices x 3 coordinates.
-
-    Each mesh is centred on its own bounding box. The value is (Eq. 7 + d^2) / 3, where d is the difference of the two
-    meshes' offsets from vertex centroid to box centre. So it is never less than a third of Eq. 7; in docs/results it is
-    0.35 to 0.60 of it in 246 of 255 rows. Computed in the truth's unit sphere (the public evaluators use metres).
+    Raises:
+        ValueError: shapes differ; vertex and frame counts are never broadcast.
     """
-    result, truth = in_unit_sphere_of(truth, result, truth)
-    return float(np.square((result - bbox_centre(result)) - (truth - bbox_centre(truth))).mean())
+    _same_shape(result, truth)
+    return float((np.square(result - truth).sum(axis=-1).mean(axis=-1) / box_radius(truth) ** 2).mean())
+
+
+def pmd_aligned(result: Float[np.ndarray, "*T V 3"], truth: Float[np.ndarray, "*S W 3"]) -> float:
+    """Compute `pmd` of a result whose position is no part of the task: its box gets the centre of the truth's."""
+    _same_shape(result, truth)
+    return pmd(box_aligned(result, truth), truth)
+
+
+def pmd_public(result: Float[np.ndarray, "*T V 3"], truth: Float[np.ndarray, "*S W 3"], metres: float = 1.0) -> float:
+    """Compute the error of the papers' public evaluators: mean square of V vertices x 3 coordinates, in metres.
+
+    Each mesh is about the centre of its own box; over frames the mean. `metres` is the length of the meshes' unit.
+
+    Raises:
+        ValueError: shapes differ.
+    """
+    _same_shape(result, truth)
+    return float(np.square(box_aligned(result, truth) - truth).mean() * metres**2)
 
 
 def mean_error_mm(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], height: float) -> float:
-    """Compute the mean vertex distance in millimetres for a person scaled to 1.7 m.
+    """Compute the mean vertex distance in millimetres for a person scaled to 1.7 m, aligned as in `pmd_public`.
 
-    Both meshes are centred on their vertex centroids. `height` is the person's height at rest, in the meshes' unit.
+    `height` is the person's height at rest, in the meshes' unit.
     """
-    difference = (result - result.mean(axis=0)) - (truth - truth.mean(axis=0))
-    return float(np.linalg.norm(difference, axis=-1).mean() * 1.7 / height * 1e3)
+    return float(np.linalg.norm(box_aligned(result, truth) - truth, axis=-1).mean() * 1.7 / height * 1e3)
 
 
 def edge_score(
@@ -111,18 +119,6 @@ FLOOR_HEIGHT = 0.03
 """Metres for a person of 1.7 m: a vertex can be in contact with the floor only below this height."""
 MAX_STANDING_SPEED = 0.1
 """Metres per second for a person of 1.7 m: a vertex near the floor that is slower than this is in contact with it."""
-
-
-def clip_pmd(result: Float[np.ndarray, "T V 3"], truth: Float[np.ndarray, "S W 3"]) -> float:
-    """Compute the PMD of a clip (AniFormer Eq. 7): the mean over frames, each in the unit sphere of its true frame.
-
-    Divides by T and by V. Each frame is centred, so the global translation does not count; see `path_error_mm`.
-
-    Raises:
-        ValueError: shapes differ; neither frames nor vertices are broadcast.
-    """
-    _same_shape(result, truth)
-    return float(np.mean([pmd_of_pair(*frames) for frames in zip(result, truth, strict=True)]))
 
 
 def path_error_mm(result: Float[np.ndarray, "T V 3"], truth: Float[np.ndarray, "S W 3"], height: float) -> float:

@@ -36,6 +36,9 @@ class Pair:
     """The true result: the identity person in the driving pose."""
     height: float
     """The identity person's height at rest, without hair or shoes."""
+    metres: float = 1.0
+    """Length of a unit in metres, for the public formula (`metrics.pmd_public`). Files of others do not say it: their
+    people are scaled to 1.7 m, as for millimetres."""
     aligned: Float[np.ndarray, "V 3"] | None = None
     """The driving person with true correspondence, complete and dressed like the identity, for the baseline `copy`."""
     aligned_reference: Float[np.ndarray, "V 3"] | None = None

@@ -4,8 +4,8 @@
 and 72 test pairs each with a driving pose of the training (`seen`) and with a new one (`unseen`). Both meshes of a pair
 are new people; the identity is in a training pose. All other protocols have new people and new poses in every split.
 `train`, `val` and `test` are disjoint, except for the DeepMimic motions of `clips-aniformer`, where `val` and `test`
-share people, and all of the kind `stress`. A pair takes milliseconds and is generated on demand; only meshings are
-cached.
+share people, all of the kind `stress`, and the driving people of `clips-ordered`, who are those of the training. A pair
+takes milliseconds and is generated on demand; only meshings are cached.
 """
 
 from __future__ import annotations

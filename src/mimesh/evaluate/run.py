@@ -37,6 +37,7 @@ from .fingers import FingerGestures, fingers
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
 from .listed_pairs import ListedClips, ListedPairs, listed_pairs
 from .measure import EXTRA_INPUTS, Runtime, measure, measure_characters, measure_clip, measure_fingers
+from .metrics import VERSION
 from .pairs import Pair, mirrored
 from .protocols import DRESSED, PROTOCOLS, SPLITS, Dressed, Protocol, with_test_garments
 from .provenance import commit, libraries, machine
@@ -106,7 +107,7 @@ def evaluate_command(
     config |= {"runtime": runtime_name} if runtime else {}
     made = provenance(config)
     code = {} if out is None else code_of(chosen, methods)
-    question = {**config, "protocol": settings(chosen), "machine": machine(), **libraries()}
+    question = {**config, "protocol": settings(chosen), "metrics": VERSION, "machine": machine(), **libraries()}
     if out is not None:
         keep_other_report(out, chosen.name, config)
     ledger = PartialReport(out and out.with_name(out.name + ".partial"), question, code)
@@ -137,6 +138,7 @@ def evaluate_command(
     report = {
         "protocol": chosen.name,
         "version": chosen.version,
+        "metrics": VERSION,
         "provenance": made,
         "sets": sets,
         "left_out": chosen.left_out(split),

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ..methods.find import NETWORK_OF_BODY
 from .measure import extra_inputs, training_facts
 
-DISTRIBUTIONS = {"pmd_e4": 4, "pmd_mse_e4": 4, "mm": 2, "limb_deg": 2, "end_effector": 3, "fingertip_mm": 2}
+DISTRIBUTIONS = {"pmd_e4": 4, "pmd_public_e4": 4, "mm": 2, "limb_deg": 2, "end_effector": 3, "fingertip_mm": 2}
 """Metrics with mean, interval, median, 90th percentile and maximum in a report, and their decimals."""
 MEANS = {"chamfer_e4": 4, "edge_score": 4, "flipped": 5}
 """Metrics with a mean only, and their decimals."""

@@ -48,28 +48,16 @@ class Table(NamedTuple):
 
 
 NONE_TRAINED: Mapping[str, Sequence[str]] = MappingProxyType({})
-PAPER_PFLOP = {"npt": 200.0, "aniformer": 187.0}
-"""Arithmetic of the papers' trainings (10^15 operations), forward and backward, as `learn.cost` counts
-it for the configurations `paper`: 200 epochs of 4,000 pairs of 6,890 vertices, 200 epochs of 400 windows. The public
-code of AniFormer computes its attention over more keys: 434 by its own arithmetic."""
-LONGEST = Row("NPT, the paper's width, 16 people x 400 poses, limbs recombined", "npt-full", 1.1, 9.3)
-MIME_TABLE = Row("mime (ours, fits the shipped body), same people and poses", "mime-table")
-MIME_TABLE_NETWORK = Row("the same without the body fit: the network alone", "mime-table-network")
-SHIPPED = Row("NPT as shipped: random people and poses, none of these 400", "npt", 1.1, 9.3)
-MIME = Row("mime (ours, fits the shipped body): random people and poses, none of these 400", "mime")
-MIME_NETWORK = Row("the same without the body fit: the network alone", "mime-network")
-COPY = Row("the driving vertices, true correspondence and size", "copy")
-SAME_TAKES = "random people; poses include frames of the takes of *seen*"
-MIME_ON_CLIPS = Row(f"mime (ours, fits the shipped body): {SAME_TAKES}", "mime")
-"""Label of the shipped weights in tables of clips. The captured seconds of *seen* are in their training data too."""
-DENSE = Row("DT, true dense correspondence", "deformation-transfer-dense")
-ANIFORMER_FULL = Row(
-    "AniFormer, the paper's width, attention across frames only; two fifths of its windows are on ways between random "
-    "poses",
-    "aniformer-full",
-    0.12,
-    3.95,
-)
+LONGEST = Row("NPT, full width", "npt-full", 1.1, 9.3)
+MIME_TABLE = Row("mime, same people and poses", "mime-table")
+MIME_TABLE_NETWORK = Row("the same without body fit", "mime-table-network")
+SHIPPED = Row("NPT as shipped", "npt", 1.1, 9.3)
+MIME = Row("mime as shipped", "mime")
+MIME_NETWORK = Row("the same without body fit", "mime-network")
+COPY = Row("driving vertices", "copy")
+DENSE = Row("DT, dense correspondence", "deformation-transfer-dense")
+ANIFORMER_FULL = Row("AniFormer, full width, random pairs", "aniformer-full", 0.12, 3.95)
+ANIFORMER_ORDERED = Row("AniFormer, full width", "aniformer-ordered", 0.12, 3.95)
 TABLES = {
     "npt-1": Table(
         "NPT Table 1: against deformation transfer",
@@ -91,10 +79,10 @@ TABLES = {
         "NPT Table 2: ablations",
         "human-npt",
         (
-            Row("concat1 (1x1 convolutions, InstanceNorm)", "npt-concat1", 12.1, 16.9),
-            Row("without SPAdaIN (InstanceNorm in its place)", "npt-no-spadain", 8.3, 13.7),
+            Row("concat1", "npt-concat1", 12.1, 16.9),
+            Row("without SPAdaIN", "npt-no-spadain", 8.3, 13.7),
             Row("without edge loss", "npt-no-edge", 1.2, 10.1),
-            Row("NPT, as long as the rows above", "npt-equal", 1.1, 9.3),
+            Row("NPT, equal time", "npt-equal", 1.1, 9.3),
             LONGEST,
             SHIPPED,
             COPY,
@@ -105,46 +93,77 @@ TABLES = {
         "human-npt",
         (
             Row("skeleton", "skeleton", 27.4, 31.1),
-            Row("max-pool, as long as NPT below it", "npt-maxpool-equal", 2.1, 12.7),
+            Row("max-pool, equal time", "npt-maxpool-equal", 2.1, 12.7),
             Row("NPT, equal time", "npt-equal", 1.1, 9.3),
             LONGEST,
-            Row("max-pool as shipped: random people and poses, none of these 400", "npt-maxpool", 2.1, 12.7),
+            Row("max-pool as shipped", "npt-maxpool", 2.1, 12.7),
             SHIPPED,
             MIME,
             COPY,
         ),
     ),
     "aniformer-1": Table(
-        "AniFormer Table 1: ablations, narrow, with attention across frames only (the paper prints one figure and does "
-        "not say whether it is of seen or unseen motions)",
+        "AniFormer Table 1: ablations, narrow, meshes in one vertex order (the paper prints one figure)",
+        "clips-ordered",
+        (
+            Row("regression head", "aniformer-ordered-vanilla", 15.31),
+            Row("without it", "aniformer-ordered-plain", 3.84),
+            Row("with motion", "aniformer-ordered-motion", 1.37),
+            Row("with appearance", "aniformer-ordered-appearance", 0.31),
+            Row("with both", "aniformer-ordered-equal", 0.12),
+            Row("both, attention to vertices", "aniformer-ordered-attention-vertices", 0.12),
+            ANIFORMER_ORDERED,
+            ANIFORMER_FULL,
+            MIME,
+            COPY,
+        ),
+    ),
+    "aniformer-2": Table(
+        "AniFormer Table 2: against other methods, frame by frame, meshes in one vertex order",
+        "clips-ordered",
+        (
+            Row("LIMP", "limp", 5.44, 7.11),
+            Row("NPT-MP, narrow", "npt-maxpool-ordered-equal", 4.51, 6.69),
+            Row("NPT, narrow", "npt-ordered-equal", 4.37, 5.31),
+            Row("AniFormer, narrow", "aniformer-ordered-equal", 0.12, 3.95),
+            Row("NPT, full width", "npt-ordered", 4.37, 5.31),
+            ANIFORMER_ORDERED,
+            ANIFORMER_FULL,
+            MIME,
+            Row("DT, 13 control points", "deformation-transfer-13"),
+            DENSE,
+            COPY,
+        ),
+    ),
+    "aniformer-1-random": Table(
+        "AniFormer Table 1 on a harder test: vertices paired at random, new driving people",
         "clips-aniformer",
         (
-            Row("regression head (vanilla)", "aniformer-regression", 15.31),
-            Row("without that head", "aniformer-plain", 3.84),
-            Row("with the motion constraint", "aniformer-motion", 1.37),
-            Row("with the appearance constraint", "aniformer-appearance", 0.31),
+            Row("regression head", "aniformer-regression", 15.31),
+            Row("without it", "aniformer-plain", 3.84),
+            Row("with motion", "aniformer-motion", 1.37),
+            Row("with appearance", "aniformer-appearance", 0.31),
             Row("with both", "aniformer-equal", 0.12),
             ANIFORMER_FULL,
-            MIME_ON_CLIPS,
+            MIME,
             COPY,
         ),
         kinds=("seen", "held-out"),
         labels=("seen", "held out"),
     ),
-    "aniformer-2": Table(
-        "AniFormer Table 2: against other methods, which work frame by frame (LIMP on its 2,100 vertices; the paper's "
-        "text gives NPT 1.37 and 11.31)",
+    "aniformer-2-random": Table(
+        "AniFormer Table 2 on a harder test: vertices paired at random, new driving people",
         "clips-aniformer",
         (
             Row("LIMP", "limp", 5.44, 7.11),
-            Row("NPT-MP (max-pool), narrow", "npt-maxpool-frames", 4.51, 6.69),
+            Row("NPT-MP, narrow", "npt-maxpool-frames", 4.51, 6.69),
             Row("NPT, narrow", "npt-frames", 4.37, 5.31),
-            Row("AniFormer, narrow, attention across frames only", "aniformer-equal", 0.12, 3.95),
-            Row("NPT, the paper's width, frames of as many windows as the next", "npt-full-frames", 4.37, 5.31),
+            Row("AniFormer, narrow", "aniformer-equal", 0.12, 3.95),
+            Row("NPT, full width", "npt-full-frames", 4.37, 5.31),
             ANIFORMER_FULL,
-            Row(f"NPT as shipped: {SAME_TAKES}", "npt", 4.37, 5.31),
-            Row("AniFormer as shipped: random people; motions include the takes of *seen*", "aniformer", 0.12, 3.95),
-            MIME_ON_CLIPS,
+            Row("NPT as shipped", "npt", 4.37, 5.31),
+            Row("AniFormer as shipped", "aniformer", 0.12, 3.95),
+            MIME,
             Row("DT, 13 control points", "deformation-transfer-13"),
             DENSE,
             COPY,
@@ -153,17 +172,14 @@ TABLES = {
         labels=("seen", "held out"),
     ),
     "animals": Table(
-        "Four-legged animals, of which the papers print pictures and no figures (NPT D.5, with its max-pool encoder; "
-        "AniFormer, Fig. 5)",
+        "Four-legged animals, of which the papers print no figures (NPT D.5; AniFormer, Fig. 5)",
         "quadruped",
         (
-            Row("NPT-MP (max-pool)", "npt-maxpool-quadruped"),
+            Row("NPT-MP", "npt-maxpool-quadruped"),
             Row("NPT", "npt-quadruped"),
-            Row(
-                "AniFormer, attention across frames only, each pair as a clip that stands still", "aniformer-quadruped"
-            ),
+            Row("AniFormer, still clips", "aniformer-quadruped"),
             Row("DT, 13 control points", "deformation-transfer-13"),
-            Row("mime (ours, fits the shipped quadruped), also trained on animals of other makers", "mime-quadruped"),
+            Row("mime", "mime-quadruped"),
             COPY,
         ),
         kinds=("gaits", "usual", "limits"),
@@ -253,27 +269,17 @@ def paper_table(
             over_seeds([measured[method, kind] for method in networks if (method, kind) in measured])
             for kind in table.kinds
         ]
-        paper = [f"{value:g}" if value is not None else "-" for value in (row.seen, row.unseen)]
-        first, hardest = kinds[0], kinds[-1]
-        described = [hardest.get("given", "-"), hardest.get("trained", "-")] if hardest else ["-", "-"]
-        share = [_share_of_compute(name.split("-")[0], row, first)]
-        lines.append(
-            [
-                row.label,
-                f"`{row.method}`",
-                *(paper if by_paper else []),
-                *(with_interval(figures, "pmd_e4") for figures in kinds),
-                *(cell(figures, "pmd_mse_e4") for figures in kinds),
-                *(cell(hardest, key) for key in ("pmd_e4_median", "pmd_e4_p90", "mm", "mm_median")),
-                *(share if by_paper else []),
-                *described,
-            ]
-        )  # fmt: skip
-    head = ["row", "ours", *(["paper, seen", "paper, unseen"] if by_paper else [])]
-    head += [f"ours, {label}" for label in table.labels] + [f"{label}: public formula" for label in table.labels]
-    head += [f"{table.labels[-1]}: {figure}" for figure in ("median", "90 %", "mm", "median mm")]
-    head += [*(["share of the paper's compute"] if by_paper else []), "given", "trained"]
-    title = f"{table.title}. PMD (Eq. 7) x1e-4, mean"
+        paper = " / ".join("-" if value is None else f"{value:g}" for value in (row.seen, row.unseen))
+        cells = [row.label, *([paper] if by_paper else [])]
+        cells += [with_interval(figures, "pmd_e4") for figures in kinds]
+        cells += [cell(figures, "pmd_public_e4") for figures in kinds]
+        cells += [cell(kinds[-1], name) for name in ("edge_score", "flipped")]
+        seen = [figures["pairs_seen"] for figures in kinds if figures and "pairs_seen" in figures]
+        lines.append([*cells, f"{seen[0]:,}" if seen else "-", f"`{row.method}`"])
+    head = ["row", *(["paper, seen / unseen"] if by_paper else [])]
+    head += [f"{formula}, {label}" for formula in ("Eq. 7", "public") for label in table.labels]
+    head += [f"{name}, {table.labels[-1]}" for name in ("edge score", "flipped")] + ["pairs seen", "weights"]
+    title = f"{table.title}. Eq. 7 (PMD) and public formula x1e-4, mean"
     title += "; the paper's figures on its own data, ours on the shipped body." if by_paper else "."
     if (seeds := max(map(len, trained.values()), default=1)) > 1:
         title += f" Trained rows: mean over {seeds} seeds ± their standard deviation."
@@ -292,13 +298,3 @@ def over_seeds(rows: list[dict[str, Any]]) -> dict[str, Any] | None:
             if f"{key}_median" in rows[0]:
                 combined[f"{key}_ci95"] = float(np.std(values, ddof=1))
     return combined
-
-
-def _share_of_compute(paper: str, row: Row, figures: dict[str, Any] | None) -> str:
-    """Format the arithmetic of a row's training over that of the paper (a key of PAPER_PFLOP).
-
-    A dash for other networks than the paper's own: what its authors spent on those is not known.
-    """
-    if row.method.split("-")[0] != paper or figures is None or "pflop" not in figures:
-        return "-"
-    return f"1 / {PAPER_PFLOP[paper] / figures['pflop']:,.0f}"

@@ -285,9 +285,9 @@ class BodySampler(VertexSampler):
         index: Int[Tensor, "B N"],
         radius: Float[Tensor, "B 1 1"] | None = None,
     ) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B 1 1"]]:
-        """Pose people and give chosen vertices, centred on the bounding box and divided by `radius`, and that radius.
+        """Pose people and give chosen vertices, centred on the bounding box and divided by `radius`, and their own one.
 
-        Centre and radius (None: the mesh's own) are those of the whole mesh, of which few vertices need to be posed.
+        Centre and radius are those of the whole mesh, of which few vertices need to be posed. None: divide by the own.
         """
         count = index.shape[1]
         if count == self.body.vertex_count:
@@ -298,9 +298,8 @@ class BodySampler(VertexSampler):
             skinned = self.body.posed(shape, rotmat, both)
             points, whole = skinned[:, :count], skinned[:, count:]
         centre = (whole.amax(1, keepdim=True) + whole.amin(1, keepdim=True)) / 2
-        if radius is None:
-            radius = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
-        return (points - centre) / radius, radius
+        own = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
+        return (points - centre) / (own if radius is None else radius), own
 
 
 def limb_masks(body: RiggedBody) -> Bool[np.ndarray, "L J"]:

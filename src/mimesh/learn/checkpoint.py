@@ -15,6 +15,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from ..core.errors import InputError
+from ..evaluate.metrics import VERSION
 from ..evaluate.provenance import commit
 from ..io.atomic import whole_file
 from .config import config_differences, config_from
@@ -92,7 +93,7 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
     """Write a checkpoint whole or not at all."""
     header = {
         "config": json.dumps(dataclasses.asdict(checkpoint.config)),
-        "state": json.dumps({key: getattr(checkpoint, key) for key in POSITION}),
+        "state": json.dumps({key: getattr(checkpoint, key) for key in POSITION} | {"version": VERSION}),
         "commit": commit(),
         "hardware": hardware(),
     }
@@ -103,6 +104,8 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
 
 def load(path: Path) -> Checkpoint:
     """Read a checkpoint, compact or not, with all numbers in float32 and under today's names.
+
+    Without its validation figures if they are of another version of the metrics.
 
     Raises:
         InputError: the file is not a checkpoint of `mimesh train`.
@@ -115,6 +118,8 @@ def load(path: Path) -> Checkpoint:
         raise InputError(f"{path}: expected a checkpoint of `mimesh train`, found none ({error})") from error
     config = config_from(json.loads(header["config"]), str(path))
     position = json.loads(header["state"])
+    if position.pop("version", 1) != VERSION:
+        position |= {"best": float("inf"), "metrics": {}}
     position |= {key: tuple(position.get(key, ())) for key in ("before", "changes")}
     rename = find_task(config.network).current_name
     tensors = {rename(key): value.float() if value.is_floating_point() else value for key, value in tensors.items()}

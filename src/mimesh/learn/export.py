@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import nn
 
 from ..core.errors import InputError
+from ..evaluate.metrics import VERSION
 from ..io.atomic import together, whole_file, written
 from ..methods.onnx_runtime import import_onnxruntime
 from . import checkpoint
@@ -139,7 +140,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
         **({"characters": trained.characters} if trained.characters else {}),
         **({"meshes": trained.meshes} if trained.meshes else {}),
         **({"changes": list(trained.changes)} if trained.changes else {}),
-        "metrics": {"val": {f"{k}_pmd_e4": round(v, 3) for k, v in trained.metrics.items()}},
+        "metrics": {"version": VERSION, "val": {f"{k}_pmd_e4": round(v, 3) for k, v in trained.metrics.items()}},
     }
 
 
@@ -163,6 +164,8 @@ def test_set(card: dict[str, Any]) -> str:
     """Give the protocol whose figures belong into a card: clips for networks that are trained on them, else pairs."""
     if card["config"].get("data", {}).get("body") == "quadruped":
         return "quadruped"
+    if card["config"].get("data", {}).get("pairing") == "order":
+        return "clips-ordered"
     return find_task(card["config"].get("network", "npt")).test_set
 
 

@@ -12,10 +12,10 @@ def reconstruction(result: Float[Tensor, "B V 3"], truth: Float[Tensor, "B V 3"]
 
 
 def edge_ratio(
-    result: Float[Tensor, "B V 3"], identity: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]
+    result: Float[Tensor, "B V 3"], reference: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]
 ) -> Float[Tensor, ""]:
-    """Compute the edge term of NPT's public code: |length / identity's length - 1|, mean over edges."""
-    old = edge_vectors(identity, edges).norm(dim=-1)
+    """Compute the edge term of NPT's public code: |length / reference length - 1|, mean over edges."""
+    old = edge_vectors(reference, edges).norm(dim=-1)
     return (edge_vectors(result, edges).norm(dim=-1) / old.clamp_min(1e-8) - 1.0).abs().mean()
 
 
@@ -30,6 +30,11 @@ def match_frames(truth: Shaped[Tensor, "B W ..."], frames: int) -> Shaped[Tensor
     return truth if frames == truth.shape[1] else truth[:, truth.shape[1] // 2, None]
 
 
-def mean_squared_distance(result: Float[Tensor, "*B V 3"], truth: Float[Tensor, "*B V 3"]) -> Float[Tensor, ""]:
-    """Compute the PMD (NPT and AniFormer Eq. 7): squared distance, mean over vertices and batch."""
-    return (result - truth).square().sum(dim=-1).mean()
+def mean_squared_distance(
+    result: Float[Tensor, "*B V 3"], truth: Float[Tensor, "*B V 3"], radius: Float[Tensor, "*B"] | float = 1.0
+) -> Float[Tensor, ""]:
+    """Compute the PMD (NPT and AniFormer Eq. 7): squared distance over squared radius, mean over vertices and batch.
+
+    As `evaluate.metrics.pmd`, of some vertices of meshes whose whole radius is known.
+    """
+    return ((result - truth).square().sum(dim=-1).mean(dim=-1) / radius**2).mean()

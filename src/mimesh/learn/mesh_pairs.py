@@ -31,6 +31,8 @@ class WindowBatch:
     truth: Float[Tensor, "B T V 3"]
     unit: Float[Tensor, "B T"]
     """Radii by which the frames of `truth` were divided, over that of `identity`."""
+    truth_radius: Float[Tensor, "B T"]
+    """Radii of the whole frames of `truth` in its unit: 1 where they were divided by their own."""
     edges: Int[Tensor, "B E 2"]
     edges_of_mesh: float
     """Edges a vertex of the whole mesh over edges a vertex given here."""
@@ -55,10 +57,11 @@ class MeshSampler(VertexSampler):
         driving = self.points[frames.driving[..., None], driving_index[:, None]]
         truth = self.points[frames.truth[..., None], index[:, None]]
         unit = self.radius[frames.truth] / self.radius[frames.identity, None]
+        own = torch.ones_like(unit)
         if self.keep_unit:
-            truth, unit = truth * unit[..., None, None], torch.ones_like(unit)
+            truth, unit, own = truth * unit[..., None, None], own, unit
         self._reflect(rng, identity, driving, truth)
-        return WindowBatch(identity, driving, truth, unit, edges, share)
+        return WindowBatch(identity, driving, truth, unit, own, edges, share)
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,6 +42,10 @@ FULL_ON_CLIPS = (
     *("decay=0.75", "doublings=[0.75,0.92]", "ema=0.99"),
 )
 """NPT at full width on the frames of as many windows as `aniformer-full` sees, drawn and learned in the same way."""
+ORDERED = "data.pairing=order"
+"""One vertex order for all meshes, as in the public code. LIMP's meshes are in that of its template in any case."""
+VANILLA = ("model.head=regression", "losses.motion=off", "losses.appearance=off")
+"""AniFormer's Table 1 begins with a head for one frame, trained without the two constraints."""
 ON_ANIMALS = ("data.body=quadruped", "ema=0.99")
 """Random animals of the shipped quadruped instead of people: the narrow networks of the shipped weights, for a short
 training. The truth is in the identity's unit, so nothing of the truth is given in use."""
@@ -55,14 +59,22 @@ ROWS = {
     "aniformer-motion": TrainedRow("aniformer", ("losses.appearance=off",)),
     "aniformer-appearance": TrainedRow("aniformer", ("losses.motion=off",)),
     "aniformer-plain": TrainedRow("aniformer", ("losses.motion=off", "losses.appearance=off")),
-    "aniformer-regression": TrainedRow(
-        "aniformer", ("model.head=regression", "losses.motion=off", "losses.appearance=off")
-    ),
+    "aniformer-regression": TrainedRow("aniformer", VANILLA),
+    "aniformer-ordered-equal": TrainedRow("aniformer", (ORDERED,)),
+    "aniformer-ordered-motion": TrainedRow("aniformer", ("losses.appearance=off", ORDERED)),
+    "aniformer-ordered-appearance": TrainedRow("aniformer", ("losses.motion=off", ORDERED)),
+    "aniformer-ordered-plain": TrainedRow("aniformer", ("losses.motion=off", "losses.appearance=off", ORDERED)),
+    "aniformer-ordered-vanilla": TrainedRow("aniformer", (*VANILLA, ORDERED)),
+    "aniformer-ordered-attention-vertices": TrainedRow("aniformer", ("model.attention=vertices", ORDERED)),
+    "npt-ordered-equal": TrainedRow("npt", (*ON_CLIPS, ORDERED)),
+    "npt-maxpool-ordered-equal": TrainedRow("npt", ("model.pose_code=global_max", *ON_CLIPS, ORDERED)),
     "npt-frames": TrainedRow("npt", ON_CLIPS),
     "npt-maxpool-frames": TrainedRow("npt", ("model.pose_code=global_max", *ON_CLIPS)),
     "limp": TrainedRow("limp"),
     "npt-full-frames": TrainedRow("npt", FULL_ON_CLIPS, config="full", equal_time=False, long=True),
     "aniformer-full": TrainedRow("aniformer", config="full", equal_time=False, long=True),
+    "npt-ordered": TrainedRow("npt", (*FULL_ON_CLIPS, ORDERED), config="full", equal_time=False, long=True),
+    "aniformer-ordered": TrainedRow("aniformer", (ORDERED,), config="full", equal_time=False, long=True),
     "npt-full": TrainedRow("npt", config="full", equal_time=False, long=True),
     "mime-table": TrainedRow("mime", equal_time=False),
     "npt-quadruped": TrainedRow("npt", (*ON_ANIMALS, "warmup=4000"), config="small"),

@@ -147,6 +147,9 @@ class TrainingRun:
         step_model: Any = torch.compile(model, options=COMPILE_OPTIONS) if config.compile else model
         if state:
             refuse_other_data(pool, {"characters": state.characters, "meshes": state.meshes}, folder)
+        if config.compile:  # takes up to a minute, which is no training
+            task.loss(step_model, source.batch(config.batch // config.accumulate // processes.count, 0), 0).backward()
+            model.zero_grad(set_to_none=True)
         run = cls(config, task, model, step_model, ema, optimizers, source, processes, reason, saved=time.monotonic())
         if state:
             checkpoint.unpack(state, model, ema, optimizers)

@@ -12,9 +12,11 @@ from torch import Tensor, nn
 
 from ..core.frame_buffer import Progress
 from ..core.normalization import bbox_centre, radius
-from ..evaluate.clip_protocols import ClipPair
-from ..evaluate.metrics import pmd_of_pair
-from ..evaluate.pairs import Pair
+from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, ClipsAniformer, reorder_clip_vertices
+from ..evaluate.clips_ordered import CLIPS_ORDERED
+from ..evaluate.metrics import box_radius, pmd
+from ..evaluate.pairs import Pair, reorder_vertices
+from .body_sampler import DataConfig
 from .losses import match_frames
 from .tasks.base import Task
 
@@ -41,9 +43,11 @@ class Validation:
         return self.task.protocol.pair("val", kind, index)
 
     def _ordered(self, kind: str, index: int) -> Pair:
-        """Make a pair whose vertices are in one order: that of the training does not matter, only that it is one."""
         protocol = self.task.protocol
-        return protocol.unshuffled_pair("val", kind, index, protocol.rng("val", kind, index))
+        rng = protocol.rng("val", kind, index)
+        trial = protocol.unshuffled_pair("val", kind, index, rng)
+        order = rng.permutation(len(trial.identity.vertices))
+        return (reorder_clip_vertices if isinstance(trial, ClipPair) else reorder_vertices)(trial, order, order)
 
     @torch.no_grad()
     def measure(
@@ -51,6 +55,7 @@ class Validation:
     ) -> dict[str, float] | None:
         """Measure PMD x1e4 on each kind of `val` and on fresh data; `val` is the mean of `unseen` and `fresh`.
 
+        All are Eq. 7 as printed, on what the network gives: about its origin, over the radius of the truth.
         None if `stop` returned true before the end; it is called before every trial and batch, which take seconds.
         `progress` is called after each of them, with pairs.
         """
@@ -80,6 +85,11 @@ class Validation:
         return self.task.trial_error(model, self.trial(kind, index))
 
 
+def clips_protocol(data: DataConfig) -> ClipsAniformer:
+    """Give the protocol of networks that are trained on clips: meshes in one vertex order, or shuffled apart."""
+    return CLIPS_ORDERED if data.pairing == "order" else CLIPS_ANIFORMER
+
+
 def pair_error(infer: Infer, trial: Pair, target_scale: str, device: torch.device) -> float:
     """Compute the PMD of one pair by a network that maps vertices to vertices.
 
@@ -88,7 +98,7 @@ def pair_error(infer: Infer, trial: Pair, target_scale: str, device: torch.devic
     """
     identity, size = to_unit_sphere(trial.identity.vertices, device)
     driving, _ = to_unit_sphere(trial.driving.vertices, device)
-    return _pmd(infer(identity, driving[None])[0], size, trial.truth, target_scale)
+    return _pmd(infer(identity, driving[None])[:1], size, trial.truth[None], target_scale)
 
 
 def clip_error(infer: Infer, trial: ClipPair, target_scale: str, device: torch.device, frames: int = WINDOW) -> float:
@@ -99,8 +109,7 @@ def clip_error(infer: Infer, trial: ClipPair, target_scale: str, device: torch.d
     driving = torch.stack([to_unit_sphere(v, device)[0] for v in trial.clip.vertices[window].astype(np.float64)])
     results = infer(identity, driving)
     truths = torch.from_numpy(trial.truth_frames[window].astype(np.float64))
-    truths = match_frames(truths[None], len(results))[0].numpy()
-    return float(np.mean([_pmd(r, size, t, target_scale) for r, t in zip(results, truths, strict=True)]))
+    return _pmd(results, size, match_frames(truths[None], len(results))[0].numpy(), target_scale)
 
 
 def to_unit_sphere(points: Float[np.ndarray, "V 3"], device: torch.device) -> tuple[Float[Tensor, "V 3"], float]:
@@ -110,8 +119,8 @@ def to_unit_sphere(points: Float[np.ndarray, "V 3"], device: torch.device) -> tu
 
 
 def _pmd(
-    result: Float[Tensor, "V 3"], identity_radius: float, truth: Float[np.ndarray, "V 3"], target_scale: str
+    results: Float[Tensor, "T V 3"], identity_radius: float, truth: Float[np.ndarray, "T V 3"], target_scale: str
 ) -> float:
-    """Compute the PMD of a result, scaled by the radius that the truths of the training were divided by."""
-    scale = identity_radius if target_scale == "identity" else radius(truth - bbox_centre(truth))
-    return pmd_of_pair((result.double() * scale).cpu().numpy(), truth)
+    """Compute the PMD of results about the origin, scaled by the radius that the training divided truths by."""
+    size = identity_radius if target_scale == "identity" else box_radius(truth)[:, None, None]
+    return pmd(results.double().cpu().numpy() * size, truth - bbox_centre(truth)[:, None])

@@ -21,20 +21,11 @@ from jaxtyping import Float, Int
 
 from ..core.canonical_order import CanonicalOrder, canonical_order, file_order
 from ..core.errors import InputError
-from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from ..core.surface_points import PaddedVertices, padded_vertices
 from .base import Drive
-from .npt import (
-    METRES,
-    PatchDistances,
-    batch_of_one,
-    check_same_mesh,
-    driving_input,
-    generator,
-    radii_in_metres,
-)
-from .root_motion import check_size, with_root_motion
+from .npt import METRES, batch_of_one, check_same_mesh, drive_of, driving_input, generator, radii_in_metres
+from .root_motion import Shapes
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -86,10 +77,17 @@ class AniFormerMethod:
         Raises:
             InputError: the network needs a vertex count that one of the meshes has not, or meshes that correspond.
         """
+        return drive_of(self, identity, driving)
+
+    def shapes(self, identity: Mesh, driving: Clip) -> Shapes:
+        """As `ShapeMethod.shapes`.
+
+        Raises:
+            InputError: as `prepare`.
+        """
         match = self._in_file_order if self.vertices else self._paired
         ranked, points, pairings = match(identity, driving.mesh)
         rest = ranked.merge(identity.vertices)
-        lengths = PatchDistances.of(rest, edges(ranked.group[identity.faces]))
 
         def points_of(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "N 3"]:
             return points.at(driving_input(vertices, self.sizes))
@@ -97,22 +95,15 @@ class AniFormerMethod:
         def run(window: Window) -> Float[np.ndarray, "R V 3"]:
             return self._run(rest, window, pairings)
 
-        def drive(frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
-            # Windows read ahead of the frame whose result is due; `tee` keeps the frames between the two.
-            ahead, current = itertools.tee(check_size(frames, driving.mesh.name))
-            points = map(points_of, ahead)
+        def posed(frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
+            points = map(points_of, frames)
             if self.head == "regression":
                 results = middles(points, run, self.frames)
             else:
                 results = blended(points, run, self.frames, max(1, self.frames - OVERLAP))
+            return (result[ranked.group] for result in results)
 
-            def pose(_: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
-                result = next(results)
-                return (lengths.rescaled(result, rest) if self.target_scale == "truth" else result)[ranked.group]
-
-            return with_root_motion(current, pose, driving.mesh.name)
-
-        return drive
+        return posed
 
     def _paired(self, identity: Mesh, driving: Mesh) -> tuple[CanonicalOrder, PaddedVertices, list[Pairing]]:
         """Weld both meshes, and pair their points at random, or by index: those of both in the same random order."""

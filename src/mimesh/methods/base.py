@@ -23,7 +23,7 @@ from ..core.skinning import SkinnedMesh
 from ..core.soles import Feet, Soles, find_soles
 from ..core.surface_points import SurfacePoints
 from .confidence import Confidence
-from .root_motion import check_size
+from .root_motion import Shapes, check_size
 
 Drive = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray, "V 3"]]]
 """Maps driving frames to the identity's vertices, one frame at a time, so that memory does not grow with the clip."""
@@ -59,6 +59,23 @@ class Method(Protocol):
 
 
 @runtime_checkable
+class ShapeMethod(Method, Protocol):
+    """A network of the papers, trained on centred meshes: its results have no place, and some have no size."""
+
+    @property
+    def target_scale(self) -> str:
+        """Unit of the shapes: "truth", the radius of the true result; else the identity's."""
+        ...
+
+    def shapes(self, identity: Mesh, driving: Clip) -> Shapes:
+        """As `Method.prepare`; the function that is returned gives the network's own results.
+
+        The origin is where the training had the centre of the true result's bounding box.
+        """
+        ...
+
+
+@runtime_checkable
 class SkinnedMethod(Method, Protocol):
     """A method that moves joints. Only these support `--skinned`, `--root`, `--ground` and `--smooth`."""
 
@@ -89,10 +106,10 @@ class MotionMethod(Method, Protocol):
 
 
 @runtime_checkable
-class SizedMethod(Method, Protocol):
-    """A method that may need the sizes of the meshes, which normalised ones do not have."""
+class SizedMethod(ShapeMethod, Protocol):
+    """A network that may need the sizes of the meshes, which normalised ones do not have."""
 
-    def with_sizes(self, identity: tuple[str, float], driving: tuple[str, float]) -> Method:
+    def with_sizes(self, identity: tuple[str, float], driving: tuple[str, float]) -> SizedMethod:
         """Return this method for two meshes, given by name and radius in the unit of the files."""
         ...
 

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -73,7 +74,7 @@ class DeformationTransfer:
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
             return solve(vertices[driving_corners])[ranked.group]
 
-        return lambda frames: with_root_motion(frames, pose, driving.mesh.name)
+        return lambda frames: with_root_motion(frames, partial(map, pose), driving.mesh.name)
 
 
 def triangle_frames(triangles: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "P 3 3"]:

@@ -28,6 +28,9 @@ TABLE_MODELS = (
     *("mime-table", "npt-full", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
     *("aniformer-full", "npt-full-frames", "npt-frames", "npt-maxpool-frames", "limp"),
+    *("aniformer-ordered", "aniformer-ordered-equal", "aniformer-ordered-motion", "aniformer-ordered-appearance"),
+    *("aniformer-ordered-plain", "aniformer-ordered-vanilla", "aniformer-ordered-attention-vertices"),
+    *("npt-ordered", "npt-ordered-equal", "npt-maxpool-ordered-equal"),
     *("npt-quadruped", "npt-maxpool-quadruped", "aniformer-quadruped"),
 )
 """Networks of the papers' tables, for comparison only: in a checkout's folder `ablations`, not installed, or in another

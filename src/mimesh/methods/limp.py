@@ -7,7 +7,6 @@ from there; the result is in units of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -15,12 +14,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.errors import InputError
-from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import bbox_centre, radius
 from .base import Drive
-from .npt import PatchDistances, batch_of_one
-from .root_motion import with_root_motion
+from .npt import batch_of_one, drive_of
+from .root_motion import Shapes
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -46,22 +44,25 @@ class LIMPMethod:
         Raises:
             InputError: the identity has another count.
         """
+        return drive_of(self, identity, driving)
+
+    def shapes(self, identity: Mesh, driving: Clip) -> Shapes:
+        """As `ShapeMethod.shapes`.
+
+        Raises:
+            InputError: as `prepare`.
+        """
         rest = identity.vertices
         if len(rest) != self.vertices:
             raise InputError(
                 f"{self.name}: expected the template of {self.vertices} vertices that it was trained on, "
                 f"found an identity of {len(rest)}; it is made for comparison, choose another model"
             )
-        lengths = PatchDistances.of(rest, edges(identity.faces))
         identity_input = batch_of_one(rest)
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
             centred = vertices - bbox_centre(vertices)
             inputs = {"identity": identity_input, "driving": batch_of_one(centred / radius(centred))}
-            result = np.asarray(self.session.run(["result"], inputs)[0])[0].astype(np.float64)
-            return lengths.rescaled(result, rest) if self.target_scale == "truth" else result
+            return np.asarray(self.session.run(["result"], inputs)[0])[0].astype(np.float64)
 
-        def drive(frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
-            return with_root_motion(frames, pose, driving.mesh.name)
-
-        return drive
+        return lambda frames: map(pose, frames)

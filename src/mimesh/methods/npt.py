@@ -22,8 +22,8 @@ from ..core.geometry import edges, spatial_order
 from ..core.mesh import Clip, Mesh, same_mesh
 from ..core.normalization import bbox_centre, radius
 from ..core.surface_points import PaddedVertices, padded_vertices
-from .base import Drive
-from .root_motion import with_root_motion
+from .base import Drive, ShapeMethod
+from .root_motion import Shapes, with_root_motion
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -48,8 +48,9 @@ class NPTMethod:
     pose_code: str
     """"per_vertex" (driving and identity need one count) or "global_max" (any driving count)."""
     target_scale: str
-    """Unit of the result: "identity", the identity's radius; or "truth", the unknown radius of the true result. Then
-    results are rescaled by `PatchDistances` of the identity; or METRES, in which the meshes are given, too."""
+    """Unit of the network's shapes: "identity", the identity's radius; or "truth", the unknown radius of the true
+    result. Then `drive_of` rescales them by `PatchDistances` of the identity; or METRES, in which the meshes are given,
+    too."""
     ensemble: int = 1
     """Random pairings over which results are averaged."""
     seed: int = 0
@@ -76,18 +77,22 @@ class NPTMethod:
         Raises:
             InputError: vertices are paired by index, and those of the two meshes do not correspond.
         """
+        return drive_of(self, identity, driving)
+
+    def shapes(self, identity: Mesh, driving: Clip) -> Shapes:
+        """As `ShapeMethod.shapes`.
+
+        Raises:
+            InputError: as `prepare`.
+        """
         ranked = canonical_order(identity.vertices)
         rest = ranked.merge(identity.vertices)
         points, pairings = self._paired(ranked, identity, driving.mesh)
-        lengths = PatchDistances.of(rest, edges(ranked.group[identity.faces]))
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
-            result = self._run(rest, points.at(driving_input(vertices, self.sizes)), pairings)
-            if self.target_scale == "truth":
-                result = lengths.rescaled(result, rest)
-            return result[ranked.group]
+            return self._run(rest, points.at(driving_input(vertices, self.sizes)), pairings)[ranked.group]
 
-        return lambda frames: with_root_motion(frames, pose, driving.mesh.name)
+        return lambda frames: map(pose, frames)
 
     def _paired(
         self, ranked: CanonicalOrder, identity: Mesh, driving: Mesh
@@ -119,6 +124,23 @@ class NPTMethod:
         return total / (len(pairings) * size)
 
 
+def drive_of(network: ShapeMethod, identity: Mesh, driving: Clip) -> Drive:
+    """Give the shapes of a network the identity's size, where they have none, and the path of the driving."""
+    shapes = network.shapes(identity, driving)
+    if network.target_scale == "truth":
+        shapes = with_size_of(identity, shapes)
+    return lambda frames: with_root_motion(frames, shapes, driving.mesh.name)
+
+
+def with_size_of(identity: Mesh, shapes: Shapes) -> Shapes:
+    """Scale shapes so that their `PatchDistances` add up to those of the identity at rest."""
+    ranked = canonical_order(identity.vertices)
+    rest = ranked.merge(identity.vertices)
+    lengths = PatchDistances.of(rest, edges(ranked.group[identity.faces]))
+    total = lengths.total(rest)
+    return lambda frames: (shape * (total / lengths.total(ranked.merge(shape))) for shape in shapes(frames))
+
+
 @dataclass(frozen=True, eq=False)
 class PatchDistances:
     """Distances between the centroids of adjacent patches of a surface: a size that roughness hardly changes."""
@@ -143,10 +165,6 @@ class PatchDistances:
         centroids = sums / np.bincount(self.patch)[:, None]
         distances = np.linalg.norm(centroids[self.pairs[:, 0]] - centroids[self.pairs[:, 1]], axis=1)
         return float(distances.sum()) if len(distances) else 1.0
-
-    def rescaled(self, points: Float[np.ndarray, "W 3"], rest: Float[np.ndarray, "W 3"]) -> Float[np.ndarray, "W 3"]:
-        """Scale points so that their distances add up to those of the identity at rest."""
-        return points * self.total(rest) / self.total(points)
 
 
 def radii_in_metres(*meshes: tuple[str, float]) -> tuple[float, ...]:

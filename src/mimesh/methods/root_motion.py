@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
@@ -10,14 +11,14 @@ from jaxtyping import Float
 from ..core.errors import InputError
 from ..core.normalization import bbox_centre, radius
 
-PoseFunction = Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]
-"""Maps the driving vertices of one frame to the identity's vertices in that pose, at any position."""
+Shapes = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray, "V 3"]]]
+"""Maps driving frames to the identity's vertices in these poses, each at any position."""
 
 
 def with_root_motion(
-    frames: Iterable[Float[np.ndarray, "U 3"]], pose: PoseFunction, name: str
+    frames: Iterable[Float[np.ndarray, "U 3"]], shapes: Shapes, name: str
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """Pose every frame, and move the centre of its bounding box to that of the driving frame, scaled.
+    """Move the centre of each shape's bounding box to that of the driving frame, scaled.
 
     Driving frames are in the driving's normalisation, where its first frame has radius 1. The scale is the radius of
     the first result, so that a large identity moves as far as a small one in multiples of its own size.
@@ -26,9 +27,10 @@ def with_root_motion(
         InputError: all vertices of a frame of the clip `name` are at one point.
     """
     scale = None
-    for vertices in check_size(frames, name):
-        result = pose(vertices)
-        result = result - bbox_centre(result)
+    # Shapes may be made of windows, which read ahead; `tee` keeps the frames between the two.
+    given, ahead = itertools.tee(check_size(frames, name))
+    for vertices, shape in zip(given, shapes(ahead), strict=True):
+        result = shape - bbox_centre(shape)
         scale = radius(result) if scale is None else scale  # of the first frame: a size that does not change over time
         yield result + bbox_centre(vertices) * scale
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -59,7 +60,7 @@ class SkeletonBaseline:
 
             return pose
 
-        return lambda frames: with_root_motion(frames, pose_function(), driving.mesh.name)
+        return lambda frames: with_root_motion(frames, partial(map, pose_function()), driving.mesh.name)
 
 
 def bind(identity: Mesh, ranked: CanonicalOrder, body: RiggedBody, fit: BodyParameters) -> Float[np.ndarray, "W J"]:

@@ -9,7 +9,7 @@ from mimesh.learn.body_sampler import DataConfig  # noqa: E402
 from mimesh.learn.config import config_from  # noqa: E402
 from mimesh.learn.models.mime import JointFrames, MimeConfig, MimeNetwork, rotation_from_6d  # noqa: E402
 from mimesh.learn.tasks.base import shipped_body  # noqa: E402
-from mimesh.learn.tasks.mime import MimeLossConfig, SurfaceSource, mime_loss, pmd  # noqa: E402
+from mimesh.learn.tasks.mime import MimeLossConfig, SurfaceSource, mime_loss, reconstruction  # noqa: E402
 
 BODY = shipped_body()
 SMALL = MimeConfig(width=16, heads=2, latents=4, blocks=2, refinements=2, near=8, local=8, skinning=8)
@@ -68,7 +68,7 @@ def test_true_frames_and_weights_give_the_truth(batch):
     place = posed_joints(one.rotation, one.joints, two.rotation, two.joints[:, 0], BODY.parents)
     assert torch.allclose(place, two.joints, atol=1e-5)
     result = skinned(one.points, one.weights, one.rotation, one.joints, two.rotation, place)
-    assert pmd(result, batch).mean() < 2e-4
+    assert reconstruction(result, batch).mean() < 2e-4
     same = skinned(one.points, one.weights, one.rotation, one.joints, one.rotation, one.joints)
     assert torch.allclose(same, one.points, atol=1e-5)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from mimesh.learn.models.layers import SPAdaIN, instance_norm
+from mimesh.learn.models.layers import PointConv, SPAdaIN, instance_norm
 from mimesh.learn.models.npt import NPT, NPTConfig
 
 TINY = {"encoder": (8, 16, 24), "decoder": (27, 16, 8)}
@@ -110,3 +110,18 @@ def test_output_range_is_that_of_the_activation():
         with torch.no_grad():
             model.head.bias.fill_(50.0)
             np.testing.assert_allclose(model(*torch.rand(2, 1, 6, 3)).numpy(), bound, rtol=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")  # PyTorch's own, where it compiles
+@pytest.mark.parametrize("channels", [(3, 8), (8, 3)])
+def test_maps_of_coordinates_are_the_same_when_compiled(channels: tuple[int, int]):
+    """A compiled step computes them in another way."""
+    torch.manual_seed(0)
+    conv, h = PointConv(*channels), torch.randn(channels[0], 2, 5, requires_grad=True)
+    (torch.compile(conv)(h).square().sum()).backward()
+    compiled = [h.grad, conv.weight.grad, conv.bias.grad]
+    h.grad = conv.weight.grad = conv.bias.grad = None
+    conv(h).square().sum().backward()
+    for there, here in zip(compiled, [h.grad, conv.weight.grad, conv.bias.grad], strict=True):
+        assert torch.allclose(there, here, atol=1e-5)

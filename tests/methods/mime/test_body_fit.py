@@ -16,7 +16,7 @@ from mimesh.core.mesh import permute_vertices
 from mimesh.core.rig import Rig, descendants
 from mimesh.core.surface_points import at_barycentric, sample_surface
 from mimesh.evaluate.measure import AXES
-from mimesh.evaluate.metrics import pmd_of_pair
+from mimesh.evaluate.metrics import pmd_aligned
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.methods.confidence import mean_angle
 from mimesh.methods.mime import body_fit, limb_search
@@ -253,7 +253,7 @@ def pair():
 def test_fit_improves_on_the_network_alone():
     trial = pair()
     with_fit, network_alone = (
-        pmd_of_pair(transfer(trial.identity, trial.driving, model, **AXES).vertices, trial.truth)
+        pmd_aligned(transfer(trial.identity, trial.driving, model, **AXES).vertices, trial.truth)
         for model in ("mime", "mime-network")
     )
     assert with_fit < 0.5e-4 < network_alone

@@ -38,11 +38,14 @@ class PointConv(nn.Module):
         self.bias = nn.Parameter(torch.empty(channels_out).uniform_(-bound, bound))
 
     def forward(self, h: Float[Tensor, "C *B V"]) -> Float[Tensor, "D *B V"]:
-        if self.weight.shape[1] == COORDINATES and torch.compiler.is_dynamo_compiling():
-            # A compiled step computes maps of coordinates where they are used, instead of writing them to memory.
-            of_channel = (-1, *[1] * (h.ndim - 1))
-            terms = [column.view(of_channel) * axis for column, axis in zip(self.weight.unbind(1), h, strict=True)]
-            return sum(terms, self.bias.view(of_channel))
+        if COORDINATES in self.weight.shape and torch.compiler.is_dynamo_compiling():
+            # A compiled step computes maps of coordinates where they are used, instead of writing them to memory, and
+            # maps to coordinates in float32: bfloat16 would round them to 1 or 2 mm of a person.
+            per_channel = [1] * (h.ndim - 1)
+            bias, weight = self.bias.view(-1, *per_channel), self.weight.view(*self.weight.shape, *per_channel)
+            if self.weight.shape[1] == COORDINATES:
+                return sum((column * axis for column, axis in zip(weight.unbind(1), h, strict=True)), bias)
+            return (weight * h).sum(1) + bias
         return torch.addmm(self.bias[:, None], self.weight, h.flatten(1)).unflatten(1, h.shape[1:])
 
 

@@ -23,7 +23,7 @@ from torch import Tensor
 from ...bodies import RiggedBody
 from ...core.errors import InputError
 from ...evaluate import protocols
-from ...evaluate.clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair
+from ...evaluate.clip_protocols import FRAMES, ClipPair
 from ...evaluate.pairs import Pair
 from ...evaluate.quadruped import QUADRUPED
 from .. import losses
@@ -33,7 +33,7 @@ from ..losses import edge_vectors, match_frames, mean_squared_distance
 from ..mesh_pairs import HeldOutMeshes, MeshSampler, WindowBatch
 from ..models.aniformer import AniFormer, AniFormerConfig
 from ..pose_sources import training_takes
-from ..validation import clip_error, pair_error
+from ..validation import clip_error, clips_protocol, pair_error
 from .base import OnnxInterface, Task, TrainConfig
 
 MAX_SPEED = 3
@@ -118,7 +118,8 @@ class WindowSource(BodySampler):
         driving, _ = self._normalized_window(driving_shape, poses, driving_index)
         truth, radii = self._normalized_window(identity_shape, poses, index, scale)
         self._reflect(rng, identity, driving, truth)
-        return WindowBatch(identity, driving, truth, radii / radius[:, :, 0], edges, share)
+        divisor = radii if scale is None else radius[:, :, 0].expand_as(radii)
+        return WindowBatch(identity, driving, truth, divisor / radius[:, :, 0], radii / divisor, edges, share)
 
     def _sample_motions(self, size: int, rng: torch.Generator):
         """Draw two people of the table, a window of one of the 80 motions, and a Table 6 pose for the identity."""
@@ -152,7 +153,7 @@ class WindowSource(BodySampler):
         index: Int[Tensor, "B N"],
         radius: Float[Tensor, "B 1 1"] | None = None,
     ) -> tuple[Float[Tensor, "B T N 3"], Float[Tensor, "B T"]]:
-        """Pose people and give chosen vertices of every frame, centred and divided by a radius, and those radii."""
+        """Pose people and give chosen vertices of every frame, centred and divided by a radius, and their own radii."""
         frames = rotmat.shape[1]
         shape, index = (x.repeat_interleave(frames, dim=0) for x in (shape, index))
         scale = None if radius is None else radius.repeat_interleave(frames, dim=0)
@@ -289,7 +290,7 @@ class AniFormerTask(Task[AniFormerTrainConfig, AniFormer]):
         """Clips: those held out where the data are clips of a folder; of animals pairs, whose driving stands still."""
         if self.meshes and (held_out := HeldOutMeshes.of(self.meshes)):
             return held_out
-        return QUADRUPED if self.config.data.body == "quadruped" else CLIPS_ANIFORMER
+        return QUADRUPED if self.config.data.body == "quadruped" else clips_protocol(self.config.data)
 
     def make_model(self) -> AniFormer:
         """Build the network with fresh weights."""
@@ -324,10 +325,11 @@ class AniFormerTask(Task[AniFormerTrainConfig, AniFormer]):
         return pair_error(infer, trial, *where)
 
     def batch_error(self, model: AniFormer, batch: WindowBatch) -> float:
-        """Compute the mean PMD of a batch, in the unit of its truth."""
+        """Compute the mean PMD of a batch."""
         with self.autocast():
             result = model(batch.identity, batch.driving)
-        return float(mean_squared_distance(result, match_frames(batch.truth, result.shape[1])))
+        truth, unit = (match_frames(of_frames, result.shape[1]) for of_frames in (batch.truth, batch.truth_radius))
+        return float(mean_squared_distance(result, truth, unit))
 
     def flops_per_pair(self, model: AniFormer) -> float:
         """Count the floating-point operations of one training window's forward pass."""

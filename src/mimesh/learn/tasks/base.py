@@ -124,7 +124,16 @@ class TrainConfig:
                 f"{where}: expected data.character_limits null without characters of mime, found "
                 f"{self.data.character_limits}; leave it out"
             )
-        for name in ("limits", "character_limits", "low_poly", "scans", "reflect", "between", "recombine", "mix_people"):
+        for name in (
+            "limits",
+            "character_limits",
+            "low_poly",
+            "scans",
+            "reflect",
+            "between",
+            "recombine",
+            "mix_people",
+        ):
             share = getattr(self.data, name)
             if share is not None and not 0.0 <= share <= 1.0:
                 raise InputError(f"{where}: expected data.{name} from 0 to 1, found {share}")
@@ -216,11 +225,11 @@ class Task(ABC, Generic[Config, Network]):
 
     @abstractmethod
     def trial_error(self, model: Network, trial: Any) -> float:
-        """Compute the PMD of one pair of the protocol, in the truth's unit sphere."""
+        """Compute the PMD of one pair of the protocol (Eq. 7 of the papers, `evaluate.metrics.pmd`)."""
 
     @abstractmethod
     def batch_error(self, model: Network, batch: Any) -> float:
-        """Compute the mean PMD of a training-like batch."""
+        """Compute the mean PMD of a training-like batch, in the same unit."""
 
     @abstractmethod
     def flops_per_pair(self, model: Network) -> float:

@@ -175,10 +175,10 @@ class LIMPTask(Task[LIMPTrainConfig, LIMP]):
         return pair_error(infer, trial, *where)
 
     def batch_error(self, model: LIMP, batch: PairBatch) -> float:
-        """Compute the mean PMD of a batch, in the unit of its truth."""
+        """Compute the mean PMD of a batch."""
         with self.autocast():
             result = model(batch.identity, batch.driving)
-        return float(mean_squared_distance(result, batch.truth))
+        return float(mean_squared_distance(result, batch.truth, batch.truth_radius))
 
     def flops_per_pair(self, model: LIMP) -> float:
         """Count the floating-point operations of one training pair's forward pass: three codes, seven decodings."""

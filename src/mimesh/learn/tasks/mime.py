@@ -20,7 +20,7 @@ from ...bodies.anatomy import anatomy_of
 from ...core import geometry, surface_points
 from ...core.errors import InputError
 from ...core.mesh import Mesh
-from ...evaluate.metrics import pmd_of_pair
+from ...evaluate.metrics import pmd_aligned
 from ...evaluate.pairs import Pair
 from ...evaluate.protocols import Protocol
 from ...evaluate.quadruped import QUADRUPED
@@ -46,12 +46,13 @@ ONE_SIDED = 0.1
 MAX_NOISE = 0.02
 """Largest standard deviation of the noise on driving points (metres); mostly it is far less."""
 RECONSTRUCTION_KNEE, ROTATION_KNEE, JOINT_KNEE = 5e-4, 0.02, 0.002
-"""Of squared errors: of a pair (PMD), of a joint's rotation matrix, of a joint in units of the points' spread."""
+"""Of squared errors: of a pair (`reconstruction`), of a joint's rotation matrix, and of a joint in units of the points'
+spread."""
 
 
 @dataclass(frozen=True)
 class MimeLossConfig:
-    """Weights of the terms beside the reconstruction, whose unit is PMD."""
+    """Weights of the terms beside the reconstruction, in units of the identity's squared radius."""
 
     rotation: float = 0.1
     """Of squared differences of rotation matrices, mean over joints and estimates."""
@@ -193,11 +194,11 @@ class SurfaceSource(BodySampler):
 
 
 def mime_loss(model: MimeNetwork, batch: SurfaceBatch, weights: MimeLossConfig) -> Float[Tensor, ""]:
-    """Compute the reconstruction (from PMD, Eq. 7 of the papers, root joints together) and the structural terms."""
+    """Compute the reconstruction (root joints together) and the structural terms."""
     own, other, scores = model(*batch.inputs)
     half = slice(scores.shape[1])
     moved = model.skin(batch.identity.points[:, half], scores, own, other, batch.truth.joints[:, 0])
-    loss = pseudo_huber(pmd(moved, batch), RECONSTRUCTION_KNEE).mean()
+    loss = pseudo_huber(reconstruction(moved, batch), RECONSTRUCTION_KNEE).mean()
     for prediction, true in ((own, batch.identity), (other, batch.driving)):
         rotation, joints = joint_errors(prediction, (true.rotation, true.turning), (true.joints, true.placed))
         loss = loss + weights.rotation * rotation / 2 + weights.joints * joints / 2
@@ -210,8 +211,8 @@ def pseudo_huber(square: Float[Tensor, "*B"], knee: float) -> Float[Tensor, "*B"
     return 2 * knee * ((square / knee + 1).sqrt() - 1)
 
 
-def pmd(result: Float[Tensor, "B N 3"], batch: SurfaceBatch) -> Float[Tensor, " B"]:
-    """Compute Eq. 7 for each pair, in the identity's radius."""
+def reconstruction(result: Float[Tensor, "B N 3"], batch: SurfaceBatch) -> Float[Tensor, " B"]:
+    """Compute the mean squared distance of each pair, over the square of the identity's radius about its centroid."""
     centred = batch.identity.points - batch.identity.points.mean(1, keepdim=True)
     radius = centred.norm(dim=-1).amax(1)
     return (result - batch.truth.points[:, : result.shape[1]]).square().sum(-1).mean(1) / radius.square()
@@ -266,7 +267,10 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
             return mime_loss(model, batch, self.config.structure)
 
     def trial_error(self, model: MimeNetwork, trial: Pair) -> float:
-        """Compute the PMD of a pair: joints from points of both surfaces, then skinning of the identity's vertices."""
+        """Compute the PMD of a pair: joints from points of both surfaces, then skinning of the identity's vertices.
+
+        The network gives its results no place: they are compared about the centres of their boxes.
+        """
         mesh = trial.identity
         vertices = self._tensor(mesh.vertices)
         normals = self._tensor(geometry.vertex_normals(mesh.vertices, mesh.faces))
@@ -274,7 +278,7 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
             own, other = (model.predict_joints(*self._points(m)) for m in (mesh, trial.driving))
             scores = model.predict_weights(own, vertices, normals)
         result = model.skin(vertices, scores, own, other)[0]
-        return pmd_of_pair(result.double().cpu().numpy(), trial.truth)
+        return pmd_aligned(result.double().cpu().numpy(), trial.truth)
 
     def _points(self, mesh: Mesh) -> tuple[Float[Tensor, "1 N 3"], Float[Tensor, "1 N 3"]]:
         """Draw random points of a surface, always the same ones, and their normals."""
@@ -286,11 +290,13 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
         return torch.from_numpy(array).float()[None].to(self.device)
 
     def batch_error(self, model: MimeNetwork, batch: SurfaceBatch) -> float:
-        """Compute the mean PMD over half of the identities' points."""
+        """Compute the mean PMD over half of the identities' points, whose boxes and radii are those compared."""
         with self.autocast():
             own, other, scores = model(*batch.inputs)
-        half = batch.identity.points[:, : scores.shape[1]]
-        return float(pmd(model.skin(half, scores, own, other, batch.truth.joints[:, 0]), batch).mean())
+        count = scores.shape[1]
+        result = model.skin(batch.identity.points[:, :count], scores, own, other, batch.truth.joints[:, 0])
+        pair = (points.double().cpu().numpy() for points in (result, batch.truth.points[:, :count]))
+        return pmd_aligned(*pair)
 
     def flops_per_pair(self, model: MimeNetwork) -> float:
         """Count the floating-point operations of one training pair's forward pass."""

@@ -31,6 +31,8 @@ class PairBatch:
     identity: Float[Tensor, "B V 3"]
     driving: Float[Tensor, "B U 3"]
     truth: Float[Tensor, "B V 3"]
+    truth_radius: Float[Tensor, " B"]
+    """Radius of the whole `truth` in its unit: 1 where it was divided by its own."""
     edges: Int[Tensor, "B E 2"]
     edges_of_mesh: float
     """Edges a vertex of the whole mesh over edges a vertex given here."""
@@ -38,10 +40,9 @@ class PairBatch:
     @classmethod
     def joined(cls, batches: Sequence[PairBatch]) -> PairBatch:
         """Concatenate batches of as many vertices."""
-        identity, driving, truth, edges = (
-            torch.cat([getattr(batch, name) for batch in batches]) for name in ("identity", "driving", "truth", "edges")
-        )
-        return cls(identity, driving, truth, edges, batches[0].edges_of_mesh)
+        names = ("identity", "driving", "truth", "truth_radius", "edges")
+        joined = {name: torch.cat([getattr(batch, name) for batch in batches]) for name in names}
+        return cls(**joined, edges_of_mesh=batches[0].edges_of_mesh)
 
 
 class PairSource(BodySampler):
@@ -57,9 +58,10 @@ class PairSource(BodySampler):
         identity, radius = self._normalized_mesh(identity_shape, identity_pose, index)
         driving, _ = self._normalized_mesh(driving_shape, driving_pose, driving_index)
         scale = radius if self.config.target_scale == "identity" else None
-        truth, _ = self._normalized_mesh(identity_shape, driving_pose, index, scale)
+        truth, own = self._normalized_mesh(identity_shape, driving_pose, index, scale)
         self._reflect(rng, identity, driving, truth)
-        return PairBatch(identity, driving, truth, edges, share)
+        size_of_truth = (own / (own if scale is None else scale))[:, 0, 0]
+        return PairBatch(identity, driving, truth, size_of_truth, edges, share)
 
 
 class MeshPairSource(MeshSampler):
@@ -68,7 +70,8 @@ class MeshPairSource(MeshSampler):
     def batch(self, size: int, step: int) -> PairBatch:
         """Make the pairs of a step."""
         drawn = self.sample(size, step)
-        return PairBatch(drawn.identity, drawn.driving[:, 0], drawn.truth[:, 0], drawn.edges, drawn.edges_of_mesh)
+        truth, own = drawn.truth[:, 0], drawn.truth_radius[:, 0]
+        return PairBatch(drawn.identity, drawn.driving[:, 0], truth, own, drawn.edges, drawn.edges_of_mesh)
 
 
 class CharacterPairSource(PairSource):
@@ -94,13 +97,15 @@ class CharacterPairSource(PairSource):
         pairs = self.pairs.draw(poses, rng)
         index = self._with_neighbours(pairs.rest.points, rng)
         identity, radius = in_unit_sphere(pairs.identity.points, index)
-        truth, _ = in_unit_sphere(pairs.truth.points, index, radius if self.config.target_scale == "identity" else None)
+        scale = radius if self.config.target_scale == "identity" else None
+        truth, own = in_unit_sphere(pairs.truth.points, index, scale)
         driving, _ = in_unit_sphere(pairs.driving.points, self._random_rows(size, index.shape[1], rng))
         people = size // 2
         vertices = self._stratified_vertices(people, index.shape[1], rng)
         driving[:people] = self._normalized_mesh(shapes[:people], pairs.pose[:people], vertices)[0]
         self._reflect(rng, identity, driving, truth)
-        return PairBatch(identity, driving, truth, pairs_of_rows(index), self.edge_share)
+        size_of_truth = (own / (own if scale is None else scale))[:, 0, 0]
+        return PairBatch(identity, driving, truth, size_of_truth, pairs_of_rows(index), self.edge_share)
 
     def _with_neighbours(self, rest: Float[Tensor, "B P 3"], rng: torch.Generator) -> Int[Tensor, "B V"]:
         """Draw points of which every second one is a neighbour at rest of the one before it."""
@@ -117,8 +122,7 @@ class CharacterPairSource(PairSource):
 def in_unit_sphere(
     points: Float[Tensor, "B P 3"], index: Int[Tensor, "B N"], radius: Float[Tensor, "B 1 1"] | None = None
 ) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B 1 1"]]:
-    """Centre some of the points on the bounding box of all and divide them by `radius` (None: of all); give it too."""
+    """Centre some of the points on the box of all, divide them by `radius` (None: that of all); give that of all."""
     centred = points - (points.amax(1, keepdim=True) + points.amin(1, keepdim=True)) / 2
-    if radius is None:
-        radius = centred.norm(dim=-1).amax(1)[:, None, None]
-    return centred.gather(1, index[..., None].expand(-1, -1, 3)) / radius, radius
+    own = centred.norm(dim=-1).amax(1)[:, None, None]
+    return centred.gather(1, index[..., None].expand(-1, -1, 3)) / (own if radius is None else radius), own
