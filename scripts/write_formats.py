@@ -122,6 +122,7 @@ hold a licence give it their files:
 |---|---|---|
 | SMPL, SMPL+H, SMPL-X, SMAL: `.pkl`, `.npz` | `mimesh convert SMPL_NEUTRAL.pkl body.obj` | the mean shape at rest |
 | AMASS: `.npz` | `mimesh convert take.npz mesh.npz --body-model SMPLH_MALE.npz` | a clip of the recorded person |
+| | `mimesh convert take.npz mesh.npz --body-model SMPLH_MALE.npz --betas other.npz` | another person in that motion |
 | | `mimesh animate hero.glb take.npz --body-model SMPLH_MALE.npz` | the identity, driven by that clip |
 | | `mimesh transfer hero.glb take.npz --body-model SMPLH_MALE.npz` | the identity in the pose of its first frame |
 | | `mimesh animate hero.glb take.npz` | the identity, driven by the joints; no model is needed |

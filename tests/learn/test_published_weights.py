@@ -63,7 +63,7 @@ def test_imported_network_gives_what_the_reference_gives(imported, state):
     expected = npt(state, identity, driving, public=True)
     assert np.abs(infer_onnx(network, identity.numpy(), driving.numpy()) - expected.numpy()).max() < 1e-5
     facts = json.loads(next(p.value for p in network.metadata_props if p.key == "mimesh"))
-    assert (facts["model"], facts["pose_code"], facts["target_scale"]) == ("npt", "per_vertex", "identity")
+    assert (facts["model"], facts["pose_code"], facts["target_scale"]) == ("npt", "per_vertex", "metres")
 
 
 @pytest.mark.slow

@@ -10,7 +10,8 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from people import person  # noqa: E402
-from registered import FACES, write_clips, write_meshes  # noqa: E402
+from registered import FACES, moving, write_clips, write_meshes  # noqa: E402
+from smpl_files import write_dfaust  # noqa: E402
 from trainings import TINY, assert_steps_are_pure, losses  # noqa: E402
 
 from mimesh.cli import run  # noqa: E402
@@ -24,7 +25,8 @@ from mimesh.io import load_mesh, save_mesh  # noqa: E402
 from mimesh.learn import checkpoint  # noqa: E402
 from mimesh.learn.body_sampler import DataConfig  # noqa: E402
 from mimesh.learn.config import load_config  # noqa: E402
-from mimesh.learn.export import DATA  # noqa: E402
+from mimesh.learn.export import DATA, export_command  # noqa: E402
+from mimesh.learn.mesh_pairs import HeldOutMeshes  # noqa: E402
 from mimesh.learn.models.aniformer import AniFormerConfig  # noqa: E402
 from mimesh.learn.registered_meshes import RegisteredMeshes  # noqa: E402
 from mimesh.learn.tasks.aniformer import AniFormerTrainConfig, MeshWindowSource  # noqa: E402
@@ -33,6 +35,7 @@ from mimesh.learn.tasks.npt import MeshPairSource  # noqa: E402
 from mimesh.learn.train import train, train_command  # noqa: E402
 from mimesh.learn.training_run import TrainingRun  # noqa: E402
 from mimesh.learn.validation import Validation  # noqa: E402
+from mimesh.methods.find import find_method  # noqa: E402
 
 CPU = torch.device("cpu")
 AXES = {"up": "+y", "front": "+z"}
@@ -52,6 +55,11 @@ def clips(tmp_path_factory):
     path = tmp_path_factory.mktemp("clips")
     write_clips(path)
     return path
+
+
+def read(folder, window=1, /, **options):
+    """Read the meshes of a folder with options of the data."""
+    return RegisteredMeshes.read(folder, DataConfig("meshes", **options), window)
 
 
 def centred(points):
@@ -80,7 +88,7 @@ def who(name):
 def test_batches_hold_what_the_files_hold(folder):
     """Truth vertex i is that of identity vertex i, driving meshes are other people in another order of their own."""
     files = {who(name): normalised(mesh.vertices) for name, mesh in write_meshes(folder).items()}
-    source = MeshPairSource(ALL, RegisteredMeshes.read(folder, **AXES), CPU, 0)
+    source = MeshPairSource(ALL, read(folder, **AXES), CPU, 0)
     seen = set()
     for step in range(6):
         batch = source.batch(4, step)
@@ -103,7 +111,7 @@ def test_the_truth_may_keep_the_identity_s_unit(folder):
     meshes = {who(name): mesh.vertices for name, mesh in write_meshes(folder).items()}
     files = {name: normalised(points) for name, points in meshes.items()}
     config = dataclasses.replace(ALL, target_scale="identity")
-    batch = MeshPairSource(config, RegisteredMeshes.read(folder, **AXES), CPU, 0).batch(3, 0)
+    batch = MeshPairSource(config, read(folder, **AXES), CPU, 0).batch(3, 0)
     for identity, driving, truth in zip(
         batch.identity.numpy(), batch.driving.numpy(), batch.truth.numpy(), strict=True
     ):
@@ -116,9 +124,7 @@ def test_subsets_have_edges_of_the_mesh(folder):
     meshes = write_meshes(folder)
     files = {name: normalised(mesh.vertices) for name, mesh in meshes.items()}
     pairs = set(map(tuple, edges(person(0, 0, FACES).faces)))
-    batch = MeshPairSource(dataclasses.replace(ALL, vertices=40), RegisteredMeshes.read(folder, **AXES), CPU, 0).batch(
-        2, 0
-    )
+    batch = MeshPairSource(dataclasses.replace(ALL, vertices=40), read(folder, **AXES), CPU, 0).batch(2, 0)
     assert batch.identity.shape == batch.driving.shape == batch.truth.shape == (2, 40, 3)
     for points, rows in zip(batch.identity.numpy(), batch.edges.numpy(), strict=True):
         near = {name: np.linalg.norm(points[:, None] - file[None], axis=-1) for name, file in files.items()}
@@ -131,14 +137,14 @@ def test_subsets_have_edges_of_the_mesh(folder):
 @pytest.mark.parametrize("vertices", [0, 32])
 def test_a_step_is_a_pure_function(folder, clips, vertices):
     config = DataConfig("meshes", vertices, reflect=0.5)
-    assert_steps_are_pure(MeshPairSource(config, RegisteredMeshes.read(folder, **AXES), CPU, 3))
-    assert_steps_are_pure(MeshWindowSource(config, RegisteredMeshes.read(clips, 3, **AXES), CPU, 3))
+    assert_steps_are_pure(MeshPairSource(config, read(folder, **AXES), CPU, 3))
+    assert_steps_are_pure(MeshWindowSource(config, read(clips, 3, **AXES), CPU, 3))
 
 
 def test_not_every_person_needs_every_pose(tmp_path):
     """Person 0 alone has pose 0; person 2 has pose 1 only, which is its own identity."""
     write_meshes(tmp_path, 3, 3, leave_out=[(1, 0), (2, 0), (2, 2)])
-    meshes = RegisteredMeshes.read(tmp_path, **AXES)
+    meshes = read(tmp_path, **AXES)
     assert meshes.split.seen is None  # nothing can be held out of so few
     assert meshes.split.training.counts == (6, 5, 5)
     assert "6 can be identity, 5 driving, 5 truth; validated on `val` of the shipped body" in meshes.described()
@@ -157,7 +163,7 @@ def test_not_every_person_needs_every_pose(tmp_path):
 
 def test_validation_is_on_new_people_in_known_and_new_poses(folder):
     files = {who(name): normalised(mesh.vertices) for name, mesh in write_meshes(folder).items()}
-    task = find_task("npt")(MESHES, CPU, "fp32", RegisteredMeshes.read(folder, **AXES))
+    task = find_task("npt")(MESHES, CPU, "fp32", read(folder, **AXES))
     validation = Validation(task)
     for kind, poses in (("seen", {0, 1, 2, 3}), ("unseen", {4})):
         for k in range(8):
@@ -180,7 +186,7 @@ def test_windows_are_the_same_frames_of_two_people(clips):
         for name, clip in written.items()
         for t, points in enumerate(clip.vertices)
     }
-    meshes = RegisteredMeshes.read(clips, 3, **AXES)
+    meshes = read(clips, 3, **AXES)
     batch = MeshWindowSource(ALL, meshes, CPU, 0).batch(6, 0)
     for identity, driving, truth in zip(
         batch.identity.numpy(), batch.driving.numpy(), batch.truth.numpy(), strict=True
@@ -208,7 +214,7 @@ def test_npt_takes_each_frame_of_a_clip_as_a_pose(clips):
         for name, clip in write_clips(clips).items()
         for t, points in enumerate(clip.vertices)
     }
-    batch = MeshPairSource(ALL, RegisteredMeshes.read(clips, **AXES), CPU, 0).batch(8, 0)
+    batch = MeshPairSource(ALL, read(clips, **AXES), CPU, 0).batch(8, 0)
     for identity, driving, truth in zip(
         batch.identity.numpy(), batch.driving.numpy(), batch.truth.numpy(), strict=True
     ):
@@ -219,7 +225,7 @@ def test_npt_takes_each_frame_of_a_clip_as_a_pose(clips):
 
 def test_clips_of_a_motion_are_used_to_their_common_length(tmp_path):
     write_clips(tmp_path, 2, 2, lambda i, m: 4 + i if m == 0 else 6)
-    meshes = RegisteredMeshes.read(tmp_path, 3, **AXES)
+    meshes = read(tmp_path, 3, **AXES)
     assert meshes.described().endswith(
         "clips of walk0 have several lengths: the first frames, as many as the shortest has, are used"
     )
@@ -228,20 +234,20 @@ def test_clips_of_a_motion_are_used_to_their_common_length(tmp_path):
     # Clips are stored one after another: 4, 6, 5 and 6 frames, of which the last of the third is not used.
     assert set(drawn.flatten().tolist()) == {*range(14), *range(15, 21)}
     with pytest.raises(InputError, match="expected clips of 7 frames or more, found at most 6"):
-        RegisteredMeshes.read(tmp_path, 7, **AXES)
+        read(tmp_path, 7, **AXES)
 
 
 def test_meshes_are_turned_to_y_up_alike_whatever_the_axes_of_the_files(folder, tmp_path):
     turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # y up becomes z up, +z front becomes -y
     for name, mesh in write_meshes(folder).items():
         save_mesh(Mesh(mesh.vertices @ turn.T, mesh.faces), tmp_path / name)
-    upright, turned = RegisteredMeshes.read(folder), RegisteredMeshes.read(tmp_path)
+    upright, turned = read(folder), read(tmp_path)
     assert [(m.facts["up"], m.facts["front"]) for m in (upright, turned)] == [("+y", "+z"), ("+z", "-y")]
     np.testing.assert_allclose(turned.points, upright.points, atol=1e-6)
-    given = RegisteredMeshes.read(tmp_path, up="z", front="x")
+    given = read(tmp_path, up="z", front="x")
     assert "up +z, front +x" in given.described()
     with pytest.raises(InputError, match=r"data\.up: expected one of"):
-        RegisteredMeshes.read(tmp_path, up="sky")
+        read(tmp_path, up="sky")
 
 
 def test_damaged_files_and_other_topologies_are_refused_by_name(tmp_path):
@@ -249,7 +255,7 @@ def test_damaged_files_and_other_topologies_are_refused_by_name(tmp_path):
     (tmp_path / "id0_1.ply").write_bytes((tmp_path / "id0_1.ply").read_bytes()[:-400])
     save_mesh(person(1, 2, 2 * FACES), tmp_path / "id1_2.ply")
     save_mesh(Mesh(np.zeros_like(person(0, 0, FACES).vertices), person(0, 0, FACES).faces), tmp_path / "id2_2.ply")
-    meshes = RegisteredMeshes.read(tmp_path, **AXES)
+    meshes = read(tmp_path, **AXES)
     said = meshes.described()
     assert meshes.facts["meshes"] == 9
     assert "refused id0_1.ply: " in said
@@ -264,7 +270,7 @@ def test_damaged_files_and_other_topologies_are_refused_by_name(tmp_path):
 def test_a_folder_without_a_pair_is_refused(tmp_path, people, poses, message):
     write_meshes(tmp_path, people, poses)
     with pytest.raises(InputError, match=message):
-        RegisteredMeshes.read(tmp_path, **AXES)
+        read(tmp_path, **AXES)
 
 
 def test_a_folder_of_many_topologies_is_refused(tmp_path):
@@ -273,23 +279,23 @@ def test_a_folder_of_many_topologies_is_refused(tmp_path):
     with pytest.raises(
         InputError, match=r"one topology, found 3 of 4 .*such as id0_1\.ply: expected the topology of id0"
     ):
-        RegisteredMeshes.read(tmp_path, **AXES)
+        read(tmp_path, **AXES)
 
 
 def test_resume_continues_exactly_and_with_the_same_meshes_only(folder, tmp_path):
-    meshes = RegisteredMeshes.read(folder, **AXES)
+    meshes = read(folder, **AXES)
     expected = losses(TrainingRun.start(MESHES, tmp_path / "none", meshes), 6)
     first = TrainingRun.start(MESHES, tmp_path / "none", meshes)
     start = losses(first, 3)
     first.save(tmp_path / "last.safetensors")
-    again = TrainingRun.start(MESHES, tmp_path, RegisteredMeshes.read(folder, **AXES))
+    again = TrainingRun.start(MESHES, tmp_path, read(folder, **AXES))
     assert start + losses(again, 3) == expected
     other = tmp_path / "other"
     write_meshes(other, 3)
     with pytest.raises(
         InputError, match=r"expected the meshes of the training so far \(.*20 of 4 people\), found others"
     ):
-        TrainingRun.start(MESHES, tmp_path, RegisteredMeshes.read(other, **AXES))
+        TrainingRun.start(MESHES, tmp_path, read(other, **AXES))
     with pytest.raises(InputError, match=r"--meshes: expected the folder of meshes"):
         train_command("npt", "small", None, tmp_path, 0.001)
 
@@ -327,7 +333,7 @@ def test_train_on_what_generate_writes(tmp_path, monkeypatch):
     monkeypatch.setattr("mimesh.evaluate.generate.find_protocol", lambda *_: few)
     assert run(["generate", "human-npt", "--split", "train", "-o", str(tmp_path / "table")]) == 0
     config = dataclasses.replace(MESHES, pairs=160, batch=4, validate_every=80, learning_rate=3e-3, decay=0.0, ema=0.0)
-    out = train(config, tmp_path / "run", None, RegisteredMeshes.read(tmp_path / "table"))
+    out = train(config, tmp_path / "run", None, read(tmp_path / "table"))
     figures = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
     first, last = (line for line in figures if line["kind"] == "validation")
     assert last["fresh"] < first["fresh"]
@@ -373,3 +379,113 @@ def test_train_aniformer_on_clips_by_the_command_line(clips, tmp_path, capsys):
     state = train_by_command("aniformer", config, clips, tmp_path)
     assert "meshes 0 pairs: {person}/{pose}: 16 clips (96 frames) of 4 people in 4 motions" in capsys.readouterr().err
     assert {"seen", "unseen", "fresh", "val"} == set(state.metrics)
+
+
+@pytest.mark.parametrize(
+    ("people", "poses", "held_out", "counts"),
+    [
+        ("", "", ("3", "4"), (12, 12, 12)),
+        ("none", "none", ("", ""), (20, 20, 20)),
+        ("2", "none", ("2 3", ""), (10, 10, 10)),
+        ("none", "1,3", ("", "1 3"), (12, 12, 12)),
+        ("0,", "2", ("0", "3 4"), (9, 9, 9)),
+    ],
+)
+def test_people_and_poses_that_are_named_are_held_out(folder, people, poses, held_out, counts):
+    """By number, by name, or none; what is held out is no part of the training and is validated on."""
+    meshes = read(folder, hold_out_people=people, hold_out_poses=poses, **AXES)
+    new, new_poses = (names.split() for names in held_out)
+    assert meshes.facts["held_out"] == {"people": new, "poses": new_poses}
+    assert meshes.split.training.counts == counts
+    held = HeldOutMeshes.of(meshes)
+    kinds = ("seen",) * bool(new) + ("unseen",) * bool(new_poses)
+    assert (() if held is None else held.kinds) == kinds
+    files = {who(name): normalised(mesh.vertices) for name, mesh in write_meshes(folder).items()}
+    for kind in kinds:
+        for k in range(6):
+            trial = held.unshuffled_pair("val", kind, k, np.random.default_rng(k))
+            ((i, a), _), ((j, b), _) = (
+                name_of(normalised(mesh.vertices), files) for mesh in (trial.identity, trial.driving)
+            )
+            assert (not new or str(i) in new, i != j, str(a) in new_poses) == (True, True, False)
+            assert (str(b) in new_poses) == (kind == "unseen")
+            np.testing.assert_allclose(normalised(trial.truth), files[i, b], atol=1e-5)
+    task = find_task("npt")(dataclasses.replace(MESHES, validation_pairs=1), CPU, "fp32", meshes)
+    figures = Validation(task).measure(task.make_model())
+    assert set(figures) == {*(kinds or ("seen", "unseen")), "fresh", "val"}
+
+
+@pytest.mark.parametrize(
+    ("people", "poses", "message"),
+    [
+        ("4", "", r"hold_out_people=4: expected fewer than the 4 people .* one that has this name is .*=4,$"),
+        ("7,", "", r"expected a number, none, or names of people \(0, 1, 2, 3\), found 7"),
+        ("1,2,3", "none", r"pairs in the training and among what is held out \(3 of 4 people, 0 of 5 poses\)"),
+    ],
+)
+def test_what_cannot_be_held_out_is_refused(folder, people, poses, message):
+    with pytest.raises(InputError, match=message):
+        read(folder, hold_out_people=people, hold_out_poses=poses, **AXES)
+
+
+def test_numbers_after_set_are_words_where_words_are_expected():
+    config = load_config("small", "npt", ["data.hold_out_people=3", "data.hold_out_poses=none"])
+    assert (config.data.hold_out_people, config.data.hold_out_poses) == ("3", "none")
+
+
+def test_evenly_spread_frames_of_each_clip(clips, tmp_path):
+    meshes, every = (read(clips, 3, frames=frames, **AXES) for frames in (3, 0))
+    assert (meshes.facts["frames"], every.facts["frames"]) == (48, 96)
+    np.testing.assert_array_equal(meshes.points[:3], every.points[[0, 2, 5]])
+    batch = MeshWindowSource(ALL, meshes, CPU, 0).batch(2, 0)
+    assert batch.driving.shape[1] == 3
+    write_clips(tmp_path, 2, 2, lambda i, m: 4 + i if m == 0 else 6)
+    with pytest.raises(InputError, match=r"walk0: expected clips in which frame t is the same pose .*p0 has 4 frames"):
+        read(tmp_path, 3, frames=3, **AXES)
+
+
+def write_recordings(path, lengths):
+    """Write clips of people as DFAUST's registrations are: the numbers of frames by name."""
+    pytest.importorskip("h5py")
+    clips = {name: moving(k % 3, 0, frames).vertices for k, (name, frames) in enumerate(lengths.items())}
+    return write_dfaust(path, clips, person(0, 0, FACES).faces)
+
+
+def test_clips_of_an_hdf5_file_are_people_in_motions(tmp_path):
+    """Alone or in a folder; the note says what is taken for granted."""
+    names = [f"{person}_{motion}" for person in (50002, 50004, 50007) for motion in ("jumping_jacks", "hips", "knees")]
+    path = write_recordings(tmp_path / "registrations.hdf5", dict.fromkeys(names, 6))
+    for given in (path, tmp_path):
+        meshes = read(given, 3, **AXES)
+        facts = meshes.facts
+        assert (facts["layout"], facts["people"], facts["poses"]) == ("{person:d}_{pose}", 3, 3)
+        assert facts["held_out"] == {"people": ["50007"], "poses": ["knees"]}
+        assert "frame t of a motion is taken to be the same pose of all people in it" in meshes.described()
+    batch = MeshWindowSource(ALL, meshes, CPU, 0).batch(4, 0)
+    assert batch.driving.shape[:2] == (4, 3)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "message"),
+    [
+        ({"50002_hips": 6, "50004_hips": 8}, r"hips: expected clips .*50002 has 6 frames, 50004 has 8 frames\)\. Rec"),
+        ({"50002_hips": 6, "50004_knees": 6}, "two people in one pose, found none .*recordings of one person a motion"),
+    ],
+)
+def test_recordings_without_a_truth_are_refused_with_a_way_to_one(lengths, message, tmp_path):
+    path = write_recordings(tmp_path / "registrations_m.hdf5", lengths)
+    with pytest.raises(InputError, match=message) as raised:
+        read(path, 3, **AXES)
+    assert "mimesh generate clips-aniformer --split train --body-model" in str(raised.value)
+
+
+def test_animals_are_validated_and_exported_as_such(folder, tmp_path):
+    """What the meshes are is said by data.body: in the card, in the metadata, and where nothing is held out."""
+    config = dataclasses.replace(MESHES, data=DataConfig("meshes", 64, body="quadruped"))
+    config.check("here")
+    meshes = read(folder, hold_out_people="none", hold_out_poses="none", **AXES)
+    assert find_task("npt")(config, CPU, "fp32", meshes).protocol.name == "quadruped"
+    TrainingRun.start(config, tmp_path, meshes).save(tmp_path / "last.safetensors")
+    card = export_command(tmp_path / "last.safetensors", tmp_path / "animals.onnx")
+    assert card["data"].endswith("of animals")
+    assert find_method(str(tmp_path / "animals.onnx")).body == "quadruped"

@@ -134,7 +134,7 @@ def test_a_time_limit_is_not_overrun_by_a_validation(tmp_path, pairs):
 def test_a_checkpoint_is_written_before_every_validation(tmp_path, monkeypatch):
     steps = []
 
-    def validate(run, validation, folder, stop):
+    def validate(run, validation, folder, stop, progress):
         steps.append((run.step, checkpoint.load(folder / "last.safetensors").step))
         run.metrics, run.validated = {"val": 1.0}, run.step
         return run.metrics
@@ -142,6 +142,15 @@ def test_a_checkpoint_is_written_before_every_validation(tmp_path, monkeypatch):
     monkeypatch.setattr(TrainingRun, "validate", validate)
     train(TINY, tmp_path / "run")
     assert steps == [(4, 4), (8, 8)]
+
+
+def test_a_validation_that_lasts_is_told_with_what_is_left(tmp_path, monkeypatch):
+    """With no time between lines, one after each trial and batch but the last, by pairs: a batch is 32 of them."""
+    monkeypatch.setattr("mimesh.learn.training_log.LOG_SECONDS", 0.0)
+    config = dataclasses.replace(TINY, pairs=8, validate_every=8, validation_pairs=1)
+    lines = [json.loads(line) for line in (train(config, tmp_path / "run") / "log.jsonl").read_text().splitlines()]
+    told = [line["text"].partition(" pairs measured, about ")[0] for line in lines if line["kind"] == "validating"]
+    assert told == ["1 of 258", "2 of 258", *(f"{2 + 32 * k} of 258" for k in range(1, 8))]
 
 
 def test_a_validation_that_is_broken_off_changes_nothing(tmp_path):

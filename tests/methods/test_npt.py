@@ -1,11 +1,12 @@
 """NPT at run time: seams, order, root motion, ensembles, unknown scale, and files that are refused."""
 
+import dataclasses
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from networks import write_network
+from networks import write_network, write_sequence_network
 from people import person, split_everywhere, walk
 from zoo import point_cloud, two_parts
 
@@ -13,8 +14,10 @@ from mimesh.core.canonical_order import canonical_order
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import edges
 from mimesh.core.mesh import Clip, Mesh
-from mimesh.core.normalization import ROTATIONS
+from mimesh.core.normalization import ROTATIONS, bbox_centre, radius
 from mimesh.core.surface_points import padded_vertices
+from mimesh.evaluate.measure import placed_shapes
+from mimesh.evaluate.run import evaluate_command
 from mimesh.methods.find import SHIPPED_NETWORKS, find_method
 from mimesh.methods.npt import POOLED_POINTS, PatchDistances
 from mimesh.methods.onnx_models import load_network
@@ -188,3 +191,57 @@ def test_unknown_model_lists_the_known_ones():
 def test_ensemble_below_one_is_refused():
     with pytest.raises(InputError, match="--ensemble"):
         find_method("copy", ensemble=0)
+
+
+class Recorder:
+    """Runs a session and keeps what it is given."""
+
+    def __init__(self, session) -> None:
+        self.session, self.given = session, []
+
+    def run(self, names, inputs):
+        self.given.append(inputs)
+        return self.session.run(names, inputs)
+
+
+@pytest.mark.parametrize("write", [write_network, write_sequence_network])
+def test_a_network_of_metres_gets_both_meshes_in_metres(tmp_path, write):
+    """Its input is each mesh of the files, centred on its box; the result is in metres too, whatever the size."""
+    method = find_method(str(write(tmp_path / "metres.onnx", target_scale="metres")))
+    recorder = Recorder(method.session)
+    tall = person(0).with_vertices(1.25 * person(0).vertices + [3.0, 2.0, 1.0])
+    result = transfer(tall, person(1, 0), dataclasses.replace(method, session=recorder), refine=False)
+    for name, mesh in (("identity", tall), ("driving", person(1, 0))):
+        given = recorder.given[0][name].reshape(-1, 3)[: len(mesh.vertices)]
+        assert np.allclose(
+            np.sort(given, axis=0), np.sort(mesh.vertices - bbox_centre(mesh.vertices), axis=0), atol=1e-5
+        )
+    raw = method.session.run(["result"], recorder.given[0])[0].reshape(-1, 3)[: len(tall.vertices)]
+    found, raw = (points - bbox_centre(points) for points in (result.vertices, raw))
+    assert radius(found) == pytest.approx(radius(raw), rel=1e-5)
+
+
+def test_a_network_of_metres_is_measured_in_metres(tmp_path):
+    """`evaluate` compares the network's own results; an imported network has a card without data of a training."""
+    path = write_network(tmp_path / "authors.onnx", target_scale="metres")
+    imported = {"config": {"network": "npt", "model": {}}, "imported": {"file": "original_169.model"}}
+    path.with_suffix(".json").write_text(json.dumps(imported))
+    method = find_method(str(path))
+    recorder, driving = Recorder(method.session), person(1, 0)
+    network = dataclasses.replace(method, session=recorder)
+    placed, origin = placed_shapes(network, person(0), Clip.still(driving), driving.vertices[None])
+    given = recorder.given[0]
+    assert radius(given["identity"][0]) == pytest.approx(radius(person(0).vertices - bbox_centre(person(0).vertices)))
+    own = method.session.run(["result"], given)[0][0]
+    assert radius(placed[0] - origin) == pytest.approx(radius(own), rel=1e-5)
+    figures = evaluate_command("human-npt", [str(path)], pairs=1)
+    assert "by its authors, original_169.model" in json.dumps(figures)
+    assert "trained on its authors' meshes" in json.dumps(figures)
+
+
+@pytest.mark.parametrize("write", [write_network, write_sequence_network])
+def test_a_network_of_metres_refuses_other_units(tmp_path, write):
+    method = find_method(str(write(tmp_path / "metres.onnx", target_scale="metres")))
+    large = person(0).with_vertices(100 * person(0).vertices)
+    with pytest.raises(InputError, match=r"expected a mesh in metres.* radius of 0\.2 to 2\.5, found [\d.]+; scale"):
+        transfer(large, person(1, 0), method)

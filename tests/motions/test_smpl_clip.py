@@ -13,8 +13,10 @@ from smpl_files import Ch, chumpy_modules, loop_vertices, small_arrays, smpl_arr
 
 from mimesh.cli import run
 from mimesh.core.errors import InputError
-from mimesh.io import load_clip, load_mesh, load_recorded_clip, load_recorded_mesh
+from mimesh.io import load_clip, load_mesh, load_recorded_clip, load_recorded_mesh, save_clip
+from mimesh.motions.amass import parse_betas
 from mimesh.motions.smpl_clip import fitted_pose
+from mimesh.tools.convert import convert
 
 FRAMES = 3
 
@@ -338,3 +340,59 @@ def test_look_shows_what_a_recording_was_made_with(changes, gender, betas, rate,
     details = dict(json.loads(capsys.readouterr().out)["files"][0]["details"])
     assert details["gender"] == gender
     assert details["frame rate"].startswith(rate)
+
+
+def test_another_person_makes_the_recorded_motion(tmp_path):
+    """With the betas of another, given as numbers or as that take, the surface is theirs in the recorded poses."""
+    arrays, take = small_arrays(24, 30), recording(24, betas=3, seed=1)
+    other = recording(24, betas=3, seed=5)
+    model = write_model(tmp_path / "m.npz", arrays)
+    path = write_take(tmp_path / "take.npz", **take)
+    write_take(tmp_path / "other.npz", **other)
+    expected = surface(arrays, {**take, "betas": other["betas"]}, 24)
+    out = tmp_path / "out.npz"
+    for betas in (",".join(map(repr, other["betas"].tolist())), str(tmp_path / "other.npz")):
+        given = ["convert", str(path), str(out), "--body-model", str(model), "--betas", betas, "-q"]
+        assert run(given) == 0
+        np.testing.assert_allclose(load_clip(out).vertices, expected, atol=1e-5)
+    _, notes = load_recorded_clip(path, model, betas=other["betas"])
+    assert not any("recorded with the" in note for note in notes)  # the betas are not that model's
+
+
+@pytest.mark.parametrize(
+    ("betas", "message"),
+    [
+        ("tall", r"--betas tall: expected numbers with commas between, or an \.npz with betas, found neither"),
+        ("1,nan", "expected numbers with commas"),
+        ("missing.npz", "expected numbers with commas"),
+        ("bare.npz", "expected the array betas, found none"),
+    ],
+)
+def test_betas_that_are_none_are_refused(betas, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    np.savez("bare.npz", trans=np.zeros((2, 3)))
+    with pytest.raises(InputError, match=message):
+        parse_betas(betas)
+
+
+def test_betas_without_a_body_model_are_refused(tmp_path):
+    write_take(tmp_path / "take.npz", **recording(24))
+    with pytest.raises(InputError, match="--betas 1: expected it with --body-model"):
+        convert(tmp_path / "take.npz", tmp_path / "out.npz", betas="1")
+
+
+def test_evenly_spread_frames_of_a_take_and_of_any_clip(tmp_path):
+    """The first and the last are among them; the duration stays; a take's other frames are never posed."""
+    model = write_model(tmp_path / "m.npz", small_arrays(24, 30))
+    path = write_take(tmp_path / "take.npz", **recording(24, frames=11))
+    whole, _ = load_recorded_clip(path, model)
+    for source, options in ((path, {"body_model": model}), (tmp_path / "whole.npz", {})):
+        if not options:
+            save_clip(whole, source)
+        written = convert(source, tmp_path / "few.npz", frames=6, **options)
+        assert (written.frames, written.fps) == (6, 60.0)
+        np.testing.assert_array_equal(load_clip(tmp_path / "few.npz").vertices, whole.vertices[::2])
+    with pytest.raises(InputError, match="expected 12 frames or more, found 11"):
+        convert(path, tmp_path / "few.npz", frames=12, body_model=model)
+    with pytest.raises(InputError, match="expected no --step"):
+        convert(path, tmp_path / "few.npz", frames=3, step=2, body_model=model)

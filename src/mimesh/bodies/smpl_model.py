@@ -19,6 +19,7 @@ from ..core.mesh import Mesh
 from ..core.npz_archive import open_archive, read_array, read_array_header
 from ..core.pickled_arrays import read_object_array, read_pickled_arrays
 from ..core.skinning import skin_poses, skinning_transforms
+from .body_model import RiggedBody
 
 ARRAYS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f")
 """Names of the arrays of a file."""
@@ -85,6 +86,43 @@ class SmplModel:
     def mesh(self) -> Mesh:
         """Make a mesh of the mean shape at rest."""
         return Mesh(self.template, self.faces, name=self.name)
+
+
+@dataclass(frozen=True, eq=False)
+class SmplBody(RiggedBody):
+    """A body model as a rigged body, whose pose corrections are kept; joints are named by their numbers."""
+
+    pose_directions: Float[np.ndarray, "V 3 P"]
+    """As in `SmplModel`."""
+
+    @classmethod
+    def of(cls, model: SmplModel) -> SmplBody:
+        """Convert a model."""
+        components = np.moveaxis(model.shape_directions, 2, 0)
+        return cls(
+            name=model.name,
+            vertices=model.template,
+            faces=model.faces,
+            components=components,
+            joints=model.joint_regressor @ model.template,
+            joint_components=model.joint_regressor @ components,
+            weights=model.weights,
+            joint_names=tuple(map(str, range(len(model.parents)))),
+            parents=model.parents,
+            pose_directions=model.pose_directions,
+        )
+
+    def posed(
+        self,
+        shape: Float[np.ndarray, "*#B K"],
+        rotmat: Float[np.ndarray, "*#B J 3 3"],
+        root: Float[np.ndarray, "*#B 3"] | None = None,
+    ) -> Float[np.ndarray, "*C V 3"]:
+        """As `RiggedBody.posed`, with the corrections of `SmplModel.posed`."""
+        features = (rotmat[..., 1:, :, :] - np.eye(3)).reshape(*rotmat.shape[:-3], -1)
+        vertices, joints = self.shaped(shape)
+        corrected = vertices + np.tensordot(features, self.pose_directions, axes=(-1, 2))
+        return skin_poses(corrected, self.weights, *self.skinning_transforms(joints, rotmat, root))
 
 
 def load_smpl_model(path: str | Path) -> SmplModel:

@@ -37,7 +37,10 @@ def train(
     ] = None,
     meshes: Annotated[
         Path | None,
-        typer.Option(help="Folder of registered meshes (npt) or clips (aniformer) to train on.", metavar="DIR"),
+        typer.Option(
+            help="Folder of registered meshes (npt) or clips (aniformer), or an .hdf5 of clips, to train on.",
+            metavar="DIR",
+        ),
     ] = None,
     pattern: Annotated[
         str, typer.Option(help="How the files of --meshes are named, such as '{person}-{pose}.ply'.")

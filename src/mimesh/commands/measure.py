@@ -195,6 +195,14 @@ def generate(
     split: Annotated[
         str, typer.Option(help="test, val, or train (human-npt: 6,400 files, 4 GB; --pairs: poses).")
     ] = "test",
+    body_model: Annotated[
+        Path | None,
+        typer.Option(
+            help="Body model (.pkl, .npz) of people for human-npt and, with AMASS motions in --data, clips-aniformer; "
+            "of animals for quadruped.",
+            metavar="FILE",
+        ),
+    ] = None,
     pairs: Pairs = 0,
     data: Data = None,
     frames_as: Annotated[
@@ -206,15 +214,16 @@ def generate(
     """Write a test set as files of meshes or clips.
 
     Files are named id<person>_<pose>.obj (clips: .npz); lists of "identity pose truth"
-    stand beside them, which `mimesh evaluate` takes.
+    stand beside them, which `mimesh evaluate` takes. Files of train that exist are kept.
     """
     from ..evaluate.generate import generate_command
 
     with progress("meshes", quiet or json) as advance:
         suffix = None if frames_as is None else "." + frames_as.lstrip(".")
-        written = generate_command(protocol, output, split, pairs, advance, data, suffix)
+        written = generate_command(protocol, output, split, pairs, advance, data, suffix, body_model)
     if json:
         print_json({"output": str(output), "protocol": protocol, "split": split, **written})
     elif not quiet:
-        say(f"{output}: {written['files']} files")
+        kept = f", {written['kept']} of them there already" if written.get("kept") else ""
+        say(f"{output}: {written['files']} files{kept}")
         print_next(*(("look", output) if split == "train" else ("evaluate", output, "-m", "mime,npt,copy")))

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 T = TypeVar("T")
 LARGE = 64 * 2**20
@@ -81,6 +81,24 @@ def store_frames(
             progress(done, count)
     assert done == count, f"expected {count} frames, got {done}"
     return stored
+
+
+def evenly_spread(frames: int, most: int) -> Int[np.ndarray, " T"]:
+    """Choose frames of a clip, evenly spread, the first and the last among them; all if there are no more than that."""
+    return np.linspace(0, frames - 1, min(frames, most)).round().astype(int)
+
+
+def spread_exactly(frames: int, count: int, name: str) -> Int[np.ndarray, " N"]:
+    """Choose `count` frames of a clip as `evenly_spread` does; one frame is the first.
+
+    Raises:
+        InputError: the clip `name` has fewer.
+    """
+    from .errors import InputError
+
+    if not 1 <= count <= frames:
+        raise InputError(f"{name}: expected {count} frames or more, found {frames}; ask for fewer, or leave it out")
+    return evenly_spread(frames, count)
 
 
 def each_frame(

@@ -18,7 +18,7 @@ from .arguments import check_kind
 from .array_inputs import as_faces, as_floats, as_frames, as_vertices
 from .budgets import FACES, VERTICES, check_clip_size
 from .errors import InputError
-from .frame_buffer import each_frame
+from .frame_buffer import each_frame, spread_exactly
 from .person_motion import JointSource
 
 UNNAMED = "mesh"
@@ -363,6 +363,18 @@ def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
     headings = None if clip.headings is None else clip.headings[start:stop:step]
     skeleton = None if clip.skeleton is None else clip.skeleton.cut(slice(start, stop, step))
     return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step, headings=headings, skeleton=skeleton)
+
+
+def spread_clip(clip: Clip, count: int) -> Clip:
+    """Select `count` frames, evenly spread from the first to the last; the duration stays, the file's joints do not.
+
+    Raises:
+        InputError: there are fewer.
+    """
+    chosen = spread_exactly(len(clip), count, clip.mesh.name)
+    headings = None if clip.headings is None else clip.headings[chosen]
+    fps = clip.fps * (count - 1) / (len(clip) - 1) if count > 1 else clip.fps
+    return dataclasses.replace(clip, vertices=clip.vertices[chosen], fps=fps, headings=headings, skeleton=None)
 
 
 def same_mesh(mesh: Mesh, other: Mesh) -> bool:

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.frame_buffer import Progress
+from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Clip, Mesh
 from ..io import save_clip, save_mesh
 from ..io.formats import FRAME_SUFFIXES
+from .body_models import OnBodyModel, on_body_model, training_files
 from .clip_protocols import ClipPair
 from .listed_pairs import ListedPairs
 from .pairs import Pair
@@ -33,23 +34,27 @@ def generate_command(
     progress: Progress | None = None,
     data: Path | None = None,
     frames_as: str | None = None,
+    body_model: Path | None = None,
 ) -> dict[str, int]:
     """Write the meshes of a split (`mimesh generate`) and return the number of files.
 
     Each kind of pair gets a list `<split>-<kind>.txt` with one line "identity driving truth" per pair, the heights of
     the identities (`triples`), and a folder with these meshes; kinds without known true results are left out. Driving
     and truth of a protocol of clips are clips. Vertices are in the body's order in all of them, as in the public data:
-    shuffle before use. The split `train` of human-npt is the table of 16 people x 400 poses.
+    shuffle before use. The split `train` of human-npt is the table of 16 people x 400 poses; with a body model that of
+    clips-aniformer is 16 people x all motions, as `<person>/<motion>.npz`. Files of `train` that exist are kept, so
+    that a stopped run goes on; `kept` counts them.
 
     Args:
         pairs: number of pairs of each kind, of `train` of poses of each person; 0 for the protocol's own.
         data: folder of a protocol that reads one.
         frames_as: ".obj" or ".ply" writes each clip as a folder of frames; None: as CLIP_SUFFIX.
+        body_model: file of a body model whose people, or animals, are taken instead of the shipped ones.
 
     Raises:
         InputError: no such protocol or split, missing data, or `train` of another protocol than human-npt.
     """
-    chosen = find_protocol(protocol, data)
+    chosen = on_body_model(protocol, body_model, data) if body_model else find_protocol(protocol, data)
     if isinstance(chosen, ListedPairs):
         raise InputError(f"{protocol}: expected a protocol by its name, found a list or a folder; name one")
     if split not in SPLITS:
@@ -57,7 +62,7 @@ def generate_command(
     if frames_as not in (None, *FRAME_SUFFIXES):
         raise InputError(f"--frames-as: expected {' or '.join(FRAME_SUFFIXES)}, found {frames_as}; choose one of them")
     if split == "train":
-        return {"files": _write_table(chosen, out, pairs, progress)}
+        return _write_training(chosen, out, pairs, progress)
     chosen.check(split)
     counts = {kind: chosen.count(kind, pairs, split) for kind in chosen.kinds if _has_truth(chosen, split, kind)}
     done = 0
@@ -113,20 +118,22 @@ def _write(part: Mesh | Clip, folder: Path, frames_as: str | None, written: dict
     return name
 
 
-def _write_table(protocol: Protocol, out: Path, count: int, progress: Progress | None) -> int:
-    """Write every training person in every training pose, or the first `count`, and return the number of files."""
-    if not isinstance(protocol, HumanNpt) or protocol.name != HUMAN_NPT.name:
+def _write_training(protocol: Protocol, out: Path, count: int, progress: Progress | None) -> dict[str, int]:
+    """Write every training person in every training pose or motion, or the first `count`; files that exist are kept."""
+    known = isinstance(protocol, OnBodyModel) or protocol.name == HUMAN_NPT.name
+    if not (known and isinstance(protocol, HumanNpt)):
         raise InputError(
-            f"{protocol.name}: expected {HUMAN_NPT.name} for the split train, found a test set without training data; "
-            "choose val or test"
+            f"{protocol.name}: expected {HUMAN_NPT.name} for the split train, or another with --body-model, found a "
+            "test set without training data; choose val or test"
         )
-    out.mkdir(parents=True, exist_ok=True)
-    people = [protocol.person("train", i) for i in range(protocol.people)]
-    poses = [protocol.pose("train", i) for i in range(min(count, protocol.poses) or protocol.poses)]
-    total = len(people) * len(poses)
-    for k in range(total):
-        mesh = people[k // len(poses)].posed_mesh(poses[k % len(poses)])
-        save_mesh(mesh, out / f"{mesh.name}.obj")
-        if progress is not None:
-            progress(k + 1, total)
-    return total
+    contents, kept = training_files(protocol, count), 0
+    for name, make in counted(contents.items(), len(contents), progress):
+        path = out / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            kept += 1
+        elif isinstance(content := make(), Clip):
+            save_clip(content, path)
+        else:
+            save_mesh(content, path)
+    return {"files": len(contents), "kept": kept}

@@ -21,7 +21,7 @@ from ..core.errors import InputError
 from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, bbox_centre
-from ..methods.base import Method, RigMethod, ShapeMethod
+from ..methods.base import Method, RigMethod, ShapeMethod, SizedMethod
 from ..methods.find import find_method, weights_path
 from ..methods.root_motion import check_size
 from ..pipeline import ClipResult, Result, animate, transfer
@@ -85,7 +85,7 @@ def extra_inputs(method: str) -> str:
         return EXTRA_INPUTS[method]
     network = find_method(method)
     shipped = "our quadruped" if getattr(network, "body", "human") == "quadruped" else "our body"
-    body = "own meshes" if trained_on(method) == "meshes" else shipped
+    body = {"meshes": "own meshes", "imported": "its authors' meshes"}.get(trained_on(method) or "", shipped)
     body += ", true correspondence" * (getattr(network, "pairing", "random") == "order")
     if needs_true_size(network):
         return f"trained on {body}, true size"
@@ -93,9 +93,12 @@ def extra_inputs(method: str) -> str:
 
 
 def trained_on(method: str) -> str | None:
-    """Give the kind of data (`data.kind`) that a network's card names; None without a card."""
-    card = weights_path(method).with_suffix(".json")
-    return json.loads(card.read_text(encoding="utf-8"))["config"]["data"]["kind"] if card.exists() else None
+    """Give the kind of data (`data.kind`) that a network's card names, or "imported"; None without a card."""
+    path = weights_path(method).with_suffix(".json")
+    if not path.exists():
+        return None
+    card = json.loads(path.read_text(encoding="utf-8"))
+    return "imported" if "imported" in card else card["config"]["data"]["kind"]
 
 
 def training_facts(method: str) -> dict[str, Any]:
@@ -109,6 +112,8 @@ def training_facts(method: str) -> dict[str, Any]:
     if not path.with_suffix(".json").exists():
         return {"trained": "unknown"}
     card = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    if "imported" in card:
+        return {"trained": f"by its authors, {card['imported']['file']}"}
     data = TRAINED_ON[card["config"]["data"]["kind"]]
     if card["config"]["data"].get("body") == "quadruped":
         data = data.replace("people", "animals")
@@ -266,6 +271,8 @@ def placed_shapes(
         dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices))
         for mesh, norm in ((identity, identity_norm), (clip.mesh, driving_norm))
     )
+    if isinstance(network, SizedMethod):
+        network = network.with_sizes((identity.name, identity_norm.radius), (driving.name, driving_norm.radius))
     frames = driving_norm.apply(clip.vertices.astype(np.float64))
     shapes = np.stack(list(network.shapes(identity, Clip.still(driving))(check_size(frames, driving.name))))
     sizes = box_radius(truth) if needs_true_size(network) else np.full(len(truth), identity_norm.radius)

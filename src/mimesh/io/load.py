@@ -154,6 +154,8 @@ def load_recorded_clip(
     fps: float | None = None,
     animation: str | None = None,
     progress: Progress | None = None,
+    count: int | None = None,
+    betas: Float[np.ndarray, " K"] | None = None,
 ) -> tuple[Clip, tuple[str, ...]]:
     """Read recorded parameters of a body model as a clip of the recorded surface; see `motions.smpl_clip`.
 
@@ -163,6 +165,8 @@ def load_recorded_clip(
         fps: frame rate at which the recording is resampled; None: its own.
         animation: refused, as such files have one clip.
         progress: called with (frames read, frames in all).
+        count: number of frames to take, evenly spread from the first to the last; None: all.
+        betas: shape coefficients of another person to move; None: those of the recorded one.
 
     Returns:
         The clip, y up and in metres for AMASS, and notes on what the model or the file lacks.
@@ -172,7 +176,7 @@ def load_recorded_clip(
     """
     path = Path(path)
     _check_clip_options(path, fps, animation)
-    return _recorded(path, Path(body_model), fps, progress)
+    return _recorded(path, Path(body_model), fps, progress, count, betas)
 
 
 def load_recorded_mesh(path: str | Path, body_model: str | Path) -> tuple[Mesh, tuple[str, ...]]:
@@ -181,7 +185,7 @@ def load_recorded_mesh(path: str | Path, body_model: str | Path) -> tuple[Mesh, 
     Raises:
         InputError: one of the files cannot be used.
     """
-    clip, notes = _recorded(Path(path), Path(body_model), first_alone=True)
+    clip, notes = _recorded(Path(path), Path(body_model), count=1)
     return clip.mesh, notes
 
 
@@ -190,7 +194,8 @@ def _recorded(
     body_model: Path,
     fps: float | None = None,
     progress: Progress | None = None,
-    first_alone: bool = False,
+    count: int | None = None,
+    betas: Float[np.ndarray, " K"] | None = None,
 ) -> tuple[Clip, tuple[str, ...]]:
     """Read a body model and what was recorded with it."""
     from ..bodies.smpl_model import load_smpl_model
@@ -201,7 +206,7 @@ def _recorded(
     with _reading(body_model):
         model = load_smpl_model(body_model)
     with _reading(path):
-        clip, notes = recorded_clip(path, model, fps, progress, first_alone)
+        clip, notes = recorded_clip(path, model, fps, progress, count, betas)
     return check_clip(clip, path), notes
 
 

@@ -36,11 +36,11 @@ class DataConfig:
     registered meshes or clips of a folder."""
     vertices: int = 0
     """Vertices of each mesh: 0 for all, else a random subset (ends of random edges for identity and truth)."""
+    target_scale: Literal["truth", "identity"] = "truth"
+    """Whose radius the truth is divided by. The papers normalise every mesh; users do not know the truth's radius."""
     pairing: Literal["random", "order"] = "random"
     """Which driving vertex an identity vertex is paired with: a random one (NPT shuffles every mesh), or its own
     (AniFormer's public code never shuffles what it trains on)."""
-    target_scale: Literal["truth", "identity"] = "truth"
-    """Whose radius the truth is divided by. The papers normalise every mesh; users do not know the truth's radius."""
     spread: float = 1.3
     """Standard deviation of the shape coefficients of endless people."""
     heading: float = 45.0
@@ -78,8 +78,16 @@ class DataConfig:
     """`meshes`: axis of the files away from the ground, such as "+z"; empty: that of the files, or detected."""
     front: str = ""
     """`meshes`: axis of the files that people face; empty: detected, the same for all meshes."""
+    hold_out_people: str = ""
+    """`meshes`: people that networks are validated on instead of trained: a number (the last ones by name), names with
+    commas between (one name ends with a comma), or none; empty: a tenth."""
+    hold_out_poses: str = ""
+    """`meshes`: the same of poses, or motions."""
+    frames: int = 0
+    """`meshes`: so many evenly spread frames of each clip, AniFormer's 30 for example; 0: all."""
     body: Literal["human", "quadruped"] = "human"
-    """`mime` and `npt` (`wide`), `aniformer` (`clips`): shipped body of the people, or the animals, that are drawn."""
+    """`mime` and `npt` (`wide`), `aniformer` (`clips`): shipped body of the people, or the animals, that are drawn.
+    `meshes`: what the meshes are."""
 
 
 TABLE_KINDS = ("table6", "clips80")

@@ -147,6 +147,8 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
 def described_data(config: TrainConfig) -> str:
     """Say in words what a training had as data."""
     animals, characters = config.data.body == "quadruped", bool(config.data.characters)
+    if config.data.kind == "meshes":
+        return DATA["meshes"] + " of animals" * animals
     if config.network == "mime" and config.data.kind == "wide":
         data, more = (ANIMAL_DATA if animals else MIME_DATA), CHARACTERS
     else:

@@ -8,23 +8,27 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..core.errors import InputError
-from ..io.formats import CACHES, CLIP_READERS, MESH_READERS, MOTIONS
+from ..io import list_animations
+from ..io.formats import CACHES, CLIP_READERS, COLLECTIONS, MESH_READERS, MOTIONS
 
 SUFFIXES = (MESH_READERS.keys() | CLIP_READERS.keys()) - MOTIONS
 """Of files that may hold a mesh or a clip."""
-LAYOUTS = ("id{person:d}_{pose}", "tr_reg_{person:2}{pose:1}", "{person}/{pose}")
-"""Patterns that are tried in this order: the public data of NPT and `mimesh generate`, FAUST, a folder a person."""
+LAYOUTS = ("id{person:d}_{pose}", "tr_reg_{person:2}{pose:1}", "{person}/{pose}", "{person:d}_{pose}")
+"""Patterns that are tried in this order: the public data of NPT and `mimesh generate`, FAUST, a folder a person, and
+names of clips as in DFAUST's files (.hdf5)."""
 FIELD = re.compile(r"\{(person|pose|motion)(?::(d|[1-9]))?\}")
 """A field of a pattern: any characters of a name, with `:d` digits only, with a number so many characters."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A mesh or clip: a file, or a folder of frames."""
+    """A mesh or clip: a file, a folder of frames, or a clip of a file that has several."""
 
     person: str
     pose: str
     path: Path
+    clip: str | None = None
+    """Name of the clip in a file of several."""
 
 
 @dataclass(frozen=True)
@@ -44,22 +48,22 @@ def find_layout(folder: Path, pattern: str = "") -> MeshLayout:
     Raises:
         InputError: no folder, a pattern without its two fields, no match, or two files of one person in one pose.
     """
-    if not folder.is_dir():
+    if not folder.is_dir() and folder.suffix.lower() not in COLLECTIONS:
         raise InputError(f"{folder}: expected a folder of registered meshes, found none; check the path")
-    paths = list(_candidates(folder))
+    found = list(_candidates(folder))
     for tried in (pattern,) if pattern else LAYOUTS:
         expression = compiled(tried)
-        named = {path: expression.fullmatch(_plain(path, folder, tried)) for path in paths}
-        entries = [Entry(match["person"], match["pose"], path) for path, match in named.items() if match]
+        named = {(path, clip): expression.fullmatch(clip or _plain(path, folder, tried)) for path, clip in found}
+        entries = [Entry(match["person"], match["pose"], *key) for key, match in named.items() if match]
         if entries:
             _refuse_twins(entries)
             entries.sort(key=lambda entry: (natural(entry.person), natural(entry.pose)))
             inside = {entry.path for entry in entries if entry.path.is_dir()}
-            others = [path for path in paths if not named[path] and path.is_file() and path.parent not in inside]
+            others = [key for key in found if not named[key] and key[0].is_file() and key[0].parent not in inside]
             return MeshLayout(tried, tuple(entries), len(others))
     tried = pattern or ", ".join(FIELD.sub(r"{\1}", layout) for layout in LAYOUTS)
     raise InputError(
-        f"{folder}: expected meshes or clips named by person and pose ({tried}), found {len(paths)} files, none named "
+        f"{folder}: expected meshes or clips named by person and pose ({tried}), found {len(found)} files, none named "
         "so; give their names with --pattern, such as '{person}-{pose}.ply'"
     )
 
@@ -90,19 +94,21 @@ def natural(name: str) -> list[tuple[int, int | str]]:
     return [(0, int(part)) if part.isdecimal() else (1, part) for part in re.split(r"(\d+)", name) if part]
 
 
-def _candidates(folder: Path) -> Iterator[Path]:
-    """Walk through the files that may be meshes or clips, and the folders that hold some.
+def _candidates(folder: Path) -> Iterator[tuple[Path, str | None]]:
+    """Walk through the files that may be meshes or clips, the folders that hold some, and clips of files of several.
 
     The mesh of a point cache, which has its name, is a part of that clip.
     """
-    for path in sorted(folder.rglob("*")):
-        if any(part.startswith(".") for part in path.relative_to(folder).parts):
+    for path in sorted(folder.rglob("*")) if folder.is_dir() else [folder]:
+        if folder.is_dir() and any(part.startswith(".") for part in path.relative_to(folder).parts):
             continue
         if path.is_dir():
             if any(file.suffix.lower() in SUFFIXES for file in path.iterdir()):
-                yield path
+                yield path, None
+        elif path.suffix.lower() in COLLECTIONS:
+            yield from ((path, name) for name in list_animations(path))
         elif path.suffix.lower() in CACHES or (path.suffix.lower() in SUFFIXES and not _has_cache(path)):
-            yield path
+            yield path, None
 
 
 def _has_cache(path: Path) -> bool:

@@ -66,7 +66,7 @@ class MeshSampler(VertexSampler):
 
 @dataclass(frozen=True, eq=False)
 class HeldOutMeshes(Protocol):
-    """Pairs of the people that a folder holds out, in poses of the training (`seen`) and in new ones (`unseen`)."""
+    """Pairs of what a folder holds out: new people in poses of the training (`seen`), and new poses (`unseen`)."""
 
     meshes: RegisteredMeshes
     triples: dict[str, Triples]
@@ -75,10 +75,9 @@ class HeldOutMeshes(Protocol):
     @classmethod
     def of(cls, meshes: RegisteredMeshes) -> HeldOutMeshes | None:
         """Make the protocol of a folder; None where nothing is held out."""
-        seen, unseen = meshes.split.seen, meshes.split.unseen
-        if seen is None or unseen is None:
-            return None
-        return cls("meshes", 1, ("seen", "unseen"), 72, 0.0, meshes, {"seen": seen, "unseen": unseen})
+        kinds = {"seen": meshes.split.seen, "unseen": meshes.split.unseen}
+        triples = {kind: found for kind, found in kinds.items() if found}
+        return cls("meshes", 1, tuple(triples), 72, 0.0, meshes, triples) if triples else None
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
         """Draw pair `i`, in the order of the files."""

@@ -144,40 +144,32 @@ class Triples:
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """The pairs of a folder: those of the training, and those that networks are validated on, if any are held out.
-
-    Of N people and M poses the last tenth by name is held out, at least one of each, where there are three or more.
-    """
+    """The pairs of a folder: those of the training, and those that networks are validated on, if any are held out."""
 
     training: Triples
     seen: Triples | None
-    """New people in poses of the training; None, as `unseen`, where too few meshes are held out."""
+    """New people in poses of the training; None where no people are held out."""
     unseen: Triples | None
-    """New people in new poses, from identities in poses of the training."""
-    people: int
-    """Number of people held out."""
-    poses: int
+    """New people, or all where none are held out, in new poses, from identities in poses of the training; None where no
+    poses are held out."""
 
     @classmethod
-    def of(cls, table: MeshTable, frames: int, hold_out: bool = True) -> Split | None:
-        """Split the pairs of a table; None where it has none. Nothing is held out if pairs were missing then."""
-        people, poses = (held_out(int(column.max()) + 1) if hold_out else 0 for column in (table.person, table.pose))
-        if not (people and poses):
-            people = poses = 0
-        new = table.person > table.person.max() - people
-        new_pose = table.pose > table.pose.max() - poses
+    def of(
+        cls, table: MeshTable, frames: int, new: Bool[np.ndarray, " K"], new_pose: Bool[np.ndarray, " K"]
+    ) -> Split | None:
+        """Split the pairs of a table into those with new people and new poses, and others; None if a part has none."""
         known = ~new & ~new_pose
         training = Triples.of(table, frames, known, known, known)
-        if not people:
-            return training and cls(training, None, None, 0, 0)
         # With one new person alone the driving meshes are of people of the training.
-        driving = new if people > 1 else ~new
+        driving = new if len(np.unique(table.person[new])) > 1 else ~new
+        truths = new if new.any() else ~new
         seen, unseen = (
-            Triples.of(table, frames, new & pose, new & ~new_pose, driving) for pose in (~new_pose, new_pose)
+            Triples.of(table, frames, truths & pose, truths & ~new_pose, driving) if asked.any() else None
+            for pose, asked in ((~new_pose, new), (new_pose, new_pose))
         )
-        if not (training and seen and unseen):
-            return cls.of(table, frames, hold_out=False)
-        return cls(training, seen, unseen, people, poses)
+        if training is None or (new.any() and seen is None) or (new_pose.any() and unseen is None):
+            return None
+        return cls(training, seen, unseen)
 
 
 def held_out(count: int) -> int:

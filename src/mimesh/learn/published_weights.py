@@ -22,6 +22,7 @@ from torch import Tensor
 
 from ..core.errors import InputError
 from ..io.atomic import together
+from ..methods.npt import METRES
 from ..methods.onnx_metadata import MAX_WINDOW
 from .export import FULL_BITS, STORED_BITS, check_output, save_card, save_network
 from .models.aniformer import AniFormer, AniFormerConfig
@@ -73,9 +74,6 @@ def import_command(path: Path, out: Path, maxpool: bool = False, bits: int = FUL
     check_output(out, bits, (FULL_BITS, *STORED_BITS))
     published = load_published(path, maxpool)
     model, network = published.model, "aniformer" if published.kind == "aniformer" else "npt"
-    # Published meshes are in metres. People in the poses of Table 6 have a radius of 1.00 m in the mean (standard
-    # deviation 0.15; shipped body, `val`), so an identity of radius 1 has about the size that the network was trained
-    # on; the result has the unit of the identity. The driving's size does not matter: InstanceNorm removes it.
     with path.open("rb") as file:
         checksum = hashlib.file_digest(file, "sha256").hexdigest()
     card = {
@@ -88,7 +86,7 @@ def import_command(path: Path, out: Path, maxpool: bool = False, bits: int = FUL
         "bits": bits,
     }
     with together():
-        save_network(model, network, {"target_scale": "identity"}, model.config, out, bits)
+        save_network(model, network, {"target_scale": METRES}, model.config, out, bits)
         save_card(card, out)
     return card
 

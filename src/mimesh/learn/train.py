@@ -201,7 +201,7 @@ def run_to_end(run: TrainingRun, validation: Validation, folder: Path, log: Trai
         if run.validation_due():
             log.flush()
             run.save(last)
-            if figures := run.validate(validation, folder, stop):
+            if figures := run.validate(validation, folder, stop, log.validating()):
                 log.write("validation", figures)
         elif run.share() >= 1.0:
             break

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 
+from ..core.frame_buffer import Progress
 from ..core.printable import say
 
 if TYPE_CHECKING:
@@ -86,6 +87,20 @@ class TrainingLog:
             for name, value in figures.items():
                 self.board.add_scalar(f"{kind}/{name}", value, self.run.step * self.run.config.batch)
         self._line(kind, ", ".join(f"{k} {v:.4g}" for k, v in figures.items()), figures)
+
+    def validating(self) -> Progress:
+        """Begin a validation; give what tells now and then how many pairs are measured. Full meshes take minutes."""
+        start = told = time.monotonic()
+
+        def tell(done: int, pairs: int) -> None:
+            nonlocal told
+            now = time.monotonic()
+            if now - told > LOG_SECONDS and done < pairs:
+                told = now
+                left = (now - start) / done * (pairs - done)
+                self.note("validating", f"{done} of {pairs} pairs measured, about {left:,.0f} s more")
+
+        return tell
 
     def note(self, kind: str, text: str, **facts: str) -> None:
         """Write one line of words."""

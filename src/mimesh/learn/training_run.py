@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from ..core.errors import InputError
+from ..core.frame_buffer import Progress
 from . import checkpoint
 from .character_surfaces import TrainingCharacters
 from .cost import activation_bytes, operations_of, schedule_operations, training_operations
@@ -256,13 +257,17 @@ class TrainingRun:
         return self.config.accumulate << doubled
 
     def validate(
-        self, validation: Validation, folder: Path, stop: Callable[[], bool] = lambda: False
+        self,
+        validation: Validation,
+        folder: Path,
+        stop: Callable[[], bool] = lambda: False,
+        progress: Progress | None = None,
     ) -> dict[str, float] | None:
         """Measure on `val`, and keep the checkpoint if it is the best so far; None if `stop` ended the measurement."""
         current = {k: v.clone() for k, v in self.model.state_dict().items()}
         if self.ema:
             self.model.load_state_dict(self.ema)
-        metrics = self.processes.of_first(lambda: validation.measure(self.model, stop))
+        metrics = self.processes.of_first(lambda: validation.measure(self.model, stop, progress))
         self.model.load_state_dict(current)
         if metrics is None:
             return None

@@ -43,7 +43,7 @@ class Folders:
                 )
             return []
         pattern = [f"data.pattern={self.pattern}"] if self.pattern else []
-        return ["data.kind=meshes", "data.between=0", "data.recombine=0", *pattern]
+        return ["data.kind=meshes", "data.between=0", "data.recombine=0", "data.mix_people=0", *pattern]
 
 
 def read_user_data(config: TrainConfig, folders: Folders, bar: ProgressBar) -> UserData | None:
@@ -66,9 +66,8 @@ def read_user_data(config: TrainConfig, folders: Folders, bar: ProgressBar) -> U
     if folders.characters or folders.clips:
         raise InputError("--meshes: expected it without --characters and --clips, found both; leave one out")
     frames = config.model.frames if config.network == "aniformer" else 1
-    axes = (config.data.pattern, config.data.up, config.data.front)
     with bar("reading meshes") as progress:
-        return RegisteredMeshes.read(folders.meshes, frames, *axes, progress)
+        return RegisteredMeshes.read(folders.meshes, config.data, frames, progress)
 
 
 def read_characters(config: TrainConfig, folders: Folders, bar: ProgressBar) -> TrainingCharacters | None:

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from ..core.frame_buffer import Progress
 from ..core.normalization import bbox_centre, radius
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, ClipsAniformer, reorder_clip_vertices
 from ..evaluate.clips_ordered import CLIPS_ORDERED
@@ -49,21 +50,27 @@ class Validation:
         return (reorder_clip_vertices if isinstance(trial, ClipPair) else reorder_vertices)(trial, order, order)
 
     @torch.no_grad()
-    def measure(self, model: nn.Module, stop: Callable[[], bool] = lambda: False) -> dict[str, float] | None:
+    def measure(
+        self, model: nn.Module, stop: Callable[[], bool] = lambda: False, progress: Progress | None = None
+    ) -> dict[str, float] | None:
         """Measure PMD x1e4 on each kind of `val` and on fresh data; `val` is the mean of `unseen` and `fresh`.
 
         All are Eq. 7 as printed, on what the network gives: about its origin, over the radius of the truth.
         None if `stop` returned true before the end; it is called before every trial and batch, which take seconds.
+        `progress` is called after each of them, with pairs.
         """
         protocol, count = self.task.protocol, self.task.config.validation_pairs
         counts = {kind: protocol.count(kind, count) for kind in protocol.validation_kinds} | {FRESH: FRESH_BATCHES}
         jobs = [(kind, i) for kind, number in counts.items() for i in range(number)]
         errors: dict[str, list[float]] = {kind: [] for kind, _ in jobs}
+        pairs = np.cumsum([FRESH_BATCH if kind == FRESH else 1 for kind, _ in jobs])
         model.eval()
-        for kind, i in jobs:
+        for (kind, i), done in zip(jobs, pairs, strict=True):
             if stop():
                 break
             errors[kind].append(self._error(model, kind, i))
+            if progress is not None:
+                progress(int(done), int(pairs[-1]))
         model.train()
         if sum(map(len, errors.values())) < len(jobs):
             return None

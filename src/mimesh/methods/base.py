@@ -64,7 +64,7 @@ class ShapeMethod(Method, Protocol):
 
     @property
     def target_scale(self) -> str:
-        """Unit of the shapes: "identity", the identity's radius; or "truth", that of the true result."""
+        """Unit of the shapes: "truth", the radius of the true result; else the identity's."""
         ...
 
     def shapes(self, identity: Mesh, driving: Clip) -> Shapes:
@@ -102,6 +102,15 @@ class MotionMethod(Method, Protocol):
 
     def with_motion(self, motion: SurfaceMotion) -> Method:
         """Return this method with the motion of the surface of the driving that it is prepared for."""
+        ...
+
+
+@runtime_checkable
+class SizedMethod(ShapeMethod, Protocol):
+    """A network that may need the sizes of the meshes, which normalised ones do not have."""
+
+    def with_sizes(self, identity: tuple[str, float], driving: tuple[str, float]) -> SizedMethod:
+        """Return this method for two meshes, given by name and radius in the unit of the files."""
         ...
 
 

@@ -3,11 +3,13 @@
 Inputs "identity" (B, V, 3) and "driving" (B, V, 3) or, where the pose is pooled, (B, U, 3); output "result" (B, V, 3).
 Each input is centred on its bounding box and divided by its largest distance from there; the result is centred on its
 own bounding box, in units of the identity's radius. The file's metadata (key "mimesh") give `pose_code`,
-`target_scale` and `pairing`.
+`target_scale` and `pairing`. Networks of the papers' public code have the `target_scale` metres: they get and give
+metres.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -30,6 +32,10 @@ POOLED_POINTS = 8192
 """Largest number of driving points for a pooling network; of a denser driving mesh a random subset is taken."""
 PATCHES = 200
 """Patches of the identity's surface by which a result is rescaled, where the network does not know its size."""
+METRES = "metres"
+"""The `target_scale` of networks whose meshes are in metres."""
+RADII = (0.2, 2.5)
+"""Metres. Radii of people's and animals' meshes: those of Table 6 have 0.6 to 1.3; other units give 30 or more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +49,8 @@ class NPTMethod:
     """"per_vertex" (driving and identity need one count) or "global_max" (any driving count)."""
     target_scale: str
     """Unit of the network's shapes: "identity", the identity's radius; or "truth", the unknown radius of the true
-    result. Then `drive_of` rescales them by `PatchDistances` of the identity."""
+    result. Then `drive_of` rescales them by `PatchDistances` of the identity; or METRES, in which the meshes are given,
+    too."""
     ensemble: int = 1
     """Random pairings over which results are averaged."""
     seed: int = 0
@@ -51,6 +58,18 @@ class NPTMethod:
     """Name of the shipped body that it was trained on."""
     pairing: str = "random"
     """Driving point of an identity vertex: "random"; or "order", that of its own index, of the same mesh."""
+    sizes: tuple[float, float] | None = None
+    """Metres. Radius of the identity and of the driving's first frame, for METRES; None: the network gets radius 1."""
+
+    def with_sizes(self, identity: tuple[str, float], driving: tuple[str, float]) -> NPTMethod:
+        """Return this method for two meshes, given by name and radius.
+
+        Raises:
+            InputError: the network takes metres, and a mesh is not in metres.
+        """
+        if self.target_scale != METRES:
+            return self
+        return dataclasses.replace(self, sizes=radii_in_metres(identity, driving))
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Rank both meshes and choose the driving points and their pairings, once for all frames.
@@ -71,8 +90,7 @@ class NPTMethod:
         points, pairings = self._paired(ranked, identity, driving.mesh)
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
-            centred = vertices - bbox_centre(vertices)
-            return self._run(rest, points.at(centred / radius(centred)), pairings)[ranked.group]
+            return self._run(rest, points.at(driving_input(vertices, self.sizes)), pairings)[ranked.group]
 
         return lambda frames: map(pose, frames)
 
@@ -99,11 +117,11 @@ class NPTMethod:
         pairings: list[Int[np.ndarray, " N"]],
     ) -> Float[np.ndarray, "W 3"]:
         """Run the network for each pairing and return the mean result (float64)."""
-        total = np.zeros(identity.shape)
+        total, size = np.zeros(identity.shape), self.sizes[0] if self.sizes else 1.0
         for pairing in pairings:
-            inputs = {"identity": batch_of_one(identity), "driving": batch_of_one(driving[pairing])}
+            inputs = {"identity": batch_of_one(identity * size), "driving": batch_of_one(driving[pairing])}
             total += np.asarray(self.session.run(["result"], inputs)[0])[0]
-        return total / len(pairings)
+        return total / (len(pairings) * size)
 
 
 def drive_of(network: ShapeMethod, identity: Mesh, driving: Clip) -> Drive:
@@ -147,6 +165,29 @@ class PatchDistances:
         centroids = sums / np.bincount(self.patch)[:, None]
         distances = np.linalg.norm(centroids[self.pairs[:, 0]] - centroids[self.pairs[:, 1]], axis=1)
         return float(distances.sum()) if len(distances) else 1.0
+
+
+def radii_in_metres(*meshes: tuple[str, float]) -> tuple[float, ...]:
+    """Return the radii of meshes, given by name and radius.
+
+    Raises:
+        InputError: a radius is not that of a mesh in metres.
+    """
+    for name, size in meshes:
+        if not RADII[0] <= size <= RADII[1]:
+            raise InputError(
+                f"{name}: expected a mesh in metres, as the network was trained on, with a radius of {RADII[0]} to "
+                f"{RADII[1]}, found {size:.4g}; scale the file"
+            )
+    return tuple(size for _, size in meshes)
+
+
+def driving_input(
+    vertices: Float[np.ndarray, "U 3"], sizes: tuple[float, float] | None = None
+) -> Float[np.ndarray, "U 3"]:
+    """Centre the vertices of a driving frame on their bounding box, in their unit sphere or, with sizes, in metres."""
+    centred = vertices - bbox_centre(vertices)
+    return centred / radius(centred) if sizes is None else centred * sizes[1]
 
 
 def check_same_mesh(method: str, identity: Mesh, driving: Mesh) -> None:

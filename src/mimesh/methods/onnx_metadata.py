@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 KEY = "mimesh"
 """Key of the metadata in the file; the value is JSON."""
 CHOICES = {
-    "npt": {"pose_code": ("per_vertex", "global_max"), "target_scale": ("identity", "truth")},
-    "aniformer": {"head": ("frames", "regression"), "target_scale": ("identity", "truth")},
+    "npt": {"pose_code": ("per_vertex", "global_max"), "target_scale": ("identity", "truth", "metres")},
+    "aniformer": {"head": ("frames", "regression"), "target_scale": ("identity", "truth", "metres")},
     "limp": {"target_scale": ("identity", "truth")},
     "mime": {},
     "hands": {},

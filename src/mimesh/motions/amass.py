@@ -119,6 +119,29 @@ def load_recording(path: str | Path) -> BodyRecording:
     return BodyRecording(rotvec, trans, shape_of(arrays.get("betas"), path), _rate(arrays, path), _gender(arrays))
 
 
+def parse_betas(text: str) -> Float[np.ndarray, " K"]:
+    """Read shape coefficients: "1.5,-0.3", or the name of an archive (.npz) that has them, such as another take.
+
+    Raises:
+        InputError: neither.
+    """
+    if text.lower().endswith(".npz") and Path(text).is_file():
+        found = shape_of(_read_arrays(Path(text), ("betas",)).get("betas"), Path(text))
+        if not len(found):
+            raise InputError(f"{text}: expected the array betas, found none; name another file, or give numbers")
+        return found
+    try:
+        found = np.array([float(number) for number in text.split(",")])
+    except ValueError:
+        found = np.array([np.nan])
+    if not np.isfinite(found).all():
+        raise InputError(
+            f"--betas {text}: expected numbers with commas between, or an .npz with betas, found neither; for example "
+            "1.5,-0.3"
+        )
+    return found
+
+
 def recording_facts(path: str | Path) -> tuple[tuple[str, str], ...]:
     """Read what an archive says beside its motion, as name and value: gender, number of shape coefficients, frame rate.
 

@@ -16,7 +16,7 @@ from ..bodies.sampling import rotvec_to_rotmat
 from ..bodies.smpl_model import SmplModel
 from ..core.budgets import check_clip_size
 from ..core.errors import InputError
-from ..core.frame_buffer import Progress, store_frames
+from ..core.frame_buffer import Progress, spread_exactly, store_frames
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import archive_names
 from ..core.pickled_arrays import read_pickled_arrays
@@ -46,12 +46,18 @@ def recorded_clip(
     model: SmplModel,
     fps: float | None = None,
     progress: Progress | None = None,
-    first_alone: bool = False,
+    count: int | None = None,
+    betas: Float[np.ndarray, " K"] | None = None,
 ) -> tuple[Clip, tuple[str, ...]]:
     """Load recorded parameters as a clip of the body model, at the file's frame rate or resampled at `fps`.
 
     An AMASS archive is turned to y up; frames of a pickle (`pose`, `betas`, `trans`) keep its axes. Metres if the model
-    is in metres. The clip's mesh is its first frame, which is computed without the others if `first_alone`.
+    is in metres. The clip's mesh is its first frame.
+
+    Args:
+        count: number of frames, evenly spread from the first to the last, of which alone vertices are computed; 1 is
+            the first one, None all.
+        betas: shape coefficients of another person, who then moves like the recorded one; None: those of the file.
 
     Returns:
         The clip, and notes on what the model or the file lacks.
@@ -67,6 +73,8 @@ def recorded_clip(
             f"'{path.suffix}'{' without poses' * (path.suffix.lower() == '.npz')}; leave the option out"
         )
     recording = load_recording(path) if is_archive else _read_pickle(path)
+    if betas is not None:
+        recording = dataclasses.replace(recording, betas=betas, gender="")
     rotvec, pose_notes = fitted_pose(recording.rotvec, len(model.parents))
     shape = recording.betas[: model.shape_directions.shape[-1]]
     motion = Motion(
@@ -75,8 +83,10 @@ def recorded_clip(
     motion = motion if fps is None or len(motion) == 1 else resample(motion, fps, str(path))
     # The parameters are in the world of the file, so its axes are changed after posing.
     axes = upright(motion.rotmat[:, 0]) if is_archive else np.eye(3)
-    if first_alone:
-        motion = dataclasses.replace(motion, rotmat=motion.rotmat[:1], root=motion.root[:1])
+    if count is not None:
+        chosen = spread_exactly(len(motion), count, path.name)
+        rate = motion.fps * (count - 1) / (len(motion) - 1) if count > 1 else motion.fps
+        motion = dataclasses.replace(motion, rotmat=motion.rotmat[chosen], root=motion.root[chosen], fps=rate)
     frames = (vertices @ axes.T for vertices in model.frames(shape, motion.rotmat, motion.root))
     check_clip_size(len(motion), len(model.template), path)
     vertices = store_frames(frames, len(motion), len(model.template), np.float32, progress)

@@ -14,7 +14,7 @@ from ..bodies.character_limbs import SIDES
 from ..bodies.joint_names import finger_joints, without_fingers
 from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.foot_planting import PosedJoints, foot_skate
-from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, release_pages
+from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, evenly_spread, release_pages
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -23,7 +23,7 @@ from ..io.beside import missing_images, missing_images_notes
 from ..io.gltf.own_animation import OwnAnimation
 from ..methods.base import BodyMethod, SkinnedDrive
 from .corrections import JointPositions
-from .prepared import KEYFRAMES, MotionOptions, Prepared, evenly_spread
+from .prepared import KEYFRAMES, MotionOptions, Prepared
 from .refine import Refinement
 from .report import TransferReport, accelerations, facing, facing_note, quality
 from .result import Timer
@@ -171,7 +171,7 @@ def _influence_deviation(prepared: Prepared, motion: _JointMotion) -> float:
     The size is the longest side of the bounding box.
     """
     assert isinstance(prepared.drive, SkinnedDrive)
-    poses = [(motion.posed.rotation[t], motion.posed.root[t]) for t in evenly_spread(prepared.clip, KEYFRAMES)]
+    poses = [(motion.posed.rotation[t], motion.posed.root[t]) for t in evenly_spread(len(prepared.clip), KEYFRAMES)]
     differences = (motion.drive.posed(*pose) - prepared.drive.posed(*pose) for pose in poses)
     largest = max(float(np.linalg.norm(difference, axis=-1).max()) for difference in differences)
     return largest / float(np.ptp(prepared.rest.vertices, axis=0).max())

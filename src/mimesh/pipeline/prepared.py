@@ -10,10 +10,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ..bodies.character_limbs import FindJoints
 from ..core.errors import InputError
+from ..core.frame_buffer import evenly_spread
 from ..core.heading import turn, turned_to_front, without_heading
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -23,6 +24,7 @@ from ..methods.base import (
     Method,
     MotionMethod,
     QuickPredictor,
+    SizedMethod,
     SkinnedDrive,
     SkinnedMethod,
     SurfaceMotion,
@@ -252,23 +254,20 @@ def _prepared_drive(
     corrected, keyframes = corrections.apply(method, identity, _keyframes(clip, first, norms[1]), norms)
     if isinstance(corrected, MotionMethod):
         corrected = corrected.with_motion(_surface_motion(clip, norms[1]))
+    if isinstance(corrected, SizedMethod):
+        corrected = corrected.with_sizes((identity.name, norms[0].radius), (clip.mesh.name, norms[1].radius))
     return corrected.prepare(normalised(identity, norms[0]), keyframes)
 
 
 def _surface_motion(clip: Clip, norm: Normalization) -> SurfaceMotion:
     """Return the motion of a clip's surface in at most MOTION_FRAMES frames; of each, only the points are read."""
-    chosen = evenly_spread(clip, MOTION_FRAMES)
+    chosen = evenly_spread(len(clip), MOTION_FRAMES)
     return lambda samples: np.stack([norm.apply(samples.points(clip.vertices[t])) for t in chosen])
-
-
-def evenly_spread(clip: Clip, most: int) -> Int[np.ndarray, " T"]:
-    """Choose frames of a clip, evenly spread, the first and the last among them; all if there are no more than that."""
-    return np.linspace(0, len(clip) - 1, min(len(clip), most)).round().astype(int)
 
 
 def _keyframes(clip: Clip, first: Mesh, norm: Normalization) -> Clip:
     """Return at most KEYFRAMES frames of a clip, evenly spread and normalised; `first` is its first frame."""
-    vertices = norm.apply(clip.vertices[evenly_spread(clip, KEYFRAMES)])
+    vertices = norm.apply(clip.vertices[evenly_spread(len(clip), KEYFRAMES)])
     return Clip(dataclasses.replace(first, vertices=vertices[0], up="+y"), vertices, clip.fps)
 
 

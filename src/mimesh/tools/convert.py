@@ -12,7 +12,7 @@ import numpy as np
 from ..bodies.joint_names import ancestors
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh, check_cut, cut_clip
+from ..core.mesh import Clip, Mesh, check_cut, cut_clip, spread_clip
 from ..io import (
     check_writable,
     clip_suffixes,
@@ -28,6 +28,7 @@ from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
 from ..io.gltf.own_animation import OwnAnimation
 from ..io.gltf.scene import node_parents
 from ..io.timing import DEFAULT_FPS
+from ..motions.amass import parse_betas
 from ..motions.on_body import is_motion_file
 from ..pipeline.odd_frames import LONE_FRAMES, first_frame_note
 from ..render.movie import MOVIES, write_clip
@@ -76,12 +77,14 @@ def convert(
     fps: float | None = None,
     animation: str | None = None,
     frame: int | None = None,
+    frames: int | None = None,
     start: int = 0,
     stop: int | None = None,
     step: int = 1,
     frames_as: str | None = None,
     blendshapes: int | None = None,
     body_model: str | Path | None = None,
+    betas: str | None = None,
     progress: Progress | None = None,
 ) -> Converted:
     """Read a mesh, a clip or a folder of frames, and write it in the format of the target's suffix.
@@ -96,12 +99,14 @@ def convert(
         fps: as in `load_clip`: files with times are sampled at this rate, others are played at it.
         animation: as in `load_clip`.
         frame: the only frame to convert, counted from 0.
+        frames: number of frames to take, evenly spread from the first to the last.
         start: first frame to take, counted from 0.
         stop: frame to stop before; None takes all.
         step: take every `step`-th frame.
         frames_as: suffix of the frames in a folder.
         blendshapes: see `write_clip`.
         body_model: file of a body model, with which `source` is read as the recorded surface (`load_recorded_clip`).
+        betas: shape coefficients of the person who moves, see `parse_betas`; None: of the one recorded.
         progress: is called with the steps done and the steps in all.
 
     Raises:
@@ -118,6 +123,11 @@ def convert(
     if frames_as is not None and suffix and not target.is_dir():
         raise InputError(f"{target}: expected a folder with --frames-as, found '{target.suffix}'; leave it out")
     cut = {"--start": start != 0, "--stop": stop is not None, "--step": step != 1}
+    if frames is not None:
+        _refuse_options(target, cut, "--frames takes some of all frames")
+        cut["--frames"] = True
+    if betas is not None and body_model is None:
+        raise InputError(f"--betas {betas}: expected it with --body-model, found it without; name the model")
     if frame is not None:
         _refuse_options(target, cut | {"--blendshapes": blendshapes is not None}, "--frame takes one frame")
     elif not holds_clip:
@@ -134,8 +144,9 @@ def convert(
         mesh = load_mesh(source)
         return _write_mesh(mesh, target, notes=_at_rest_note(mesh, source, target))
     # Reading and writing are half of the progress each.
-    frames = slice(start, stop, step) if frame is None else slice(None)
-    clip, notes = read_clip(source, body_model, fps, animation, part(progress, 0, 2), frames)
+    chosen = slice(start, stop, step) if frame is None else slice(None)
+    shape = None if betas is None else parse_betas(betas)
+    clip, notes = read_clip(source, body_model, fps, animation, part(progress, 0, 2), chosen, frames, shape)
     clip = clip if frame is None else _single_frame(clip, frame, source)
     if (len(clip) == 1 and suffix in MESH_WRITERS) or not holds_clip:
         return _write_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip), notes)
@@ -154,16 +165,23 @@ def read_clip(
     animation: str | None,
     progress: Progress | None = None,
     frames: slice = slice(None),
+    count: int | None = None,
+    betas: np.ndarray | None = None,
 ) -> tuple[Clip, tuple[str, ...]]:
-    """Read a clip, or with a body model the recorded surface; returns notes as well. `frames`: see `load_clip`.
+    """Read a clip, or with a body model the recorded surface; returns notes as well.
+
+    Args:
+        frames: see `load_clip`.
+        count, betas: see `load_recorded_clip`.
 
     Raises:
         InputError: a file cannot be read, or no frame is left.
     """
     if body_model is None:
         clip = load_clip(path, fps=fps, animation=animation, progress=progress, frames=frames)
-        return clip, clip.notes
-    clip, notes = load_recorded_clip(path, body_model, fps=fps, animation=animation, progress=progress)
+        return clip if count is None else spread_clip(clip, count), clip.notes
+    chosen = {"count": count, "betas": betas}
+    clip, notes = load_recorded_clip(path, body_model, fps=fps, animation=animation, progress=progress, **chosen)
     return cut_clip(clip, frames.start or 0, frames.stop, 1 if frames.step is None else frames.step), notes
 
 

@@ -86,7 +86,7 @@ class TrainConfig:
         if self.data.characters and self.network not in ("mime", "hands", "npt"):
             raise InputError(f"{where}: expected data.characters 0 with {self.network}, found {self.data.characters}")
         kind = ANIMAL_KINDS.get(self.network)
-        if self.data.body == "quadruped" and self.data.kind != kind:
+        if self.data.body == "quadruped" and self.data.kind not in (kind, "meshes"):
             known = ", ".join(f"{network} on {of_it}" for network, of_it in ANIMAL_KINDS.items())
             raise InputError(
                 f"{where}: expected data.body human with {self.network} on data.kind {self.data.kind}, found "
