@@ -34,6 +34,7 @@ from mimesh.learn import checkpoint
 from mimesh.learn.config import load_config
 from mimesh.learn.cost import training_operations
 from mimesh.learn.processes import joined_processes
+from mimesh.learn.table_rows import ROWS
 from mimesh.learn.tasks.base import TrainConfig
 from mimesh.learn.train import FULL_RATE, begin_with, train
 from mimesh.learn.training_run import TrainingRun
@@ -52,34 +53,32 @@ TINY_MODEL = {
 
 @dataclass(frozen=True)
 class Job:
-    """A network to train."""
+    """A row of `learn.table_rows` to train."""
 
     name: str
-    network: str
     protocol: str
     """What it is measured on."""
     share: float
     """Of the minutes."""
-    changes: tuple[str, ...] = ()
-    """Settings that differ from the configuration `gpu`."""
     start: str = ""
     """Job whose weights it begins with."""
+    changes: tuple[str, ...] = ()
+    """Settings that differ from those of the row."""
 
     def config(self, minutes: float, tiny: bool) -> TrainConfig:
         """Load its configuration for so many minutes."""
-        small = (*TINY, *TINY_MODEL[self.network]) if tiny else ()
-        return load_config("gpu", self.network, (f"minutes={minutes}", *self.changes, *small))
+        row = ROWS[self.name]
+        small = (*TINY, *TINY_MODEL[row.network]) if tiny else ()
+        return load_config("gpu", row.network, (f"minutes={minutes}", *row.changes, *self.changes, *small))
 
 
-ORDERED = ("data.kind=clips80", "data.pairing=order", "data.reflect=0")
-MIXED = ("data.mix_people=0.8", "data.recombine=0.5")
 JOBS = (
-    Job("aniformer-ordered", "aniformer", "clips-ordered", 0.30),
-    Job("aniformer-ordered-mixed", "aniformer", "clips-ordered", 0.20, MIXED, "aniformer-ordered"),
-    Job("npt-full", "npt", "human-npt", 0.22),
-    Job("npt-full-mixed", "npt", "human-npt", 0.10, MIXED, "npt-full"),
-    Job("npt-ordered", "npt", "clips-ordered", 0.10, ORDERED),
-    Job("npt-ordered-mixed", "npt", "clips-ordered", 0.08, (*ORDERED, *MIXED), "npt-ordered"),
+    Job("aniformer-ordered", "clips-ordered", 0.30),
+    Job("aniformer-ordered-mixed", "clips-ordered", 0.20, "aniformer-ordered"),
+    Job("npt-full", "human-npt", 0.22),
+    Job("npt-full-mixed", "human-npt", 0.10, "npt-full"),
+    Job("npt-ordered", "clips-ordered", 0.10),
+    Job("npt-ordered-mixed", "clips-ordered", 0.08, "npt-ordered"),
 )
 
 
@@ -99,7 +98,7 @@ def main() -> None:
     jobs = [job for job in JOBS if job.name in args.jobs]
     if len(jobs) < len(args.jobs):
         parser.error(f"--jobs: expected some of {', '.join(job.name for job in JOBS)}, found {' '.join(args.jobs)}")
-    jobs = [Job(j.name, j.network, j.protocol, j.share, (*j.changes, *args.set), j.start) for j in jobs]
+    jobs = [dataclasses.replace(job, changes=tuple(args.set)) for job in jobs]
     results = args.work / "results"
     results.mkdir(parents=True, exist_ok=True)
     if args.rate:

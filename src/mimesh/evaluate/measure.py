@@ -117,6 +117,10 @@ def training_facts(method: str) -> dict[str, Any]:
     data = TRAINED_ON[card["config"]["data"]["kind"]]
     if card["config"]["data"].get("body") == "quadruped":
         data = data.replace("people", "animals")
+    mixed = [
+        name for name, key in (("people", "mix_people"), ("limbs", "recombine")) if card["config"]["data"].get(key)
+    ]
+    data += f" with mixed {' and '.join(mixed)}" if mixed else ""
     if "meshes" in card:
         data += f", {card['meshes']['people']} people x {card['meshes']['poses']} poses"
     if "characters" in card:

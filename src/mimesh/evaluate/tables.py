@@ -49,6 +49,7 @@ class Table(NamedTuple):
 
 NONE_TRAINED: Mapping[str, Sequence[str]] = MappingProxyType({})
 LONGEST = Row("NPT, full width", "npt-full", 1.1, 9.3)
+LONGEST_MIXED = Row("NPT, full width, mixed people and limbs", "npt-full-mixed", 1.1, 9.3)
 MIME_TABLE = Row("mime, same people and poses", "mime-table")
 MIME_TABLE_NETWORK = Row("the same without body fit", "mime-table-network")
 SHIPPED = Row("NPT as shipped", "npt", 1.1, 9.3)
@@ -58,6 +59,7 @@ COPY = Row("driving vertices", "copy")
 DENSE = Row("DT, dense correspondence", "deformation-transfer-dense")
 ANIFORMER_FULL = Row("AniFormer, full width, random pairs", "aniformer-full", 0.12, 3.95)
 ANIFORMER_ORDERED = Row("AniFormer, full width", "aniformer-ordered", 0.12, 3.95)
+ANIFORMER_MIXED = Row("AniFormer, full width, mixed people and limbs", "aniformer-ordered-mixed", 0.12, 3.95)
 TABLES = {
     "npt-1": Table(
         "NPT Table 1: against deformation transfer",
@@ -67,6 +69,7 @@ TABLES = {
             Row("DT, 13 control points", "deformation-transfer-13", 7.7, 6.7),
             DENSE,
             LONGEST,
+            LONGEST_MIXED,
             MIME_TABLE,
             MIME_TABLE_NETWORK,
             SHIPPED,
@@ -84,6 +87,7 @@ TABLES = {
             Row("without edge loss", "npt-no-edge", 1.2, 10.1),
             Row("NPT, equal time", "npt-equal", 1.1, 9.3),
             LONGEST,
+            LONGEST_MIXED,
             SHIPPED,
             COPY,
         ),
@@ -96,6 +100,7 @@ TABLES = {
             Row("max-pool, equal time", "npt-maxpool-equal", 2.1, 12.7),
             Row("NPT, equal time", "npt-equal", 1.1, 9.3),
             LONGEST,
+            LONGEST_MIXED,
             Row("max-pool as shipped", "npt-maxpool", 2.1, 12.7),
             SHIPPED,
             MIME,
@@ -113,6 +118,7 @@ TABLES = {
             Row("with both", "aniformer-ordered-equal", 0.12),
             Row("both, attention to vertices", "aniformer-ordered-attention-vertices", 0.12),
             ANIFORMER_ORDERED,
+            ANIFORMER_MIXED,
             ANIFORMER_FULL,
             MIME,
             COPY,
@@ -127,7 +133,9 @@ TABLES = {
             Row("NPT, narrow", "npt-ordered-equal", 4.37, 5.31),
             Row("AniFormer, narrow", "aniformer-ordered-equal", 0.12, 3.95),
             Row("NPT, full width", "npt-ordered", 4.37, 5.31),
+            Row("NPT, full width, mixed people and limbs", "npt-ordered-mixed", 4.37, 5.31),
             ANIFORMER_ORDERED,
+            ANIFORMER_MIXED,
             ANIFORMER_FULL,
             MIME,
             Row("DT, 13 control points", "deformation-transfer-13"),

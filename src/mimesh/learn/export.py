@@ -57,8 +57,10 @@ ANIMAL_DATA = (
     "headings, some turned over; noise, one-sided surfaces, missing parts"
 )
 """Description of `wide` where `mime` is."""
-RECOMBINED = ", in {share:.0%} of the cases with head, arms and legs each of another of these poses"
-"""What is added to `table6` where poses are recombined."""
+RECOMBINED = ", in {share:.0%} of the cases with head, arms and legs each of another of these"
+"""What is added to `table6` and `clips80` where poses are recombined."""
+MIXED = ", {share:.0%} of the people random mixtures of the 16"
+"""What is added to them where people are mixed."""
 CHARACTERS = "; characters of others (`characters`) and people of primitives, in these poses and those of their clips"
 """What is added to it where characters are part of the data."""
 NPT_CHARACTERS = "; characters of others (`characters`) in these poses and those of their clips"
@@ -157,6 +159,7 @@ def described_data(config: TrainConfig) -> str:
         more = NPT_CHARACTERS if config.network == "npt" else ""
     more = more.replace("people", "animals") if animals else more
     data += RECOMBINED.format(share=config.data.recombine) if config.data.recombine else ""
+    data += MIXED.format(share=config.data.mix_people) if config.data.mix_people else ""
     return data + (more if characters else "")
 
 

@@ -44,6 +44,10 @@ FULL_ON_CLIPS = (
 """NPT at full width on the frames of as many windows as `aniformer-full` sees, drawn and learned in the same way."""
 ORDERED = "data.pairing=order"
 """One vertex order for all meshes, as in the public code. LIMP's meshes are in that of its template in any case."""
+ORDERED_CLIPS = ("data.kind=clips80", ORDERED, "data.reflect=0")
+"""NPT on AniFormer's data, all meshes in one order."""
+MIXED = ("data.mix_people=0.8", "data.recombine=0.5")
+"""More than the papers' 16 people and their poses: mixtures of the people, and limbs of other poses or motions."""
 VANILLA = ("model.head=regression", "losses.motion=off", "losses.appearance=off")
 """AniFormer's Table 1 begins with a head for one frame, trained without the two constraints."""
 ON_ANIMALS = ("data.body=quadruped", "ema=0.99")
@@ -73,9 +77,12 @@ ROWS = {
     "limp": TrainedRow("limp"),
     "npt-full-frames": TrainedRow("npt", FULL_ON_CLIPS, config="full", equal_time=False, long=True),
     "aniformer-full": TrainedRow("aniformer", config="full", equal_time=False, long=True),
-    "npt-ordered": TrainedRow("npt", (*FULL_ON_CLIPS, ORDERED), config="full", equal_time=False, long=True),
-    "aniformer-ordered": TrainedRow("aniformer", (ORDERED,), config="full", equal_time=False, long=True),
-    "npt-full": TrainedRow("npt", config="full", equal_time=False, long=True),
+    "npt-full": TrainedRow("npt", config="gpu", equal_time=False, long=True),
+    "npt-full-mixed": TrainedRow("npt", MIXED, config="gpu", equal_time=False, long=True),
+    "npt-ordered": TrainedRow("npt", ORDERED_CLIPS, config="gpu", equal_time=False, long=True),
+    "npt-ordered-mixed": TrainedRow("npt", (*ORDERED_CLIPS, *MIXED), config="gpu", equal_time=False, long=True),
+    "aniformer-ordered": TrainedRow("aniformer", config="gpu", equal_time=False, long=True),
+    "aniformer-ordered-mixed": TrainedRow("aniformer", MIXED, config="gpu", equal_time=False, long=True),
     "mime-table": TrainedRow("mime", equal_time=False),
     "npt-quadruped": TrainedRow("npt", (*ON_ANIMALS, "warmup=4000"), config="small"),
     "npt-maxpool-quadruped": TrainedRow(

@@ -20,12 +20,21 @@ from .onnx_metadata import PAIRINGS
 SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
 NETWORK_OF_BODY = {"human": "mime", "quadruped": "mime-quadruped"}
 """Shipped body -> the network that finds its joints. `mime` opens the others itself; their names are for measuring."""
-INDEX_PAIRED = ("npt", "aniformer")
-"""Shipped networks that pair driving and identity vertices; weights that do so by index are beside the others."""
+INDEX_PAIRED = {"npt": "npt-ordered-mixed", "aniformer": "aniformer-ordered-mixed"}
+"""Shipped network that pairs vertices at random -> the shipped one that pairs them by index."""
 WITHOUT_NETWORK = ("copy", "deformation-transfer", "skeleton")
 """Methods that have no weights."""
 TABLE_MODELS = (
-    *("mime-table", "npt-full", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
+    *(
+        "mime-table",
+        "npt-full",
+        "npt-full-mixed",
+        "npt-equal",
+        "npt-no-edge",
+        "npt-no-spadain",
+        "npt-concat1",
+        "npt-maxpool-equal",
+    ),
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
     *("aniformer-full", "npt-full-frames", "npt-frames", "npt-maxpool-frames", "limp"),
     *("aniformer-ordered", "aniformer-ordered-equal", "aniformer-ordered-motion", "aniformer-ordered-appearance"),
@@ -54,14 +63,14 @@ def weights_path(model: str) -> Path:
         folder = ABLATIONS if model == path.name else path.parent
         return folder / f"{REDUCED_MODELS.get(path.name, path.name)}.onnx"
     model = REDUCED_MODELS.get(model, model)
-    if model in (*SHIPPED_NETWORKS, *NETWORK_OF_BODY.values()):
+    if model in (*SHIPPED_NETWORKS, *INDEX_PAIRED.values(), *NETWORK_OF_BODY.values()):
         return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
     return Path(model)
 
 
 def ordered_weights(model: str) -> Path | None:
     """Return the path of the weights of one of INDEX_PAIRED that pair vertices by index; None for other networks."""
-    return weights_path(model).with_name(f"{model}-ordered.onnx") if model in INDEX_PAIRED else None
+    return weights_path(INDEX_PAIRED[model]) if model in INDEX_PAIRED else None
 
 
 def is_table_model(model: str) -> bool:
@@ -82,7 +91,7 @@ def check_weights(*models: str) -> None:
         without = " ".join(f"--without {Path(model).name}" for model in missing)
         raise InputError(
             f"{', '.join(missing)}: expected weights in {folders}, found no files; make them with mimesh table --train "
-            "(--long for those that take hours; a checkout has npt-full and aniformer-full), or leave their rows out "
+            "(--long for those that take hours; a checkout has npt-full), or leave their rows out "
             f"of a table with {without}"
         )
 
