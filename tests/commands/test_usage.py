@@ -19,8 +19,7 @@ from mimesh.cli import COMMANDS, command_name, run
 from mimesh.commands import about, common, completion, terminal
 from mimesh.core.errors import did_you_mean
 from mimesh.io import save_mesh
-from mimesh.methods.find import MODELS
-from mimesh.methods.onnx_metadata import PAIRINGS
+from mimesh.methods.find import MODELS, PAIRING_CHOICES
 from mimesh.methods.onnx_runtime import THREADS
 from mimesh.pipeline.body_choice import BODIES
 from mimesh.pipeline.prepared import ROOTS
@@ -88,7 +87,7 @@ def test_near_models_are_suggested_and_far_ones_not(files, capsys):
 def test_values_that_shells_complete_are_those_that_are_checked():
     assert set(completion.MODELS) == set(MODELS) == set(about.DESCRIPTIONS)
     known = {"root": ROOTS, "rig": RIGS, "body": BODIES, "names": SCHEMES, "rest": get_args(RestPose)}
-    known["pairing"] = ("auto", *PAIRINGS)
+    known["pairing"] = PAIRING_CHOICES
     assert {option: set(values) for option, values in completion.VALUES.items()} == {
         option: set(values) for option, values in known.items()
     }

@@ -1,23 +1,28 @@
-"""Networks that pair vertices by index: what permutations do, which network is chosen, and meshes that are refused."""
+"""Networks that pair vertices by index or by the fitted body: permutations, the choice of a network, refused meshes."""
 
+import dataclasses
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from networks import write_network, write_sequence_network
-from people import person, split_everywhere, walk
+from people import boxes_person, person, split_everywhere, walk
 from zoo import point_cloud
 
+from mimesh.core.canonical_order import canonical_order
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
+from mimesh.core.normalization import Normalization
 from mimesh.methods import find
 from mimesh.methods.find import find_method
+from mimesh.methods.mime.body_pairs import body_pairs
 from mimesh.pipeline import animate, prepare, transfer
 
 pytest.importorskip("onnx")
 AXES = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
 NOTE = "both meshes have the same triangles, so vertices are paired by index"
+BODY_NOTE = "the shipped body is fitted to both meshes, and vertices are paired by their place on it"
 
 
 @pytest.fixture(params=["npt", "aniformer"])
@@ -32,8 +37,10 @@ def ordered(request, tmp_path):
 def zoo(tmp_path, monkeypatch):
     """The shipped weights of npt replaced by tiny ones; returns the path where the ordered ones are looked for."""
     path, shipped = write_network(tmp_path / "npt.onnx"), find.weights_path
-    monkeypatch.setattr(find, "weights_path", lambda model: path if model == "npt" else shipped(model))
-    return tmp_path / "npt-ordered.onnx"
+    ordered = tmp_path / "npt-ordered-mixed.onnx"
+    tiny = {"npt": path, "npt-ordered-mixed": ordered}
+    monkeypatch.setattr(find, "weights_path", lambda model: tiny.get(model) or shipped(model))
+    return ordered
 
 
 def moved(identity: Mesh, driving: Mesh, model: str, **options) -> np.ndarray:
@@ -123,21 +130,95 @@ def test_auto_takes_the_ordered_network_for_shapes_of_one_mesh(zoo):
 
 
 def test_order_without_ordered_weights_says_how_to_make_them(zoo):
-    with pytest.raises(InputError, match=r"npt-ordered.onnx, found no file.*data.pairing=order"):
+    with pytest.raises(InputError, match=r"npt-ordered-mixed.onnx, found no file.*data.pairing=order"):
         transfer(person(0), person(1, 0), "npt", pairing="order")
 
 
 def test_networks_of_another_pairing_are_refused(ordered, tmp_path):
     random = str(write_network(tmp_path / "random.onnx"))
-    for model, pairing in ((random, "order"), (ordered, "random"), ("copy", "order"), ("mime", "order")):
+    wrong = [(random, "order"), (ordered, "random"), ("copy", "order"), ("mime", "order")]
+    for model, pairing in [*wrong, (random, "body"), ("copy", "body"), ("mime", "body")]:
+        trained = "random" if pairing == "random" else "order"
         with pytest.raises(
-            InputError, match=f"pairing.*trained with data.pairing={pairing}, found .*{Path(model).name}"
+            InputError, match=f"pairing.*{pairing}.*trained with data.pairing={trained}, found .*{Path(model).name}"
         ):
             transfer(person(0), person(1, 0), model, pairing=pairing)
-    with pytest.raises(InputError, match="expected auto, random or order"):
+    with pytest.raises(InputError, match="expected auto, random, order or body"):
         find_method("npt", pairing="index")
 
 
 def test_unknown_pairing_in_metadata_is_refused(tmp_path):
     with pytest.raises(InputError, match="pairing"):
         find_method(str(write_network(tmp_path / "odd.onnx", pairing="index")))
+
+
+def test_body_pairs_are_near_the_true_places_on_meshes_of_other_faces_and_on_points():
+    """The truth: the same driving person with the identity's vertices."""
+    identity, driving, true = (
+        dataclasses.replace(mesh, vertices=Normalization.fit(mesh, "+y", "+z").apply(mesh.vertices))
+        for mesh in (person(0), person(1, 0, faces=600), person(1, 0))
+    )
+    ranked = canonical_order(identity.vertices)
+    for mesh in (driving, Mesh(true.vertices[::-1], np.zeros((0, 3), int))):
+        points = body_pairs(find_method("mime"), identity, mesh).points(mesh.vertices)[ranked.group]
+        error = np.linalg.norm(points - true.vertices, axis=1)
+        assert error.mean() < 0.03  # of the radius; edges have 0.1
+        assert error.mean() < 0.1 * np.linalg.norm(points[::-1] - true.vertices, axis=1).mean()
+
+
+def test_body_pairs_do_not_depend_on_the_order_of_either_mesh(ordered):
+    identity, driving = person(0), person(1, 0, faces=600)
+    expected = moved(identity, driving, ordered, pairing="body")
+    rng = np.random.default_rng(0)
+    order, driving_order = rng.permutation(len(identity.vertices)), rng.permutation(len(driving.vertices))
+    faces = rng.permutation(driving.faces)
+    shuffled = permute_vertices(dataclasses.replace(driving, faces=faces), driving_order)
+    result = moved(permute_vertices(identity, order), shuffled, ordered, pairing="body")
+    assert np.array_equal(result, expected[order])
+
+
+def test_body_pairs_do_not_depend_on_the_axes_of_the_files(ordered):
+    identity, driving = person(0), person(1, 0, faces=600)
+    expected = moved(identity, driving, ordered, pairing="body")
+    z_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    turned = dataclasses.replace(driving, vertices=driving.vertices @ z_up.T)
+    axes = AXES | {"driving_up": "+z", "driving_front": "-y"}
+    assert np.allclose(transfer(identity, turned, ordered, **axes, pairing="body").vertices, expected, atol=1e-4)
+
+
+def test_body_pairs_keep_seams_closed(ordered):
+    whole, driving = person(0), person(1, 0, faces=600)
+    expected = moved(whole, driving, ordered, pairing="body")[whole.faces.ravel()]
+    result = moved(split_everywhere(whole), split_everywhere(driving), ordered, pairing="body")
+    assert np.allclose(result, expected, atol=1e-4)
+
+
+def test_body_pairs_of_a_clip_are_those_of_its_first_frame(ordered):
+    clip, identity = walk(frames=4, faces=600), person(0)
+    result = animate(identity, clip, ordered, **AXES, pairing="body")
+    assert BODY_NOTE in result.notes
+    first = moved(identity, dataclasses.replace(clip.mesh, vertices=clip.vertices[0]), ordered, pairing="body")
+    still = animate(identity, Clip(clip.mesh, clip.vertices[[0, 0, 0]]), ordered, **AXES, pairing="body").clip.vertices
+    assert np.allclose(still, first, atol=1e-4)
+    assert np.isfinite(result.clip.vertices).all()
+
+
+def test_body_pairs_are_for_shapes_that_the_body_can_have(ordered):
+    with pytest.raises(InputError, match=r"boxes: expected a shape that the shipped human.*pairing=.random."):
+        transfer(boxes_person(0.5), person(1, 0), ordered, **AXES, pairing="body")
+
+
+def test_body_pairs_take_the_ordered_weights_and_only_on_request(zoo):
+    identity, other = person(0), person(1, 0, faces=600)
+    with pytest.raises(InputError, match=r"pairing=.body.: expected weights in .*npt-ordered"):
+        transfer(identity, other, "npt", pairing="body")
+    shutil.copy(write_network(zoo.with_name("other.onnx"), pairing="order"), zoo)
+    assert BODY_NOTE in transfer(identity, other, "npt", **AXES, pairing="body").notes
+    assert BODY_NOTE not in transfer(identity, other, "npt", **AXES).notes
+
+
+def test_networks_of_one_mesh_are_not_paired_by_the_body(tmp_path):
+    card = {"pairing": "order", "vertices": 502}
+    network = str(write_sequence_network(tmp_path / "tiny.onnx", metadata=card))
+    with pytest.raises(InputError, match=r"pairing body.*expected a network for meshes of any vertices"):
+        find_method(network, pairing="body")

@@ -9,7 +9,7 @@ VALUES = {
     "root": ("scale", "keep", "drop"),
     "rig": ("own", "mimesh"),
     "body": ("auto", "human", "quadruped", "other"),
-    "pairing": ("auto", "random", "order"),
+    "pairing": ("auto", "random", "order", "body"),
     "names": ("own", "mixamo", "unreal", "vrm", "godot", "rigify"),
     "rest": ("file", "T", "A"),
 }

@@ -55,7 +55,8 @@ Ensemble = Annotated[int, typer.Option(help="Average over this many random pairi
 Pairing = Annotated[
     str,
     typer.Option(
-        help="Pair vertices at random, by order (two shapes of one mesh), or auto: by the triangles (npt, aniformer).",
+        help="Pair vertices at random, by order (two shapes of one mesh), by the body that is fitted to both, or auto: "
+        "by order where both have the same triangles (npt, aniformer).",
         autocompletion=one_of("pairing"),
     ),
 ]

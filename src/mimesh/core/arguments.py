@@ -48,7 +48,9 @@ OPTIONS = (
     *("cluster", "threads"),
 )
 """Options of the command line that are arguments in Python, with underscores."""
-VALUES = "[+-][xyz]|own|mimesh|human|quadruped|other|auto|file|random|order|[TA]|mixamo|unreal|vrm|godot|rigify|\\d+"
+VALUES = (
+    "[+-][xyz]|own|mimesh|human|quadruped|other|auto|file|random|order|body|[TA]|mixamo|unreal|vrm|godot|rigify|\\d+"
+)
 """Values that follow an option in messages."""
 OPTION = re.compile(rf"(give |with )?(?<![\w-])--({'|'.join(OPTIONS)})(?![\w-])(?: ({VALUES})(?![\w-]))?")
 

@@ -104,11 +104,6 @@ class PaddedVertices:
     barycentric: Float[np.ndarray, "N 3"]
     """Weights of the corners, rows sum to 1."""
 
-    @classmethod
-    def of(cls, ranked: CanonicalOrder) -> PaddedVertices:
-        """Take welded vertices alone, by any order: that of another mesh, whose vertices correspond by index."""
-        return cls(ranked, np.zeros((0, 3), np.int64), np.zeros((0, 3)))
-
     def __len__(self) -> int:
         return len(self.ranked) + len(self.corners)
 

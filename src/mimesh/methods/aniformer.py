@@ -22,9 +22,19 @@ from jaxtyping import Float, Int
 from ..core.canonical_order import CanonicalOrder, canonical_order, file_order
 from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
-from ..core.surface_points import PaddedVertices, padded_vertices
+from ..core.surface_points import padded_vertices
 from .base import Drive
-from .npt import METRES, batch_of_one, check_same_mesh, drive_of, driving_input, generator, radii_in_metres
+from .npt import (
+    METRES,
+    Corresponding,
+    PointsAt,
+    batch_of_one,
+    check_same_mesh,
+    drive_of,
+    driving_input,
+    generator,
+    radii_in_metres,
+)
 from .root_motion import Shapes
 
 if TYPE_CHECKING:
@@ -64,6 +74,8 @@ class AniFormerMethod:
     """As in `NPTMethod`."""
     sizes: tuple[float, float] | None = None
     """As in `NPTMethod`."""
+    corresponding: Corresponding | None = None
+    """As in `NPTMethod`."""
 
     def with_sizes(self, identity: tuple[str, float], driving: tuple[str, float]) -> AniFormerMethod:
         """As `NPTMethod.with_sizes`."""
@@ -86,11 +98,11 @@ class AniFormerMethod:
             InputError: as `prepare`.
         """
         match = self._in_file_order if self.vertices else self._paired
-        ranked, points, pairings = match(identity, driving.mesh)
+        ranked, points_at, pairings = match(identity, driving.mesh)
         rest = ranked.merge(identity.vertices)
 
         def points_of(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "N 3"]:
-            return points.at(driving_input(vertices, self.sizes))
+            return points_at(driving_input(vertices, self.sizes))
 
         def run(window: Window) -> Float[np.ndarray, "R V 3"]:
             return self._run(rest, window, pairings)
@@ -105,17 +117,20 @@ class AniFormerMethod:
 
         return posed
 
-    def _paired(self, identity: Mesh, driving: Mesh) -> tuple[CanonicalOrder, PaddedVertices, list[Pairing]]:
-        """Weld both meshes, and pair their points at random, or by index: those of both in the same random order."""
+    def _paired(self, identity: Mesh, driving: Mesh) -> tuple[CanonicalOrder, PointsAt, list[Pairing]]:
+        """Weld both meshes, and pair their points at random, or as they correspond: in the same random order."""
         ranked = canonical_order(identity.vertices)
-        if self.pairing == "order":
-            check_same_mesh(self.name, identity, driving)
+        if self.pairing in ("order", "body"):
             orders = [self._pairing(k, len(ranked), 0)[0] for k in range(self.ensemble)]
-            return ranked, PaddedVertices.of(ranked), [(order, order) for order in orders]
+            pairings = [(order, order) for order in orders]
+            if self.corresponding is not None:
+                return ranked, self.corresponding(identity, driving).points, pairings
+            check_same_mesh(self.name, identity, driving)
+            return ranked, ranked.merge, pairings
         points = padded_vertices(driving, len(ranked), generator(self.seed, 0))
-        return ranked, points, [self._pairing(k, len(ranked), len(points)) for k in range(self.ensemble)]
+        return ranked, points.at, [self._pairing(k, len(ranked), len(points)) for k in range(self.ensemble)]
 
-    def _in_file_order(self, identity: Mesh, driving: Mesh) -> tuple[CanonicalOrder, PaddedVertices, list[Pairing]]:
+    def _in_file_order(self, identity: Mesh, driving: Mesh) -> tuple[CanonicalOrder, PointsAt, list[Pairing]]:
         """Take all vertices of both meshes as they are numbered; only their count can be checked."""
         for mesh in (identity, driving):
             if len(mesh.vertices) != self.vertices:
@@ -124,7 +139,7 @@ class AniFormerMethod:
                     f"order, found {len(mesh.vertices)}; choose another model"
                 )
         order = file_order(self.vertices)
-        return order, PaddedVertices.of(order), [(order.order, order.order)]
+        return order, order.merge, [(order.order, order.order)]
 
     def _pairing(self, k: int, points: int, driving_points: int) -> Pairing:
         """Return random orders of both meshes' points.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from pathlib import Path
 
@@ -54,6 +54,8 @@ REDUCED_MODELS = WITHOUT_FIT | WITHOUT_FINGERS
 """All networks that are used without a part."""
 MODELS = (*WITHOUT_NETWORK, *SHIPPED_NETWORKS)
 """Names of the methods that every installation has."""
+PAIRING_CHOICES = ("auto", *PAIRINGS, "body")
+"""Values of `--pairing`."""
 
 
 def weights_path(model: str) -> Path:
@@ -141,6 +143,7 @@ def find_method(
         ensemble: average over this many random pairings of driving and identity vertices (index-paired networks only).
         seed: seed of those pairings, and of sampled points.
         pairing: "random" or "order": how the network must pair vertices, where INDEX_PAIRED have weights for both;
+            "body": one that pairs by order gets the driving points that the fitted body finds (see `body_pairs`);
             "auto": as it does, at random where there are both.
         reference: the driving subject in the identity's pose, normalised like the driving mesh, whose vertices and
             faces it shares (deformation transfer only).
@@ -155,9 +158,9 @@ def find_method(
 
     if ensemble < 1:
         raise InputError(f"--ensemble: expected 1 or more pairings, found {ensemble}; give a positive number")
-    if pairing not in ("auto", *PAIRINGS):
-        raise InputError(f"--pairing: expected auto, random or order, found {pairing!r}; choose one of them")
-    if pairing == "order" and model in WITHOUT_NETWORK:
+    if pairing not in PAIRING_CHOICES:
+        raise InputError(f"--pairing: expected auto, random, order or body, found {pairing!r}; choose one of them")
+    if pairing in ("order", "body") and model in WITHOUT_NETWORK:
         raise _other_pairing(pairing, model)
     if model == "copy":
         return CopyMethod()
@@ -171,11 +174,11 @@ def find_method(
         return SkeletonBaseline(seed=seed)
     check_weights(model)
     path = weights_path(model)
-    if pairing == "order" and (ordered := ordered_weights(model)) is not None:
+    if pairing in ("order", "body") and (ordered := ordered_weights(model)) is not None:
         path = ordered
         if not path.is_file():
             raise InputError(
-                f"--pairing order: expected weights in {path}, found no file; make some with mimesh train {model} "
+                f"--pairing {pairing}: expected weights in {path}, found no file; make some with mimesh train {model} "
                 "--set data.pairing=order and mimesh export, and choose that file, or leave --pairing out"
             )
     if path.suffix == ".onnx":
@@ -189,6 +192,8 @@ def find_method(
             fits=known not in WITHOUT_FIT,
             fingers=known not in (*REDUCED_MODELS, *TABLE_MODELS),
         )
+        if pairing == "body":
+            return _with_body_pairs(network, model, seed)
         if pairing not in ("auto", getattr(network, "pairing", "random")):
             raise _other_pairing(pairing, model)
         return _with_other_bodies(network, seed) if model == "mime" else network
@@ -198,9 +203,33 @@ def find_method(
     )
 
 
+def _with_body_pairs(network: Method, model: str, seed: int) -> Method:
+    """Return a network that was trained in one vertex order, with the pairs that the fitted body finds.
+
+    Raises:
+        InputError: it was trained otherwise, or for the vertices of one mesh.
+    """
+    from .aniformer import AniFormerMethod
+    from .mime.body_pairs import body_pairs
+    from .mime.drive import MimeMethod
+    from .npt import NPTMethod
+
+    if not isinstance(network, (NPTMethod, AniFormerMethod)) or network.pairing != "order":
+        raise _other_pairing("body", model)
+    if count := getattr(network, "vertices", 0):
+        raise InputError(
+            f"--pairing body: expected a network for meshes of any vertices, found {model}, which is for {count} in "
+            "the order of its training; leave --pairing out"
+        )
+    mime = find_method(NETWORK_OF_BODY[network.body], seed=seed)
+    assert isinstance(mime, MimeMethod)
+    return dataclasses.replace(network, pairing="body", corresponding=partial(body_pairs, mime))
+
+
 def _other_pairing(pairing: str, model: str) -> InputError:
     """Return the error of a model that does not pair vertices as it must."""
+    trained = "order" if pairing == "body" else pairing
     return InputError(
-        f"--pairing {pairing}: expected a network of npt or aniformer that was trained with data.pairing={pairing}, "
+        f"--pairing {pairing}: expected a network of npt or aniformer that was trained with data.pairing={trained}, "
         f"found {model}; leave --pairing out"
     )

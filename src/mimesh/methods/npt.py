@@ -10,6 +10,7 @@ metres.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -21,7 +22,7 @@ from ..core.errors import InputError
 from ..core.geometry import edges, spatial_order
 from ..core.mesh import Clip, Mesh, same_mesh
 from ..core.normalization import bbox_centre, radius
-from ..core.surface_points import PaddedVertices, padded_vertices
+from ..core.surface_points import SurfacePoints, padded_vertices
 from .base import Drive, ShapeMethod
 from .root_motion import Shapes, with_root_motion
 
@@ -36,6 +37,10 @@ METRES = "metres"
 """The `target_scale` of networks whose meshes are in metres."""
 RADII = (0.2, 2.5)
 """Metres. Radii of people's and animals' meshes: those of Table 6 have 0.6 to 1.3; other units give 30 or more."""
+Corresponding = Callable[[Mesh, Mesh], SurfacePoints]
+"""Finds the point of the driving for each distinct position of the identity, by rank (`canonical_order`)."""
+PointsAt = Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "P 3"]]
+"""Computes the driving points in a frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +62,12 @@ class NPTMethod:
     body: str = "human"
     """Name of the shipped body that it was trained on."""
     pairing: str = "random"
-    """Driving point of an identity vertex: "random"; or "order", that of its own index, of the same mesh."""
+    """Driving point of an identity vertex: "random"; "order", that of its own index, of the same mesh; or "body", that
+    which `corresponding` finds."""
     sizes: tuple[float, float] | None = None
     """Metres. Radius of the identity and of the driving's first frame, for METRES; None: the network gets radius 1."""
+    corresponding: Corresponding | None = None
+    """For the pairing "body" of a network that was trained in one vertex order."""
 
     def with_sizes(self, identity: tuple[str, float], driving: tuple[str, float]) -> NPTMethod:
         """Return this method for two meshes, given by name and radius.
@@ -75,7 +83,8 @@ class NPTMethod:
         """Rank both meshes and choose the driving points and their pairings, once for all frames.
 
         Raises:
-            InputError: vertices are paired by index, and those of the two meshes do not correspond.
+            InputError: vertices are paired by index, and those of the two meshes do not correspond, or by the body,
+                and it does not fit.
         """
         return drive_of(self, identity, driving)
 
@@ -87,28 +96,30 @@ class NPTMethod:
         """
         ranked = canonical_order(identity.vertices)
         rest = ranked.merge(identity.vertices)
-        points, pairings = self._paired(ranked, identity, driving.mesh)
+        points_at, pairings = self._paired(ranked, identity, driving.mesh)
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
-            return self._run(rest, points.at(driving_input(vertices, self.sizes)), pairings)[ranked.group]
+            return self._run(rest, points_at(driving_input(vertices, self.sizes)), pairings)[ranked.group]
 
         return lambda frames: map(pose, frames)
 
     def _paired(
         self, ranked: CanonicalOrder, identity: Mesh, driving: Mesh
-    ) -> tuple[PaddedVertices, list[Int[np.ndarray, " N"]]]:
+    ) -> tuple[PointsAt, list[Int[np.ndarray, " N"]]]:
         """Choose the driving points, and their order for each run of the network."""
+        if self.corresponding is not None:
+            return self.corresponding(identity, driving).points, [np.arange(len(ranked))]
         # A pooled pose does not depend on the order of the driving points: there is no pairing to average over.
         pooled = self.pose_code == "global_max"
         if self.pairing == "order":
             check_same_mesh(self.name, identity, driving)
-            return PaddedVertices.of(ranked), [np.arange(len(ranked))]
+            return ranked.merge, [np.arange(len(ranked))]
         # A network with one pose code for each vertex needs as many driving points as the identity has: where the
         # driving has fewer, random points of its surface are added, where it has more, each pairing leaves some out.
         points = padded_vertices(driving, 0 if pooled else len(ranked), generator(self.seed, 0))
         count = min(len(points), POOLED_POINTS) if pooled else len(ranked)
         rounds = 1 if pooled else self.ensemble
-        return points, [generator(self.seed, 1 + k).permutation(len(points))[:count] for k in range(rounds)]
+        return points.at, [generator(self.seed, 1 + k).permutation(len(points))[:count] for k in range(rounds)]
 
     def _run(
         self,

@@ -66,8 +66,8 @@ def transfer(
         ensemble: average over this many random pairings (index-paired networks only).
         seed: seed of all random choices of the model.
         pairing: driving vertex of each of the identity's (npt and aniformer only): "random"; "order", that of its own
-            index, of two shapes of one mesh; or "auto", by index where both have the same triangles and there is a
-            network for it.
+            index, of two shapes of one mesh; "body", that of the same place on the shipped body, which is fitted to
+            both; or "auto", by index where both have the same triangles and there is a network for it.
         refine: smooth the result, keeping the identity's surface details; None leaves it to the model.
         reference: the driving mesh in the identity's pose (deformation transfer only).
         markers: pairs (identity vertex, driving vertex) that correspond, or a file of them (deformation transfer only).
