@@ -45,7 +45,7 @@ TILE = (300, 360)
 ANIMAL_GAITS = ("gallop", "walk", "bound")
 """Gaits of figures of animals, one after another."""
 SHOWN_FRAMES = np.linspace(2, FRAMES - 3, 5).round().astype(int)
-"""Frames of a clip that are drawn: five, evenly spaced."""
+"""Frames of a clip that are drawn: five, evenly spaced. Each is the middle of a window of three that a method gets."""
 
 
 class Tile(NamedTuple):
@@ -348,9 +348,22 @@ def _clip_rows(trial: ClipPair, models: tuple[str, ...]) -> Iterator[list[Tile]]
     yield [identity, *_frame_tiles(trial.driving.name, trial.clip.vertices, trial.driving.faces)]
     for model in models:
         supported = on_supported_vertices(trial, model)
-        frames = result_frames(supported, model)
-        yield [Tile(model, supported.identity), *_frame_tiles(model, frames, supported.identity.faces)]
+        faces_of_model = supported.identity.faces
+        frames = [result_frames(_window(supported, int(t)), model)[1] for t in SHOWN_FRAMES]
+        tiles = [
+            Tile(f"{model}, frame {t}", Mesh(frame.astype(np.float64), faces_of_model))
+            for t, frame in zip(SHOWN_FRAMES, frames, strict=True)
+        ]
+        yield [Tile(model, supported.identity), *tiles]
     yield [identity, *_frame_tiles("truth", trial.truth_frames, faces)]
+
+
+def _window(trial: ClipPair, t: int) -> ClipPair:
+    """Return frames t - 1 to t + 1: of networks of full width all others would take minutes, and are not drawn."""
+    kept = slice(t - 1, t + 2)
+    clip = dataclasses.replace(trial.clip, vertices=trial.clip.vertices[kept])
+    aligned = None if trial.aligned_frames is None else trial.aligned_frames[kept]
+    return dataclasses.replace(trial, clip=clip, truth_frames=trial.truth_frames[kept], aligned_frames=aligned)
 
 
 def _frame_tiles(label: str, frames: Float[np.ndarray, "T V 3"], faces: Int[np.ndarray, "F 3"]) -> list[Tile]:
