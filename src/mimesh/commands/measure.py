@@ -122,7 +122,7 @@ def table(
     ),
     without: Annotated[
         list[str] | None,
-        typer.Option(metavar="ROW", help="Leave a row out, by its model's name (column `ours`); several times."),
+        typer.Option(metavar="ROW", help="Leave a row out, by its model's name (column `weights`); several times."),
     ] = None,
     json: Json = False,
     quiet: Quiet = False,

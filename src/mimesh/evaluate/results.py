@@ -190,8 +190,8 @@ driving person in the identity's pose, control points are marked by name, the tr
 (noise stays): a method with a larger error is worse than no transfer; characters of different files have no such
 correspondence. The row `identity` is the identity, not moved. The row `truth` shows what the figures can resolve.
 """
-REPRODUCTION = """Counterparts of the papers' tables on the shipped body instead of SMPL, by networks with less compute and
-another optimizer than the papers': compare orders, not digits. *Narrow* and *equal time* have a third of the width.
+REPRODUCTION = """Counterparts of the papers' tables on the shipped body instead of SMPL, by networks with less compute
+and another optimizer than the papers': compare orders, not digits. *Narrow* and *equal time* have a third of the width.
 *Mixed people and limbs* were trained on more than the papers' data. The paper's figures of AniFormer are of meshes in
 one vertex order. [The two papers](two-papers.md) says what else differs. *Seen* are the poses or motions of the
 training."""
