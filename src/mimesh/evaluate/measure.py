@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeGuard
 import numpy as np
 from jaxtyping import Float
 
-from ..core.errors import InputError
+from ..core.errors import InputError, RefusedMeshError
 from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, bbox_centre
@@ -316,13 +316,16 @@ def timed(
 ) -> tuple[Output | None, dict[str, Any]]:
     """Run a method and return its result, and its confidence with the seconds it took.
 
-    Without a result: {"why": reason} if the method cannot be applied, {"failed": reason} if a coordinate is not finite.
+    Without a result: {"why": reason} if the method cannot be applied, {"failed": reason} if it refuses a mesh or a
+    coordinate is not finite.
     """
     started = time.perf_counter()
     try:
         result = run(trial, method, **options)
     except NotApplicableError as error:
         return None, {"why": str(error)}
+    except RefusedMeshError as error:
+        return None, {"failed": str(error)}
     seconds = time.perf_counter() - started
     if not np.isfinite(result.vertices).all():
         return None, {"failed": "the result has coordinates that are not finite"}
