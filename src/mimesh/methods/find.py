@@ -39,6 +39,7 @@ TABLE_MODELS = (
     *("aniformer-full", "npt-full-frames", "npt-frames", "npt-maxpool-frames", "limp"),
     *("aniformer-ordered", "aniformer-ordered-equal", "aniformer-ordered-motion", "aniformer-ordered-appearance"),
     *("aniformer-ordered-plain", "aniformer-ordered-vanilla", "aniformer-ordered-attention-vertices"),
+    "aniformer-ordered-vertices",
     *("npt-ordered", "npt-ordered-equal", "npt-maxpool-ordered-equal"),
     *("npt-quadruped", "npt-maxpool-quadruped", "aniformer-quadruped"),
 )
