@@ -10,7 +10,7 @@ import pytest
 from held_out_files import write_all
 from networks import write_network, write_sequence_network
 
-from mimesh.core.errors import InputError
+from mimesh.core.errors import InputError, RefusedMeshError
 from mimesh.core.normalization import Normalization, bbox_centre, radius
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
 from mimesh.evaluate.dump import dump_worst
@@ -447,3 +447,14 @@ def test_unknown_names_are_refused_with_the_known_ones(arguments, message):
         evaluate_command("human-npt", ["copy"], split="tset")
     with pytest.raises(InputError, match="train, val, test"):
         generate_command("human-npt", Path("unused"), "tset")
+
+
+def test_a_mesh_that_is_refused_is_a_failure_and_the_measurement_goes_on(monkeypatch):
+    """A person in an extreme pose beside a plain one may look like no person; the rest is measured."""
+
+    def refuse(pair, method, **options):
+        raise RefusedMeshError("x: expected a person, found a chair; give another")
+
+    pair = HUMAN_NPT.pair("val", "seen", 0)
+    monkeypatch.setattr("mimesh.evaluate.measure.run_on_pair", refuse)
+    assert measure(pair, "copy") == {"failed": "x: expected a person, found a chair; give another"}

@@ -117,6 +117,7 @@ TABLES = {
             Row("with appearance", "aniformer-ordered-appearance", 0.31),
             Row("with both", "aniformer-ordered-equal", 0.12),
             Row("both, attention to vertices", "aniformer-ordered-attention-vertices", 0.12),
+            Row("both, weights for each vertex", "aniformer-ordered-vertices", 0.12),
             ANIFORMER_ORDERED,
             ANIFORMER_MIXED,
             ANIFORMER_FULL,

@@ -70,6 +70,7 @@ ROWS = {
     "aniformer-ordered-plain": TrainedRow("aniformer", ("losses.motion=off", "losses.appearance=off", ORDERED)),
     "aniformer-ordered-vanilla": TrainedRow("aniformer", (*VANILLA, ORDERED)),
     "aniformer-ordered-attention-vertices": TrainedRow("aniformer", ("model.attention=vertices", ORDERED)),
+    "aniformer-ordered-vertices": TrainedRow("aniformer", ("model.vertices=6890", ORDERED)),
     "npt-ordered-equal": TrainedRow("npt", (*ON_CLIPS, ORDERED)),
     "npt-maxpool-ordered-equal": TrainedRow("npt", ("model.pose_code=global_max", *ON_CLIPS, ORDERED)),
     "npt-frames": TrainedRow("npt", ON_CLIPS),

@@ -46,7 +46,9 @@ class Validation:
         protocol = self.task.protocol
         rng = protocol.rng("val", kind, index)
         trial = protocol.unshuffled_pair("val", kind, index, rng)
-        order = rng.permutation(len(trial.identity.vertices))
+        count = len(trial.identity.vertices)
+        of_vertex = getattr(self.task.config.model, "vertices", 0)  # weights for each vertex need the body's own order
+        order = np.arange(count) if of_vertex else rng.permutation(count)
         return (reorder_clip_vertices if isinstance(trial, ClipPair) else reorder_vertices)(trial, order, order)
 
     @torch.no_grad()

@@ -31,6 +31,7 @@ TRAINED_WITH_TABLE = {
     "aniformer-1": (
         *("aniformer-ordered-equal", "aniformer-ordered-motion", "aniformer-ordered-appearance"),
         *("aniformer-ordered-plain", "aniformer-ordered-vanilla", "aniformer-ordered-attention-vertices"),
+        "aniformer-ordered-vertices",
     ),
     "aniformer-2": ("npt-ordered-equal", "npt-maxpool-ordered-equal", "limp"),
     "aniformer-1-random": (
