@@ -143,7 +143,7 @@ def table(
     if train:
         require("train", "torch", "yaml", "safetensors", "tensorboard", "onnx", "onnxscript")
         with progress("starting", quiet or json):  # PyTorch takes seconds to load
-            from ..learn.table_rows import rows_of, train_table
+            from ..learn.table_rows import rows_of
 
             rows = rows_of(name, long, left_out)
     elif seeds > 1 or long:
@@ -154,6 +154,8 @@ def table(
     left_out += missing
     trained = {}
     if train:
+        from ..learn.table_rows import train_table
+
         trained = train_table(name, networks, minutes, seeds, long, lambda text: say(text, error=True), left_out)
     with progress("pairs", quiet or json) as advance:
         figures, text = table_command(name, output, pairs, advance, data, trained, left_out)

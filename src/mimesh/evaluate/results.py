@@ -157,7 +157,7 @@ README_SETS = {
 README_METHODS = {
     "mime": "`mime`, our default",
     "mime-network": "`mime-network`, mime without the body fit",
-    "npt": "`npt`, Neural Pose Transfer (CVPR 2020)",
+    "npt": "`npt`, NPT (CVPR 2020), narrow, trained on other data than its paper's",
     "deformation-transfer-13": "deformation transfer, with a third mesh and 13 markers",
     "copy": "`copy`, the driving vertices, true correspondence and size",
 }
