@@ -329,9 +329,10 @@ def mesh_files(data: Path | None) -> list[Path]:
     Raises:
         InputError: no folder given, or one without meshes.
     """
+    suffixes = (*SUFFIXES, ".obj", ".ply")
     if data is None or not data.is_dir():
-        raise InputError(f"--data: expected a folder of people in {', '.join(SUFFIXES)} files, found {data}; give one")
-    paths = sorted(path for path in data.iterdir() if path.suffix.lower() in (*SUFFIXES, ".obj", ".ply"))
+        raise InputError(f"--data: expected a folder of people in {', '.join(suffixes)} files, found {data}; give one")
+    paths = sorted(path for path in data.iterdir() if path.suffix.lower() in suffixes)
     if not paths:
         raise InputError(f"{data}: expected meshes of people, found none; give another folder with --data")
     return paths
