@@ -33,7 +33,7 @@ from mimesh.evaluate.run import evaluate_command, fingerprint
 from mimesh.evaluate.summary import summary
 from mimesh.evaluate.tables import TABLES, paper_table, table_command
 from mimesh.io import load_mesh
-from mimesh.methods.find import MODELS, NETWORK_OF_BODY, REDUCED_MODELS, TABLE_MODELS, find_method
+from mimesh.methods.find import INDEX_PAIRED, MODELS, NETWORK_OF_BODY, REDUCED_MODELS, TABLE_MODELS, find_method
 from mimesh.methods.onnx_models import hands_path
 from mimesh.pipeline import transfer
 
@@ -263,15 +263,11 @@ def test_every_row_of_a_table_can_be_trained_and_is_reported_if_missing(tmp_path
     pytest.importorskip("torch")
     from mimesh.learn.table_rows import ROWS
 
-    assert set(ROWS) == set(TABLE_MODELS)
+    assert set(ROWS) == {*TABLE_MODELS, *INDEX_PAIRED.values()}
     methods = {row.method for table in TABLES.values() for row in table.rows}
-    assert (
-        set(TABLE_MODELS)
-        <= methods
-        <= {*TABLE_MODELS, *REDUCED_MODELS, *EXTRA_INPUTS, *MODELS, *NETWORK_OF_BODY.values()}
-    )
+    assert set(TABLE_MODELS) <= methods <= {*ROWS, *REDUCED_MODELS, *EXTRA_INPUTS, *MODELS, *NETWORK_OF_BODY.values()}
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match=r"npt-equal: expected weights in ablations.*table --train"):
+    with pytest.raises(InputError, match=r"npt-equal: expected weights in ablations.*mimesh table npt-2 --train"):
         evaluate_command("human-npt", ["copy", "npt-equal"], pairs=1)
 
 

@@ -29,7 +29,7 @@ class TrainedRow(NamedTuple):
     equal_time: bool = True
     """Whether it is trained as long as the other rows, so that they can be compared."""
     long: bool = False
-    """Whether it takes many hours: trained only where that is asked for."""
+    """Whether it takes hours, or is for a GPU (`config` gpu): trained only where that is asked for."""
 
 
 ON_CLIPS = (
@@ -109,7 +109,7 @@ def rows_of(table: str, long: bool, without: Sequence[str] = ()) -> list[str]:
     """List the networks of a table that can be trained.
 
     Args:
-        long: whether those that take many hours are among them.
+        long: whether those that take hours or a GPU are among them.
         without: methods whose rows are left out.
     """
     methods = [REDUCED_MODELS.get(row.method, row.method) for row in find_table(table, without).rows]

@@ -19,7 +19,7 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..methods.base import BodyMethod, Method, RigMethod
 from ..methods.confidence import MAX_ENTROPY
-from ..methods.find import NETWORK_OF_BODY, SHIPPED_NETWORKS, TABLE_MODELS, find_method
+from ..methods.find import INDEX_PAIRED, NETWORK_OF_BODY, SHIPPED_NETWORKS, TABLE_MODELS, find_method
 from .creatures import SURE, SURE_ACROSS, MatchedCreatures, match_creatures, sure_match
 from .matched_rigs import finds_joints, predicted_body
 from .orientation import normalised, predicted_orientation
@@ -212,7 +212,7 @@ def trained_on_people(
     """
     if asked != "auto" or isinstance(method, RigMethod) or getattr(method, "body", None) != "human":
         return ()
-    if method.name not in (*SHIPPED_NETWORKS, *TABLE_MODELS):
+    if method.name not in (*SHIPPED_NETWORKS, *INDEX_PAIRED.values(), *TABLE_MODELS):
         return ()
     notes = []
     for mesh, norm, of_mesh in zip(meshes, norms, (axes[:2], axes[2:]), strict=True):
