@@ -432,8 +432,9 @@ def on_supported_vertices(trial: ClipPair, method: str) -> ClipPair:
                 f"{method}: expected the vertices of its template, found no such numbers in this list"
             )
         return on_template(trial)
-    in_body_order = getattr(network, "vertices", 0) and trial.place is not None
-    return reorder_clip_vertices(trial, trial.place, trial.place) if in_body_order else trial
+    if trial.place is not None and getattr(network, "vertices", 0):
+        return reorder_clip_vertices(trial, trial.place, trial.place)
+    return trial
 
 
 def repeat_first_frame(trial: ClipPair) -> ClipPair:

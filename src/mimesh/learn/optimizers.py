@@ -66,16 +66,16 @@ class Muon(Optimizer):
                 if "momentum_buffer" not in self.state[matrix]:
                     self.state[matrix]["momentum_buffer"] = torch.zeros_like(matrix.grad)
             averages = [self.state[matrix]["momentum_buffer"] for matrix in matrices]
-            torch._foreach_lerp_(averages, [matrix.grad for matrix in matrices], 1 - MOMENTUM)
+            torch._foreach_lerp_(averages, [matrix.grad for matrix in matrices], 1 - MOMENTUM)  # pyright: ignore[reportPrivateImportUsage]
             updates = [matrix.grad.lerp(average, MOMENTUM) for matrix, average in zip(matrices, averages, strict=True)]
             if group["weight_decay"]:
-                torch._foreach_mul_(matrices, 1 - group["lr"] * group["weight_decay"])
+                torch._foreach_mul_(matrices, 1 - group["lr"] * group["weight_decay"])  # pyright: ignore[reportPrivateImportUsage]
             for shape in dict.fromkeys(matrix.shape for matrix in matrices):
                 alike = [i for i, matrix in enumerate(matrices) if matrix.shape == shape]
                 moves = orthogonalize(torch.stack([updates[i] for i in alike]), self.dtype).unbind()
                 # An orthogonal A x B matrix has entries of root mean square 1 / sqrt(max(A, B)).
                 size = -group["lr"] * UPDATE_RMS * math.sqrt(max(shape))
-                torch._foreach_add_([matrices[i] for i in alike], [move.float() for move in moves], alpha=size)
+                torch._foreach_add_([matrices[i] for i in alike], [move.float() for move in moves], alpha=size)  # pyright: ignore[reportPrivateImportUsage]
 
 
 def orthogonalize(matrices: Float[Tensor, "N A B"], dtype: torch.dtype) -> Float[Tensor, "N A B"]:

@@ -49,7 +49,9 @@ class Validation:
         count = len(trial.identity.vertices)
         of_vertex = getattr(self.task.config.model, "vertices", 0)  # weights for each vertex need the body's own order
         order = np.arange(count) if of_vertex else rng.permutation(count)
-        return (reorder_clip_vertices if isinstance(trial, ClipPair) else reorder_vertices)(trial, order, order)
+        if isinstance(trial, ClipPair):
+            return reorder_clip_vertices(trial, order, order)
+        return reorder_vertices(trial, order, order)
 
     @torch.no_grad()
     def measure(

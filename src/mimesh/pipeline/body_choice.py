@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core.errors import InputError
+from ..core.errors import InputError, RefusedMeshError
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..methods.base import BodyMethod, Method, RigMethod
@@ -153,7 +153,7 @@ def with_body(
         if shown[person].body == "human" and shown[person].difference > min(DOUBT, shown[1 - person].difference):
             found = [rigs.bodies[k] or second_look(method, shown[k].body, meshes[k], given[k]) for k in (0, 1)]
             if None in found or found[0] != found[1]:
-                raise InputError(different_kinds(found, meshes))
+                raise RefusedMeshError(different_kinds(found, meshes))
             shown = [show(k, found[0]) for k in (0, 1)]
         elif shown[person].body == "human":
             shown[person] = show(person, "quadruped")
