@@ -31,9 +31,11 @@ def ordered(request, tmp_path):
 @pytest.fixture
 def zoo(tmp_path, monkeypatch):
     """The shipped weights of npt replaced by tiny ones; returns the path where the ordered ones are looked for."""
-    path, shipped = write_network(tmp_path / "npt.onnx"), find.weights_path
-    monkeypatch.setattr(find, "weights_path", lambda model: path if model == "npt" else shipped(model))
-    return tmp_path / "npt-ordered.onnx"
+    ordered = tmp_path / f"{find.INDEX_PAIRED['npt']}.onnx"
+    paths = {"npt": write_network(tmp_path / "npt.onnx"), find.INDEX_PAIRED["npt"]: ordered}
+    shipped = find.weights_path
+    monkeypatch.setattr(find, "weights_path", lambda model: paths.get(model) or shipped(model))
+    return ordered
 
 
 def moved(identity: Mesh, driving: Mesh, model: str, **options) -> np.ndarray:
@@ -123,7 +125,7 @@ def test_auto_takes_the_ordered_network_for_shapes_of_one_mesh(zoo):
 
 
 def test_order_without_ordered_weights_says_how_to_make_them(zoo):
-    with pytest.raises(InputError, match=r"npt-ordered.onnx, found no file.*data.pairing=order"):
+    with pytest.raises(InputError, match=r"npt-ordered-mixed.onnx, found no file.*data.pairing=order"):
         transfer(person(0), person(1, 0), "npt", pairing="order")
 
 
