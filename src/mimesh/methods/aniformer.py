@@ -110,7 +110,7 @@ class AniFormerMethod:
         ranked = canonical_order(identity.vertices)
         if self.pairing == "order":
             check_same_mesh(self.name, identity, driving)
-            orders = [self._pairing(k, len(ranked), 0)[0] for k in range(self.ensemble)]
+            orders = [self._pairing(k, len(ranked), len(ranked))[0] for k in range(self.ensemble)]
             return ranked, PaddedVertices.of(ranked), [(order, order) for order in orders]
         points = padded_vertices(driving, len(ranked), generator(self.seed, 0))
         return ranked, points, [self._pairing(k, len(ranked), len(points)) for k in range(self.ensemble)]
