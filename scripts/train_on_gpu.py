@@ -40,7 +40,7 @@ from mimesh.learn.train import FULL_RATE, begin_with, train
 from mimesh.learn.training_run import TrainingRun
 
 WARM_STEPS, TIMED_STEPS, PROFILED_STEPS = 6, 40, 3
-"""Of `--rate`: steps before the clock starts (the first compiles), steps timed, and steps listed kernel by kernel."""
+"""Of `--rate`: steps before the clock starts, steps timed, and steps listed kernel by kernel."""
 WRITING = Lock()
 """Held by who writes the parts of the results."""
 TINY = ("data.vertices=64", "compile=false", "batch=4", "validation_pairs=1", "warmup=16", "precision=fp32")
@@ -158,14 +158,11 @@ def measure_rate(job: Job, results: Path, tiny: bool) -> dict[str, float | str]:
         run = TrainingRun.start(job.config(1.0, tiny), results / "no training there", processes=processes)
         cuda = processes.device.type == "cuda"
         wait = torch.cuda.synchronize if cuda else lambda: None
-        started = time.perf_counter()
         for _ in range(1 if tiny else WARM_STEPS):
-            loss = run.advance()
+            run.advance()
         wait()
-        warm = time.perf_counter() - started
         steps, started = (1 if tiny else TIMED_STEPS), time.perf_counter()
-        for _ in range(steps):
-            loss = run.advance()
+        losses = [run.advance() for _ in range(steps)]
         host = time.perf_counter() - started
         wait()
         seconds = (time.perf_counter() - started) / steps
@@ -177,13 +174,12 @@ def measure_rate(job: Job, results: Path, tiny: bool) -> dict[str, float | str]:
         (results / f"{job.name}-profile.txt").write_text(profile.key_averages().table(sort_by=by, row_limit=45))
         rate = {
             "device": checkpoint.hardware(),
-            "first_steps_s": warm,
             "step_ms": 1e3 * seconds,
             "host_ms": 1e3 * host / steps,
             "pairs_per_s": run.config.batch / seconds,
             "tflops": training_operations(run.task, run.model, run.config.batch) / seconds / 1e12,
             "peak_gib": torch.cuda.max_memory_allocated() / 2**30 if cuda else 0.0,
-            "loss": float(loss),
+            "loss": float(losses[-1]),
         }
         print(job.name, json.dumps({k: v if isinstance(v, str) else float(f"{v:.4g}") for k, v in rate.items()}))
         return rate

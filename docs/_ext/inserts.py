@@ -69,22 +69,22 @@ def models() -> str:
     rows = []
     for name in MODELS:
         row = _report_row(name, "unseen")
-        pmd = f"{_figure(row['pmd_e4'])}\N{NO-BREAK SPACE}({_figure(row['pmd_e4_median'])})"
-        rows.append([f"[`{name}`](#{name})", DESCRIPTIONS[name], pmd, f"{_figure(row['mm'])}\N{NO-BREAK SPACE}mm"])
+        pmd = f"{_figure(row.get('pmd_e4'))}\N{NO-BREAK SPACE}({_figure(row.get('pmd_e4_median'))})"
+        rows.append([f"[`{name}`](#{name})", DESCRIPTIONS[name], pmd, f"{_figure(row.get('mm'))}\N{NO-BREAK SPACE}mm"])
     return markdown_table(["`-m`", "what it is", "PMD ×1e-4: mean (median)", "distance"], rows)
 
 
 def _report_row(name: str, kind: str, method: str = "") -> dict:
     """Return the report row of a model, or of `method`, on the model's set: of poses, or of clips for aniformer.
 
-    Raises:
-        StopIteration: the model has not been measured.
+    Empty where it has not been measured.
     """
     protocol = "clips-aniformer" if name == "aniformer" else "human-npt"
     # Of clips, new walks and splines; not yet every model has been measured on the held-out takes.
     kind = "procedural" if (protocol, kind) == ("clips-aniformer", "unseen") else kind
     method = method or {"deformation-transfer": "deformation-transfer-13"}.get(name, name)
-    return next(row for row in rows_by_set(_reports())[protocol, kind] if row["method"] == method)
+    rows = rows_by_set(_reports()).get((protocol, kind), [])
+    return next((row for row in rows if row["method"] == method), {})
 
 
 @cache
@@ -115,10 +115,10 @@ def card(name: str) -> str:
         ["trained on", facts["data"]],
         ["training", f"{minutes:.0f} minutes, {facts['hardware']}; {pairs:,} pairs{stages}"],
         ["commit", f"`{facts['commit']}`{dirty}, seed {facts['seed']}"],
-        [f"PMD ×1e-4 on new people, {sets}", _both(seen["pmd_e4"], unseen["pmd_e4"])],
-        ["its median", _both(seen["pmd_e4_median"], unseen["pmd_e4_median"])],
-        ["distance, for a person of 1.7 m", f"{_both(seen['mm'], unseen['mm'])} mm"],
-        ["PMD of `copy` on the same", _both(*(row["pmd_e4"] for row in copies))],
+        [f"PMD ×1e-4 on new people, {sets}", _both(seen.get("pmd_e4"), unseen.get("pmd_e4"))],
+        ["its median", _both(seen.get("pmd_e4_median"), unseen.get("pmd_e4_median"))],
+        ["distance, for a person of 1.7 m", f"{_both(seen.get('mm'), unseen.get('mm'))} mm"],
+        ["PMD of `copy` on the same", _both(*(row.get("pmd_e4") for row in copies))],
         ["file", f"`{facts['file']}`, {facts['bytes'] / 2**20:.1f} MiB"],
     ]
     return markdown_table(["card", ""], rows)
@@ -299,11 +299,13 @@ def _ms(value: float | None) -> str:
     return "-" if value is None else f"{_figure(value)} ms"
 
 
-def _both(seen: float, unseen: float) -> str:
+def _both(seen: float | None, unseen: float | None) -> str:
     return f"{_figure(seen)} / {_figure(unseen)}"
 
 
-def _figure(value: float) -> str:
+def _figure(value: float | None) -> str:
+    if value is None:
+        return "not measured"
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 

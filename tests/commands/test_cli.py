@@ -318,7 +318,7 @@ def test_evaluate_prints_a_table_or_json(tmp_path, capsys):
     assert "copy" in capsys.readouterr().out
     assert run([*args, "--json", "-o", str(tmp_path / "x.json")]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert set(printed) == {"protocol", "version", "provenance", "sets", "left_out", "results"}
+    assert set(printed) == {"protocol", "version", "metrics", "provenance", "sets", "left_out", "results"}
     assert printed["results"] == json.loads((tmp_path / "x.json").read_text())["results"]
 
 

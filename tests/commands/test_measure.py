@@ -81,11 +81,29 @@ def test_unknown_names_are_refused_with_the_known_ones(arguments, capsys):
     assert "expected a" in capsys.readouterr().err
 
 
-def test_all_networks_that_a_table_lacks_are_named_at_once(tmp_path, monkeypatch, capsys):
+def test_a_table_leaves_out_rows_without_weights_and_says_how_to_make_them(tmp_path, monkeypatch, capsys):
+    """As in an installed package, which has no folder `ablations`: the rows that can be measured are."""
     monkeypatch.chdir(tmp_path)
-    assert run(["table", "npt-1"]) == 2
-    (message,) = capsys.readouterr().err.splitlines()
-    missing = [row.method for row in TABLES["npt-1"].rows if is_table_model(row.method)]
+    methods = [row.method for row in TABLES["npt-2"].rows]
+    missing = [method for method in methods if is_table_model(method)]
     assert len(missing) > 1
-    assert f"{', '.join(missing)}: expected weights in ablations" in message
-    assert " ".join(f"--without {method}" for method in missing) in message
+    others = [word for method in methods if method not in (*missing, "copy") for word in ("--without", method)]
+    assert run(["table", "npt-2", "--pairs", "1", *others]) == 0
+    out, err = capsys.readouterr()
+    (note,) = [line for line in err.splitlines() if "weights" in line]
+    assert "npt-concat1, npt-no-spadain, npt-no-edge, npt-equal by mimesh table npt-2 --train" in note
+    assert "npt-full, npt-full-mixed by python scripts/train_on_gpu.py OUT" in note
+    assert [line.split("`")[1] for line in out.splitlines() if line.startswith("| ") and "`" in line] == ["copy"]
+    assert f"note: without {', '.join(missing)}, whose weights are not here" in out
+    assert run(["table", "npt-2", "--pairs", "1", *others, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["left_out"] == missing
+
+
+def test_a_table_without_any_weights_is_refused_before_work(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    methods = [row.method for row in TABLES["npt-2"].rows]
+    words = [word for method in methods if method != "npt-full" for word in ("--without", method)]
+    assert run(["table", "npt-2", *words]) == 2
+    (message,) = capsys.readouterr().err.splitlines()
+    assert "npt-full: expected weights in ablations, found no files" in message
+    assert "make npt-full by python scripts/train_on_gpu.py OUT" in message

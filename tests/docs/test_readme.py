@@ -52,7 +52,8 @@ def test_errors_in_the_readme_are_the_measured_ones():
             if "pmd_e4" not in row:
                 assert cell.strip() in ("not possible", "not measured")
                 continue
-            mm, mean, median = (f"{row[key]:.3g}" for key in ("mm", "pmd_e4", "pmd_e4_median"))
+            values = [row[key] for key in ("mm", "pmd_e4", "pmd_e4_median")]
+            mm, mean, median = (f"{value:.0f}" if value >= 999.5 else f"{value:.3g}" for value in values)
             assert cell.strip() == f"{mm} mm, {mean} ({median})"
 
 

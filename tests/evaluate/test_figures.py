@@ -12,6 +12,8 @@ from mimesh.evaluate.figures import (
     FIGURES,
     animal_clip_rows,
     figure_command,
+    influence_rows,
+    one_clip_rows,
     vertex_index_colors,
     vertex_order_rows,
 )
@@ -66,11 +68,27 @@ def test_figures_whose_networks_are_missing_say_how_to_make_them(tmp_path, monke
     monkeypatch.chdir(tmp_path)
     for name, model in (("npt-14", "npt-maxpool-quadruped"), ("aniformer-animals", "aniformer-quadruped")):
         assert run(["figure", name, "-o", str(tmp_path / "figure.png")]) == 2
-        message = capsys.readouterr().err
-        assert f"{model}: expected its weights in ablations" in message
-        assert "mimesh table animals --train" in message
-        assert f"-m runs/tables/seed0/{model}" in message
+        (message,) = capsys.readouterr().err.splitlines()
+        assert f"{model}" in message
+        assert "expected weights in ablations" in message
+        assert "by mimesh table animals --train" in message
     assert not (tmp_path / "figure.png").exists()
+
+
+def test_a_figure_leaves_out_models_without_weights_and_names_them(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(["figure", "npt-12", "--rows", "1", "-o", str(tmp_path / "figure.png")]) == 0
+    assert "make npt-full by python scripts/train_on_gpu.py OUT" in capsys.readouterr().err
+    assert np.asarray(Image.open(tmp_path / "figure.png")).shape[1] == 4 * 300  # deformation transfer alone
+    assert run(["figure", "npt-12", "-m", "npt-full", "-o", str(tmp_path / "other.png")]) == 2
+
+
+def test_figures_without_results_or_of_several_identities_are_drawn(tmp_path):
+    assert [len(row) for row in influence_rows((), 3, None)] == [4, 4, 4]
+    network = str(write_sequence_network(tmp_path / "tiny.onnx", metadata={"pairing": "order"}))
+    driving, *results = one_clip_rows((network,), 2, None)
+    assert [len(row) for row in (driving, *results)] == [6, 6, 6]
+    assert not np.allclose(results[0][0].mesh.vertices, results[1][0].mesh.vertices)
 
 
 def test_colours_follow_the_vertices_of_a_shuffled_pair(network):
@@ -84,8 +102,8 @@ def test_colours_follow_the_vertices_of_a_shuffled_pair(network):
 def test_unknown_figures_and_missing_data_are_reported(tmp_path, network):
     with pytest.raises(InputError, match="npt-6, npt-7"):
         figure_command("npt-5", tmp_path / "a.png")
-    with pytest.raises(InputError, match="give one"):
-        figure_command("npt-10", tmp_path / "a.png", (network,))
+    with pytest.raises(InputError, match="give one"):  # before any weights are looked for
+        figure_command("npt-10", tmp_path / "a.png")
     with pytest.raises(InputError, match="found none"):
         figure_command("npt-10", tmp_path / "a.png", (network,), 1, tmp_path)
     with pytest.raises(InputError, match="found neither"):

@@ -10,7 +10,7 @@ import pytest
 from held_out_files import write_all
 from networks import write_network, write_sequence_network
 
-from mimesh.core.errors import InputError
+from mimesh.core.errors import InputError, RefusedMeshError
 from mimesh.core.normalization import Normalization, bbox_centre, radius
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
 from mimesh.evaluate.dump import dump_worst
@@ -33,7 +33,7 @@ from mimesh.evaluate.run import evaluate_command, fingerprint
 from mimesh.evaluate.summary import summary
 from mimesh.evaluate.tables import TABLES, paper_table, table_command
 from mimesh.io import load_mesh
-from mimesh.methods.find import MODELS, NETWORK_OF_BODY, REDUCED_MODELS, TABLE_MODELS, find_method
+from mimesh.methods.find import INDEX_PAIRED, MODELS, NETWORK_OF_BODY, REDUCED_MODELS, TABLE_MODELS, find_method
 from mimesh.methods.onnx_models import hands_path
 from mimesh.pipeline import transfer
 
@@ -263,15 +263,11 @@ def test_every_row_of_a_table_can_be_trained_and_is_reported_if_missing(tmp_path
     pytest.importorskip("torch")
     from mimesh.learn.table_rows import ROWS
 
-    assert set(ROWS) == set(TABLE_MODELS)
+    assert set(ROWS) == {*TABLE_MODELS, *INDEX_PAIRED.values()}
     methods = {row.method for table in TABLES.values() for row in table.rows}
-    assert (
-        set(TABLE_MODELS)
-        <= methods
-        <= {*TABLE_MODELS, *REDUCED_MODELS, *EXTRA_INPUTS, *MODELS, *NETWORK_OF_BODY.values()}
-    )
+    assert set(TABLE_MODELS) <= methods <= {*ROWS, *REDUCED_MODELS, *EXTRA_INPUTS, *MODELS, *NETWORK_OF_BODY.values()}
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match=r"npt-equal: expected weights in ablations.*table --train"):
+    with pytest.raises(InputError, match=r"npt-equal: expected weights in ablations.*mimesh table npt-2 --train"):
         evaluate_command("human-npt", ["copy", "npt-equal"], pairs=1)
 
 
@@ -451,3 +447,14 @@ def test_unknown_names_are_refused_with_the_known_ones(arguments, message):
         evaluate_command("human-npt", ["copy"], split="tset")
     with pytest.raises(InputError, match="train, val, test"):
         generate_command("human-npt", Path("unused"), "tset")
+
+
+def test_a_mesh_that_is_refused_is_a_failure_and_the_measurement_goes_on(monkeypatch):
+    """A person in an extreme pose beside a plain one may look like no person; the rest is measured."""
+
+    def refuse(pair, method, **options):
+        raise RefusedMeshError("x: expected a person, found a chair; give another")
+
+    pair = HUMAN_NPT.pair("val", "seen", 0)
+    monkeypatch.setattr("mimesh.evaluate.measure.run_on_pair", refuse)
+    assert measure(pair, "copy") == {"failed": "x: expected a person, found a chair; give another"}

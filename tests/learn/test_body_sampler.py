@@ -110,7 +110,8 @@ def test_ordered_pairs_are_of_the_same_vertices():
     device, body = torch.device("cpu"), shipped_body()
     for vertices in (64, 0):
         ordered, random = (
-            BodySampler(DataConfig("table6", vertices, pairing), body, device, 0) for pairing in ("order", "random")
+            BodySampler(DataConfig("table6", vertices, pairing=pairing), body, device, 0)
+            for pairing in ("order", "random")
         )
         index, driving, edges, _ = ordered._sample_vertices(2, ordered._generator(0))
         assert torch.equal(index, driving)

@@ -61,11 +61,6 @@ def test_characters_have_a_share_of_joint_limits_of_their_own(given, found):
     assert (config.data.character_limits, type(config.data.character_limits)) == (found, type(found))
 
 
-def test_aniformer_is_not_trained_with_weights_for_each_vertex():
-    with pytest.raises(InputError, match=r"expected model\.vertices 0, found 6890"):
-        load_config("small", "aniformer", ["model.vertices=6890"])
-
-
 @pytest.mark.parametrize("name", ["paper", "small", "maxpool-small", "table", "full"])
 def test_shipped_configurations_load(name):
     assert load_config(name).pairs > 0

@@ -12,7 +12,7 @@ from mimesh.evaluate import tables
 from mimesh.evaluate.tables import TABLES, Row, Table, over_seeds
 from mimesh.learn import checkpoint, table_rows
 from mimesh.learn.table_rows import ROWS, TrainedRow, row_config, rows_of, train_row
-from mimesh.methods.find import is_table_model, weights_path
+from mimesh.methods.find import TRAINED_WITH_TABLE, how_to_make, is_table_model, weights_path
 
 TINY = ("model.encoder=[8,16,16]", "model.decoder=[16,8,8]", "data.vertices=32", "batch=2", "validation_pairs=1")
 
@@ -130,12 +130,14 @@ def test_options_of_a_training_need_the_training(tmp_path):
     assert "--minutes: expected a positive number" in str(done.exception)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_table")
-def test_missing_weights_are_noticed_before_anything_is_trained(tmp_path):
-    done = run("--train")
-    assert isinstance(done.exception, InputError)
-    assert "--long" in str(done.exception)
-    assert not (tmp_path / "runs").exists()
+def test_rows_that_are_not_trained_and_have_no_weights_are_left_out_with_a_note(tmp_path):
+    done = run("--train", "--without", "npt-no-edge", "-o", "table.json")
+    assert done.exit_code == 0, done.output
+    assert "leaves out rows whose weights are not here; make npt-full by python scripts/train_on_gpu.py" in done.output
+    report = json.loads((tmp_path / "table.json").read_text())
+    assert {row["method"] for row in report["results"]} == {"runs/tables/seed0/npt-equal", "copy"}
 
 
 def test_rows_that_take_hours_are_trained_only_where_asked():
@@ -158,6 +160,18 @@ def test_networks_of_tables_may_lie_in_another_folder():
     assert weights_path("npt-equal").as_posix() == "ablations/npt-equal.onnx"
     assert weights_path("runs/tables/seed1/mime-table-network").as_posix() == "runs/tables/seed1/mime-table.onnx"
     assert not is_table_model("runs/npt-other")
+    # A row that is shipped, too: by its name the shipped one, in a folder the one that was trained there.
+    assert not is_table_model("aniformer-ordered-mixed")
+    assert weights_path("runs/tables/seed0/aniformer-ordered-mixed").parent.name == "seed0"
+
+
+def test_every_network_of_a_table_has_a_command_that_makes_it():
+    for row, recipe in ROWS.items():
+        made = how_to_make([row])
+        assert ("train_on_gpu.py" in made) == (recipe.config == "gpu")
+        assert ("--long" in made) == (recipe.long and recipe.config != "gpu")
+    for table, names in TRAINED_WITH_TABLE.items():
+        assert set(names) <= set(rows_of(table, long=False))
 
 
 def test_figures_over_seeds_are_means_with_their_deviation():

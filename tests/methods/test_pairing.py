@@ -36,10 +36,10 @@ def ordered(request, tmp_path):
 @pytest.fixture
 def zoo(tmp_path, monkeypatch):
     """The shipped weights of npt replaced by tiny ones; returns the path where the ordered ones are looked for."""
-    path, shipped = write_network(tmp_path / "npt.onnx"), find.weights_path
-    ordered = tmp_path / "npt-ordered-mixed.onnx"
-    tiny = {"npt": path, "npt-ordered-mixed": ordered}
-    monkeypatch.setattr(find, "weights_path", lambda model: tiny.get(model) or shipped(model))
+    ordered = tmp_path / f"{find.INDEX_PAIRED['npt']}.onnx"
+    paths = {"npt": write_network(tmp_path / "npt.onnx"), find.INDEX_PAIRED["npt"]: ordered}
+    shipped = find.weights_path
+    monkeypatch.setattr(find, "weights_path", lambda model: paths.get(model) or shipped(model))
     return ordered
 
 

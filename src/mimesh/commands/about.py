@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import typer
 
 from ..core.printable import say
-from ..evaluate.metrics import VERSION
 from .terminal import Json, Open, Quiet, Stop, open_page, print_json, print_next, progress
 
 
@@ -74,6 +73,8 @@ MISSING = "its weights are missing here; install mimesh again"
 
 def _describe(card: dict[str, Any]) -> str:
     """Return size, licence and errors of a shipped network in one line."""
+    from ..evaluate.metrics import VERSION
+
     measured = card.get("metrics", {})
     test = measured.get("test", {}) if measured.get("version") == VERSION else {}
     figures = ", ".join(

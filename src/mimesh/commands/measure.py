@@ -116,43 +116,55 @@ def table(
     minutes: Annotated[
         float, typer.Option(help="Training time of rows that are compared, in CPU minutes.", min=0)
     ] = 15,
-    long: Annotated[bool, typer.Option("--long", help="Train the rows that take many hours, too.")] = False,
+    long: Annotated[bool, typer.Option("--long", help="Train the rows that take hours or a GPU, too.")] = False,
     networks: Annotated[Path, typer.Option(help="Folder for the networks that are trained.", metavar="DIR")] = Path(
         "runs/tables"
     ),
     without: Annotated[
         list[str] | None,
-        typer.Option(metavar="ROW", help="Leave a row out, by its model's name (column `ours`); several times."),
+        typer.Option(metavar="ROW", help="Leave a row out, by its model's name (column `weights`); several times."),
     ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Print a table of a paper with its figures beside ours.
 
-    Measures every row first: give -o to be able to stop and go on. Train the rows' own
-    networks with --train, which needs the [train] extra and goes on where it was stopped;
-    those of the papers' full width lie in the repository's folder ablations. Rows left out
-    with --without are neither trained nor measured, and need no weights.
+    Measures every row first: give -o to be able to stop and go on. Rows without weights
+    here are left out, and a note says how to make them: --train trains those of a table,
+    needs the [train] extra and goes on where it was stopped. Two of the papers' full width
+    lie in the repository's folder ablations. Rows left out with --without are neither
+    trained nor measured.
     """
-    from ..evaluate.tables import find_table, table_command
+    from ..evaluate.tables import find_table, rows_without_weights, table_command
 
     left_out = tuple(without or ())
     find_table(name, left_out)
-    trained = {}
+    rows: list[str] = []
     if train:
         require("train", "torch", "yaml", "safetensors", "tensorboard", "onnx", "onnxscript")
         with progress("starting", quiet or json):  # PyTorch takes seconds to load
-            from ..learn.table_rows import train_table
+            from ..learn.table_rows import rows_of
 
-        trained = train_table(name, networks, minutes, seeds, long, lambda text: say(text, error=True), left_out)
+            rows = rows_of(name, long, left_out)
     elif seeds > 1 or long:
         raise InputError("--seeds, --long: expected them with --train, found them without; add --train")
+    missing, note = rows_without_weights(name, rows, left_out)
+    if note and not quiet:
+        say(f"note: {note}", error=True)
+    left_out += missing
+    trained = {}
+    if train:
+        from ..learn.table_rows import train_table
+
+        trained = train_table(name, networks, minutes, seeds, long, lambda text: say(text, error=True), left_out)
     with progress("pairs", quiet or json) as advance:
         figures, text = table_command(name, output, pairs, advance, data, trained, left_out)
     if json:
-        print_json(figures)
+        print_json({**figures, "left_out": list(missing)})
     elif not quiet:
         say(*text.split("\n"))
+        if missing:
+            say(f"note: without {', '.join(missing)}, whose weights are not here")
         print_next("evaluate", "human-wide", "-m", "npt,copy")
 
 
@@ -161,7 +173,7 @@ def figure(
         str,
         typer.Argument(
             metavar="FIGURE",
-            help="npt-6 to npt-20, aniformer-3, -4, -5, -animals, -noise, as the papers number them.",
+            help="npt-3, npt-6 to npt-20, aniformer-1, -3, -4, -5, -animals, -noise, as the papers number them.",
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write.")],
@@ -169,19 +181,21 @@ def figure(
     rows: Annotated[int, typer.Option(help="Rows to draw; 0 for the figure's own number.", min=0)] = 0,
     data: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder of people's meshes (npt-10, 11, 17, aniformer-5) or of DeepMimic's clips.", metavar="DIR"
-        ),
+        typer.Option(help="Folder of people's meshes (npt-10, 11, 17, aniformer-5).", metavar="DIR"),
     ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Draw a figure of the paper with our people and models."""
+    """Draw a figure of a paper with our people and models.
+
+    Of its own models those without weights here are left out, and a note says how to make
+    them.
+    """
     from ..evaluate.figures import figure_command
 
     models = tuple(word.strip() for word in model.split(",") if word.strip())
     with progress("rows", quiet or json) as advance:
-        drawn = figure_command(name, output, models, rows, data, advance)
+        drawn = figure_command(name, output, models, rows, data, advance, lambda text: say(f"note: {text}", error=True))
     if json:
         print_json({"output": str(output), "figure": name, "rows": drawn})
     elif not quiet:

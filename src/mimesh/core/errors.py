@@ -28,6 +28,10 @@ class InputError(ValueError):
         super().__init__(one_line(message))
 
 
+class RefusedMeshError(InputError):
+    """A mesh that a method would tear: of two meshes one is a person, say, and the other one no person."""
+
+
 def one_line(message: str) -> str:
     """Join the lines of a message, and leave out the middle of a long one: its end says what to do."""
     line = " ".join(message.splitlines())

@@ -74,6 +74,8 @@ class ClipPair(Pair):
     """The driving person with true correspondence in all frames; None where there is no correspondence."""
     template: Int[np.ndarray, "N 2"] | None
     """Identity and driving vertex of each vertex of LIMP's template (`remesh.template`); None for other bodies."""
+    place: Int[np.ndarray, " V"] | None = None
+    """Vertex of both meshes for each vertex of the body; None where they have the body's order, or two orders."""
 
     def frame(self, t: int) -> Pair:
         """Return frame t as a pair of meshes."""
@@ -216,12 +218,14 @@ def reorder_clip_vertices(
         # Vertex numbers follow by the inverse orders.
         columns = zip((order, driving_order), template.T, strict=True)
         template = np.stack([np.argsort(new_order)[vertices] for new_order, vertices in columns], axis=1)
+    rank = np.argsort(order)
     return dataclasses.replace(
         first,
         clip=Clip(first.driving, trial.clip.vertices[:, driving_order], trial.clip.fps),
         truth_frames=trial.truth_frames[:, order],
         aligned_frames=None if trial.aligned_frames is None else trial.aligned_frames[:, order],
         template=template,
+        place=(rank if trial.place is None else rank[trial.place]) if np.array_equal(order, driving_order) else None,
     )  # pyright: ignore[reportReturnType] (replace keeps the class)
 
 

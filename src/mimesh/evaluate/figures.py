@@ -12,38 +12,40 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
 from ..core.errors import InputError, did_you_mean
 from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, permute_vertices
 from ..io import load_mesh
-from ..methods.find import is_table_model, weights_path
+from ..methods.find import check_weights, how_to_make, missing_weights
 from ..pipeline import animate, transfer
-from .clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair, clips_aniformer
+from .clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair, make_clip_pair
+from .clips_ordered import CLIPS_ORDERED
 from .cross_body import SUFFIXES
 from .measure import on_supported_vertices, result_frames, result_vertices
 from .named_animals import species_clip
-from .pairs import Pair, shuffle_vertices
+from .pairs import Pair, Person, human, shuffle_vertices
 from .protocols import HUMAN_NPT, HUMAN_WIDE, NOISE, with_noise
 from .run import check_method
-from .tables import TABLES
 
 if TYPE_CHECKING:
     from PIL import Image
 
-NPT_ABLATIONS = ("npt-concat1", "npt-no-spadain", "npt-no-edge", "npt-equal")
+NPT_ABLATIONS = ("npt-concat1", "npt-no-spadain", "npt-no-edge", "npt-equal", "npt-full")
 ANIFORMER_ABLATIONS = (
-    "aniformer-regression",
-    "aniformer-plain",
-    "aniformer-motion",
-    "aniformer-appearance",
-    "aniformer-equal",
+    "aniformer-ordered-vanilla",
+    "aniformer-ordered-plain",
+    "aniformer-ordered-motion",
+    "aniformer-ordered-appearance",
+    "aniformer-ordered-equal",
+    "aniformer-ordered-mixed",
 )
 TILE = (300, 360)
 """Width and height (pixels) of the picture of one mesh."""
 ANIMAL_GAITS = ("gallop", "walk", "bound")
 """Gaits of figures of animals, one after another."""
 SHOWN_FRAMES = np.linspace(2, FRAMES - 3, 5).round().astype(int)
-"""Frames of a clip that are drawn: five, evenly spaced."""
+"""Frames of a clip that are drawn: five, evenly spaced. Each is the middle of a window of three that a method gets."""
 
 
 class Tile(NamedTuple):
@@ -60,11 +62,13 @@ class Figure(NamedTuple):
 
     title: str
     rows: Callable[[tuple[str, ...], int, Path | None], Iterator[list[Tile]]]
-    """Makes the rows from the models, the number of rows and a folder of meshes (`--data`)."""
+    """Makes the rows from the models, the number of rows and a folder of people's meshes (`--data`)."""
     models: tuple[str, ...]
     """Models that are drawn unless others are given."""
     row_count: int
     """Number of rows unless another is given."""
+    needs_people: bool = False
+    """Whether it shows meshes of a folder (`--data`)."""
 
 
 def figure_command(
@@ -74,8 +78,13 @@ def figure_command(
     rows: int = 0,
     data: Path | None = None,
     progress: Progress | None = None,
+    note: Callable[[str], None] = lambda text: None,
 ) -> int:
     """Draw a figure of a paper into a picture (`mimesh figure`) and return its number of rows.
+
+    Args:
+        models: drawn instead of the figure's own, of which those without weights are left out.
+        note: told which are left out, and how to make them, before anything is drawn.
 
     Raises:
         InputError: no such figure or model, or no folder of people where the figure needs one.
@@ -87,9 +96,16 @@ def figure_command(
         close = did_you_mean(name, FIGURES) or "; check the name"
         raise InputError(f"{name}: expected a figure ({', '.join(FIGURES)}), found another{close}")
     figure = FIGURES[name]
-    check_models(models or figure.models)
+    if figure.needs_people:
+        mesh_files(data)
+    if not models:
+        models, text = models_with_weights(name, figure.models)
+        if text:
+            note(text)
+    for model in models:
+        check_method(model)
     count, pages = rows or figure.row_count, []
-    for tiles in figure.rows(models or figure.models, count, data):
+    for tiles in figure.rows(models, count, data):
         pages.append(draw_row(tiles))
         if progress is not None:
             progress(len(pages), max(count, len(pages)))
@@ -97,17 +113,21 @@ def figure_command(
     return len(pages)
 
 
-def check_models(models: tuple[str, ...]) -> None:
-    """Raise InputError for a model that does not exist, or whose weights do not; the message says how to make them."""
-    for model in models:
-        if is_table_model(model) and not weights_path(model).is_file():
-            name = Path(model).name
-            table = next(key for key, table in TABLES.items() if name in [row.method for row in table.rows])
-            raise InputError(
-                f"{model}: expected its weights in {weights_path(model)}, found no file; make them with mimesh table "
-                f"{table} --train (--long for those that take hours), then give -m runs/tables/seed0/{name}"
-            )
-        check_method(model)
+def models_with_weights(name: str, models: tuple[str, ...]) -> tuple[tuple[str, ...], str]:
+    """Return those of a figure's models that have weights here, and a note on the others: how to make them.
+
+    Raises:
+        InputError: none has.
+    """
+    missing = missing_weights(*models)
+    if not missing:
+        return models, ""
+    if len(missing) == len(models):
+        check_weights(*missing)
+    return (
+        tuple(model for model in models if model not in missing),
+        f"{name}: leaves out models whose weights are not here; make {how_to_make(missing)}, and name all with -m",
+    )
 
 
 def comparison_rows(models: tuple[str, ...], count: int, data: Path | None, *, kind: str) -> Iterator[list[Tile]]:
@@ -161,11 +181,39 @@ def vertex_index_colors(count: int) -> Float[np.ndarray, "V 3"]:
     return np.array([colorsys.hsv_to_rgb(0.8 * k / count, 0.65, 0.85) for k in range(count)])
 
 
-def clip_comparison_rows(models: tuple[str, ...], count: int, data: Path | None, *, kind: str) -> Iterator[list[Tile]]:
-    """Make the rows of clips: driving, a result of each model, truth (AniFormer Fig. 3, 4)."""
+def influence_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Make rows of one person with other shapes, in other poses, in other vertex orders; no results (NPT Fig. 3)."""
+    body, seed = human(), HUMAN_NPT.seed("test")
+    shapes = [sample_shape(body, seed, i, HUMAN_NPT.spread) for i in range(4)]
+    poses = [np.zeros_like(sample_pose(body, seed, 0)), *(sample_pose(body, seed, i) for i in range(3))]
+    for name in ("shape", "pose", "vertex order")[:count]:
+        tiles = []
+        for k in range(4):
+            shape, pose = shapes[k if name == "shape" else 0], poses[k if name == "pose" else 0]
+            mesh, colors = Mesh(body.posed(shape, rotvec_to_rotmat(pose)), body.faces), None
+            if name == "vertex order":
+                order = np.random.default_rng(k).permutation(len(mesh.vertices))
+                mesh = permute_vertices(mesh, order) if k else mesh
+                colors = vertex_index_colors(len(mesh.vertices))
+            tiles.append(Tile(f"{name} {k + 1}", mesh, colors))
+        yield tiles
+
+
+def one_clip_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Make a row of a driving clip, then rows of other identities that get its motion (AniFormer Fig. 1)."""
+    protocol, body = CLIPS_ORDERED, human()
+    shape = sample_shape(body, protocol.seed("train"), 0, protocol.spread)
+    driving, motion = Person(body, shape, str(protocol.targets)), protocol.motion("test", "unseen", 0)
     for i in range(count):
-        # Every fifth trial, to cover the whole list of motions with few rows.
-        yield from _clip_rows(clips_aniformer(data).pair("test", kind, 5 * i), models)
+        identity, rest = protocol.target("test", i)
+        rows = [*_clip_rows(make_clip_pair(identity, driving, rest, motion), models)][:-1]  # without the truth
+        yield from rows if i == 0 else rows[1:]
+
+
+def clip_comparison_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Make the rows of clips in one vertex order: driving, a result of each model, truth (AniFormer Fig. 3, 4)."""
+    for i in range(count):
+        yield from _clip_rows(CLIPS_ORDERED.pair("test", "unseen", i), models)
 
 
 def clip_noise_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
@@ -174,8 +222,8 @@ def clip_noise_rows(models: tuple[str, ...], count: int, data: Path | None) -> I
     The noise is independent in every frame.
     """
     for percent in range(min(count, 6)):
-        trial = CLIPS_ANIFORMER.pair("test", "procedural", 0)
-        rng = CLIPS_ANIFORMER.rng("test", "procedural", 0)
+        trial = CLIPS_ORDERED.pair("test", "unseen", 0)
+        rng = CLIPS_ORDERED.rng("test", "unseen", 0)
         frames = np.stack([with_noise(frame, percent / 100, rng) for frame in trial.clip.vertices])
         mesh = Mesh(frames[0], trial.driving.faces, name=f"noise {percent} %")
         noisy = dataclasses.replace(trial, driving=mesh, clip=Clip(mesh, frames, trial.clip.fps))
@@ -210,48 +258,52 @@ def animal_clip_rows(models: tuple[str, ...], count: int, data: Path | None) -> 
 
 SPARSE_DT = ("deformation-transfer-5", "deformation-transfer-13")
 FIGURES = {
+    "npt-3": Figure("shape, pose and vertex order", influence_rows, (), 3),
     "npt-6": Figure(
         "seen poses, beside deformation transfer",
         partial(comparison_rows, kind="seen"),
-        (*SPARSE_DT, "npt"),
+        (*SPARSE_DT, "npt-full"),
         4,
     ),
     "npt-7": Figure(
         "unseen poses, beside deformation transfer",
         partial(comparison_rows, kind="unseen"),
-        (*SPARSE_DT, "npt"),
+        (*SPARSE_DT, "npt-full"),
         4,
     ),
-    "npt-8": Figure("vertex order as colour", vertex_order_rows, ("npt",), 2),
+    "npt-8": Figure("vertex order as colour", vertex_order_rows, ("npt-full",), 2),
     "npt-9": Figure("ablations", partial(comparison_rows, kind="unseen"), NPT_ABLATIONS, 3),
-    "npt-10": Figure("identities from other makers (--data)", foreign_identity_rows, ("npt",), 3),
-    "npt-11": Figure("poses from other makers (--data)", foreign_driving_rows, ("npt",), 3),
-    "npt-12": Figure("noise, beside deformation transfer", noise_rows, ("deformation-transfer-13", "npt"), 4),
-    "npt-13": Figure("other baselines", partial(comparison_rows, kind="unseen"), ("skeleton", "npt-maxpool", "npt"), 4),
+    "npt-10": Figure("identities from other makers", foreign_identity_rows, ("npt-full",), 3, needs_people=True),
+    "npt-11": Figure("poses from other makers", foreign_driving_rows, ("npt-full",), 3, needs_people=True),
+    "npt-12": Figure("noise, beside deformation transfer", noise_rows, ("deformation-transfer-13", "npt-full"), 4),
+    "npt-13": Figure(
+        "other baselines", partial(comparison_rows, kind="unseen"), ("skeleton", "npt-maxpool", "npt-full"), 4
+    ),
     "npt-14": Figure("a horse in poses of a camel", animal_rows, ("npt-maxpool-quadruped", "npt-quadruped"), 3),
-    "npt-15": Figure("more vertex orders", vertex_order_rows, ("npt",), 5),
-    "npt-16": Figure("more noise", noise_rows, ("npt",), 6),
-    "npt-17": Figure("more identities from other makers (--data)", foreign_identity_rows, ("npt",), 12),
-    "npt-19": Figure("more seen poses", partial(comparison_rows, kind="seen"), ("npt",), 8),
-    "npt-20": Figure("more unseen poses", partial(comparison_rows, kind="unseen"), ("npt",), 8),
+    "npt-15": Figure("more vertex orders", vertex_order_rows, ("npt-full",), 5),
+    "npt-16": Figure("more noise", noise_rows, ("npt-full",), 6),
+    "npt-17": Figure("more identities from other makers", foreign_identity_rows, ("npt-full",), 12, needs_people=True),
+    "npt-19": Figure("more seen poses", partial(comparison_rows, kind="seen"), ("npt-full",), 8),
+    "npt-20": Figure("more unseen poses", partial(comparison_rows, kind="unseen"), ("npt-full",), 8),
+    "aniformer-1": Figure("one clip, several identities", one_clip_rows, ("aniformer-ordered-mixed",), 2),
     "aniformer-3": Figure(
-        "unseen motions, beside methods that go frame by frame (--data)",
-        partial(clip_comparison_rows, kind="stress"),
-        ("npt-frames", "limp", "aniformer-equal"),
+        "unseen motions, beside methods that go frame by frame",
+        clip_comparison_rows,
+        ("npt-ordered-mixed", "limp", "aniformer-ordered-mixed"),
         1,
     ),
-    "aniformer-4": Figure(
-        "ablations in motion (--data)", partial(clip_comparison_rows, kind="stress"), ANIFORMER_ABLATIONS, 1
-    ),
+    "aniformer-4": Figure("ablations in motion", clip_comparison_rows, ANIFORMER_ABLATIONS, 1),
     "aniformer-5": Figure(
-        "identities from other makers in motion (--data)", foreign_clip_rows, ("aniformer-equal",), 3
+        "identities from other makers in motion", foreign_clip_rows, ("aniformer",), 3, needs_people=True
     ),
     "aniformer-animals": Figure("a lion with a horse's gaits", animal_clip_rows, ("aniformer-quadruped",), 1),
-    "aniformer-noise": Figure("noise on the driving clip", clip_noise_rows, ("aniformer-equal",), 3),
+    "aniformer-noise": Figure("noise on the driving clip", clip_noise_rows, ("aniformer-ordered-mixed",), 3),
 }
 """Name -> figure. NPT's figure 18 (a registered data set) is missing, because there are no data for it here; 17 takes
-any folder of people. Rows 3 (animals) and 4 (noise) of AniFormer's figure 5 are separate figures. Animals are of the
-shipped quadruped, in place of the papers' data sets."""
+any folder of people. Rows 3 (animals) and 4 (noise) of AniFormer's figure 5 are separate figures. Networks are those of
+the papers' width; identities of other makers have another vertex order than the clips, so that they are moved by the
+shipped `aniformer`, which pairs vertices at random. Animals are of the shipped quadruped, in place of the papers' data
+sets."""
 
 
 def draw_row(tiles: list[Tile]) -> Image.Image:
@@ -277,9 +329,10 @@ def mesh_files(data: Path | None) -> list[Path]:
     Raises:
         InputError: no folder given, or one without meshes.
     """
+    suffixes = (*SUFFIXES, ".obj", ".ply")
     if data is None or not data.is_dir():
-        raise InputError(f"--data: expected a folder of people in {', '.join(SUFFIXES)} files, found {data}; give one")
-    paths = sorted(path for path in data.iterdir() if path.suffix.lower() in (*SUFFIXES, ".obj", ".ply"))
+        raise InputError(f"--data: expected a folder of people in {', '.join(suffixes)} files, found {data}; give one")
+    paths = sorted(path for path in data.iterdir() if path.suffix.lower() in suffixes)
     if not paths:
         raise InputError(f"{data}: expected meshes of people, found none; give another folder with --data")
     return paths
@@ -296,9 +349,22 @@ def _clip_rows(trial: ClipPair, models: tuple[str, ...]) -> Iterator[list[Tile]]
     yield [identity, *_frame_tiles(trial.driving.name, trial.clip.vertices, trial.driving.faces)]
     for model in models:
         supported = on_supported_vertices(trial, model)
-        frames = result_frames(supported, model)
-        yield [Tile(model, supported.identity), *_frame_tiles(model, frames, supported.identity.faces)]
+        faces_of_model = supported.identity.faces
+        frames = [result_frames(_window(supported, int(t)), model)[1] for t in SHOWN_FRAMES]
+        tiles = [
+            Tile(f"{model}, frame {t}", Mesh(frame.astype(np.float64), faces_of_model))
+            for t, frame in zip(SHOWN_FRAMES, frames, strict=True)
+        ]
+        yield [Tile(model, supported.identity), *tiles]
     yield [identity, *_frame_tiles("truth", trial.truth_frames, faces)]
+
+
+def _window(trial: ClipPair, t: int) -> ClipPair:
+    """Return frames t - 1 to t + 1: of networks of full width all others would take minutes, and are not drawn."""
+    kept = slice(t - 1, t + 2)
+    clip = dataclasses.replace(trial.clip, vertices=trial.clip.vertices[kept])
+    aligned = None if trial.aligned_frames is None else trial.aligned_frames[kept]
+    return dataclasses.replace(trial, clip=clip, truth_frames=trial.truth_frames[kept], aligned_frames=aligned)
 
 
 def _frame_tiles(label: str, frames: Float[np.ndarray, "T V 3"], faces: Int[np.ndarray, "F 3"]) -> list[Tile]:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeGuard
 import numpy as np
 from jaxtyping import Float
 
-from ..core.errors import InputError
+from ..core.errors import InputError, RefusedMeshError
 from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, bbox_centre
@@ -26,7 +26,7 @@ from ..methods.find import find_method, weights_path
 from ..methods.root_motion import check_size
 from ..pipeline import ClipResult, Result, animate, transfer
 from .characters import CharacterPair
-from .clip_protocols import ClipPair, on_template
+from .clip_protocols import ClipPair, on_template, reorder_clip_vertices
 from .fingers import FingerPair, finger_metrics
 from .limb_calibration import LimbedCharacter
 from .limb_metrics import limb_metrics
@@ -316,13 +316,16 @@ def timed(
 ) -> tuple[Output | None, dict[str, Any]]:
     """Run a method and return its result, and its confidence with the seconds it took.
 
-    Without a result: {"why": reason} if the method cannot be applied, {"failed": reason} if a coordinate is not finite.
+    Without a result: {"why": reason} if the method cannot be applied, {"failed": reason} if it refuses a mesh or a
+    coordinate is not finite.
     """
     started = time.perf_counter()
     try:
         result = run(trial, method, **options)
     except NotApplicableError as error:
         return None, {"why": str(error)}
+    except RefusedMeshError as error:
+        return None, {"failed": str(error)}
     seconds = time.perf_counter() - started
     if not np.isfinite(result.vertices).all():
         return None, {"failed": "the result has coordinates that are not finite"}
@@ -414,15 +417,24 @@ def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]
 
 
 def on_supported_vertices(trial: ClipPair, method: str) -> ClipPair:
-    """Return the trial on the vertices that a method supports: those of the template for LIMP, all for the others.
+    """Return the trial on the vertices that a method supports, in the order that it needs.
+
+    Those of the template for LIMP, all in the body's order for networks with weights for each vertex, else all as they
+    are.
 
     Raises:
         NotApplicableError: the method is limited to the template, and the trial is not of the shipped body.
     """
-    limited = method not in EXTRA_INPUTS and getattr(find_method(method), "template_only", False)
-    if limited and trial.template is None:
-        raise NotApplicableError(f"{method}: expected the vertices of its template, found no such numbers in this list")
-    return on_template(trial) if limited else trial
+    network = None if method in EXTRA_INPUTS else find_method(method)
+    if getattr(network, "template_only", False):
+        if trial.template is None:
+            raise NotApplicableError(
+                f"{method}: expected the vertices of its template, found no such numbers in this list"
+            )
+        return on_template(trial)
+    if trial.place is not None and getattr(network, "vertices", 0):
+        return reorder_clip_vertices(trial, trial.place, trial.place)
+    return trial
 
 
 def repeat_first_frame(trial: ClipPair) -> ClipPair:

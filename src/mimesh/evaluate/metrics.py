@@ -18,7 +18,7 @@ VERSION = 2
 their vertex centroids, and divided by the radius about that of the truth, in both formulas."""
 
 
-def box_radius(mesh: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T"]:
+def box_radius(mesh: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T"] | np.floating:
     """Compute the largest distance of a vertex from the centre of the bounding box: the unit of the papers' figures."""
     return np.linalg.norm(mesh - bbox_centre(mesh)[..., None, :], axis=-1).max(axis=-1)
 

@@ -157,7 +157,7 @@ README_SETS = {
 README_METHODS = {
     "mime": "`mime`, our default",
     "mime-network": "`mime-network`, mime without the body fit",
-    "npt": "`npt`, Neural Pose Transfer (CVPR 2020)",
+    "npt": "`npt`, NPT (CVPR 2020), narrow, trained on other data than its paper's",
     "deformation-transfer-13": "deformation transfer, with a third mesh and 13 markers",
     "copy": "`copy`, the driving vertices, true correspondence and size",
 }
@@ -190,8 +190,10 @@ driving person in the identity's pose, control points are marked by name, the tr
 (noise stays): a method with a larger error is worse than no transfer; characters of different files have no such
 correspondence. The row `identity` is the identity, not moved. The row `truth` shows what the figures can resolve.
 """
-REPRODUCTION = """The rows of the papers' tables on the shipped body instead of SMPL, with less compute: compare orders,
-not digits. [The two papers](two-papers.md) says what differs from the papers. *Seen* are the poses or motions of the
+REPRODUCTION = """Counterparts of the papers' tables on the shipped body instead of SMPL, by networks with less compute
+and another optimizer than the papers': compare orders, not digits. *Narrow* and *equal time* have a third of the width.
+*Mixed people and limbs* were trained on more than the papers' data. The paper's figures of AniFormer are of meshes in
+one vertex order. [The two papers](two-papers.md) says what else differs. *Seen* are the poses or motions of the
 training."""
 MIRRORED = """The pairs of `human-npt` and their mirror images (`mimesh evaluate human-npt --mirror`), PMD x1e-4, mean.
 A network that was trained on one side only is many times worse on the other."""

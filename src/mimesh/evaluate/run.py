@@ -19,6 +19,7 @@ from ..core.errors import InputError, did_you_mean
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
 from ..methods.find import (
+    INDEX_PAIRED,
     MODELS,
     NETWORK_OF_BODY,
     REDUCED_MODELS,
@@ -364,7 +365,7 @@ def fingerprint(method: str) -> int:
 def check_method(method: str) -> None:
     """Raise InputError, with the known names, for a method that does not exist."""
     names = sorted({*EXTRA_INPUTS, *MODELS, *NETWORK_OF_BODY.values()} - {"deformation-transfer"})
-    named = method in (*names, *REDUCED_MODELS) or is_table_model(method)
+    named = method in (*names, *REDUCED_MODELS, *INDEX_PAIRED.values()) or is_table_model(method)
     if not named and not (method.endswith(".onnx") and Path(method).is_file()):
         close = did_you_mean(method, names) or "; check -m"
         raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither{close}")

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.errors import InputError, did_you_mean
 from ..core.frame_buffer import Progress
-from ..methods.find import REDUCED_MODELS, check_weights
+from ..methods.find import REDUCED_MODELS, check_weights, how_to_make, missing_weights
 from .markdown import cell, markdown_table, with_interval
 from .run import evaluate_command
 
@@ -117,6 +117,7 @@ TABLES = {
             Row("with appearance", "aniformer-ordered-appearance", 0.31),
             Row("with both", "aniformer-ordered-equal", 0.12),
             Row("both, attention to vertices", "aniformer-ordered-attention-vertices", 0.12),
+            Row("both, weights for each vertex", "aniformer-ordered-vertices", 0.12),
             ANIFORMER_ORDERED,
             ANIFORMER_MIXED,
             ANIFORMER_FULL,
@@ -221,6 +222,26 @@ def find_table(name: str, without: Sequence[str] = ()) -> Table:
     return table._replace(rows=rows)
 
 
+def rows_without_weights(
+    name: str, trained: Collection[str] = (), without: Sequence[str] = ()
+) -> tuple[tuple[str, ...], str]:
+    """Find the rows of a table that cannot be measured here; give their methods, and a note that says how to make them.
+
+    Args:
+        trained: networks that will be trained first.
+        without: methods whose rows are left out in any case.
+
+    Raises:
+        InputError: no such table or row, or no row can be measured.
+    """
+    methods = [row.method for row in find_table(name, without).rows]
+    missing = missing_weights(*(method for method in methods if REDUCED_MODELS.get(method, method) not in trained))
+    if len(missing) == len(methods):
+        check_weights(*missing)
+    note = f"{name}: leaves out rows whose weights are not here; make {how_to_make(missing, name)}" if missing else ""
+    return tuple(missing), note
+
+
 def table_command(
     name: str,
     out: Path | None = None,
@@ -234,7 +255,7 @@ def table_command(
 
     Args:
         trained: method of a row -> networks that stand in its place, one a seed (`methods_in`).
-        without: methods whose rows are left out.
+        without: methods whose rows are left out, `rows_without_weights` for example.
 
     Raises:
         InputError: no such table or row, a missing network of a row, or missing data.

@@ -23,7 +23,7 @@ from .vertex_sampler import VertexSampler
 class WindowBatch:
     """Normalised windows of B pairs. Vertex i of `truth` is vertex i of `identity`; `driving` has another order.
 
-    T is 1 for meshes.
+    With `pairing: order` it has the same one. T is 1 for meshes.
     """
 
     identity: Float[Tensor, "B V 3"]
@@ -33,6 +33,8 @@ class WindowBatch:
     """Radii by which the frames of `truth` were divided, over that of `identity`."""
     truth_radius: Float[Tensor, "B T"]
     """Radii of the whole frames of `truth` in its unit: 1 where they were divided by their own."""
+    index: Int[Tensor, "B V"]
+    """Number of each vertex of `identity` in the mesh that it is drawn from."""
     edges: Int[Tensor, "B E 2"]
     edges_of_mesh: float
     """Edges a vertex of the whole mesh over edges a vertex given here."""
@@ -61,7 +63,7 @@ class MeshSampler(VertexSampler):
         if self.keep_unit:
             truth, unit, own = truth * unit[..., None, None], own, unit
         self._reflect(rng, identity, driving, truth)
-        return WindowBatch(identity, driving, truth, unit, own, edges, share)
+        return WindowBatch(identity, driving, truth, unit, own, index, edges, share)
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ class TrainedRow(NamedTuple):
     equal_time: bool = True
     """Whether it is trained as long as the other rows, so that they can be compared."""
     long: bool = False
-    """Whether it takes many hours: trained only where that is asked for."""
+    """Whether it takes hours, or is for a GPU (`config` gpu): trained only where that is asked for."""
 
 
 ON_CLIPS = (
@@ -70,6 +70,7 @@ ROWS = {
     "aniformer-ordered-plain": TrainedRow("aniformer", ("losses.motion=off", "losses.appearance=off", ORDERED)),
     "aniformer-ordered-vanilla": TrainedRow("aniformer", (*VANILLA, ORDERED)),
     "aniformer-ordered-attention-vertices": TrainedRow("aniformer", ("model.attention=vertices", ORDERED)),
+    "aniformer-ordered-vertices": TrainedRow("aniformer", ("model.vertices=6890", ORDERED)),
     "npt-ordered-equal": TrainedRow("npt", (*ON_CLIPS, ORDERED)),
     "npt-maxpool-ordered-equal": TrainedRow("npt", ("model.pose_code=global_max", *ON_CLIPS, ORDERED)),
     "npt-frames": TrainedRow("npt", ON_CLIPS),
@@ -108,7 +109,7 @@ def rows_of(table: str, long: bool, without: Sequence[str] = ()) -> list[str]:
     """List the networks of a table that can be trained.
 
     Args:
-        long: whether those that take many hours are among them.
+        long: whether those that take hours or a GPU are among them.
         without: methods whose rows are left out.
     """
     methods = [REDUCED_MODELS.get(row.method, row.method) for row in find_table(table, without).rows]

@@ -43,7 +43,7 @@ RESUMABLE = (*SCHEDULE, *(f"data.{key}" for key in MIXTURE))
 """Keys that may change where a training is resumed: schedule and mixture of the data, not the network. Two trainings
 that go on from one checkpoint with two seeds see other batches and can be averaged."""
 
-COMPILE_OPTIONS = {"triton.mix_order_reduction": False}
+COMPILE_OPTIONS: dict[str, Any] = {"triton.mix_order_reduction": False}
 """Of torch.compile: the fusion of sums along two axes fails for AniFormer with an assertion (PyTorch 2.11)."""
 STEPS_AHEAD = 8
 """Batches that a GPU makes at once. It computes one faster than its hundreds of small operations can be started."""
@@ -239,7 +239,7 @@ class TrainingRun:
             optimizer.step()
         if self.ema:
             current = self.model.state_dict()
-            torch._foreach_lerp_(list(self.ema.values()), [current[name] for name in self.ema], 1.0 - config.ema)
+            torch._foreach_lerp_(list(self.ema.values()), [current[name] for name in self.ema], 1.0 - config.ema)  # pyright: ignore[reportPrivateImportUsage]
         self.step += 1
         self.samples += parts
         self.operations += training_operations(self.task, self.model, config.batch)

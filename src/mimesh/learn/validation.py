@@ -46,8 +46,12 @@ class Validation:
         protocol = self.task.protocol
         rng = protocol.rng("val", kind, index)
         trial = protocol.unshuffled_pair("val", kind, index, rng)
-        order = rng.permutation(len(trial.identity.vertices))
-        return (reorder_clip_vertices if isinstance(trial, ClipPair) else reorder_vertices)(trial, order, order)
+        count = len(trial.identity.vertices)
+        of_vertex = getattr(self.task.config.model, "vertices", 0)  # weights for each vertex need the body's own order
+        order = np.arange(count) if of_vertex else rng.permutation(count)
+        if isinstance(trial, ClipPair):
+            return reorder_clip_vertices(trial, order, order)
+        return reorder_vertices(trial, order, order)
 
     @torch.no_grad()
     def measure(

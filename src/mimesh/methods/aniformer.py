@@ -121,7 +121,7 @@ class AniFormerMethod:
         """Weld both meshes, and pair their points at random, or as they correspond: in the same random order."""
         ranked = canonical_order(identity.vertices)
         if self.pairing in ("order", "body"):
-            orders = [self._pairing(k, len(ranked), 0)[0] for k in range(self.ensemble)]
+            orders = [self._pairing(k, len(ranked), len(ranked))[0] for k in range(self.ensemble)]
             pairings = [(order, order) for order in orders]
             if self.corresponding is not None:
                 return ranked, self.corresponding(identity, driving).points, pairings

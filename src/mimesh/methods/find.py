@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache, partial
 from importlib import resources
 from pathlib import Path
@@ -24,23 +24,30 @@ INDEX_PAIRED = {"npt": "npt-ordered-mixed", "aniformer": "aniformer-ordered-mixe
 """Shipped network that pairs vertices at random -> the shipped one that pairs them by index."""
 WITHOUT_NETWORK = ("copy", "deformation-transfer", "skeleton")
 """Methods that have no weights."""
-TABLE_MODELS = (
-    *(
-        "mime-table",
-        "npt-full",
-        "npt-full-mixed",
-        "npt-equal",
-        "npt-no-edge",
-        "npt-no-spadain",
-        "npt-concat1",
-        "npt-maxpool-equal",
+TRAINED_WITH_TABLE = {
+    "npt-1": ("mime-table",),
+    "npt-2": ("npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1"),
+    "npt-7": ("npt-maxpool-equal",),
+    "aniformer-1": (
+        *("aniformer-ordered-equal", "aniformer-ordered-motion", "aniformer-ordered-appearance"),
+        *("aniformer-ordered-plain", "aniformer-ordered-vanilla", "aniformer-ordered-attention-vertices"),
+        "aniformer-ordered-vertices",
     ),
-    *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
-    *("aniformer-full", "npt-full-frames", "npt-frames", "npt-maxpool-frames", "limp"),
-    *("aniformer-ordered", "aniformer-ordered-equal", "aniformer-ordered-motion", "aniformer-ordered-appearance"),
-    *("aniformer-ordered-plain", "aniformer-ordered-vanilla", "aniformer-ordered-attention-vertices"),
-    *("npt-ordered", "npt-ordered-equal", "npt-maxpool-ordered-equal"),
-    *("npt-quadruped", "npt-maxpool-quadruped", "aniformer-quadruped"),
+    "aniformer-2": ("npt-ordered-equal", "npt-maxpool-ordered-equal", "limp"),
+    "aniformer-1-random": (
+        *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
+    ),
+    "aniformer-2-random": ("npt-frames", "npt-maxpool-frames"),
+    "animals": ("npt-quadruped", "npt-maxpool-quadruped", "aniformer-quadruped"),
+}
+"""Table of a paper -> networks that `mimesh table NAME --train` makes; other tables have rows of some of them, too."""
+TRAINED_FOR_HOURS = {"aniformer-2-random": ("npt-full-frames", "aniformer-full")}
+"""The same, with --long as well."""
+TRAINED_ON_GPU = ("npt-full", "npt-full-mixed", "npt-ordered", "aniformer-ordered")
+"""Networks of the tables that scripts/train_on_gpu.py makes, beside INDEX_PAIRED."""
+TABLE_MODELS = (
+    *(name for names in (*TRAINED_WITH_TABLE.values(), *TRAINED_FOR_HOURS.values()) for name in names),
+    *TRAINED_ON_GPU,
 )
 """Networks of the papers' tables, for comparison only: in a checkout's folder `ablations`, not installed, or in another
 folder (`runs/tables/npt-equal`), where `mimesh table --train` put them."""
@@ -76,25 +83,49 @@ def ordered_weights(model: str) -> Path | None:
 
 
 def is_table_model(model: str) -> bool:
-    """Tell whether a name is one of a network of the tables, with or without a folder."""
+    """Tell whether a name is one of a network of the tables, with or without a folder.
+
+    Those of INDEX_PAIRED are rows, too, but without a folder they are the shipped ones.
+    """
     name = Path(model).name
-    return REDUCED_MODELS.get(name, name) in TABLE_MODELS
+    return REDUCED_MODELS.get(name, name) in TABLE_MODELS or (name != model and name in INDEX_PAIRED.values())
+
+
+def missing_weights(*models: str) -> list[str]:
+    """List those of some models that are networks of the tables, or pair by index, and have no weights here."""
+    named = [model for model in models if is_table_model(model) or model in INDEX_PAIRED.values()]
+    return [model for model in named if not weights_path(model).is_file()]
+
+
+def how_to_make(models: Iterable[str], table: str = "") -> str:
+    """Name the commands that make networks of the tables, each with the networks that it is for.
+
+    Args:
+        table: table that these are rows of; the one that each network is listed under, where none is given.
+    """
+    made: dict[str, list[str]] = {}
+    for model in models:
+        path = Path(model)
+        name = REDUCED_MODELS.get(path.name, path.name)
+        command = "python scripts/train_on_gpu.py OUT (one GPU)"
+        for tables, options in ((TRAINED_WITH_TABLE, "--train"), (TRAINED_FOR_HOURS, "--train --long (hours)")):
+            for key, names in tables.items():
+                command = f"mimesh table {table or key} {options}" if name in names else command
+        made.setdefault(command, []).append(path.name)
+    return "; ".join(f"{', '.join(names)} by {command}" for command, names in made.items())
 
 
 def check_weights(*models: str) -> None:
     """Check that networks of the tables have their weights; other names and paths pass.
 
     Raises:
-        InputError: some have not; all of them are named.
+        InputError: some have not; all of them are named, with the commands that make them.
     """
-    missing = [model for model in models if is_table_model(model) and not weights_path(model).is_file()]
-    if missing:
+    if missing := missing_weights(*models):
         folders = ", ".join(dict.fromkeys(str(weights_path(model).parent) for model in missing))
-        without = " ".join(f"--without {Path(model).name}" for model in missing)
         raise InputError(
-            f"{', '.join(missing)}: expected weights in {folders}, found no files; make them with mimesh table --train "
-            "(--long for those that take hours; a checkout has npt-full), or leave their rows out "
-            f"of a table with {without}"
+            f"{', '.join(missing)}: expected weights in {folders}, found no files; give others with -m, or make "
+            f"{how_to_make(missing)}, and give the path of the .onnx file that is written"
         )
 
 

@@ -14,12 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core.errors import InputError
+from ..core.errors import InputError, RefusedMeshError
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..methods.base import BodyMethod, Method, RigMethod
 from ..methods.confidence import MAX_ENTROPY
-from ..methods.find import NETWORK_OF_BODY, SHIPPED_NETWORKS, TABLE_MODELS, find_method
+from ..methods.find import INDEX_PAIRED, NETWORK_OF_BODY, SHIPPED_NETWORKS, TABLE_MODELS, find_method
 from .creatures import SURE, SURE_ACROSS, MatchedCreatures, match_creatures, sure_match
 from .matched_rigs import finds_joints, predicted_body
 from .orientation import normalised, predicted_orientation
@@ -153,7 +153,7 @@ def with_body(
         if shown[person].body == "human" and shown[person].difference > min(DOUBT, shown[1 - person].difference):
             found = [rigs.bodies[k] or second_look(method, shown[k].body, meshes[k], given[k]) for k in (0, 1)]
             if None in found or found[0] != found[1]:
-                raise InputError(different_kinds(found, meshes))
+                raise RefusedMeshError(different_kinds(found, meshes))
             shown = [show(k, found[0]) for k in (0, 1)]
         elif shown[person].body == "human":
             shown[person] = show(person, "quadruped")
@@ -212,7 +212,7 @@ def trained_on_people(
     """
     if asked != "auto" or isinstance(method, RigMethod) or getattr(method, "body", None) != "human":
         return ()
-    if method.name not in (*SHIPPED_NETWORKS, *TABLE_MODELS):
+    if method.name not in (*SHIPPED_NETWORKS, *INDEX_PAIRED.values(), *TABLE_MODELS):
         return ()
     notes = []
     for mesh, norm, of_mesh in zip(meshes, norms, (axes[:2], axes[2:]), strict=True):

@@ -6,7 +6,7 @@ that is taken for a person fits no person, and a chair fits neither.
 
 from __future__ import annotations
 
-from ..core.errors import InputError
+from ..core.errors import RefusedMeshError
 from ..core.mesh import Mesh
 from ..methods.base import BodyMethod, Method, RigMethod
 from ..methods.confidence import IF_IT_IS, MAX_SPREAD, Confidence
@@ -55,7 +55,7 @@ def body_after_all(
         confidences: of these fits.
 
     Raises:
-        InputError: one mesh has the one body, the other another one.
+        RefusedMeshError: one mesh has the one body, the other another one.
     """
     method, used = methods
     if not (isinstance(method, BodyMethod) and isinstance(used, BodyMethod)) or confidences is None:
@@ -69,7 +69,7 @@ def body_after_all(
     ]
     known = {body for body in found if body is not None}
     if len(known) > 1:
-        raise InputError(different_kinds(found, meshes))
+        raise RefusedMeshError(different_kinds(found, meshes))
     # Where one is of the kind that it was taken for and the other one of none, a note says so.
     return next(iter(known - {used.body}), None)
 

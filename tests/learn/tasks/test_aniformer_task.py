@@ -149,3 +149,31 @@ def test_shipped_configurations_load(name):
     config = load_config(name, "aniformer")
     assert isinstance(config.model, AniFormerConfig)
     assert config.data.kind.startswith("clips")
+
+
+def test_weights_of_a_vertex_are_trained_where_that_vertex_is_drawn(tmp_path):
+    """The public code has norms and an embedding for each vertex; of a batch, those of its vertices are used."""
+    count = len(shipped_body().vertices)
+    data = DataConfig("clips80", 32, pairing="order")
+    config = dataclasses.replace(TINY, data=data, model=dataclasses.replace(TINY.model, vertices=count))
+    run = TrainingRun.start(config, tmp_path)
+    model, batch = run.model, run.source.batch(2, 0)
+    run.task.loss(model, batch, 0).backward()
+    for weight in (model.embedding, model.affine[0].scale):
+        used = weight.grad.reshape(-1, count).abs().sum(0) > 0
+        assert torch.equal(used.nonzero()[:, 0], batch.index.unique())
+    # All vertices in their order are the same as all of them by number.
+    whole = WindowSource(dataclasses.replace(data, vertices=0), 3, shipped_body(), torch.device("cpu"), 0).batch(1, 0)
+    straight = whole.index[0].argsort()
+    with torch.no_grad():
+        by_number = model(whole.identity, whole.driving, whole.index)[:, :, straight]
+        in_order = model(whole.identity[:, straight], whole.driving[:, :, straight])
+    assert torch.allclose(by_number, in_order, atol=1e-5)
+
+
+def test_weights_of_a_vertex_need_one_order_and_the_vertices_of_the_meshes(tmp_path):
+    with pytest.raises(InputError, match=r"expected data.pairing order with model.vertices, found random"):
+        load_config("table", "aniformer", ["model.vertices=6890"])
+    config = load_config("table", "aniformer", ["model.vertices=100", "data.pairing=order"])
+    with pytest.raises(InputError, match=r"model.vertices: expected 0 or 6890"):
+        train(config, tmp_path)

@@ -22,10 +22,15 @@ from typing import Literal, cast
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from .layers import PointConv, ResBlock, instance_norm
+
+Index = Tensor | slice
+"""Of vertices that have weights of their own: (B, 1, V), or `EVERY`."""
+EVERY = slice(None)
+"""All vertices, in their order."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,7 @@ class AniFormerConfig:
     """`2tanh` is the public code's, whose results may leave the unit sphere."""
     vertices: int = 0
     """As in the public code, the encoder's norms and the embedding have weights for each of so many vertices, which
-    every mesh then has in one order; 0: any meshes. For imported weights; our training draws vertices at random."""
+    every mesh then has in one order; 0: any meshes."""
 
 
 class VertexAffine(nn.Module):
@@ -67,8 +72,8 @@ class VertexAffine(nn.Module):
         self.scale = nn.Parameter(torch.ones(vertices))
         self.shift = nn.Parameter(torch.zeros(vertices))
 
-    def forward(self, h: Float[Tensor, "C B T V"]) -> Float[Tensor, "C B T V"]:
-        return self.scale * h + self.shift
+    def forward(self, h: Float[Tensor, "C B T V"], index: Index) -> Float[Tensor, "C B T V"]:
+        return self.scale[index] * h + self.shift[index]
 
 
 class Attention(nn.Module):
@@ -159,26 +164,43 @@ class AniFormer(nn.Module):
         self.mlp = nn.ModuleList(PointConv(last, last) for _ in range(2 if config.head == "regression" else 0))
         self.head = PointConv(last, 3)
 
-    def encode(self, driving: Float[Tensor, "3 B T V"]) -> Float[Tensor, "C B T V"]:
+    def encode(self, driving: Float[Tensor, "3 B T V"], index: Index = EVERY) -> Float[Tensor, "C B T V"]:
         """Compute the pose features Z_t of every frame, without the embedding."""
         h = driving
         for i, conv in enumerate(self.encoder):
             h = instance_norm(conv(h))
-            h = self.affine[i](h).relu() if len(self.affine) else h.relu()
+            h = self.affine[i](h, index).relu() if len(self.affine) else h.relu()
         return h
 
-    def forward(self, identity: Float[Tensor, "B V 3"], driving: Float[Tensor, "B T V 3"]) -> Float[Tensor, "B R V 3"]:
-        """Compute the identity in all driving frames (R = T), or in the middle one (`head="regression"`: R = 1)."""
+    def forward(
+        self,
+        identity: Float[Tensor, "B V 3"],
+        driving: Float[Tensor, "B T V 3"],
+        index: Int[Tensor, "B V"] | None = None,
+    ) -> Float[Tensor, "B R V 3"]:
+        """Compute the identity in all driving frames (R = T), or in the middle one (`head="regression"`: R = 1).
+
+        Args:
+            index: with `AniFormerConfig.vertices`, which of these each mesh has; None: all of them.
+        """
         assert driving.shape[1] == self.config.frames, "a window has the frames of the configuration"
         points = identity.permute(2, 0, 1)[:, :, None]
-        h = by_frame(self.encode, driving.permute(3, 0, 1, 2))
-        h = h if self.embedding is None else h + self.embedding
+        of_vertex = EVERY if index is None else index[:, None]
+        h = by_frame(lambda frames: self.encode(frames, of_vertex), driving.permute(3, 0, 1, 2))
+        h = h if self.embedding is None else h + self._embedding_of(index)
         for layer in self.layers:
             h = layer(h, points)
         if self.config.head == "regression":
             h = self._mlp(h.mean(dim=2, keepdim=True))
         bound = 2.0 if self.config.output == "2tanh" else 1.0
         return bound * torch.tanh(self.head(h).float()).permute(1, 2, 3, 0)
+
+    def _embedding_of(self, index: Int[Tensor, "B V"] | None) -> Float[Tensor, "C #B T #V"]:
+        """Give E_t, for chosen vertices where it has a vector for each."""
+        assert self.embedding is not None
+        if index is None or not self.config.vertices:
+            return self.embedding
+        return self.embedding[:, 0][..., index].transpose(1, 2)
 
     def _mlp(self, h: Float[Tensor, "C B 1 V"]) -> Float[Tensor, "C B 1 V"]:
         """Apply the MLP block of the regression head."""

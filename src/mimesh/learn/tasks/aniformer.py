@@ -72,9 +72,10 @@ class AniFormerTrainConfig(TrainConfig):
             )
         if not 1 <= model.frames <= FRAMES:
             raise InputError(f"{where}, frames: expected 1 to {FRAMES}, found {model.frames}")
-        if model.vertices:
+        if model.vertices and self.data.pairing != "order":
             raise InputError(
-                f"{where}: expected model.vertices 0, found {model.vertices}; training shuffles and draws vertices"
+                f"{where}: expected data.pairing order with model.vertices, found {self.data.pairing}; weights of a "
+                "vertex need meshes in one order"
             )
         undivided = [width for width in model.layers if model.heads < 1 or width % model.heads]
         if undivided and model.attention != "off":
@@ -119,7 +120,7 @@ class WindowSource(BodySampler):
         truth, radii = self._normalized_window(identity_shape, poses, index, scale)
         self._reflect(rng, identity, driving, truth)
         divisor = radii if scale is None else radius[:, :, 0].expand_as(radii)
-        return WindowBatch(identity, driving, truth, divisor / radius[:, :, 0], radii / divisor, edges, share)
+        return WindowBatch(identity, driving, truth, divisor / radius[:, :, 0], radii / divisor, index, edges, share)
 
     def _sample_motions(self, size: int, rng: torch.Generator):
         """Draw two people of the table, a window of one of the 80 motions, and a Table 6 pose for the identity."""
@@ -297,7 +298,14 @@ class AniFormerTask(Task[AniFormerTrainConfig, AniFormer]):
         return AniFormer(self.config.model)
 
     def source(self, seed: int) -> WindowSource | MeshWindowSource:
-        """Build the generator of windows."""
+        """Build the generator of windows.
+
+        Raises:
+            InputError: the network has weights for each vertex of meshes of another number of vertices.
+        """
+        wanted, found = self.config.model.vertices, self.with_vertices(0).vertices
+        if wanted not in (0, found):
+            raise InputError(f"model.vertices: expected 0 or {found}, the vertices of the meshes, found {wanted}")
         if self.meshes:
             return MeshWindowSource(self.config.data, self.meshes, self.device, seed)
         return WindowSource(self.config.data, self.config.model.frames, self.body, self.device, seed)
@@ -305,7 +313,7 @@ class AniFormerTask(Task[AniFormerTrainConfig, AniFormer]):
     def loss(self, model: AniFormer, batch: WindowBatch, step: int) -> Tensor:
         """Compute Eq. 6 over V."""
         with self.autocast():
-            result = model(batch.identity, batch.driving)
+            result = model(batch.identity, batch.driving, batch.index)
         given = (batch.truth, batch.identity, batch.driving, batch.edges, batch.unit)
         weights = dataclasses.asdict(self.config.losses)
         return aniformer_loss(result, *given, **weights, edges_of_mesh=batch.edges_of_mesh)
@@ -327,7 +335,7 @@ class AniFormerTask(Task[AniFormerTrainConfig, AniFormer]):
     def batch_error(self, model: AniFormer, batch: WindowBatch) -> float:
         """Compute the mean PMD of a batch."""
         with self.autocast():
-            result = model(batch.identity, batch.driving)
+            result = model(batch.identity, batch.driving, batch.index)
         truth, unit = (match_frames(of_frames, result.shape[1]) for of_frames in (batch.truth, batch.truth_radius))
         return float(mean_squared_distance(result, truth, unit))
 
