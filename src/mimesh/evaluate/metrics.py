@@ -18,9 +18,9 @@ VERSION = 2
 their vertex centroids, and divided by the radius about that of the truth, in both formulas."""
 
 
-def box_radius(mesh: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T"] | np.floating:
+def box_radius(mesh: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T"]:
     """Compute the largest distance of a vertex from the centre of the bounding box: the unit of the papers' figures."""
-    return np.linalg.norm(mesh - bbox_centre(mesh)[..., None, :], axis=-1).max(axis=-1)
+    return np.asarray(np.linalg.norm(mesh - bbox_centre(mesh)[..., None, :], axis=-1).max(axis=-1))
 
 
 def box_aligned(mesh: Float[np.ndarray, "*T V 3"], truth: Float[np.ndarray, "*T W 3"]) -> Float[np.ndarray, "*T V 3"]:
