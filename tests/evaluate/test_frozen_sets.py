@@ -9,7 +9,7 @@ import pytest
 
 from mimesh.evaluate.characters import characters
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, clips_aniformer
-from mimesh.evaluate.clips_ordered import CLIPS_ORDERED
+from mimesh.evaluate.clips_ordered import CLIPS_ORDERED, clips_ordered
 from mimesh.evaluate.cross_body import cross_body
 from mimesh.evaluate.fingers import fingers
 from mimesh.evaluate.frozen_sets import (
@@ -28,7 +28,7 @@ from mimesh.evaluate.protocols import HUMAN_NPT, HUMAN_WIDE, PROTOCOLS, with_tes
 STORED = frozen_sets()
 WITHOUT_FILES = {name: protocol for name, protocol in PROTOCOLS.items() if name not in INEXACT}
 WITHOUT_FILES |= {"clips-aniformer": CLIPS_ANIFORMER, "clips-ordered": CLIPS_ORDERED, "fingers": fingers()}
-NEEDS_FILES = {("clips-aniformer", kind) for kind in ("held-out", "stress")}
+NEEDS_FILES = {("clips-aniformer", kind) for kind in ("held-out", "stress")} | {("clips-ordered", "held-out")}
 NEEDS_FILES |= {("fingers", "characters")}
 NEEDS_FILES |= {("dressed", f"new-{kind}") for kind in ("identity", "driving", "both")}
 GENERATED = [key for key in STORED if key[0] in WITHOUT_FILES and (key[0], key[2]) not in NEEDS_FILES]
@@ -36,6 +36,7 @@ MOST_IN_FULL = 18
 """Sets of meshes of this many pairs or fewer are generated as a whole, of larger ones the first pairs."""
 FOLDERS = {
     "clips-aniformer": ("MIMESH_MOTIONS", clips_aniformer),
+    "clips-ordered": ("MIMESH_MOTIONS", clips_ordered),
     "cross-body": ("MIMESH_PEOPLE", cross_body),
     "characters": ("MIMESH_CHARACTERS", characters),
     "dressed": ("MIMESH_GARMENTS", with_test_garments),

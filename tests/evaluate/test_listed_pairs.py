@@ -268,7 +268,9 @@ def test_millimetres_are_of_the_given_heights(folder, tmp_path):
     given = listed_pairs(folder / "seen.txt", height=3.4).pair("", "seen", 0)
     halved = measure(given, "copy")
     assert halved["mm"] == pytest.approx(distance / 2)
-    assert halved["pmd_public_e4"] == pytest.approx(figures["pmd_public_e4"] / 4)
+    assert halved["pmd_public_e4"] == figures["pmd_public_e4"]  # 3.4 can be metres
+    centimetres = measure(listed_pairs(folder / "seen.txt", height=170.0).pair("", "seen", 0), "copy")
+    assert centimetres["pmd_public_e4"] == pytest.approx(figures["pmd_public_e4"] * 1e-4)
     assert halved["pmd_e4"] == pytest.approx(figures["pmd_e4"])
     (folder / "seen.heights.json").write_text('{"id0_0": 0.85}')
     known = listed_pairs(folder / "seen.txt")

@@ -98,9 +98,14 @@ class FrozenSet:
 
 
 def pair_checksum(pair: Pair) -> str:
-    """Return the first 8 hex digits of a SHA-256 over all arrays of a pair: what methods get, and the truth."""
+    """Return the first 8 hex digits of a SHA-256 over all arrays of a pair: what methods get, and the truth.
+
+    `ClipPair.place` is left out: it follows from the order of the vertices.
+    """
     digest = hashlib.sha256()
     for field in dataclasses.fields(pair):
+        if field.name == "place":
+            continue
         for name, array in _arrays(field.name, getattr(pair, field.name)):
             whole = np.rint(array / ROUNDING) if array.dtype.kind == "f" else array
             digest.update(f"{name} {array.shape}".encode())

@@ -32,7 +32,7 @@ from .triples import Triple, find_lists, heights_file, list_checksum, read_heigh
 HEIGHT = 1.7
 """Height (metres) at which millimetres of the files are those of reports; taken where nothing is known."""
 METRES = (0.3, 10.0)
-"""Diagonals of the bounding box that a figure in metres can have, for meshes without a known height."""
+"""Diagonals of the bounding box, or known heights, that a figure in metres can have."""
 CHECKED = 12
 """Pairs of a list whose up axis is looked at."""
 _LAYOUT = re.compile(r"(?:id)?(\d+)_(.+)")
@@ -94,7 +94,7 @@ class ListedPairs(Protocol):
             driving=_plain(driving, triple),
             truth=truth.vertices,
             height=height,
-            metres=HEIGHT / height,
+            metres=1.0 if METRES[0] <= height <= METRES[1] else HEIGHT / height,
             aligned=driving.vertices if _corresponds(driving, identity) else None,
             truth_name=triple.paths[2].stem,
             groups=(_person(triple.names[0]), _person(triple.names[1])),
