@@ -17,8 +17,9 @@ from mimesh.learn.tasks.find import find_task  # noqa: E402
 pytestmark = pytest.mark.gpu
 CONFIGS = sorted(path.name.removesuffix(".yaml") for path in (resources.files("mimesh.learn") / "configs").iterdir())
 PAIRS, VERTICES = 2, 128
-TOLERANCE = {"fp32": 1e-4, "bf16": 5e-2}
-"""Relative difference of losses and of gradients' norms between devices: products are summed in another order."""
+TOLERANCE = {"fp32": (1e-4, 5e-4), "bf16": (5e-2, 5e-2)}
+"""Relative difference of losses, and of gradients' norms, between devices: products are summed in another order. Edge
+terms divide by short lengths, so their gradients differ more (1.1e-4 in float32 on an H100)."""
 
 
 def moved(value: Any, device: torch.device) -> Any:
@@ -59,4 +60,5 @@ def test_a_step_on_the_gpu_is_that_on_the_cpu(name: str, precision: str):
             optimizer.step()
         assert all(parameter.isfinite().all() for parameter in model.parameters())
         figures.append((float(loss.detach()), float(norm)))
-    assert figures[1] == pytest.approx(figures[0], rel=TOLERANCE[precision])
+    for on_cpu, on_gpu, tolerance in zip(*figures, TOLERANCE[precision], strict=True):
+        assert on_gpu == pytest.approx(on_cpu, rel=tolerance)
