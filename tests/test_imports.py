@@ -15,7 +15,6 @@ GUARDS = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
 IMPORTERS = ("import_module", "__import__", "importorskip")
 FILES = sorted(ROOT.rglob("*.py"))
 LAYERS = (
-    "old_names",
     "core",
     "bodies",
     "motions",
@@ -98,7 +97,7 @@ def test_a_module_imports_only_what_its_layer_may(module):
 
 
 def test_the_package_imports_nothing_but_its_public_names():
-    assert imports_of("") <= {"old_names"}
+    assert not imports_of("")
 
 
 def test_every_entry_has_its_layer_and_there_are_few():

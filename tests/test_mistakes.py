@@ -15,7 +15,7 @@ import pytest
 from mistakes import CLIP, CUBE, MISTAKES, MOVING
 
 import mimesh
-from mimesh.core.arguments import REMOVED_IN, ArgumentError, for_caller, public
+from mimesh.core.arguments import for_caller, public
 from mimesh.core.array_inputs import as_faces, as_vertices
 from mimesh.core.errors import command_line_words
 
@@ -91,26 +91,6 @@ def test_options_in_messages_become_arguments(message, expected):
     assert for_caller(message) == expected
     with command_line_words():
         assert for_caller(message) == message
-
-
-def test_old_names_and_places_of_arguments_work_with_a_warning(tmp_path):
-    with pytest.warns(DeprecationWarning, match=rf"give suffix=\.\.\. by name.* version {REMOVED_IN}"):
-        mimesh.save_clip(CLIP, tmp_path / "frames", ".ply")  # type: ignore[misc]
-    assert {path.suffix for path in (tmp_path / "frames").iterdir()} == {".ply"}
-    with pytest.warns(DeprecationWarning, match="fps"):
-        assert mimesh.load_clip(tmp_path / "frames", 12.0).fps == 12.0  # type: ignore[misc]
-    with (
-        pytest.warns(DeprecationWarning, match="save_skinned: names is now animations"),
-        pytest.raises(mimesh.InputError, match="expected a name for each of 1 results"),
-    ):
-        mimesh.save_skinned([MOVING], tmp_path / "a.glb", names=["a", "b"])  # type: ignore[call-arg]
-    with pytest.raises(ArgumentError, match="expected animations alone"):
-        mimesh.save_skinned([MOVING], tmp_path / "a.glb", names=["a"], animations=["a"])  # type: ignore[call-arg]
-
-
-def test_more_arguments_by_position_than_there_were_are_refused(tmp_path):
-    with pytest.raises(ArgumentError, match="too many positional arguments"):
-        mimesh.load_clip("a.npz", 1.0, None, None, slice(None), 5)  # type: ignore[misc]
 
 
 def test_kinds_that_are_not_known_are_left_to_the_function():

@@ -19,8 +19,6 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
-from . import old_names
-
 if TYPE_CHECKING:
     from .bodies.engine_rig import Layout
     from .core.budgets import no_limits
@@ -66,7 +64,6 @@ _MODULES = {
     "pipeline.result": ("ClipResult", "Result"),
     "pipeline.skinned": ("save_skinned",),
 }
-old_names.install()
 
 
 def __getattr__(name: str) -> object:

@@ -2,14 +2,11 @@
 
 import dataclasses
 import json
-from functools import reduce
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
-from safetensors.torch import save_file
 from trainings import TINY, losses
 
 from mimesh.bodies import load_body
@@ -17,7 +14,6 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
 from mimesh.core.surface_points import SurfacePoints
 from mimesh.learn import checkpoint
-from mimesh.learn.config import config_from
 from mimesh.learn.models.mime import MimeNetwork
 from mimesh.learn.training_run import TrainingRun
 from mimesh.methods.onnx_runtime import import_onnxruntime
@@ -63,49 +59,6 @@ def test_weights_alone_are_a_start_for_another_training(tmp_path):
     model, _ = checkpoint.load_model(tmp_path / "weights.safetensors")
     for name, value in model.state_dict().items():
         torch.testing.assert_close(value, whole[f"ema.{name}"], rtol=1e-3, atol=1e-6)
-
-
-def test_a_training_under_former_names_of_weights_continues_exactly(tmp_path):
-    """A checkpoint of mime as earlier versions wrote it: other names of weights, and the losses of all networks."""
-    config = config_from(
-        {
-            "network": "mime",
-            "model": {"width": 16, "heads": 2, "latents": 4, "blocks": 1, "refinements": 1, "near": 8, "local": 8},
-            "data": {"kind": "table6", "vertices": 32, "target_scale": "identity"},
-            "batch": 2,
-            "learning_rate": 1e-3,
-            "optimizer": "muon",
-            "ema": 0.9,
-            "precision": "fp32",
-        },
-        "here",
-    )
-    run = TrainingRun.start(config, tmp_path / "none")
-    losses(run, 2)
-    run.save(tmp_path / "last.safetensors")
-    with safe_open(tmp_path / "last.safetensors", "pt") as file:
-        header = json.loads(file.metadata()["mimesh"])
-        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
-    former = {"refinement.correction.": "mending.mend.", "refinement.point.": "mending.seen."}
-    former |= {"refinement.": "mending.", "skinning_head.": "weigh."}
-    former |= {".cross_attention.": ".look.", ".self_attention.": ".attend."}
-    renamed = {reduce(lambda name, pair: name.replace(*pair), former.items(), key): v for key, v in tensors.items()}
-    assert not set(renamed) <= set(tensors)
-    values = json.loads(header["config"]) | {"edge": "paper", "edge_weight": 5e-4, "losses": {}, "metrics": {}}
-    values["model"] = {
-        {"refinements": "mendings", "skinning": "weighing"}.get(key, key): v for key, v in values["model"].items()
-    }
-    folder = tmp_path / "former"
-    folder.mkdir()
-    position = json.loads(header["state"])
-    del position["validated"], position["precision"]
-    header |= {"config": json.dumps(values), "state": json.dumps(position)}
-    save_file(renamed, folder / "last.safetensors", metadata={"mimesh": json.dumps(header)})
-    again = TrainingRun.start(config, folder)
-    assert checkpoint.load(folder / "last.safetensors").config == config
-    assert losses(again, 2) == losses(run, 2)
-    for name, average in run.ema.items():
-        assert torch.equal(average, again.ema[name])
 
 
 def test_a_compact_checkpoint_without_the_average_begins_a_new_one(tmp_path):

@@ -1,12 +1,11 @@
 """Training configurations: shipped ones load, changes apply, and what does not belong is refused."""
 
-import dataclasses
 import re
 
 import pytest
 
 from mimesh.core.errors import InputError
-from mimesh.learn.config import config_differences, config_from, load_config
+from mimesh.learn.config import config_differences, load_config
 from mimesh.learn.models.aniformer import AniFormerConfig
 from mimesh.learn.models.npt import NPTConfig
 from mimesh.learn.tasks.aniformer import AniFormerTrainConfig
@@ -131,12 +130,3 @@ def test_differences_are_named_by_their_keys_and_at_most_a_few():
     other = config_differences(full, load_config("full", "aniformer"), ("network", "model"))
     assert "network npt here, aniformer there" in other
     assert "none" in config_differences(load_config("table", "limp"), full, ("model",))
-
-
-@pytest.mark.parametrize("network", ["npt", "aniformer", "limp", "mime"])
-def test_loss_keys_of_other_networks_in_older_checkpoints_are_left_out(network):
-    """Checkpoints once held the losses of all networks."""
-    name = "table"
-    values = {"edge": "paper", "edge_weight": 5e-4, "losses": {}, "metrics": {}, "structure": {}}
-    plain = load_config(name, network)
-    assert config_from(values | dataclasses.asdict(plain), "here") == plain

@@ -96,7 +96,7 @@ def test_animate_takes_the_joints_of_the_recording(files, tmp_path, capsys):
     assert run([*command, "--root", "keep", "--no-ground", "-o", str(tmp_path / "out.npz"), "--json"]) == 0
     report = json.loads(capsys.readouterr().out.splitlines()[-1])["report"]
     assert report["driving"]["up_from"] == "joints"
-    assert "readings_apart" not in report["driving"]  # nothing was predicted
+    assert "prediction_spread" not in report["driving"]  # nothing was predicted
     clip = load_recorded_clip(take, model)[0]
     found = mimesh.animate(
         load_mesh(hero), dataclasses.replace(clip, skeleton=None), root="keep", ground=False, start=START

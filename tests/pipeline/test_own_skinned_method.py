@@ -105,4 +105,4 @@ def test_its_root_goes_as_asked(root, moves):
 
 def test_its_report_has_no_confidence():
     report = transfer(person(0), person(1), TwoJoints()).report
-    assert "undecided" not in report["identity"]
+    assert "weight_entropy" not in report["identity"]

@@ -1,4 +1,4 @@
-"""Public functions as programs call them: arguments are checked, old names still work, messages name arguments.
+"""Public functions as programs call them: arguments are checked, and messages name arguments.
 
 Messages are written with the options of the command line (`give --driving-front`). `public` replaces them by the
 arguments of Python (`give driving_front=...`) unless the command line is the caller (`errors.command_line_words`).
@@ -11,16 +11,13 @@ import inspect
 import numbers
 import os
 import re
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from .errors import InputError, did_you_mean, names_options
 
-REMOVED_IN = "0.3"
-"""Version that no longer has the names and the order of arguments from before 0.1.0."""
 CLOSE = 0.75
 """Similarity (`difflib`) of the names of arguments from which on one is proposed; "smooth" and "root" have 0.6."""
 F = TypeVar("F", bound=Callable[..., Any])
@@ -80,16 +77,12 @@ def _argument(found: re.Match[str]) -> str:
     return f"{before}{name}=..." if before else name
 
 
-def public(
-    *, renamed: Mapping[str, str] | None = None, once_positional: Sequence[str] = (), checked: bool = True
-) -> Callable[[F], F]:
+def public(checked: bool = True) -> Callable[[F], F]:
     """Make a function one that programs call.
 
     Arguments are checked before the function runs, and wrong ones raise InputError; messages name arguments of Python.
 
     Args:
-        renamed: old name -> new name of an argument. The old one works until REMOVED_IN, with a DeprecationWarning.
-        once_positional: arguments that are given by name alone now; by position they work as long.
         checked: check the kinds of arguments by the annotations; False where a call must take microseconds.
     """
 
@@ -101,8 +94,6 @@ def public(
         def call(*args: Any, **kwargs: Any) -> Any:
             try:
                 if checked:
-                    kwargs = _with_new_names(function.__name__, kwargs, renamed or {})
-                    args, kwargs = _by_name(function.__name__, signature, args, kwargs, once_positional)
                     _check_call(function.__name__, signature, names, args, kwargs)
                 return function(*args, **kwargs)
             except InputError as error:
@@ -114,43 +105,6 @@ def public(
         return cast(F, call)
 
     return decorate
-
-
-def _with_new_names(function: str, given: dict[str, Any], renamed: Mapping[str, str]) -> dict[str, Any]:
-    """Replace old names of arguments, with a warning."""
-    for old in renamed.keys() & given.keys():
-        new = renamed[old]
-        if new in given:
-            raise ArgumentError(f"{function}: expected {new} alone, found {old}, its old name, too; leave {old} out")
-        warnings.warn(
-            f"{function}: {old} is now {new}; the old name goes with version {REMOVED_IN}",
-            DeprecationWarning,
-            stacklevel=3,
-        )
-        given = {new if name == old else name: value for name, value in given.items()}
-    return given
-
-
-def _by_name(
-    function: str,
-    signature: inspect.Signature,
-    args: tuple[Any, ...],
-    given: dict[str, Any],
-    once_positional: Sequence[str],
-) -> tuple[tuple[Any, ...], dict[str, Any]]:
-    """Give arguments by name that were once positional, with a warning."""
-    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    most = sum(parameter.kind in kinds for parameter in signature.parameters.values())
-    extra = dict(zip(once_positional, args[most:], strict=False))
-    if not extra or len(args) > most + len(once_positional) or extra.keys() & given.keys():
-        return args, given
-    named = ", ".join(f"{name}=..." for name in extra)
-    warnings.warn(
-        f"{function}: give {named} by name; by position it goes with version {REMOVED_IN}",
-        DeprecationWarning,
-        stacklevel=3,
-    )
-    return args[:most], {**given, **extra}
 
 
 def _check_call(

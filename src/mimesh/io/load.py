@@ -58,7 +58,7 @@ def load_mesh(path: str | Path) -> Mesh:
     return check_mesh(mesh, path)
 
 
-@public(once_positional=("fps", "animation", "progress", "frames"))
+@public()
 def load_clip(
     path: str | Path,
     *,
@@ -146,7 +146,7 @@ def load_points(path: str | Path, first: Mesh, first_path: Path) -> Float[np.nda
         return read_frame(path, first, first_path, _load_frame)
 
 
-@public(once_positional=("fps", "animation", "progress"))
+@public()
 def load_recorded_clip(
     path: str | Path,
     body_model: str | Path,

@@ -68,7 +68,7 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
             writer(mesh, path)
 
 
-@public(once_positional=("suffix", "progress", "blendshapes"))
+@public()
 def save_clip(
     clip: Clip,
     path: str | Path,

@@ -103,7 +103,7 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
 
 
 def load(path: Path) -> Checkpoint:
-    """Read a checkpoint, compact or not, with all numbers in float32 and under today's names.
+    """Read a checkpoint, compact or not, with all numbers in float32.
 
     Without its validation figures if they are of another version of the metrics.
 
@@ -121,8 +121,7 @@ def load(path: Path) -> Checkpoint:
     if position.pop("version", 1) != VERSION:
         position |= {"best": float("inf"), "metrics": {}}
     position |= {key: tuple(position.get(key, ())) for key in ("before", "changes")}
-    rename = find_task(config.network).current_name
-    tensors = {rename(key): value.float() if value.is_floating_point() else value for key, value in tensors.items()}
+    tensors = {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}
     return Checkpoint(config, tensors=tensors, **position)
 
 

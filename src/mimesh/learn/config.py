@@ -20,8 +20,6 @@ from .tasks.find import NETWORKS, find_task
 
 MOST_DIFFERENCES = 4
 """Keys that an error about two configurations names; the rest is counted."""
-LOSS_KEYS = {"edge", "edge_weight", "losses", "metrics", "structure"}
-"""Fields of one network or another. Checkpoints of earlier versions hold all of them; those of others are left out."""
 
 
 def load_config(name_or_path: str, model: str = "npt", changes: Sequence[str] = ()) -> TrainConfig:
@@ -114,9 +112,7 @@ def config_from(values: dict[str, Any], where: str) -> TrainConfig:
             f"{where}, network: expected {' or '.join(NETWORKS)}, found {network!r}"
             + did_you_mean(str(network), NETWORKS)
         )
-    kind = find_task(network).config_type
-    foreign = LOSS_KEYS - {field.name for field in dataclasses.fields(kind)}
-    config = _build(kind, {key: value for key, value in values.items() if key not in foreign}, where)
+    config = _build(find_task(network).config_type, values, where)
     config.check(where)
     return config
 
@@ -125,8 +121,6 @@ def _build(kind: type, values: Any, where: str) -> Any:
     """Build a dataclass from a dictionary, dataclasses within it included."""
     if not isinstance(values, dict):
         raise InputError(f"{where}: expected keys and values, found {values!r}")
-    former = getattr(kind, "FORMER_KEYS", {})
-    values = {former.get(key, key): value for key, value in values.items()}
     hints = typing.get_type_hints(kind)
     hints = {field.name: hints[field.name] for field in dataclasses.fields(kind)}
     unknown = sorted(set(values) - set(hints))

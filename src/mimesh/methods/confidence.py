@@ -213,14 +213,14 @@ class Confidence:
         return max(self.prediction_spread / MAX_SPREAD, entropy, self.limb_fault)
 
     def facts(self) -> dict[str, Any]:
-        """Return the figures for the report; its keys are those of version 0.1 and stay (see docs/conventions.md)."""
+        """Return the figures for the report (docs/conventions.md)."""
         limbs, unmatched = (
             {limb: round(share, 3) for limb, share in d.items()} for d in (self.limbs, self.unmatched_body)
         )
         facts: dict[str, Any] = {
             "uncertainty": round(self.uncertainty, 3),
-            "readings_apart": round(self.prediction_spread, 2),
-            "undecided": round(self.weight_entropy, 3),
+            "prediction_spread": round(self.prediction_spread, 2),
+            "weight_entropy": round(self.weight_entropy, 3),
             "limbs": limbs,
         }
         if self.fit_distance is None:
@@ -234,7 +234,7 @@ class Confidence:
             "fit_angle": round(self.fit_angle, 2),
             "flexion": round(self.flexion, 1),
         }
-        return facts | {"astray": unmatched, "bare": round(self.unmatched_surface, 4)}
+        return facts | {"unmatched_body": unmatched, "unmatched_surface": round(self.unmatched_surface, 4)}
 
     def notes(self, name: str) -> tuple[str, ...]:
         """Return a note for the user if limbs of the mesh `name` were not found with certainty, with reasons."""

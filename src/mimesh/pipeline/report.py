@@ -20,7 +20,7 @@ MIN_EDGE = 1e-3
 class MeshReport(TypedDict):
     """What is known of one input: its axes, and of models with joints how certainly limbs were found on it.
 
-    `limbs` and `astray` have a share for each limb ("head", "left arm"). docs/conventions.md explains all figures.
+    `limbs` and `unmatched_body` have a share for each limb ("head", "left arm"). docs/conventions.md explains all.
 
     Example:
         >>> identity = result.report["identity"]
@@ -44,9 +44,9 @@ class MeshReport(TypedDict):
     """Ratio to the threshold of the note: above 1 there is one."""
     expected_error: NotRequired[float]
     """Expected error of the result, in heights of the identity."""
-    readings_apart: NotRequired[float]
+    prediction_spread: NotRequired[float]
     """Spread of the predictions, in degrees."""
-    undecided: NotRequired[float]
+    weight_entropy: NotRequired[float]
     """Mean entropy of the skinning weights, in nats."""
     other_kind: NotRequired[float]
     """Logarithm of the odds that the mesh is of another kind than `body`, without a unit."""
@@ -58,9 +58,9 @@ class MeshReport(TypedDict):
     """Angle of the elbow or knee that is bent most, in degrees."""
     limbs: NotRequired[dict[str, float]]
     """Share of the surface that each limb has."""
-    astray: NotRequired[dict[str, float]]
+    unmatched_body: NotRequired[dict[str, float]]
     """Share of each limb of the fitted body that is far from the surface."""
-    bare: NotRequired[float]
+    unmatched_surface: NotRequired[float]
     """Share of the surface that is far from the fitted body."""
 
 

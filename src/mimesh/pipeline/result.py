@@ -303,7 +303,7 @@ class ClipResult(_Playable):
         """The driving clip; None where the result does not know it."""
         return self.driving
 
-    @public(once_positional=("blendshapes", "progress"))
+    @public()
     def save(self, path: str | Path, *, blendshapes: int | None = None, progress: Progress | None = None) -> Path:
         """Write the clip in the format of the suffix: a file, a movie, or without a suffix a folder of meshes.
 
@@ -338,7 +338,7 @@ class ClipResult(_Playable):
             self.report["blendshapes_deviation"] = deviation
         return Path(path)
 
-    @public(once_positional=("names", "root_bone", "rest", "fps"))
+    @public()
     def save_skinned(
         self,
         path: str | Path,

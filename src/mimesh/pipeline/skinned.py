@@ -31,7 +31,7 @@ SAME_JOINT = 1e-4
 """Largest distance, over the mesh's size, between joints or vertices of two results that count as the same."""
 
 
-@public(renamed={"names": "animations"}, once_positional=("animations", "layout"))
+@public()
 def save_skinned(
     results: Sequence[ClipResult],
     path: str | Path,

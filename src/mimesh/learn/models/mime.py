@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import torch
@@ -30,23 +29,11 @@ FEATURES = 10
 """Numbers that describe a point in a joint's frame: position, distance, normal, sines of the position."""
 POSITION_SCALE = 4.0
 """What positions in a joint's frame are multiplied by: near points lie within about a quarter of the mesh's spread."""
-FORMER_NAMES = {
-    "mending.mend.": "refinement.correction.",
-    "mending.seen.": "refinement.point.",
-    "mending.": "refinement.",
-    "weigh.": "skinning_head.",
-    ".look.": ".cross_attention.",
-    ".attend.": ".self_attention.",
-}
-"""Parts of the names of weights in checkpoints of earlier versions, and today's."""
 
 
 @dataclass(frozen=True)
 class MimeConfig:
     """Options of the network."""
-
-    FORMER_KEYS: ClassVar[dict[str, str]] = {"mendings": "refinements", "weighing": "skinning"}
-    """Keys of earlier configurations, and today's."""
 
     width: int = 128
     """Channels of a token."""
@@ -113,7 +100,6 @@ class MimeNetwork(nn.Module):
         self.first = zero_initialized(nn.Linear(c, 9))
         self.refinement = JointRefinement(surface_centres, c, config.heads, config.local, config.near)
         self.skinning_head = SkinningHead(config, joints)
-        self.register_load_state_dict_pre_hook(_rename_weights)
 
     def predict_joints(self, points: Float[Tensor, "B N 3"], normals: Float[Tensor, "B N 3"]) -> Prediction:
         """Predict the joints of meshes from points spread evenly over them, at any place, in any size and order.
@@ -337,19 +323,6 @@ def rotation_from_6d(six: Float[Tensor, "*B 6"]) -> Float[Tensor, "*B 3 3"]:
     y = six[..., 3:] + six.new_tensor([0.0, 1.0, 0.0])
     y = F.normalize(y - (x * y).sum(-1, keepdim=True) * x, dim=-1)
     return torch.stack([x, y, torch.linalg.cross(x, y)], -1)
-
-
-def current_name(name: str) -> str:
-    """Give today's name of a weight that an older checkpoint may hold under another."""
-    for former, today in FORMER_NAMES.items():
-        name = name.replace(former, today)
-    return name
-
-
-def _rename_weights(_: nn.Module, state: dict[str, Tensor], prefix: str, *__: object) -> None:
-    """Rename the weights of an older state dictionary in place, before it is loaded."""
-    for name in list(state):
-        state[current_name(name)] = state.pop(name)
 
 
 def _gather(values: Float[Tensor, "B N C"], index: Int[Tensor, "B J M"]) -> Float[Tensor, "B J M C"]:

@@ -245,11 +245,6 @@ class Task(ABC, Generic[Config, Network]):
     def onnx_facts(model: Any) -> dict[str, Any]:
         """Give what the exported file must say about the network, beside its configuration."""
 
-    @staticmethod
-    def current_name(name: str) -> str:
-        """Give today's name of a weight that an older checkpoint may hold under another."""
-        return name
-
     def with_vertices(self, vertices: int) -> Task[Config, Network]:
         """Copy the task for meshes of so many vertices."""
         config = dataclasses.replace(self.config, data=dataclasses.replace(self.config.data, vertices=vertices))

@@ -26,7 +26,7 @@ from ...evaluate.protocols import Protocol
 from ...evaluate.quadruped import QUADRUPED
 from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig
 from ..character_surfaces import TrainingCharacters
-from ..models.mime import POINTS, MimeConfig, MimeNetwork, Prediction, current_name
+from ..models.mime import POINTS, MimeConfig, MimeNetwork, Prediction
 from ..primitive_animals import primitive_animals
 from ..primitives import primitive_people
 from ..vertex_sampler import share_of
@@ -317,11 +317,6 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
         legs = [[body.joint(name) for name in leg] for leg in anatomy_of(body.name).legs]
         joints = {"joints": body.joint_names, "parents": body.parents, "legs": legs, "body": body.name}
         return {"model": "mime", "points": POINTS, **joints}
-
-    @staticmethod
-    def current_name(name: str) -> str:
-        """Give today's name of a weight that an older checkpoint may hold under another."""
-        return current_name(name)
 
 
 class _OneMesh(nn.Module):
