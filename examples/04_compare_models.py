@@ -45,7 +45,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def shipped_pair() -> tuple[mimesh.Mesh, mimesh.Mesh, mimesh.Mesh]:
-    """Return identity, driving mesh and truth of a pair of the paper's protocol, in a pose without training data."""
+    """Return identity, driving mesh and truth of a pair of `human-npt`, in a pose without training data."""
     protocol = PROTOCOLS["human-npt"]
     pair = protocol.unshuffled_pair("test", "unseen", 0, protocol.rng("test", "unseen", 0))
     return pair.identity, pair.driving, pair.identity.with_vertices(pair.truth)

@@ -1,4 +1,4 @@
-"""Write a method of your own and compare it with the shipped ones on the paper's test set.
+"""Write a method of your own and compare it with the shipped ones on a counterpart of NPT's test set.
 
 python examples/06_your_own_method.py             # 4 pairs of each kind
 python examples/06_your_own_method.py --pairs 72  # as many as the tables have

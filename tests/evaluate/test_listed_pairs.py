@@ -177,6 +177,7 @@ def test_one_person_who_lies_among_three_gets_no_note(tmp_path):
 
 
 def test_interrupted_list_is_continued_until_a_file_changes(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("mimesh.evaluate.run.commit", lambda: "abc")
     out, measured = tmp_path / "out" / "figures.json", []
     out.parent.mkdir()
 

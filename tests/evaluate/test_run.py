@@ -100,7 +100,9 @@ def test_mirror_images_are_as_hard_for_a_method_without_a_side():
         evaluate_command("fingers", ["mime"], mirror=True)
 
 
-def test_interrupted_run_is_continued(tmp_path, monkeypatch):
+@pytest.mark.parametrize(("commit", "again"), [("abc", 2), ("abc-dirty", 6)])
+def test_interrupted_run_is_continued_with_the_same_commit(commit, again, tmp_path, monkeypatch):
+    monkeypatch.setattr("mimesh.evaluate.run.commit", lambda: commit)
     uninterrupted = evaluate_command("human-npt", ["copy"], split="val", pairs=3)
     out, measured = tmp_path / "figures.json", []
 
@@ -121,10 +123,10 @@ def test_interrupted_run_is_continued(tmp_path, monkeypatch):
         evaluate_command("human-npt", ["copy"], out, split="val", pairs=3)
     monkeypatch.setattr("mimesh.evaluate.run.summary", summary)
     resumed = evaluate_command("human-npt", ["copy"], out, split="val", pairs=3)
-    assert len(measured) == 5 + 2
+    assert len(measured) == 5 + again
     for a, b in zip(resumed["results"], uninterrupted["results"], strict=True):
         assert a["pmd_e4"] == b["pmd_e4"]
-    assert list(tmp_path.iterdir()) == [out]
+    assert not out.with_name("figures.json.partial").exists()
 
 
 def interrupted(*_):

@@ -173,7 +173,7 @@ def figure(
         str,
         typer.Argument(
             metavar="FIGURE",
-            help="npt-3, npt-6 to npt-20, aniformer-1, -3, -4, -5, -animals, -noise, as the papers number them.",
+            help="npt-3, npt-6 to -17, -19, -20, aniformer-1, -3, -4, -5, -animals, -noise, as the papers number them.",
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write.")],

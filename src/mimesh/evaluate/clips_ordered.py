@@ -1,9 +1,10 @@
-"""`clips-ordered`: the test that AniFormer's own code makes, of meshes in one vertex order and of training people.
+"""`clips-ordered`: a test of the kind that AniFormer's public code trains for: one vertex order, training people drive.
 
-The public code never shuffles the sequences that it trains and tests on: driving vertex i is identity vertex i. Its
-driving clips are of the people of the training, too. `clips-aniformer` has neither: its meshes are shuffled apart, as
-NPT's are, and its driving people are new. The two protocols share the 16 training people, the 80 motions, the targets
-and their poses.
+The public code never shuffles the sequences that it trains on, so driving vertex i is identity vertex i unless it
+shuffles the identity (which then no longer matches the truth). Its test is not published; the paper's test clips are
+those of its training, and 20 others of the same people. `clips-aniformer` has neither: its meshes are shuffled apart,
+as NPT's are, and its driving people are new. The two protocols share the 16 training people, the 80 motions, the
+targets and their poses.
 
 * `seen`: the 80 motions of the training; a training person drives a new target. With `unseen`, the paper's columns.
 * `unseen`: 20 other seconds of the takes that the motions are from. In `test` they are the last ones of the takes, in

@@ -1,8 +1,9 @@
 """Metrics of a result against the truth. Shapes are never broadcast; docstrings state the divisor and the unit.
 
-Two formulas compare vertices, and both centre by bounding boxes as the papers' data are: `pmd` is Eq. 7 as printed, for
-a result that lies where the truth does (`measure.Output.beside`), and `pmd_public` is what the public evaluators
-compute. For a result whose box has the truth's centre, Eq. 7 is 3 `pmd_public` / radius².
+Two formulas compare vertices, and both centre meshes by their bounding boxes, as the papers' public code does; the
+papers do not say by what. `pmd` is Eq. 7 as printed, for a result that lies where the truth does
+(`measure.Output.beside`), and `pmd_public` is what NPT's public `evaluate.py` computes; AniFormer's evaluation is not
+published. For a result whose box has the truth's centre, Eq. 7 is 3 `pmd_public` / radius².
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ their vertex centroids, and divided by the radius about that of the truth, in bo
 
 
 def box_radius(mesh: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T"]:
-    """Compute the largest distance of a vertex from the centre of the bounding box: the unit of the papers' figures."""
+    """Compute the largest distance of a vertex from the centre of the bounding box: the unit of `pmd`."""
     return np.asarray(np.linalg.norm(mesh - bbox_centre(mesh)[..., None, :], axis=-1).max(axis=-1))
 
 
@@ -53,7 +54,7 @@ def pmd_aligned(result: Float[np.ndarray, "*T V 3"], truth: Float[np.ndarray, "*
 
 
 def pmd_public(result: Float[np.ndarray, "*T V 3"], truth: Float[np.ndarray, "*S W 3"], metres: float = 1.0) -> float:
-    """Compute the error of the papers' public evaluators: mean square of V vertices x 3 coordinates, in metres.
+    """Compute the error of NPT's public `evaluate.py`: mean square of V vertices x 3 coordinates, in metres.
 
     Each mesh is about the centre of its own box; over frames the mean. `metres` is the length of the meshes' unit.
 

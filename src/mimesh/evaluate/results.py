@@ -173,11 +173,11 @@ sphere about its bounding box. Results of the papers' networks are compared as t
 all others are moved to the truth by the centres of the boxes, because their position is no part of the task. Lower is
 better. It is squared: a tenth of the PMD is about a third of the distance, so read the **mm** beside it (mean distance
 for a person 1.7 m tall, boxes centred). The mean is dominated by the worst pairs, the median shows the typical one.
-*Public formula* is that of the papers' public evaluators, x1e-4: the mean square over the coordinates, in metres, each
-mesh about the centre of its own box; which of the two the papers print is not known. Behind ± is half of the 95 %
-interval of the mean over people (in clips over people and takes): pairs that share one are not independent. *Better
-than* is the share of pairs with a lower PMD. Times were taken beside other work, on one core: they are upper bounds;
-[models](models.md) has measured ones.
+*Public formula* is that of NPT's public evaluator, x1e-4: the mean square over the coordinates, in metres, each mesh
+about the centre of its own box. AniFormer's evaluation is not published. Which of the two formulas the papers print is
+not known. Behind ± is half of the 95 % interval of the mean over people (in clips over people and takes): pairs that
+share one are not independent. *Better than* is the share of pairs with a lower PMD. Times were taken beside other work,
+on one core: they are upper bounds; [models](models.md) has measured ones.
 
 **Which data.** The pairs of every set are frozen by name and checksum. *Development* sets were looked at while methods
 were made, and led to changes. *Test* sets did not lead to a change by themselves, but those of people of the shipped
@@ -190,11 +190,11 @@ driving person in the identity's pose, control points are marked by name, the tr
 (noise stays): a method with a larger error is worse than no transfer; characters of different files have no such
 correspondence. The row `identity` is the identity, not moved. The row `truth` shows what the figures can resolve.
 """
-REPRODUCTION = """Counterparts of the papers' tables on the shipped body instead of SMPL, by networks with less compute
-and another optimizer than the papers': compare orders, not digits. *Narrow* and *equal time* have a third of the width.
-*Mixed people and limbs* were trained on more than the papers' data. The paper's figures of AniFormer are of meshes in
-one vertex order. [The two papers](two-papers.md) says what else differs. *Seen* are the poses or motions of the
-training."""
+REPRODUCTION = """Counterparts of the papers' tables: another body, other data, less compute and another optimizer, so
+an equal figure does not mean an equal network. *Narrow* and *equal time* have a quarter to a half of the width. *Mixed
+people and limbs* were trained on more than the papers' data. As far as the published code tells, the paper's figures of
+AniFormer are of meshes in one vertex order. [The two papers](two-papers.md) says what else differs. *Seen* are the
+poses or motions of the training."""
 MIRRORED = """The pairs of `human-npt` and their mirror images (`mimesh evaluate human-npt --mirror`), PMD x1e-4, mean.
 A network that was trained on one side only is many times worse on the other."""
 CONFIDENCE = """`mime` warns where it expects a large error. *Uncertainty* is the expected error over its threshold, or

@@ -32,7 +32,6 @@ from .animals import animals
 from .characters import Characters, characters
 from .clip_protocols import ClipsAniformer, clips_aniformer
 from .clips_ordered import clips_ordered
-from .code_fingerprint import PackageSource
 from .cross_body import cross_body
 from .fingers import FingerGestures, fingers
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
@@ -71,8 +70,8 @@ def evaluate_command(
     """Measure methods on a protocol (`mimesh evaluate`) and return the report: one row per method and kind of pair.
 
     With `out` the report is also written as JSON, and the metrics of finished pairs are stored next to it
-    (`<out>.partial`) until the report is complete, so that an interrupted run can be continued, but for the methods
-    whose code or weights have changed.
+    (`<out>.partial`) until the report is complete, so that an interrupted run can be continued: with the same commit
+    of the code, without changes to it, and for methods whose weights are the same.
 
     Args:
         protocol: a name, or the path of a list of files or of a folder of lists (`triples`).
@@ -107,11 +106,11 @@ def evaluate_command(
     config |= {"mirror": True} if mirror else {}
     config |= {"runtime": runtime_name} if runtime else {}
     made = provenance(config)
-    code = {} if out is None else code_of(chosen, methods)
     question = {**config, "protocol": settings(chosen), "metrics": VERSION, "machine": machine(), **libraries()}
+    question |= {"commit": made["commit"]}
     if out is not None:
         keep_other_report(out, chosen.name, config)
-    ledger = PartialReport(out and out.with_name(out.name + ".partial"), question, code)
+    ledger = PartialReport(out and out.with_name(out.name + ".partial"), question)
     counts = {kind: chosen.count(kind, pairs, split) for kind in chosen.kinds}
     total, done, rows, sets = sum(counts.values()) * len(methods), 0, [], {}
     for method in methods:
@@ -119,7 +118,7 @@ def evaluate_command(
         for kind in chosen.kinds:
             figures = []
             for i in range(counts[kind]):
-                key = [method, weights, code.get(method), kind, i]
+                key = [method, weights, kind, i]
                 if (metrics := ledger.get(key)) is None:
                     trial = chosen.pair(split, kind, i)
                     trial = mirrored(trial) if mirror else trial
@@ -202,19 +201,18 @@ def measure_trial(protocol: Protocol, trial: Pair, method: str, options: dict[st
 class PartialReport:
     """Metrics of finished pairs, stored as JSON lines below a first line with everything that determines them.
 
-    A file of other pairs, data or libraries, or with metrics that were made by other code than `code` has for their
-    method, is renamed to `<name>.old`; its other metrics are taken over.
+    A file of other pairs, data, libraries or code is renamed to `<name>.old`, and so is one of uncommitted code.
     """
 
-    def __init__(self, path: Path | None, question: dict[str, Any], code: dict[str, int]) -> None:
+    def __init__(self, path: Path | None, question: dict[str, Any]) -> None:
         self.path, self.metrics = path, {}
         if path is None:
             return
         lines = list(_whole_lines(path))
         same = bool(lines) and lines[0] == json.loads(json.dumps(question))
-        current = [(key, figures) for key, figures in lines[1:] if same and code.get(key[0], key[2]) == key[2]]
-        self.metrics = {json.dumps(key): figures for key, figures in current}
-        if path.exists() and not (same and len(current) == len(lines) - 1):
+        same = same and not question["commit"].endswith("-dirty")
+        self.metrics = {json.dumps(key): figures for key, figures in lines[1:] if same}
+        if path.exists() and not same:
             path.replace(path.with_name(path.name + ".old"))
         valid = [question, *([json.loads(key), figures] for key, figures in self.metrics.items())]
         with whole_file(path) as temporary:
@@ -335,16 +333,6 @@ def settings(protocol: Protocol) -> dict[str, Any]:
     """Return what a protocol is set to, but for the folder it reads."""
     values = {field.name: getattr(protocol, field.name) for field in dataclasses.fields(protocol)}
     return {name: value for name, value in values.items() if not isinstance(value, Path)}
-
-
-def code_of(protocol: Protocol, methods: list[str]) -> dict[str, int]:
-    """Return the fingerprint of the code that the figures of each method on a protocol can depend on."""
-    source = PackageSource()
-    roots = (type(protocol), measurement_of(protocol), pair_checksum)
-    names = {m: "deformation-transfer" if m.startswith("deformation-transfer") else m for m in methods}
-    # The unmoved identity and the truth have no method of their own, only code of the measurement, as `copy`.
-    names |= {method: "copy" for method in ("identity", "truth") if method in names}
-    return {m: source.fingerprint(type(find_method(name)), *roots) for m, name in names.items()}
 
 
 def fingerprint(method: str) -> int:

@@ -40,7 +40,7 @@ class DataConfig:
     """Whose radius the truth is divided by. The papers normalise every mesh; users do not know the truth's radius."""
     pairing: Literal["random", "order"] = "random"
     """Which driving vertex an identity vertex is paired with: a random one (NPT shuffles every mesh), or its own
-    (AniFormer's public code never shuffles what it trains on)."""
+    (AniFormer's public code never shuffles the sequences that it trains on)."""
     spread: float = 1.3
     """Standard deviation of the shape coefficients of endless people."""
     heading: float = 45.0

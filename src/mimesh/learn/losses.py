@@ -14,7 +14,10 @@ def reconstruction(result: Float[Tensor, "B V 3"], truth: Float[Tensor, "B V 3"]
 def edge_ratio(
     result: Float[Tensor, "B V 3"], reference: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]
 ) -> Float[Tensor, ""]:
-    """Compute the edge term of NPT's public code: |length / reference length - 1|, mean over edges."""
+    """Compute |length / reference length - 1|, mean over edges: a third of the edge term of the papers' public code.
+
+    That code adds up the three edges of a face and takes the mean over faces.
+    """
     old = edge_vectors(reference, edges).norm(dim=-1)
     return (edge_vectors(result, edges).norm(dim=-1) / old.clamp_min(1e-8) - 1.0).abs().mean()
 

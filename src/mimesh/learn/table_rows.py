@@ -47,7 +47,7 @@ ORDERED = "data.pairing=order"
 ORDERED_CLIPS = ("data.kind=clips80", ORDERED, "data.reflect=0")
 """NPT on AniFormer's data, all meshes in one order."""
 MIXED = ("data.mix_people=0.8", "data.recombine=0.5")
-"""More than the papers' 16 people and their poses: mixtures of the people, and limbs of other poses or motions."""
+"""More than 16 people and their poses: mixtures of the people, and limbs of other poses or motions."""
 VANILLA = ("model.head=regression", "losses.motion=off", "losses.appearance=off")
 """AniFormer's Table 1 begins with a head for one frame, trained without the two constraints."""
 ON_ANIMALS = ("data.body=quadruped", "ema=0.99")

@@ -35,7 +35,7 @@ EVERY = slice(None)
 
 @dataclass(frozen=True)
 class AniFormerConfig:
-    """Options of the network; the defaults are the paper's widths (16.9 M parameters)."""
+    """Options of the network; by default the paper's features and the public code's layers (16.9 M parameters)."""
 
     frames: int = 3
     """T, the driving frames of a window."""

@@ -190,9 +190,10 @@ def motion_paper(result: Float[Tensor, "B T V 3"], driving: Float[Tensor, "B T U
 
 
 def motion_velocity(result: Float[Tensor, "B T V 3"], truth: Float[Tensor, "B T V 3"]) -> Float[Tensor, ""]:
-    """Compute the public code's motion term: squared difference of velocities, summed over vertices, mean over steps.
+    """Compute the squared difference of velocities, summed over vertices, mean over steps, as the public code does.
 
-    Zero for the truth, wherever it stands.
+    That takes the mean over coordinates and the sum over the steps but the first. Zero for the truth, wherever it
+    stands.
     """
     assert result.shape[1] == truth.shape[1] > 1, "velocities are of at least two frames"
     return reconstruction(result.diff(dim=1), truth.diff(dim=1))
@@ -219,7 +220,7 @@ def appearance_paper(
 def appearance_ratio(
     result: Float[Tensor, "B T V 3"], truth: Float[Tensor, "B T V 3"], edges: Int[Tensor, "B E 2"]
 ) -> Float[Tensor, ""]:
-    """Compute the public code's appearance term: |length / truth's length - 1|, mean over edges and frames."""
+    """Compute |length / truth's length - 1|, mean over edges and frames: a third of the public code's edge term."""
     each_frame = edges.repeat_interleave(result.shape[1], dim=0)
     return losses.edge_ratio(result.flatten(0, 1), truth.flatten(0, 1), each_frame)
 

@@ -29,7 +29,7 @@ class NPTTrainConfig(TrainConfig):
     network: Literal["npt"] = "npt"
     model: NPTConfig = field(default_factory=NPTConfig)
     edge: Literal["paper", "ratio", "off"] = "paper"
-    """The edge term: Eq. 6, the public code's (`losses.edge_ratio`), or none."""
+    """The edge term: Eq. 6, one of the public code's kind (`losses.edge_ratio`), or none."""
     edge_weight: float = 5e-4
     """Lambda of Eq. 4. The public code sums the three edges of a face and takes its reconstruction as a mean over 3 V:
     its 5e-4 is 4.5e-3 of `ratio` here."""
@@ -65,7 +65,7 @@ def npt_loss(
     """Compute Eq. 4 divided by the number of vertices: the same optimum, and a size that does not depend on V.
 
     Args:
-        edge: `paper` (Eq. 6), `ratio` (public code) or `off`. The public code compares lengths with the identity's, in
+        edge: `paper` (Eq. 6), `ratio` (as the public code) or `off`. That code compares lengths with the identity's, in
             metres; here the truth has another unit than the identity, and skinning keeps most lengths, so with its own.
         edge_weight: lambda of Eq. 4.
         edges_of_mesh: edges a vertex that the whole mesh has, over those given here, when `edges` is a sample.
