@@ -100,7 +100,7 @@ def test_mirror_images_are_as_hard_for_a_method_without_a_side():
         evaluate_command("fingers", ["mime"], mirror=True)
 
 
-@pytest.mark.parametrize(("commit", "again"), [("abc", 2), ("abc-dirty", 6)])
+@pytest.mark.parametrize(("commit", "again"), [("abc", 2), ("abc-dirty", 9)])
 def test_interrupted_run_is_continued_with_the_same_commit(commit, again, tmp_path, monkeypatch):
     monkeypatch.setattr("mimesh.evaluate.run.commit", lambda: commit)
     uninterrupted = evaluate_command("human-npt", ["copy"], split="val", pairs=3)
