@@ -343,27 +343,6 @@ def pythons() -> str:
     return markdown_table(head, rows)
 
 
-def kills() -> str:
-    """Return the table of killed commands, from benchmarks/kills.json."""
-    report = json.loads((DOCS.parent / "benchmarks" / "kills.json").read_text())
-    states = ("as before", "some new", "mixed", "new")
-    rows = []
-    for name, figures in report["commands"].items():
-        counts = dict.fromkeys(states, 0)
-        for outcome, count in figures["outcomes"].items():
-            counts[outcome.partition(", ")[2]] += count
-        violations = len(figures["violations"])
-        cells = (figures["kills"], *counts.values(), violations, f"{figures['undisturbed_s']:.1f}")
-        rows.append([f"`{name}`" if ", " not in name else name, *map(str, cells)])
-    commits = dict.fromkeys(figures["commit"] for figures in report["commands"].values())
-    head = ["killed", "times", "outputs as before", "some of several results new", "between two renames", "all new"]
-    return (
-        f"{markdown_table([*head, 'something lost', 'seconds undisturbed'], rows)}\n\n{report['kills']} kills, "
-        f"{report['violations']} in which something was lost, differed or was left after the next run. "
-        f"Seed {report['seed']}, {report['machine']}, commit {' and '.join(commits)}."
-    )
-
-
 def batch_figures() -> str:
     """Return the table of what batches cost, from benchmarks/batch.json."""
     report = _batch_report()
@@ -449,7 +428,6 @@ INSERTS = {
     "batch": batch_figures,
     "fuzz": fuzz,
     "plan": batch_plan,
-    "kills": kills,
     "large": large,
     "live": live,
     "minute": minute,

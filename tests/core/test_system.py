@@ -1,4 +1,4 @@
-"""Systems that lack what Linux has, by stand-ins: no limits, no locks, files that cannot be renamed while open."""
+"""Systems that lack what Linux has, by stand-ins: no limits, files that cannot be renamed while open."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import pytest
 import mimesh
 from mimesh.core import system
 from mimesh.core.errors import InputError
-from mimesh.io import atomic
 from mimesh.io.atomic import together, whole_file
 
 
@@ -45,8 +44,6 @@ def test_a_file_that_stays_open_is_an_error_and_nothing_appears(tmp_path, monkey
     monkeypatch.setattr(system, "RENAME_SECONDS", 0.1)
     stand_in = SimpleNamespace(name="nt", replace=replace, umask=os.umask)
     monkeypatch.setattr(system, "os", stand_in)
-    monkeypatch.setattr(system, "has_locks", lambda: False)
-    monkeypatch.setattr(atomic, "has_locks", lambda: False)
     with pytest.raises(InputError, match=r"b\.txt: expected a place to write to, found 'The process cannot"):
         write_together(tmp_path / "b.txt")
     assert len(calls) > 1
@@ -64,15 +61,6 @@ def test_other_systems_do_not_wait_for_permission(tmp_path, monkeypatch):
     with pytest.raises(PermissionError):
         system.rename(tmp_path / "a", tmp_path / "b")
     assert len(calls) == 1
-
-
-def test_without_locks_files_are_written(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "fcntl", None)
-    assert not system.has_locks()
-    assert system.open_to_lock(tmp_path) is None
-    with whole_file(tmp_path / "a.txt") as temporary:
-        temporary.write_text("a")
-    assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
 
 
 def test_without_limits_a_child_is_not_limited(monkeypatch):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -15,13 +15,12 @@ import pytest
 import zoo
 
 from mimesh.cli import run
-from mimesh.core import system
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Material, Part
 from mimesh.io import atomic, load_mesh, save_clip, save_mesh
 from mimesh.io.atomic import PREFIX, scratch_folder, together, whole_file, whole_folder, written
 
-posix = pytest.mark.skipif(os.name == "nt", reason="Windows has neither these locks nor pipes with names")
+posix = pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes with names")
 
 
 def names(folder: Path) -> list[str]:
@@ -115,33 +114,12 @@ def test_a_result_without_its_page_does_not_appear(command, pair, capsys):
     assert names(pair) == ["hero.obj", "out.preview.html", "pose.obj"]
 
 
-def killed_writer(folder: Path, program: str) -> None:
-    """Start a process that writes to a folder, and kill it while it does."""
-    code = "import sys, time; from pathlib import Path; from mimesh.io.atomic import *; p = Path(sys.argv[1])\n"
-    with subprocess.Popen([sys.executable, "-c", code + program, str(folder)], stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        process.stdout.readline()
-        process.kill()
-
-
-@posix
-def test_temporary_files_of_a_killed_run_go_with_the_next(tmp_path):
-    program = (
-        "with together(), whole_file(p / 'a.obj'), whole_folder(p / 'f') as f, scratch_folder(p):\n"
-        "  (f / '0.obj').write_text('0'); print(flush=True); time.sleep(100)"
-    )
-    killed_writer(tmp_path, program)
-    assert len(names(tmp_path)) == 3
-    (tmp_path / ".mimesh-notes").write_text("not ours")
-    (tmp_path / f"{PREFIX}link").symlink_to(tmp_path / ".mimesh-notes")
-    write(tmp_path / "b.obj", "b")
-    assert names(tmp_path) == [".mimesh-notes", f"{PREFIX}link", "b.obj"]
-
-
-KILL_AT_RENAME = """
-import json, os, signal, sys
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from mimesh.io.atomic import together, whole_file
 left = int(sys.argv[2])
-def hook(event, arguments):
+def hook(event, _):
     global left
     if event == "os.rename":
         left -= 1
@@ -150,121 +128,34 @@ def hook(event, arguments):
 sys.addaudithook(hook)
 with together():
     for name in ("a.txt", "b.txt", "f/0.txt"):
-        with whole_file(p / name) as temporary:
+        with whole_file(Path(sys.argv[1]) / name) as temporary:
             temporary.write_text("new")
 """
 
 
-def killed_at_rename(folder: Path, number: int) -> list[str | None]:
-    """Kill a run before one of its three renames, of which two replace files; return the contents of all three."""
-    for name in ("a.txt", "f/0.txt"):
-        (folder / name).parent.mkdir(exist_ok=True)
-        (folder / name).write_text("old")
-    code = "import sys; from pathlib import Path; from mimesh.io.atomic import *; p = Path(sys.argv[1])\n"
-    command = [sys.executable, "-c", code + KILL_AT_RENAME, str(folder), str(number)]
-    assert subprocess.run(command).returncode == -9
-    return contents(folder)
-
-
-def contents(folder: Path) -> list[str | None]:
-    paths = [folder / name for name in ("a.txt", "b.txt", "f/0.txt")]
-    return [path.read_text() if path.exists() else None for path in paths]
-
-
 @posix
-@pytest.mark.parametrize("number", [0, 1, 2])
-def test_renames_that_a_killed_run_has_left_are_done_by_the_next(number, tmp_path):
-    before: list[str | None] = ["old", None, "old"]
-    assert killed_at_rename(tmp_path, number) == ["new"] * number + before[number:]
-    write(tmp_path / "c.txt", "c")
-    assert contents(tmp_path) == (["new"] * 3 if number else before)
-    write(tmp_path / "f" / "c.txt", "c")
-    assert names(tmp_path) == ["a.txt", *(["b.txt"] if number else []), "c.txt", "f"]
-    assert names(tmp_path / "f") == ["0.txt", "c.txt"]
+@pytest.mark.parametrize("renames", [0, 1, 2])
+def test_a_run_that_is_killed_leaves_every_file_old_or_whole_and_new(renames, tmp_path):
+    (tmp_path / "f").mkdir()
+    files = [tmp_path / name for name in ("a.txt", "b.txt", "f/0.txt")]
+    for file in (files[0], files[2]):
+        file.write_text("old")
+    assert subprocess.run([sys.executable, "-c", KILLED, str(tmp_path), str(renames)]).returncode == -signal.SIGKILL
+    before = ["old", None, "old"]
+    contents = [file.read_text() if file.exists() else None for file in files]
+    assert contents == ["new"] * renames + before[renames:]
 
 
-@posix
-@pytest.mark.parametrize("number", [1, 2])
-def test_frames_of_a_new_folder_are_renamed_by_the_next_run(number, tmp_path):
-    head, _, _ = KILL_AT_RENAME.partition("with together")
-    code = f"import sys; from pathlib import Path; from mimesh.io.atomic import *; p = Path(sys.argv[1])\n{head}"
-    code += "with whole_folder(p / 'f') as folder:\n    for name in 'abc': (folder / name).write_text('new')"
-    assert subprocess.run([sys.executable, "-c", code, str(tmp_path), str(number)]).returncode == -9
-    assert names(tmp_path / "f") == ["a", "b", "c"][:number]
-    write(tmp_path / "c.txt", "c")
-    assert names(tmp_path / "f") == ["a", "b", "c"]
-    assert names(tmp_path) == ["c.txt", "f"]
-
-
-@posix
-@pytest.mark.parametrize("change", ["replaced", "deleted", "made"])
-def test_renames_are_not_done_over_what_has_changed_since(change, tmp_path):
-    killed_at_rename(tmp_path, 1)
-    if change == "made":
-        (tmp_path / "b.txt").write_text("mine")
-    else:
-        (tmp_path / "f" / "0.txt").unlink()
-        if change == "replaced":
-            (tmp_path / "f" / "0.txt").write_text("mine")
-    before = contents(tmp_path)
-    write(tmp_path / "c.txt", "c")
-    assert contents(tmp_path) == before
-    assert not [name for name in names(tmp_path) if name.startswith(PREFIX)]
-
-
-@posix
-@pytest.mark.parametrize("target", ["../outside.txt", "{}/outside.txt"])
-def test_a_list_of_renames_reaches_nothing_outside_its_folder(target, tmp_path):
-    folder = tmp_path / "folder"
+def test_temporary_files_of_a_killed_run_go_a_day_later(tmp_path):
+    old, folder, young = (tmp_path / f"{PREFIX}{name}" for name in ("old.obj", "folder", "young.obj"))
     folder.mkdir()
-    target = target.format(tmp_path)
-    rows = []
-    for name in ("done", "left"):
-        path = folder / f"{PREFIX}{name}"
-        path.write_text(name)
-        facts = path.stat()
-        rows.append([path.name, target, [facts.st_dev, facts.st_ino, facts.st_mtime_ns, facts.st_size], None])
-    (folder / f"{PREFIX}done").rename(folder / "done.txt")
-    rows[0][1] = "done.txt"
-    listed = folder / f"{PREFIX}all-1{atomic.RENAMES}"
-    listed.write_text(json.dumps(rows))
-    write(folder / "c.txt", "c")
-    assert not (tmp_path / "outside.txt").exists()
-    assert names(folder) == ["c.txt", "done.txt"]
-
-
-@posix
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "[[",
-        "[]",
-        "[[1]]",
-        "{}",
-        "[3]",
-        '"text"',
-        "[[null, null, null, null]]",
-        '[["a", "b"]]',
-        '[["\\u0000", "b", 1, 2]]',
-    ],
-)
-def test_a_damaged_list_of_renames_is_deleted(text, tmp_path):
-    (tmp_path / f"{PREFIX}all-1{atomic.RENAMES}").write_text(text)
-    write(tmp_path / "c.txt", "c")
-    assert names(tmp_path) == ["c.txt"]
-
-
-@posix
-def test_a_killed_runs_folder_in_the_temporary_folder_goes_with_the_next_run(tmp_path, monkeypatch):
-    temporary = tmp_path / "temporary"
-    temporary.mkdir()
-    monkeypatch.setenv("TMPDIR", str(temporary))
-    killed_writer(tmp_path, "with scratch_folder() as f: (f / 'a').touch(); print(flush=True); time.sleep(100)")
-    assert len(names(temporary)) == 1
-    code = "import sys; from mimesh.io.atomic import *\nwith whole_file(sys.argv[1]) as t: t.write_text('c')"
-    subprocess.run([sys.executable, "-c", code, str(tmp_path / "c.txt")], check=True)
-    assert names(temporary) == []
+    for path in (old, folder / "0.obj", young):
+        path.write_text("")
+    for path in (old, folder):
+        os.utime(path, (0.0, time.time() - 2 * atomic.STALE_SECONDS))
+    (tmp_path / ".mimesh-notes").write_text("not ours")
+    write(tmp_path / "b.obj", "b")
+    assert names(tmp_path) == [".mimesh-notes", young.name, "b.obj"]
 
 
 def test_folders_that_a_killed_run_would_leave_for_good_are_not_made():
@@ -277,34 +168,6 @@ def test_folders_that_a_killed_run_would_leave_for_good_are_not_made():
         if any(maker in path.read_text(encoding="utf-8") for maker in makers)
     }
     assert found == {"studio/uploads.py"}
-
-
-@posix
-def test_temporary_files_of_a_running_run_stay(tmp_path):
-    with together():
-        with whole_file(tmp_path / "a.txt") as temporary:
-            # Some libraries write another file and rename it.
-            (tmp_path / "other").write_text("a")
-            os.replace(tmp_path / "other", temporary)
-        with whole_file(tmp_path / "b.txt") as second, whole_folder(tmp_path / "f") as folder:
-            (folder / "0").write_text("0")
-            before = names(tmp_path)
-            code = "import sys; from mimesh.io.atomic import *\nwith whole_file(sys.argv[1]) as t: t.write_text('c')"
-            subprocess.run([sys.executable, "-c", code, str(tmp_path / "c.txt")], check=True)
-            assert names(tmp_path) == sorted([*before, "c.txt"])
-            second.write_text("b")
-    assert names(tmp_path) == ["a.txt", "b.txt", "c.txt", "f"]
-
-
-def test_without_locks_only_old_files_go(tmp_path, monkeypatch):
-    monkeypatch.setattr(atomic, "has_locks", lambda: False)
-    monkeypatch.setattr(system, "has_locks", lambda: False)
-    old, young = tmp_path / f"{PREFIX}old.obj", tmp_path / f"{PREFIX}young.obj"
-    for path in (old, young):
-        path.write_text("")
-    os.utime(old, (0.0, time.time() - 2 * atomic.STALE_SECONDS))
-    write(tmp_path / "a.txt", "a")
-    assert names(tmp_path) == [young.name, "a.txt"]
 
 
 @pytest.mark.parametrize("there", [True, False])

@@ -1,4 +1,4 @@
-"""What differs between Linux, macOS and Windows: processes, locks, renaming, limits.
+"""What differs between Linux, macOS and Windows: processes, renaming, limits.
 
 Everything else in the package is the same on all three. Where a system lacks something, the function says so.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import stat
 import sys
 import time
 from pathlib import Path
@@ -61,45 +60,6 @@ def file_mode_mask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
-
-
-def open_to_lock(path: Path) -> int | None:
-    """Open a file or folder of this user for `lock`; None for others, for links, and where there are no locks."""
-    if not has_locks():
-        return None
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
-    except OSError:
-        return None
-    facts = os.fstat(descriptor)
-    if facts.st_uid == os.getuid() and (stat.S_ISREG(facts.st_mode) or stat.S_ISDIR(facts.st_mode)):
-        return descriptor
-    os.close(descriptor)
-    return None
-
-
-def has_locks() -> bool:
-    """Return whether the system has locks that end with their process and hinder no renaming; Windows has none."""
-    try:
-        import fcntl
-    except ImportError:
-        return False
-    return hasattr(fcntl, "flock")
-
-
-def lock(descriptor: int, wait: bool = False) -> bool:
-    """Lock an open file until it is closed, or until this process ends; False if another process has the lock.
-
-    Also False on file systems without locks: then nothing is known about other processes. With `wait` the other one is
-    waited for.
-    """
-    import fcntl
-
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except OSError:
-        return False
-    return True
 
 
 def has_ended(process: int) -> bool:

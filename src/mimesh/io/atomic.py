@@ -1,15 +1,14 @@
-"""Write files and folders atomically: to a temporary name beside the target, which is then renamed.
+"""Write files and folders to a temporary name beside the target, which is then renamed: outputs are whole or absent.
 
-`together` does so with all files of a command. Temporary files are locked while they are written: those of a run that
-was killed are not, and the next run that writes to their folder deletes them. A run that is killed between two renames
-has listed them: the next one does those that are left.
+`together` does so with all files of a command. A run that is killed leaves its temporary files; the next one that
+writes to their folder deletes those that are a day old.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import functools
-import json
 import os
 import secrets
 import shutil
@@ -22,59 +21,14 @@ from pathlib import Path
 
 from ..core.errors import InputError
 from ..core.output_size import check_output_size
-from ..core.system import file_mode_mask, has_locks, lock, open_to_lock, rename
+from ..core.system import file_mode_mask, rename
 
 PREFIX = ".mimesh-tmp-"
 """What names of temporary files and folders begin with; nothing else has such names."""
 STEM_LENGTH = 40
 """Characters of the target's name in a temporary name; file systems limit names to 255 bytes."""
-RENAMES = ".renames"
-"""Suffix of the temporary file that lists renames under way; no format has it."""
 STALE_SECONDS = 24 * 3600.0
-"""Age from which temporary files count as left over where the system has no locks."""
-
-
-@dataclass(eq=False)
-class _Temporary:
-    """A temporary file or folder, locked where the system has locks."""
-
-    path: Path
-    descriptor: int | None = None
-
-    @classmethod
-    def file(cls, folder: Path, stem: str, suffix: str) -> _Temporary:
-        """Make an empty one; again if another process, which takes it for a left over one, was faster to lock it."""
-        while True:
-            start = f"{PREFIX}{stem[:STEM_LENGTH]}-"
-            descriptor, name = tempfile.mkstemp(prefix=start, suffix=suffix, dir=folder)
-            os.close(descriptor)
-            temporary = cls(Path(name))
-            temporary.lock()
-            if temporary.path.exists():
-                return temporary
-            temporary.remove()
-
-    @classmethod
-    def folder(cls, parent: Path, stem: str) -> _Temporary:
-        """Return the name of a folder that is to be made."""
-        return cls(parent / f"{PREFIX}{stem[:STEM_LENGTH]}-{secrets.token_hex(8)}")
-
-    def lock(self) -> None:
-        """Lock what has the name now: some libraries replace the file that they write by another."""
-        self.unlock()
-        self.descriptor = open_to_lock(self.path)
-        if self.descriptor is not None:
-            lock(self.descriptor, wait=True)
-
-    def unlock(self) -> None:
-        if self.descriptor is not None:
-            os.close(self.descriptor)
-        self.descriptor = None
-
-    def remove(self) -> None:
-        """Delete it if it is still there."""
-        _delete(self.path)
-        self.unlock()
+"""Age from which temporary files count as left over: no run takes so long between two writes to one."""
 
 
 @dataclass(eq=False)
@@ -83,42 +37,8 @@ class _Outputs:
 
     files: dict[Path, Path] = field(default_factory=dict)
     """Target -> temporary file."""
-    temporaries: list[_Temporary] = field(default_factory=list)
-
-    def publish(self) -> None:
-        """Rename all files; if one cannot be renamed, put back what was there before.
-
-        Raises:
-            InputError: the first that cannot be renamed.
-        """
-        earlier: dict[Path, Path | None] = {}
-        made: list[Path] = []
-        renames: _Temporary | None = None
-        try:
-            for target in self.files:
-                if not target.parent.exists():
-                    made.append(target.parent)
-                with writing(target):
-                    target.parent.mkdir(parents=True, exist_ok=True)
-                    if (kept := _kept(target)) is not None or not target.exists():
-                        earlier[target] = kept
-            renames = _list_renames(self.files)
-            for target, temporary in self.files.items():
-                with writing(target):
-                    rename(temporary, target)
-        except BaseException:
-            if renames is not None:
-                renames.remove()  # a run that is killed from here on has nothing to be finished
-            _restore(earlier)
-            for folder in reversed(made):
-                with contextlib.suppress(OSError):
-                    folder.rmdir()
-            raise
-        finally:
-            if renames is not None:
-                renames.remove()
-            for path in filter(None, earlier.values()):
-                path.unlink(missing_ok=True)
+    temporaries: list[Path] = field(default_factory=list)
+    """What is deleted at the end, if it is still there."""
 
 
 _OUTPUTS: ContextVar[_Outputs | None] = ContextVar("outputs", default=None)
@@ -128,11 +48,11 @@ _OUTPUTS: ContextVar[_Outputs | None] = ContextVar("outputs", default=None)
 def together() -> Iterator[None]:
     """Let the files that the block writes appear at its end, all of them, or none if it fails.
 
-    A block inside another belongs to the outer one. Only a crash between two renames, of microseconds each, leaves a
-    part of them, until the next run that writes to their folder. `written` finds a file before the end.
+    A block inside another belongs to the outer one. `written` finds a file before the end.
 
     Raises:
-        InputError: a file cannot get its name.
+        InputError: a file cannot get its name. Where that is for another reason than a folder of this name, those
+            before it have theirs.
     """
     if _OUTPUTS.get() is not None:
         yield
@@ -141,11 +61,11 @@ def together() -> Iterator[None]:
     token = _OUTPUTS.set(outputs)
     try:
         yield
-        outputs.publish()
+        _rename(outputs.files)
     finally:
         _OUTPUTS.reset(token)
         for temporary in outputs.temporaries:
-            temporary.remove()
+            _delete(temporary)
 
 
 def written(path: str | Path) -> Path:
@@ -167,15 +87,16 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     target = _target(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     _remove_left_over(target.parent)
-    _remove_left_over(None)
-    temporary = _Temporary.file(target.parent, path.stem, path.suffix)
+    descriptor, name = tempfile.mkstemp(path.suffix, f"{PREFIX}{path.stem[:STEM_LENGTH]}-", target.parent)
+    os.close(descriptor)
+    temporary = Path(name)
     try:
-        yield temporary.path
-        check_output_size(temporary.path.stat().st_size, path, "write less of it", estimated=False)
-        temporary.path.chmod(0o666 & ~file_mode_mask())  # mkstemp makes files that only their owner can read
-        _finish({target: temporary.path}, temporary)
+        yield temporary
+        check_output_size(temporary.stat().st_size, path, "write less of it", estimated=False)
+        temporary.chmod(0o666 & ~file_mode_mask())  # mkstemp makes files that only their owner can read
+        _finish({target: temporary}, temporary)
     except BaseException:
-        temporary.remove()
+        _delete(temporary)
         raise
 
 
@@ -189,15 +110,13 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     parent = path if path.is_dir() else path.parent
     _remove_left_over(parent)
-    temporary = _Temporary.folder(parent, path.name)
+    temporary = _folder_name(parent, path.name)
     try:  # from before the folder exists: a signal may come as soon as it does
-        temporary.path.mkdir(mode=0o700)
-        temporary.lock()
-        yield temporary.path
-        files = {_target(path / file.name): file for file in sorted(temporary.path.iterdir())}
-        _finish(files, temporary)
+        temporary.mkdir(mode=0o700)
+        yield temporary
+        _finish({_target(path / file.name): file for file in sorted(temporary.iterdir())}, temporary)
     except BaseException:
-        temporary.remove()
+        _delete(temporary)
         raise
 
 
@@ -206,13 +125,12 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
     """Yield a folder in `parent`, by default the system's for temporary files, that is deleted after the block."""
     parent = parent or temporary_folder()
     _remove_left_over(parent)
-    temporary = _Temporary.folder(parent, "work")
+    temporary = _folder_name(parent, "work")
     try:
-        temporary.path.mkdir(mode=0o700)
-        temporary.lock()
-        yield temporary.path
+        temporary.mkdir(mode=0o700)
+        yield temporary
     finally:
-        temporary.remove()
+        _delete(temporary)
 
 
 def temporary_folder() -> Path:
@@ -239,6 +157,10 @@ def writing(path: Path) -> Iterator[None]:
         ) from error
 
 
+def _folder_name(parent: Path, stem: str) -> Path:
+    return parent / f"{PREFIX}{stem[:STEM_LENGTH]}-{secrets.token_hex(8)}"
+
+
 def _target(path: Path) -> Path:
     """Return the file that a path stands for: itself, or what a symbolic link points to, be it there or not."""
     target = Path(os.path.realpath(path)) if path.is_symlink() else path
@@ -247,142 +169,42 @@ def _target(path: Path) -> Path:
     return target
 
 
-def _finish(files: dict[Path, Path], temporary: _Temporary) -> None:
+def _finish(files: dict[Path, Path], temporary: Path) -> None:
     """Rename finished files, or leave that to the surrounding `together`.
 
     What is written inside a temporary folder gets its name at once, because it is read there.
     """
     outputs = _OUTPUTS.get()
     if outputs is None or any(part.startswith(PREFIX) for target in files for part in target.parent.parts):
-        if len(files) == 1:
-            [(target, path)] = files.items()
-            target.parent.mkdir(exist_ok=True)
-            rename(path, target)
-        else:
-            _Outputs(files).publish()
-        temporary.remove()
+        _rename(files)
+        _delete(temporary)
         return
-    temporary.lock()
     outputs.files |= files
     outputs.temporaries.append(temporary)
 
 
-def _kept(target: Path) -> Path | None:
-    """Give what has a name now a second one, and return it; None if there is nothing, or no second name is possible."""
-    second = target.with_name(f"{PREFIX}{secrets.token_hex(8)}")
-    try:
-        os.link(target, second)
-    except OSError:
-        return None
-    return second
-
-
-def _restore(earlier: dict[Path, Path | None]) -> None:
-    """Give files their former contents; None is a file that was not there."""
-    for target, kept in reversed(earlier.items()):
-        with contextlib.suppress(OSError):
-            if kept is None:
-                target.unlink(missing_ok=True)
-            else:
-                rename(kept, target)
-
-
-def _list_renames(files: dict[Path, Path]) -> _Temporary | None:
-    """List renames in a locked file, each with the facts that identify both files; None where it would be of no use.
-
-    It lies in the folder that holds all files, if one of them or a temporary folder lies directly in it: only there the
-    next run looks.
-    """
-    if len(files) < 2:
-        return None
-    targets = [target.absolute() for target in files]
-    places = {target.parent for target in targets} | {_place(temporary.absolute()) for temporary in files.values()}
-    try:
-        folder = Path(os.path.commonpath(places))
-    except ValueError:  # several drives
-        return None
-    if folder not in places:
-        return None
-    rows = [
-        (os.path.relpath(temporary, folder), os.path.relpath(target, folder), _identity(temporary), _identity(target))
-        for target, temporary in zip(targets, files.values(), strict=True)
-    ]
-    try:
-        listed = _Temporary.file(folder, "all", RENAMES)
-    except OSError:  # the renames themselves will tell
-        return None
-    with contextlib.suppress(OSError):  # a list that is cut off is none
-        listed.path.write_text(json.dumps(rows), encoding="utf-8", newline="\n")
-    return listed
-
-
-def _place(temporary: Path) -> Path:
-    """Return the folder in which a temporary file lies, or the temporary folder that holds it."""
-    inside = [path for path in temporary.parents if path.name.startswith(PREFIX)]
-    return inside[-1].parent if inside else temporary.parent
-
-
-def _finish_renames(listed: Path) -> None:
-    """Do the renames that a killed run has left, if it did some and no file has changed since."""
-    folder = listed.parent
-    try:
-        rows = [(Path(name), Path(target), *files) for name, target, *files in json.loads(listed.read_bytes())]
-    except (OSError, ValueError, TypeError):  # killed before the list was whole, and so before the first rename
-        return
-    if any(path.is_absolute() or ".." in path.parts for row in rows for path in row[:2]):
-        return
-    left = [row for row in rows if _identity(folder / row[1]) != row[2]]
-    unchanged = all([_identity(folder / row[0]), _identity(folder / row[1])] == [*row[2:]] for row in left)
-    if unchanged and len(left) < len(rows):
-        for temporary, target, *_ in left:
-            rename(folder / temporary, folder / target)
-
-
-def _identity(path: Path) -> list[int] | None:
-    """Return what identifies a file and its contents, and stays when it is renamed; None if there is none."""
-    try:
-        facts = path.stat()
-    except OSError:
-        return None
-    return [facts.st_dev, facts.st_ino, facts.st_mtime_ns, facts.st_size]
+def _rename(files: dict[Path, Path]) -> None:
+    """Give all files their names, one after another; none if one of the names is a folder's."""
+    for target in files:
+        with writing(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if target.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    for target, temporary in files.items():
+        with writing(target):
+            rename(temporary, target)
 
 
 @functools.cache
-def _remove_left_over(folder: Path | None) -> None:
-    """Delete temporary files and folders of killed runs, once for each folder that this process writes to.
-
-    Before, renames that a run has left are done. None is the system's folder for temporary files.
-    """
+def _remove_left_over(folder: Path) -> None:
+    """Delete temporary files and folders of killed runs, once for each folder that this process writes to."""
     with contextlib.suppress(OSError):  # a folder that cannot be listed; the write itself will tell
-        for entry in sorted(
-            os.scandir(folder or temporary_folder()), key=lambda entry: not entry.name.endswith(RENAMES)
-        ):
-            if entry.name.startswith(PREFIX) and not entry.is_symlink():
-                _remove_if_left_over(Path(entry.path))
-
-
-def _remove_if_left_over(path: Path) -> None:
-    if not has_locks():
-        with contextlib.suppress(OSError):  # Windows deletes no file that is open
-            if time.time() - path.stat().st_mtime > STALE_SECONDS:
-                _remove_left(path)
-        return
-    descriptor = open_to_lock(path)
-    if descriptor is None:
-        return
-    try:
-        # Renames under way are waited for: they take microseconds.
-        if lock(descriptor, wait=path.suffix == RENAMES):
-            _remove_left(path)
-    finally:
-        os.close(descriptor)
-
-
-def _remove_left(path: Path) -> None:
-    if path.suffix == RENAMES:
-        with contextlib.suppress(OSError, ValueError, IndexError):
-            _finish_renames(path)
-    _delete(path)
+        for entry in os.scandir(folder):
+            if (
+                entry.name.startswith(PREFIX)
+                and time.time() - entry.stat(follow_symlinks=False).st_mtime > STALE_SECONDS
+            ):
+                _delete(Path(entry.path))
 
 
 def _delete(path: Path) -> None:
