@@ -12,7 +12,7 @@ TYPED := --jaxtyping-packages=mimesh,beartype.beartype
 BLENDER_PYTHON ?= python3.11
 BPY := .clients/bpy/bin/python
 AXE := .clients/axe/node_modules/axe-core/axe.min.js
-CODE := src tests scripts benchmarks blender docs examples
+CODE := src tests scripts research benchmarks blender docs examples
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 
 .PHONY: demo test test-all lint check smoke bench setup blender web gallery clients docs release clean axe

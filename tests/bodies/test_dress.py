@@ -258,7 +258,7 @@ def test_damaged_test_garments_are_refused(key, value, tmp_path):
     write_test_garments(tmp_path)
     array = np.load(tmp_path / TEST_FILE)[f"bob_{key}"]
     write_test_garments(tmp_path, **{f"bob_{key}": value(array)})
-    message = rf"{TEST_FILE}: expected .* found .*; build it with scripts/build_test_dress\.py"
+    message = rf"{TEST_FILE}: expected .* found .*; build it with research/recipes/build_test_dress\.py"
     with pytest.raises(InputError, match=message):
         load_garment("bob", tmp_path)
 

@@ -9,7 +9,7 @@ import numpy as np
 from mimesh.bodies.dress import TEST_FILE, TEST_GARMENTS
 
 REAL_FOLDER = os.environ.get("MIMESH_GARMENTS")
-"""Folder of the file that scripts/build_test_dress.py built; unset, tests of the real garments are skipped."""
+"""Folder of the file that research/recipes/build_test_dress.py built; unset, tests of the real garments are skipped."""
 STAND_INS = ("tights", "tights", "skirt", "hair", "hair")
 """Shipped garments in place of TEST_GARMENTS."""
 

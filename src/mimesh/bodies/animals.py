@@ -21,8 +21,8 @@ class Animal:
     """Definition of an animal."""
 
     shape: tuple[float, ...]
-    """First shape coefficients of the quadruped, as `scripts/build_quadruped.py --shapes` prints them: the surface is
-    within 4 mm of that species' on average, 33 mm at most."""
+    """First shape coefficients of the quadruped, as `research/recipes/build_quadruped.py --shapes` prints them: the
+    surface is within 4 mm of that species' on average, 33 mm at most."""
     size: float
     """Factor on all lengths of the quadruped, which has one size for all species."""
     skin: Colour

@@ -34,7 +34,7 @@ CORNERS = np.arange(6).reshape(2, 3)
 STEP = 1e-4
 """Step of the numerical derivative (radians)."""
 BANK = Path(str(resources.files("mimesh.bodies"))) / "contacts.npz"
-"""People with self-contacts, for training; made by `scripts/build_contacts.py`."""
+"""People with self-contacts, for training; made by `research/recipes/build_contacts.py`."""
 
 
 @dataclass(frozen=True)

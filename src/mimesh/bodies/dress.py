@@ -1,9 +1,9 @@
 """Garments of the shipped human, with its shape coefficients and joints: their exact result of a transfer is known.
 
-GARMENTS are shipped, and networks are trained with them; `scripts/build_dress.py` builds them from MakeHuman's helper
-meshes, and each is one open surface. TEST_GARMENTS are worn by tests only and read from a folder;
-`scripts/build_test_dress.py` builds them from MakeHuman's clothes. Cloth is not simulated, so a skirt stretches between
-spread legs.
+GARMENTS are shipped, and networks are trained with them; `research/recipes/build_dress.py` builds them from MakeHuman's
+helper meshes, and each is one open surface. TEST_GARMENTS are worn by tests only and read from a folder;
+`research/recipes/build_test_dress.py` builds them from MakeHuman's clothes. Cloth is not simulated, so a skirt
+stretches between spread legs.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TEST_FILE = "test_dress.npz"
 """Name of the file of the test garments."""
 MAX_BYTES = 64 << 20
 """Largest unpacked size of the file of test garments (bytes). The one that the script builds has 0.7 MB."""
-REBUILD = "build it with scripts/build_test_dress.py"
+REBUILD = "build it with research/recipes/build_test_dress.py"
 """Advice for a file of test garments that cannot be used."""
 ARRAYS = {
     "vertices": ("f", 2),

@@ -1,7 +1,8 @@
 """Finger joints of the shipped body: fifteen a hand, with weights and the axes that fingers bend about.
 
-They come from the same source as the body (`scripts/build_hands.py`) and divide the weight that the body's hand joints
-have. Joints are called as by Mixamo: LeftHandThumb1 to LeftHandPinky3, the first of each finger below the hand.
+They come from the same source as the body (`research/recipes/build_hands.py`) and divide the weight that the body's
+hand joints have. Joints are called as by Mixamo: LeftHandThumb1 to LeftHandPinky3, the first of each finger below the
+hand.
 """
 
 from __future__ import annotations

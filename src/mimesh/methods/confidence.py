@@ -44,12 +44,12 @@ EXPECTED_ERROR = {
     "incomplete": 1.7338,
 }
 """Logarithm of what a mesh adds to the mean error of a result (heights of the identity): constant, and coefficients of
-`Confidence.features`. Fitted by `scripts/fit_confidence.py` (docs/LOG.md, "Confidence")."""
+`Confidence.features`. Fitted by `research/fit_confidence.py` (docs/LOG.md, "Confidence")."""
 MAX_ERROR = 0.0165
 """Largest expected error of a mesh without a note: about 2 % of good results have one (docs/LOG.md, "Confidence")."""
 OTHER_KIND = {"constant": -8.3, "entropy": 3.64, "fit_distance": 3.07}
 """Logarithm of the odds that a mesh shows something else than the body that was fitted to it, where both are as likely
-beforehand: constant, and coefficients of `Confidence.features`. Fitted by `scripts/measure_wrong_kind.py`, which also
+beforehand: constant, and coefficients of `Confidence.features`. Fitted by `research/measure_wrong_kind.py`, which also
 compares other figures. The spread of the predictions is not among them: those of figures of blocks face both ways."""
 MAX_OTHER_KIND = 1.1
 """Largest of these of a person or an animal. Of 46 meshes of people of the pool's split val one is above it: a figure

@@ -1,7 +1,7 @@
 """The shipped motions: two takes of the CMU motion capture database on the skeleton of the shipped body.
 
 Also defines named segments of the takes, and which parts of them are training, validation and test data. Built by
-`scripts/build_motions.py`.
+`research/recipes/build_motions.py`.
 """
 
 from __future__ import annotations

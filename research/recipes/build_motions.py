@@ -3,7 +3,7 @@
 The files come with the Debian package `assimp-testmodels` (folder BVH). The data used in this project was obtained from
 mocap.cs.cmu.edu; the database was created with funding from NSF EIA-0196217.
 
-    python scripts/build_motions.py FOLDER_WITH_BVH [-o src/mimesh/motions/cmu.npz]
+    python research/recipes/build_motions.py FOLDER_WITH_BVH [-o src/mimesh/motions/cmu.npz]
 """
 
 from __future__ import annotations

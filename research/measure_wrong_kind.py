@@ -1,7 +1,7 @@
 """Measure how well a fit tells people and four-legged animals from other creatures and things, given without rigs.
 
-    python scripts/measure_wrong_kind.py collect rows.jsonl POOL [--axes none]
-    python scripts/measure_wrong_kind.py fit rows.jsonl [-o benchmarks/wrong_kind.json]
+    python research/measure_wrong_kind.py collect rows.jsonl POOL [--axes none]
+    python research/measure_wrong_kind.py fit rows.jsonl [-o benchmarks/wrong_kind.json]
 
 `collect` shows the pool's characters and the things of `wrong_kind_meshes.py` to `mime`, and appends a line of figures
 for each; it goes on where it was stopped. Characters are those of the splits train and val, at rest and in a frame of a

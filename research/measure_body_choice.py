@@ -1,6 +1,6 @@
 """Measure how often `mime` takes people for people and four-legged animals for animals by their shapes alone.
 
-    python scripts/measure_body_choice.py POOL [--split val] [-o benchmarks/body_choice.json]
+    python research/measure_body_choice.py POOL [--split val] [-o benchmarks/body_choice.json]
 
 Every character of a pool's split is shown at rest and in one frame of each of its clips (at most FRAMES), without its
 rig: with y up, as files of most formats say, and with no axes at all.

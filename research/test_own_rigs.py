@@ -7,9 +7,9 @@ import shutil
 import gltf_samples as samples
 import numpy as np
 import pytest
+from own_rigs import is_compressed, lost_content, playback_error
 
 from mimesh.cli import run
-from mimesh.evaluate.own_rigs import is_compressed, lost_content, playback_error
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The features that scripts/fit_orientation.py trains and measures on: upright figures that face +z."""
+"""The features that research/recipes/fit_orientation.py trains and measures on: upright figures that face +z."""
 
 import sys
 from pathlib import Path
@@ -11,7 +11,7 @@ from mimesh.bodies import load_body
 from mimesh.bodies.character_pool import read_pool
 from mimesh.core import normalization
 
-sys.path.append(str(Path(__file__).resolve().parents[2] / "scripts"))
+sys.path.append(str(Path(__file__).resolve().parent / "recipes"))
 
 import fit_orientation
 

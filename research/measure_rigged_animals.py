@@ -1,6 +1,6 @@
 """Measure `mime` on the pairs of `animals` with the rigs of both known: how far its pose is from the truth by names.
 
-    python scripts/measure_rigged_animals.py FOLDER [--split val] [-o benchmarks/rigged_animals.json]
+    python research/measure_rigged_animals.py FOLDER [--split val] [-o benchmarks/rigged_animals.json]
 
 FOLDER is a pool of rigged characters, or has rigged files of animals that share the names of their joints. The truth
 copies the rotations of the maker's bones; `mime` gives the identity the directions of the driving's limbs, as its

@@ -1,6 +1,6 @@
 """Build src/mimesh/bodies/contacts.npz: people with self-contacts for the training of mime. About ten minutes.
 
-    python scripts/build_contacts.py [--count N]
+    python research/recipes/build_contacts.py [--count N]
 
 Person i is a function of i alone.
 """

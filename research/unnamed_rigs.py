@@ -7,16 +7,17 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from ..bodies.character_pool import PoolCharacter
-from ..bodies.joint_names import without_fingers
-from ..core.errors import InputError
-from ..io import load_mesh
-from ..io.gltf.character_write import write_character
-from ..io.gltf.own_rig import read_own_rig
-from ..methods import find_method
-from ..methods.base import RigMethod
-from ..pipeline.matched_rigs import joint_finder
-from .retargets import FPS
+from retargets import FPS
+
+from mimesh.bodies.character_pool import PoolCharacter
+from mimesh.bodies.joint_names import without_fingers
+from mimesh.core.errors import InputError
+from mimesh.io import load_mesh
+from mimesh.io.gltf.character_write import write_character
+from mimesh.io.gltf.own_rig import read_own_rig
+from mimesh.methods import find_method
+from mimesh.methods.base import RigMethod
+from mimesh.pipeline.matched_rigs import joint_finder
 
 LIMBS = ("Arm", "Leg", "Hand", "Foot")
 """Parts of the names of limb joints."""

@@ -1,6 +1,6 @@
 """Measure which creatures of a pool move each other, and whether each gets its own clips back from a renamed copy.
 
-    python scripts/measure_creatures.py POOL [-o benchmarks/creatures.json] [--files FOLDER]
+    python research/measure_creatures.py POOL [-o benchmarks/creatures.json] [--files FOLDER]
 
 All ordered pairs of rigs of the class `other` are matched: how sure the match is; below `SURE` a pair is refused. Then
 the clips of each creature are given to it from a copy whose joints have no names and another order; the error is the

@@ -1,6 +1,6 @@
 """Measure the clips of shipped animals in gaits, and whether tails that hang between the hind legs keep their weights.
 
-    python scripts/measure_animal_clips.py [-o benchmarks/animal_clips.json]
+    python research/measure_animal_clips.py [-o benchmarks/animal_clips.json]
 
 Gaits: for which share of the time no foot is on the ground (lower than AIR of the height), how fast feet slide that
 should stand, in heights and in paths of the animal, how high these are, and by how many degrees the path leaves the

@@ -1,4 +1,4 @@
-"""Check the axes of limbs by which characters are measured: python scripts/check_calibration.py POOL
+"""Check the axes of limbs by which characters are measured: python research/check_calibration.py POOL
 
 Prints, for each pack of the splits train and val of a pool, the median and the 90th percentile of the angles of
 `calibration_report` over its characters, and how far two shapes of the shipped body in one pose differ: the resolution

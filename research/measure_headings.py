@@ -1,6 +1,6 @@
 """Measure how far a result moves when the identity or the driving is turned about the vertical.
 
-    python scripts/measure_headings.py POOL [--split val] [--pairs 40] [--body human] [-o benchmarks/headings.json]
+    python research/measure_headings.py POOL [--split val] [--pairs 40] [--body human] [-o benchmarks/headings.json]
 
 Pairs of rigged characters of a pool: one at rest as the identity, another in a frame of its clips as the driving, both
 without their rigs, with known up. Each is turned by every angle of ANGLES; the result is turned back by it (of the

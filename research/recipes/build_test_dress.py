@@ -8,7 +8,7 @@ reads it. This script
 2. poses people and clothes together in the T-pose, and simplifies the clothes,
 3. computes shape components and skinning weights, and moves cloth out of the skin, with the functions of `build_dress`.
 
-    python scripts/build_test_dress.py CLOTHES -o FOLDER/test_dress.npz [--people 2000] [--seed 0]
+    python research/recipes/build_test_dress.py CLOTHES -o FOLDER/test_dress.npz [--people 2000] [--seed 0]
 """
 
 from __future__ import annotations

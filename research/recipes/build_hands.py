@@ -7,7 +7,7 @@ with three joints a finger. This script
 3. takes the share of each finger joint in the weight that the hand's joints of the body have at each vertex,
 4. computes the axes that fingers bend and spread about, from the mean joints.
 
-    python scripts/build_hands.py [-o src/mimesh/bodies/hands.npz] [--people 300] [--seed 0]
+    python research/recipes/build_hands.py [-o src/mimesh/bodies/hands.npz] [--people 300] [--seed 0]
 """
 
 from __future__ import annotations

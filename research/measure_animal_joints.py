@@ -1,6 +1,6 @@
 """Measure how corrected joints mend what `mime` misreads on four-legged animals of other makers, given without rigs.
 
-    python scripts/measure_animal_joints.py FOLDER [--identity Death] [--driving Walk] [-o FILE]
+    python research/measure_animal_joints.py FOLDER [--identity Death] [--driving Walk] [-o FILE]
 
 FOLDER has rigged files (.glb, .gltf) with several animations. The identity is the mesh of an animal, without its rig,
 in the middle of an animation in which animals are misread (they fall over). It is driven by the same animal, without

@@ -1,13 +1,13 @@
-"""Train the shipped detector of up and front axes: python scripts/fit_orientation.py
+"""Train the shipped detector of up and front axes: python research/recipes/fit_orientation.py
 
 A two-layer network scores the occupancy grid of a person in each of the 24 axis rotations; the loss is the 24-way
 cross-entropy of the correct one. People are random variants of the shipped body; with --characters half of the
 training are figures: the characters of a pool (split train) and people of primitives, with random proportions and
 props. The shipped detector combines one of people only and one of both, six minutes each on one core:
 
-    python scripts/fit_orientation.py --hidden 64 --people 60000 --steps 16000 -o people.npz
-    python scripts/fit_orientation.py --characters DIR -o both.npz
-    python scripts/fit_orientation.py --combine people.npz both.npz --characters DIR
+    python research/recipes/fit_orientation.py --hidden 64 --people 60000 --steps 16000 -o people.npz
+    python research/recipes/fit_orientation.py --characters DIR -o both.npz
+    python research/recipes/fit_orientation.py --combine people.npz both.npz --characters DIR
 
 `--measure` prints how often a detector is right on held-out people and characters, `--check MESH...` what the shipped
 one finds in files.

@@ -7,8 +7,8 @@ The error of a pair is modelled as the sum of the contributions of its two meshe
 features). Coefficients are found by least squares on the logarithm of the sum. A forest of regression trees on all
 figures of both meshes was no better (docs/LOG.md, "Confidence").
 
-    python scripts/fit_confidence.py collect pairs.json --characters POOL --people FOLDER
-    python scripts/fit_confidence.py fit pairs.json
+    python research/fit_confidence.py collect pairs.json --characters POOL --people FOLDER
+    python research/fit_confidence.py fit pairs.json
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Measure retargeting on characters' own rigs: every chosen character with clips of other makers.
 
-    python scripts/measure_rigs.py POOL --motions FILE ... [-o docs/rigs.json] [--characters 40] [--clips 20]
-    python scripts/measure_rigs.py --own FILE ... [-o docs/rigs.json]
-    python scripts/measure_rigs.py POOL --unnamed [-o docs/rigs.json]
+    python research/measure_rigs.py POOL --motions FILE ... [-o docs/rigs.json] [--characters 40] [--clips 20]
+    python research/measure_rigs.py --own FILE ... [-o docs/rigs.json]
+    python research/measure_rigs.py POOL --unnamed [-o docs/rigs.json]
 
 The second form plays the own clips of files through `mimesh animate` and compares the written files with them: the
 motion, and all else that was in the files (`evaluate/own_rigs.py`). The third hides the names of the joints of all
@@ -22,14 +22,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from mimesh.bodies.character_pool import PoolCharacter, read_pool
-from mimesh.cli import run
-from mimesh.commands.terminal import progress
-from mimesh.core.mesh import cut_clip
-from mimesh.evaluate.limb_calibration import LimbedCharacter
-from mimesh.evaluate.own_rigs import is_compressed, lost_content, playback_error
-from mimesh.evaluate.provenance import commit, libraries, machine
-from mimesh.evaluate.retargets import (
+from own_rigs import is_compressed, lost_content, playback_error
+from retargets import (
     METRICS,
     Actor,
     choose_characters,
@@ -41,7 +35,14 @@ from mimesh.evaluate.retargets import (
     summary,
     write_pool,
 )
-from mimesh.evaluate.unnamed_rigs import match_character, summarise_matches
+from unnamed_rigs import match_character, summarise_matches
+
+from mimesh.bodies.character_pool import PoolCharacter, read_pool
+from mimesh.cli import run
+from mimesh.commands.terminal import progress
+from mimesh.core.mesh import cut_clip
+from mimesh.evaluate.limb_calibration import LimbedCharacter
+from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import load_mesh
 from mimesh.io.atomic import whole_file
 from mimesh.io.gltf.animation import animated_nodes, animation_names

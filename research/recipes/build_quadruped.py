@@ -7,8 +7,8 @@ The package has a skinned dog: 16,952 vertices after welding, one closed surface
 3. computes the principal components of the vertices, with joints by linear regression.
 
     pip download --no-deps dm_control==1.0.50
-    python scripts/build_quadruped.py dm_control-1.0.50-py3-none-any.whl [-o src/mimesh/bodies/quadruped.npz]
-    python scripts/build_quadruped.py dm_control-1.0.50-py3-none-any.whl --shapes horse lion camel
+    python research/recipes/build_quadruped.py dm_control-1.0.50-py3-none-any.whl [-o src/mimesh/bodies/quadruped.npz]
+    python research/recipes/build_quadruped.py dm_control-1.0.50-py3-none-any.whl --shapes horse lion camel
 """
 
 from __future__ import annotations

@@ -15,22 +15,22 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies import load_body
-from ..bodies.character_limbs import find_limbs, name_limb_joints
-from ..bodies.character_pool import PoolCharacter, facing_rotation
-from ..bodies.skinned_character import SkinnedCharacter
-from ..core.mesh import Clip, Mesh
-from ..io import load_clip
-from ..io.gltf.character_write import write_character
-from ..io.gltf.own_rig import GltfJoints, read_own_rig
-from ..methods.find import find_method
-from ..pipeline import animate
-from ..pipeline.play import play
-from ..pipeline.prepared import MotionOptions, prepare
-from ..pipeline.result import ClipResult, Timer
-from ..pipeline.rigs import Rigs
-from .limb_calibration import LimbedCharacter
-from .limb_metrics import PosedLimbs, limb_angles, limb_metrics
+from mimesh.bodies import load_body
+from mimesh.bodies.character_limbs import find_limbs, name_limb_joints
+from mimesh.bodies.character_pool import PoolCharacter, facing_rotation
+from mimesh.bodies.skinned_character import SkinnedCharacter
+from mimesh.core.mesh import Clip, Mesh
+from mimesh.evaluate.limb_calibration import LimbedCharacter
+from mimesh.evaluate.limb_metrics import PosedLimbs, limb_angles, limb_metrics
+from mimesh.io import load_clip
+from mimesh.io.gltf.character_write import write_character
+from mimesh.io.gltf.own_rig import GltfJoints, read_own_rig
+from mimesh.methods.find import find_method
+from mimesh.pipeline import animate
+from mimesh.pipeline.play import play
+from mimesh.pipeline.prepared import MotionOptions, prepare
+from mimesh.pipeline.result import ClipResult, Timer
+from mimesh.pipeline.rigs import Rigs
 
 FPS = 30.0
 """Frame rate of the pool's clips."""

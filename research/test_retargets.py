@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from retargets import Actor, body_limbs, measure
 
 from mimesh.bodies import load_body
 from mimesh.core.mesh import Clip
-from mimesh.evaluate.retargets import Actor, body_limbs, measure
 from mimesh.pipeline.result import ClipResult, Timer
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "measure_rigs.py"
+SCRIPT = Path(__file__).with_name("measure_rigs.py")
 
 
 def still(frames: int) -> Clip:

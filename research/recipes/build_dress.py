@@ -7,7 +7,7 @@ their own blend shapes and skinning weights. This script
 3. gives cloth on the skin the skinning weights of the skin, and smooths the weights of cloth away from it,
 4. moves cloth outward that would be under the skin of random people at rest or in a pose.
 
-    python scripts/build_dress.py [-o src/mimesh/bodies/dress.npz] [--people 2000] [--seed 0]
+    python research/recipes/build_dress.py [-o src/mimesh/bodies/dress.npz] [--people 2000] [--seed 0]
 """
 
 from __future__ import annotations

@@ -17,10 +17,10 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from ..core.mesh import Clip
-from ..io import load_clip, load_mesh
-from ..io.gltf.check import COMPRESSION_EXTENSIONS
-from ..io.gltf.document import open_document
+from mimesh.core.mesh import Clip
+from mimesh.io import load_clip, load_mesh
+from mimesh.io.gltf.check import COMPRESSION_EXTENSIONS
+from mimesh.io.gltf.document import open_document
 
 SAME_MATRIX = 1e-6
 """Largest difference, over the largest entry, of a node's matrix from the translation, rotation and scale in place of

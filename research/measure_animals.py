@@ -1,6 +1,6 @@
 """Measure whether `mime` finds the limbs of four-legged animals of other makers, given without rigs and options.
 
-    python scripts/measure_animals.py FOLDER [--splits train,val] [--frames 2] [-o benchmarks/animals.json]
+    python research/measure_animals.py FOLDER [--splits train,val] [--frames 2] [-o benchmarks/animals.json]
 
 Each animal of a pool or a folder of rigged files is the identity at rest and in frames of its clips, with y up as files
 of most formats say, and with no axes at all. The driving mesh is the shipped quadruped. The limbs found are compared
