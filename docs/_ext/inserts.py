@@ -397,21 +397,6 @@ def batch_plan() -> str:
     return markdown_table(["a million clips a day", ""], rows)
 
 
-def fuzz() -> str:
-    """Return the table of damaged files that were read by each reader, from benchmarks/fuzz.json."""
-    report = json.loads((DOCS.parent / "benchmarks" / "fuzz.json").read_text())
-    rows, measured = [], {}
-    for part, where in (("readers", ""), ("guarded", ", in the guarded process")):
-        for reader, figures in report[part].items():
-            measured[f"{figures['commit']}, {figures['machine']}"] = None
-            refused = figures["refused"] + figures["refused_by_guard"]
-            counts = [figures["cases"], figures["accepted"], refused, figures["worker_deaths"], figures["failures"]]
-            longest = f"{figures['longest_case_seconds']:.2f}"
-            rows.append([f"{reader}{where}", *(f"{count:,}" for count in counts), longest, f"{figures['grown_mib']:,}"])
-    head = ["reader", "files", "read", "refused", "worker died", "failures", "longest, s", "memory, MiB"]
-    return f"{markdown_table(head, rows)}\n\nMeasured at commit {' and '.join(measured)}."
-
-
 def _batch_report() -> dict:
     return json.loads((DOCS.parent / "benchmarks" / "batch.json").read_text())
 
@@ -426,7 +411,6 @@ def _memory(figures: dict[str, float]) -> str:
 
 INSERTS = {
     "batch": batch_figures,
-    "fuzz": fuzz,
     "plan": batch_plan,
     "large": large,
     "live": live,

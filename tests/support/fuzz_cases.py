@@ -12,14 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from fuzz_seeds import Seed
-from fuzz_targets import GuardRefusalError, Target, case_of, problem_of, shape_of, unclear
+from fuzz_targets import Target, case_of, problem_of, shape_of, unclear
 
 from mimesh.core.errors import InputError
 
 SECONDS = 10.0
 """Processor time that a case may take."""
-MEMORY = 2 << 30
-"""Bytes of address space that a case may take."""
 PACKAGE = str(Path("src", "mimesh"))
 
 
@@ -28,7 +26,7 @@ class Outcome:
     """What came of one case."""
 
     kind: str
-    """accepted, refused, contained (an exception of a native library, of which the guard makes a refusal), failed."""
+    """accepted, refused, failed."""
     text: str = ""
     """The refusal without its numbers, or what went wrong."""
     seconds: float = 0.0
@@ -43,13 +41,9 @@ def run_case(read: Any, path: Path) -> Outcome:
             warnings.simplefilter("always")
             result = read(path)
             kind, text = "accepted", problem_of(result)
-    except GuardRefusalError as error:
-        kind, text = "contained", shape_of(str(error))
     except InputError as error:
         kind, text = "refused", shape_of(str(error))
-        if _caused_by_memory(error):
-            kind, text = "failed", f"more than {MEMORY >> 20} MiB, refused"
-        elif unclear(str(error), path):
+        if unclear(str(error), path):
             kind, text = "failed", f"an unclear refusal: {str(error)[:300]!r}"
     except Exception as error:
         kind, text = "failed", f"{type(error).__name__} at {_place(error)}: {str(error)[:200]}"
@@ -62,14 +56,6 @@ def run_case(read: Any, path: Path) -> Outcome:
     if kind != "failed" and seconds > SECONDS:
         kind, text = "failed", f"{seconds:.0f} s of processor time"
     return Outcome(kind, text or "", seconds)
-
-
-def _caused_by_memory(error: BaseException | None) -> bool:
-    while error is not None:
-        if isinstance(error, MemoryError):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
 
 
 def _place(error: BaseException) -> str:

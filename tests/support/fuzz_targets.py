@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import importlib.util
 import re
 import tempfile
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache, partial
-from importlib import import_module
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -21,7 +18,6 @@ import numpy as np
 from fuzz_mutations import Mutation
 from fuzz_seeds import Seed
 
-from mimesh.core.errors import InputError
 from mimesh.core.joint_corrections import JointCorrections
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import list_animations, load_clip, load_mesh, load_recorded_clip
@@ -119,47 +115,6 @@ def unclear(message: str, path: Path) -> bool:
 def shape_of(message: str) -> str:
     """Return a refusal without its numbers, quoted words and paths: what tells refusals apart."""
     return re.sub(r"'[^']*'|\"[^\"]*\"|/\S+|\d[\d.,]*", "_", message)[:90]
-
-
-class GuardRefusalError(InputError):
-    """An exception of a library, of which the parent of a child process makes a refusal."""
-
-
-@contextlib.contextmanager
-def in_this_process(
-    function: str, source: Path, name: Path, limits: Any = None, progress: Any = None, **arguments: Any
-) -> Iterator[Path]:
-    """Stand in for `child_process.child_result` without a child: the function that it would run is called here."""
-    module, _, attribute = function.partition(":")
-    if progress is not None:
-        arguments["progress"] = progress
-    with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
-        target = Path(folder, "result")
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # those of a child are not shown
-                getattr(import_module(module), attribute)(source.absolute(), target, **arguments)
-        except InputError as error:
-            raise InputError(str(error).replace(str(source.absolute()), str(name))) from None
-        except Exception as error:  # as in the child: whatever a library raises
-            raise GuardRefusalError(f"{name}: expected a sound file, found {type(error).__name__}") from error
-        if not target.is_file() or not target.stat().st_size:
-            raise GuardRefusalError(f"{name}: expected a result of its decoder, found none")
-        yield target
-
-
-@contextlib.contextmanager
-def without_children() -> Iterator[None]:
-    """Have all readers of native formats decode in this process, which takes a hundredth of the time."""
-    modules = [import_module(f"mimesh.io.{name}") for name in ("guarded", "fbx", "gltf.compression")]
-    before = [module.child_result for module in modules]
-    for module in modules:
-        module.child_result = in_this_process
-    try:
-        yield
-    finally:
-        for module, function in zip(modules, before, strict=True):
-            module.child_result = function
 
 
 def read_rig(path: Path) -> Mesh:

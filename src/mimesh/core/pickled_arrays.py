@@ -38,7 +38,7 @@ FORMER = {"numpy.core": "numpy._core", "__builtin__": "builtins", "copy_reg": "c
 """Beginning of the names of modules in older files -> today's."""
 DAMAGE = (
     *(pickle.UnpicklingError, ValueError, TypeError, LookupError, AttributeError, EOFError, OverflowError),
-    *(RuntimeError, MemoryError, struct.error),
+    *(RuntimeError, SystemError, MemoryError, struct.error),
 )
 """What the pickle machine, NumPy and SciPy raise for a damaged pickle."""
 
@@ -100,8 +100,11 @@ def _load(data: bytes, path: Path) -> object:
         ) from error
 
 
-class _Unpickler(pickle.Unpickler):
-    """Python's pickle machine, which finds only what is allowed."""
+class _Unpickler(pickle._Unpickler):
+    """Python's pickle machine, which finds only what is allowed.
+
+    It is the one written in Python: that in C makes room for as many objects as a number in the file says.
+    """
 
     def __init__(self, data: bytes, path: Path) -> None:
         # Python 2 has one type for text and bytes: Latin-1 keeps every byte.
