@@ -1,41 +1,37 @@
-"""Read arrays of pickles (.pkl) of Python 2 and 3: nothing that a pickle names is imported or called but ALLOWED.
+"""Read arrays of pickles (.pkl) of Python 2 and 3: nothing that a pickle names is imported or called.
 
 The body models of the field are pickled dictionaries of NumPy arrays, SciPy's sparse matrices and chumpy's variables.
-`pickle.load` would import and call whatever such a file names. Objects of SciPy and chumpy are read as plain records of
-their attributes, so that chumpy is not needed and versions of SciPy do not matter.
+`pickle.load` would import and call whatever such a file names. Here a pickle may name what is in NAMES alone, and gets
+records for it, which keep arguments and state; the arrays are made from the records. NumPy's own objects are not built
+by the pickle either: a damaged state changes types of NumPy for the whole process. chumpy is not needed.
 """
 
 from __future__ import annotations
 
-import importlib
 import io
 import pickle
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from .errors import InputError
 
-ALLOWED = {
-    "numpy": ("ndarray", "dtype", "matrix"),
-    "numpy.matrixlib.defmatrix": ("matrix",),
-    "numpy._core.multiarray": ("_reconstruct", "scalar"),
-    "numpy._core.numeric": ("_frombuffer",),
-    "builtins": ("object", "set", "bytes"),
+NAMES = {
+    "numpy": ("ndarray", "dtype", "matrix", "_reconstruct", "scalar", "_frombuffer"),
+    "scipy.sparse": ("csr_matrix", "csr_array", "csc_matrix", "csc_array", "coo_matrix", "coo_array"),
+    "chumpy": ("Ch", "Select"),
     "copyreg": ("_reconstructor",),
+    "copy_reg": ("_reconstructor",),
+    "builtins": ("object", "set", "bytes"),
+    "__builtin__": ("object", "set", "bytes"),
     "_codecs": ("encode",),
 }
-"""Module -> what a pickle may use of it: it makes arrays and numbers, and does nothing else."""
-RECORDS = {
-    **dict.fromkeys(("csr_matrix", "csr_array", "csc_matrix", "csc_array", "coo_matrix", "coo_array"), "scipy.sparse"),
-    **{"Ch": "chumpy", "Select": "chumpy.reordering"},
-}
-"""Class -> package, of objects that are read as records of their attributes."""
-FORMER = {"numpy.core": "numpy._core", "__builtin__": "builtins", "copy_reg": "copyreg"}
-"""Beginning of the names of modules in older files -> today's."""
+"""Package -> classes and functions that a pickle may name, in whatever module of the package a version has them."""
+TYPES = {f"{kind}{size}" for kind, sizes in {"f": "248", "i": "1248", "u": "1248", "b": "1"}.items() for size in sizes}
+"""Types of arrays that are read, as NumPy names them in a pickle."""
 DAMAGE = (
     *(pickle.UnpicklingError, ValueError, TypeError, LookupError, AttributeError, EOFError, OverflowError),
     *(RuntimeError, SystemError, MemoryError, struct.error),
@@ -72,7 +68,7 @@ def read_pickled_arrays(path: Path) -> PickledArrays:
     """Read a pickled dictionary of arrays.
 
     Raises:
-        InputError: the pickle names anything but ALLOWED and RECORDS, is damaged, or holds no dictionary.
+        InputError: the pickle names anything but NAMES, is damaged, or holds no dictionary.
     """
     entries = _load(path.read_bytes(), path)
     if not isinstance(entries, dict):
@@ -100,60 +96,110 @@ def _load(data: bytes, path: Path) -> object:
         ) from error
 
 
+class _Record:
+    """What a pickle makes by a call: the arguments, and the state that the result would get."""
+
+    def __new__(cls, *arguments: Any) -> _Record:
+        record = super().__new__(cls)
+        record.arguments, record.state = arguments, None
+        return record
+
+    arguments: tuple
+    state: Any
+
+    def __setstate__(self, state: Any) -> None:
+        self.state = state
+
+
 class _Unpickler(pickle._Unpickler):
-    """Python's pickle machine, which finds only what is allowed.
+    """Python's pickle machine, which makes records.
 
     It is the one written in Python: that in C makes room for as many objects as a number in the file says.
     """
+
+    records: ClassVar[dict[str, type]] = {
+        name: type(name, (_Record,), {}) for names in NAMES.values() for name in names if name != "_reconstructor"
+    }
 
     def __init__(self, data: bytes, path: Path) -> None:
         # Python 2 has one type for text and bytes: Latin-1 keeps every byte.
         super().__init__(io.BytesIO(data), encoding="latin1")
         self._path = path
-        self._records: dict[str, type] = {}
 
     def find_class(self, module: str, name: str) -> Any:
-        """Find a class or function by name; raise InputError for one that is not allowed."""
-        if module.startswith(RECORDS.get(name, "-")):
-            # A class of this file's own: the state of another file never gets at it.
-            return self._records.setdefault(name, type(name, (), {}))
-        for former, today in FORMER.items():
-            module = today + module.removeprefix(former) if module.startswith(former) else module
-        if name not in ALLOWED.get(module, ()):
+        """Find what stands for a name; raise InputError for one that is not allowed."""
+        if not any(f"{module}.".startswith(f"{package}.") and name in names for package, names in NAMES.items()):
             raise InputError(
                 f"{self._path}: expected a pickle of NumPy, SciPy and chumpy arrays, found {f'{module}.{name}'!r:.100} "
                 "in it, which is not run; open only files whose source you trust, or save the arrays as .npz"
             )
-        return getattr(importlib.import_module(module), name)
+        return self.records.get(name, _reconstructor)
+
+
+def _reconstructor(kind: type, *_: object) -> _Record:
+    """Make an empty object of a class, as `copyreg._reconstructor` does."""
+    if not issubclass(kind, _Record):
+        raise TypeError("an object of no class")
+    return kind()
 
 
 def _array(value: Any) -> np.ndarray:
-    """Make the array of a record, of an array of one object, or of a plain number or list of numbers."""
+    """Make the array of a record, or of a plain number or list of numbers."""
+    if not isinstance(value, _Record):
+        if isinstance(value, list | tuple) and not all(isinstance(number, int | float) for number in value):
+            raise ValueError("a list of other things than numbers")
+        return np.asarray(value)
     kind = type(value).__name__
-    if kind in RECORDS:
-        return _array_of_record(kind, vars(value))
-    array = np.asarray(value)
-    return _array(array.item()) if array.dtype.hasobject and array.size == 1 and value is not None else array
-
-
-def _array_of_record(kind: str, state: dict[str, Any]) -> np.ndarray:
-    """Make the array of an object of SciPy or chumpy from its attributes."""
+    if kind == "_reconstruct":  # the state is (version, shape, type, column-major, bytes)
+        shape, dtype, column_major, data = value.state[-4:]
+        if str(dtype.arguments[0]).startswith("O"):  # an array of one object is that object
+            (content,) = data
+            return _array(content)
+        return np.frombuffer(_bytes(data), _dtype(dtype)).reshape(shape, order="F" if column_major else "C")
+    if kind == "_frombuffer":
+        data, dtype, shape, order = value.arguments[:4]
+        return np.frombuffer(_bytes(data), _dtype(dtype)).reshape(shape, order=order)
+    if kind == "scalar":
+        dtype, data = value.arguments
+        return np.frombuffer(_bytes(data), _dtype(dtype)).reshape(())
     if kind == "Ch":
-        return _array(state["x"])
+        return _array(value.state["x"])
     if kind == "Select":  # entries `idxs` of the flattened array `a`, in another shape
-        chosen = _array(state["a"]).reshape(-1)[_array(state["idxs"])]
-        shape = state.get("preferred_shape")
+        chosen = _array(value.state["a"]).reshape(-1)[_array(value.state["idxs"])]
+        shape = value.state.get("preferred_shape")
         return chosen if shape is None else chosen.reshape(shape)
+    if kind in NAMES["scipy.sparse"]:
+        return _dense(kind, value.state)
+    raise ValueError(f"{kind}, which is no array")
+
+
+def _dense(kind: str, state: dict[str, Any]) -> np.ndarray:
+    """Make the array of a sparse matrix from its attributes."""
     from scipy import sparse
 
-    shape = state["_shape"] if "_shape" in state else state["shape"]
+    shape, data = state["_shape"] if "_shape" in state else state["shape"], _array(state["data"])
     if kind.startswith("coo"):
         places = state["coords"] if "coords" in state else (state["row"], state["col"])
-        return sparse.coo_matrix((state["data"], places), shape=shape).toarray()
+        return sparse.coo_matrix((data, tuple(map(_array, places))), shape=shape).toarray()
     make = sparse.csr_matrix if kind.startswith("csr") else sparse.csc_matrix
-    matrix = make((state["data"], state["indices"], state["indptr"]), shape=shape)
-    matrix.check_format(full_check=True)  # without it a wrong index writes anywhere
+    matrix = make((data, _array(state["indices"]), _array(state["indptr"])), shape=shape)
+    matrix.check_format(full_check=True)  # without it a wrong index is written anywhere
     return matrix.toarray()
+
+
+def _dtype(record: _Record) -> np.dtype:
+    """Make the type of `numpy.dtype(name, ...)`, whose state has the byte order in second place."""
+    name, order = record.arguments[0], record.state[1] if record.state else "="
+    if not isinstance(name, str) or name not in TYPES or order not in ("<", ">", "=", "|"):
+        raise ValueError("an array of another type than numbers")
+    return np.dtype(name).newbyteorder(order)
+
+
+def _bytes(value: Any) -> bytes:
+    """Return the bytes of an array, which protocols before 3 write as text."""
+    if type(value).__name__ == "encode" and value.arguments[1] == "latin1":
+        value = value.arguments[0]
+    return value.encode("latin1") if isinstance(value, str) else bytes(memoryview(value))
 
 
 def _text(key: object) -> str:
