@@ -1,0 +1,81 @@
+"""Print how large the repository is: lines and modules of its parts, words of its pages, arrows between its packages.
+
+    python scripts/size.py [--json]
+
+Files are those that git knows. An arrow is an import of one package of `mimesh` by another, at load or in a function.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import subprocess
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PARTS = ("src", "tests", "scripts", "research", "benchmarks", "blender", "examples", "docs")
+
+
+def main() -> None:
+    """Count, and print a table or JSON."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    figures = count()
+    if args.json:
+        print(json.dumps(figures, indent=1))
+        return
+    for part, (files, lines) in figures["python"].items():
+        print(f"{part:12s} {files:4d} modules {lines:7,d} lines")
+    for page, words in figures["words"].items():
+        print(f"{page:12s} {words:7,d} words")
+    print(f"{len(figures['arrows'])} arrows between packages, {figures['packages']} packages")
+    print(f"{figures['tracked_mib']} MiB tracked")
+
+
+def count() -> dict:
+    """Count everything; keys are those of the JSON that is printed."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    files = [path for name in listed.split("\0") if name and (path := ROOT / name).is_file()]
+    python = {part: [p for p in files if p.suffix == ".py" and p.is_relative_to(ROOT / part)] for part in PARTS}
+    pages = [p for p in files if p.suffix == ".md" and p.parent in (ROOT, ROOT / "docs")]
+    words = {p: len(p.read_text(encoding="utf-8").split()) for p in pages}
+    apart = {"README": ROOT / "README.md", "the log": ROOT / "docs" / "LOG.md", "results": ROOT / "docs" / "RESULTS.md"}
+    rest = sum(number for page, number in words.items() if page not in apart.values())
+    arrows = sorted({arrow for path in python["src"] for arrow in arrows_of(path)})
+    return {
+        "python": {part: (len(paths), sum(map(lines_of, paths))) for part, paths in python.items()},
+        "words": {**{name: words[page] for name, page in apart.items()}, f"{len(pages) - len(apart)} others": rest},
+        "arrows": arrows,
+        "packages": len({name for arrow in arrows for name in arrow}),
+        "tracked_mib": round(sum(path.stat().st_size for path in files) / 2**20, 1),
+    }
+
+
+def lines_of(path: Path) -> int:
+    """Count the lines of a file."""
+    return len(path.read_text(encoding="utf-8").splitlines())
+
+
+def arrows_of(path: Path) -> set[tuple[str, str]]:
+    """Find the packages of mimesh that a module imports from other packages of mimesh."""
+    place = path.relative_to(ROOT / "src" / "mimesh").parts
+    arrows = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom):
+            above = place[: len(place) - node.level] if node.level else ()
+            names = (node.module or "").split(".") if node.module else [alias.name for alias in node.names]
+            target = [*above, *names] if node.level else names[1:] if names[0] == "mimesh" else []
+            if target:
+                arrows.add((top(place[0]), top(target[0])))
+    return {(here, there) for here, there in arrows if here != there}
+
+
+def top(name: str) -> str:
+    """Give the package, or the module at the top, that a name belongs to."""
+    return name.removesuffix(".py")
+
+
+if __name__ == "__main__":
+    main()
