@@ -28,10 +28,11 @@ test: $(VENV)/.dev
 test-all: $(VENV)/.dev
 	$(TESTS) $(TYPED) -m 'not gpu and not client'
 
-# Format, style and types; pyright (standard) reads src, scripts and benchmarks, see pyproject.toml.
+# Format, style, imports and types; pyright (standard) reads src, scripts and benchmarks, see pyproject.toml.
 lint: $(VENV)/.dev
 	$(BIN)/ruff format --check $(CODE)
 	$(BIN)/ruff check $(CODE)
+	$(BIN)/lint-imports --no-logo
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 check: lint test-all
