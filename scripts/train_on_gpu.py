@@ -145,7 +145,8 @@ def finish(job: Job, args: argparse.Namespace, results: Path) -> None:
             [sys.executable, "-m", "mimesh", *map(str, command)], capture_output=True, text=True, check=False
         )
         if done.returncode:
-            print(f"{job.name}: mimesh {command[0]} failed: {done.stderr[-2000:]}", flush=True)
+            reason = done.stderr[-2000:] or f"exit code {done.returncode}"
+            print(f"{job.name}: mimesh {command[0]} failed: {reason}", flush=True)
             return
         with WRITING:
             write_parts(results, args.out, args.max_file_mib)

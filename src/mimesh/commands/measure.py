@@ -9,7 +9,7 @@ import typer
 
 from ..core.errors import InputError
 from ..core.printable import say
-from .terminal import Json, Quiet, print_json, print_next, progress, require
+from .terminal import Json, Quiet, print_json, print_next, progress, require, say_tables
 
 PROTOCOLS = (
     "human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body, characters, fingers, clips-aniformer, "
@@ -93,7 +93,7 @@ def evaluate(
     if json:
         print_json(figures)
     elif not quiet:
-        say(*markdown(figures).split("\n"))
+        say_tables(markdown(figures))
         say("± is half of the 95 % interval of the mean; columns: docs/conventions.md")
         for note in figures.get("notes", ()):
             say(f"note: {note}")
@@ -162,10 +162,8 @@ def table(
     if json:
         print_json({**figures, "left_out": list(missing)})
     elif not quiet:
-        say(*text.split("\n"))
-        if missing:
-            say(f"note: without {', '.join(missing)}, whose weights are not here")
-        print_next("evaluate", "human-wide", "-m", "npt,copy")
+        say_tables(text)
+        print_next("evaluate", figures["protocol"], "-m", "mime,copy")
 
 
 def figure(
@@ -200,7 +198,7 @@ def figure(
         print_json({"output": str(output), "figure": name, "rows": drawn})
     elif not quiet:
         say(f"{output}: {drawn} rows")
-        print_next("evaluate", "human-npt", "-m", "mime,npt,copy")
+        print_next("evaluate", "clips-ordered" if name.startswith("aniformer") else "human-npt", "-m", "mime,copy")
 
 
 def generate(

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -119,6 +120,29 @@ class Stop(Exception):
 def print_json(value: dict[str, Any]) -> None:
     """Print one JSON object on one line of stdout; NaN and infinity, which JSON has not, become null."""
     say(json.dumps(_finite(value), allow_nan=False, default=_plain))
+
+
+def say_tables(text: str) -> None:
+    """Print Markdown; on a terminal its tables are drawn, in as many lines a row as the width asks for."""
+    if not sys.stdout.isatty():
+        say(*text.split("\n"))
+        return
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Column, Table
+
+    for is_table, group in groupby(text.split("\n"), lambda line: line.startswith("|")):
+        if not is_table:
+            say(*group)
+            continue
+        head, _, *rows = (
+            [escape(cell.strip().replace("`", "")) for cell in line.strip("|").split("|")] for line in group
+        )
+        table = Table(*(Column(name, overflow="fold") for name in head), box=box.SIMPLE, padding=0)
+        for cells in rows:
+            table.add_row(*cells)
+        Console().print(table)
 
 
 def print_next(*words: str | Path) -> None:

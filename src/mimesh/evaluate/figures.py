@@ -25,7 +25,7 @@ from .cross_body import SUFFIXES
 from .measure import on_supported_vertices, result_frames, result_vertices
 from .named_animals import species_clip
 from .pairs import Pair, Person, human, shuffle_vertices
-from .protocols import HUMAN_NPT, HUMAN_WIDE, NOISE, with_noise
+from .protocols import HUMAN_NPT, NOISE, with_noise
 from .run import check_method
 
 if TYPE_CHECKING:
@@ -52,9 +52,13 @@ class Tile(NamedTuple):
     """One mesh of a picture and its caption."""
 
     label: str
-    mesh: Mesh
+    mesh: Mesh | None
+    """None: an empty tile."""
     colors: Float[np.ndarray, "V 3"] | None = None
     """Colours of the vertices (linear RGB in 0..1) instead of the mesh's materials."""
+
+
+EMPTY = Tile("", None)
 
 
 class Figure(NamedTuple):
@@ -126,7 +130,7 @@ def models_with_weights(name: str, models: tuple[str, ...]) -> tuple[tuple[str, 
         check_weights(*missing)
     return (
         tuple(model for model in models if model not in missing),
-        f"{name}: leaves out models whose weights are not here; make {how_to_make(missing)}, and name all with -m",
+        f"{name}: leaves out models whose weights are not here; make {how_to_make(missing)}",
     )
 
 
@@ -158,9 +162,9 @@ def noise_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterat
 
 
 def foreign_identity_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
-    """Make rows of identities from a folder in poses of the shipped body (NPT Fig. 10, 17, 18)."""
+    """Make rows of identities from a folder in seen poses of the shipped body (NPT Fig. 10, 17, 18)."""
     for i, path in enumerate(mesh_files(data)[:count]):
-        driving = HUMAN_WIDE.pair("test", "clips", i).driving
+        driving = HUMAN_NPT.pair("test", "seen", i).driving
         identity = load_mesh(path)
         for model in models:
             result = transfer(identity, driving, model, driving_up="+y", driving_front="+z")
@@ -170,7 +174,7 @@ def foreign_identity_rows(models: tuple[str, ...], count: int, data: Path | None
 def foreign_driving_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
     """Make rows of driving meshes from a folder, applied to people of the shipped body (NPT Fig. 11)."""
     for i, path in enumerate(mesh_files(data)[:count]):
-        identity = HUMAN_WIDE.pair("test", "clips", i).identity
+        identity = HUMAN_NPT.pair("test", "seen", i).identity
         driving = load_mesh(path)
         results = [Tile(m, transfer(identity, driving, m, up="+y", front="+z").mesh) for m in models]
         yield [Tile("identity", identity), Tile(path.stem, driving), *results]
@@ -200,12 +204,18 @@ def influence_rows(models: tuple[str, ...], count: int, data: Path | None) -> It
 
 
 def one_clip_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
-    """Make a row of a driving clip, then rows of other identities that get its motion (AniFormer Fig. 1)."""
+    """Make a row of a driving clip, then rows of other identities that get its motion (AniFormer Fig. 1).
+
+    The identities are the targets whose shapes are the furthest from the driving person's.
+    """
     protocol, body = CLIPS_ORDERED, human()
     shape = sample_shape(body, protocol.seed("train"), 0, protocol.spread)
     driving, motion = Person(body, shape, str(protocol.targets)), protocol.motion("test", "unseen", 0)
-    for i in range(count):
-        identity, rest = protocol.target("test", i)
+    targets = sorted(
+        (protocol.target("test", i) for i in range(protocol.targets)),
+        key=lambda target: -float(np.linalg.norm(target[0].shape - shape)),
+    )
+    for i, (identity, rest) in enumerate(targets[:count]):
         rows = [*_clip_rows(make_clip_pair(identity, driving, rest, motion), models)][:-1]  # without the truth
         yield from rows if i == 0 else rows[1:]
 
@@ -225,21 +235,20 @@ def clip_noise_rows(models: tuple[str, ...], count: int, data: Path | None) -> I
         trial = CLIPS_ORDERED.pair("test", "unseen", 0)
         rng = CLIPS_ORDERED.rng("test", "unseen", 0)
         frames = np.stack([with_noise(frame, percent / 100, rng) for frame in trial.clip.vertices])
-        mesh = Mesh(frames[0], trial.driving.faces, name=f"noise {percent} %")
+        mesh = Mesh(frames[0], trial.driving.faces)
         noisy = dataclasses.replace(trial, driving=mesh, clip=Clip(mesh, frames, trial.clip.fps))
-        yield from [*_clip_rows(noisy, models)][:-1]  # without the row of the truth
+        yield from [*_clip_rows(noisy, models, f"noise {percent} %")][:-1]  # without the row of the truth
 
 
 def foreign_clip_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
     """Make rows of identities from a folder, driven by clips of the shipped body (AniFormer Fig. 5)."""
     for i, path in enumerate(mesh_files(data)[:count]):
         clip = CLIPS_ANIFORMER.pair("test", "procedural", i).clip
-        yield _frame_tiles("driving", clip.vertices, clip.mesh.faces)
+        yield [EMPTY, *_frame_tiles("driving", clip.vertices, clip.mesh.faces)]
         identity = load_mesh(path)
         for model in models:
-            result = animate(identity, clip, model, driving_up="+y", driving_front="+z")
-            tiles = [Tile(model, result.clip.mesh.with_vertices(result.clip.vertices[t])) for t in SHOWN_FRAMES]
-            yield [Tile(path.stem, identity), *tiles]
+            result = animate(identity, clip, model, driving_up="+y", driving_front="+z").clip
+            yield [Tile(path.stem, identity), *_frame_tiles(model, result.vertices, result.mesh.faces)]
 
 
 def animal_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
@@ -253,7 +262,8 @@ def animal_rows(models: tuple[str, ...], count: int, data: Path | None) -> Itera
 def animal_clip_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
     """Make the rows of clips: a lion with gaits of a horse (AniFormer Fig. 5, row 3)."""
     for i in range(count):
-        yield from _clip_rows(species_clip("lion", "horse", ANIMAL_GAITS[i % len(ANIMAL_GAITS)], i), models)
+        trial = species_clip("lion", "horse", ANIMAL_GAITS[i % len(ANIMAL_GAITS)], i)
+        yield from _clip_rows(trial, models, trial.driving.name)
 
 
 SPARSE_DT = ("deformation-transfer-5", "deformation-transfer-13")
@@ -308,31 +318,39 @@ sets."""
 
 def draw_row(tiles: list[Tile]) -> Image.Image:
     """Render a row of tiles side by side, with captions."""
+    from PIL import Image
+
     from ..render.camera import fit
     from ..render.raster import render, render_mesh
     from ..render.sheet import captioned, page
 
     pictures = []
     for tile in tiles:
+        if tile.mesh is None:
+            pictures.append(None)
+            continue
         camera = fit(tile.mesh.vertices, TILE, "three-quarter")
         if tile.colors is None:
             picture = render_mesh(tile.mesh, TILE, camera)
         else:
             picture = render(tile.mesh.vertices, tile.mesh.faces, camera, TILE, tile.colors)
         pictures.append(captioned(picture, tile.label))
-    return page(pictures, len(pictures))
+    example = next(picture for picture in pictures if picture is not None)
+    empty = Image.new(example.mode, example.size, example.getpixel((0, 0)))
+    return page([picture or empty for picture in pictures], len(pictures))
 
 
 def mesh_files(data: Path | None) -> list[Path]:
-    """List the mesh files of a folder, sorted by name.
+    """List the mesh files of a folder and of those in it, sorted by name.
 
     Raises:
         InputError: no folder given, or one without meshes.
     """
     suffixes = (*SUFFIXES, ".obj", ".ply")
     if data is None or not data.is_dir():
-        raise InputError(f"--data: expected a folder of people in {', '.join(suffixes)} files, found {data}; give one")
-    paths = sorted(path for path in data.iterdir() if path.suffix.lower() in suffixes)
+        found = "none" if data is None else data
+        raise InputError(f"--data: expected a folder of people in {', '.join(suffixes)} files, found {found}; give one")
+    paths = sorted(path for path in data.rglob("*") if path.suffix.lower() in suffixes)
     if not paths:
         raise InputError(f"{data}: expected meshes of people, found none; give another folder with --data")
     return paths
@@ -344,9 +362,9 @@ def _pair_row(pair: Pair, models: tuple[str, ...]) -> list[Tile]:
     return [Tile("identity", identity), Tile("driving", pair.driving), *results, Tile("truth", Mesh(pair.truth, faces))]
 
 
-def _clip_rows(trial: ClipPair, models: tuple[str, ...]) -> Iterator[list[Tile]]:
-    identity, faces = Tile("identity", trial.identity), trial.identity.faces
-    yield [identity, *_frame_tiles(trial.driving.name, trial.clip.vertices, trial.driving.faces)]
+def _clip_rows(trial: ClipPair, models: tuple[str, ...], driving: str = "driving") -> Iterator[list[Tile]]:
+    """Make the rows of a clip, frame below frame: driving, a result of each model beside the identity, truth."""
+    yield [EMPTY, *_frame_tiles(driving, trial.clip.vertices, trial.driving.faces)]
     for model in models:
         supported = on_supported_vertices(trial, model)
         faces_of_model = supported.identity.faces
@@ -355,8 +373,8 @@ def _clip_rows(trial: ClipPair, models: tuple[str, ...]) -> Iterator[list[Tile]]
             Tile(f"{model}, frame {t}", Mesh(frame.astype(np.float64), faces_of_model))
             for t, frame in zip(SHOWN_FRAMES, frames, strict=True)
         ]
-        yield [Tile(model, supported.identity), *tiles]
-    yield [identity, *_frame_tiles("truth", trial.truth_frames, faces)]
+        yield [Tile("identity", supported.identity), *tiles]
+    yield [EMPTY, *_frame_tiles("truth", trial.truth_frames, trial.identity.faces)]
 
 
 def _window(trial: ClipPair, t: int) -> ClipPair:

@@ -51,8 +51,8 @@ TABLE_MODELS = (
 )
 """Networks of the papers' tables, for comparison only: in a checkout's folder `ablations`, not installed, or in another
 folder (`runs/tables/npt-equal`), where `mimesh table --train` put them."""
-ABLATIONS = Path("ablations")
-"""Folder of these networks where none is named."""
+ABLATIONS, TRAINED = Path("ablations"), Path("runs", "tables", "seed0")
+"""Folders of these networks where none is named: that of a checkout, and the one that `mimesh table --train` fills."""
 WITHOUT_FIT = {"mime-network": "mime", "mime-table-network": "mime-table"}
 """Name -> network that is used without the body fit, to measure what the fit contributes."""
 WITHOUT_FINGERS = {"mime-rigid-fingers": "mime"}
@@ -69,8 +69,9 @@ def weights_path(model: str) -> Path:
     """Return the path of a network's weights, from one of the names above or from a path."""
     if is_table_model(model):
         path = Path(model)
-        folder = ABLATIONS if model == path.name else path.parent
-        return folder / f"{REDUCED_MODELS.get(path.name, path.name)}.onnx"
+        file = f"{REDUCED_MODELS.get(path.name, path.name)}.onnx"
+        folder = TRAINED if (TRAINED / file).is_file() and not (ABLATIONS / file).is_file() else ABLATIONS
+        return (folder if model == path.name else path.parent) / file
     model = REDUCED_MODELS.get(model, model)
     if model in (*SHIPPED_NETWORKS, *INDEX_PAIRED.values(), *NETWORK_OF_BODY.values()):
         return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
@@ -124,7 +125,8 @@ def check_weights(*models: str) -> None:
     if missing := missing_weights(*models):
         folders = ", ".join(dict.fromkeys(str(weights_path(model).parent) for model in missing))
         raise InputError(
-            f"{', '.join(missing)}: expected weights in {folders}, found no files; give others with -m, or make "
+            f"{', '.join(missing)}: expected weights in {folders}, found no files; call this in the root of a "
+            "checkout, which has some of them, give others with -m, or make "
             f"{how_to_make(missing)}, and give the path of the .onnx file that is written"
         )
 
