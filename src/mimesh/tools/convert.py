@@ -12,7 +12,7 @@ import numpy as np
 from ..bodies.joint_names import ancestors
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh, check_cut, cut_clip, spread_clip
+from ..core.mesh import Clip, Mesh, RewritableSource, check_cut, cut_clip, spread_clip
 from ..io import (
     check_writable,
     clip_suffixes,
@@ -278,7 +278,7 @@ def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[st
 def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
     """Return a note on the attributes of a mesh that the format of a path does not keep."""
     suffix = path.suffix.lower()
-    if mesh.source is not None and mesh.source.suffix == suffix:
+    if isinstance(mesh.source, RewritableSource) and mesh.source.suffix == suffix:
         return ()
     has = {
         "materials": any(part.material for part in mesh.parts),
