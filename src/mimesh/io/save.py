@@ -25,7 +25,6 @@ from .frame_folder import write_sequence
 from .load import load_mesh
 from .mtl import copy_companions
 from .obj_source import ObjSource
-from .ply import PlySource
 
 if TYPE_CHECKING:
     from ..motions.bone_motion import BoneMotion
@@ -289,5 +288,5 @@ def _mesh_path_of_cache(clip: Clip, path: Path) -> Path | None:
 
 
 def _copy_companions(mesh: Mesh, folder: Path) -> None:
-    if isinstance(mesh.source, ObjSource | PlySource):
+    if isinstance(mesh.source, ObjSource):
         copy_companions(mesh.source.companions, mesh.source.path.parent, folder)
