@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -37,7 +38,8 @@ class UsdSource:
     @classmethod
     def from_values(cls, values: Values) -> UsdSource:
         """Make a source of its fields, as another process hands them over."""
-        return cls(**(values | {"notes": tuple(values["notes"])}))
+        fields: dict[str, Any] = {**values, "notes": tuple(values["notes"])}
+        return cls(**fields)
 
 
 def layer_bytes(path: Path) -> int:
