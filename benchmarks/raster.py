@@ -21,7 +21,7 @@ import numpy as np
 from mimesh.bodies import load_body
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io.atomic import whole_file
-from mimesh.render import shadow, textures
+from mimesh.render import textures
 from mimesh.render.camera import Camera, fit
 from mimesh.render.raster import render
 from mimesh.render.zbuffer import visible_faces
@@ -48,15 +48,12 @@ def figures() -> dict[str, float]:
     camera, points, faces = fit(mesh.vertices, SIZE), mesh.vertices, mesh.faces
     shifts = (np.array([0, 2, 1, 3]) + 0.5) / 4
     projected = camera.project(points, SIZE) * [1, 4, 1]
-    maps = shadow.cast_shadows(points, faces, camera)
     parts = {
         "picture_ms": lambda: render(points, faces, camera, SIZE),
         "without_shadows_ms": lambda: render(points, faces, camera, SIZE, shadows=False),
         "one_sample_without_shadows_ms": lambda: render(points, faces, camera, SIZE, shadows=False, supersample=1),
         "normals_ms": lambda: textures.creased_normals(points, faces),
         "visible_ms": lambda: visible_faces(projected, faces, SIZE[0], 4 * SIZE[1], shifts),
-        "depth_maps_ms": lambda: shadow.cast_shadows(points, faces, camera),
-        "floor_ms": lambda: shadow.floor_shadow(maps, camera, SIZE, 2),
     }
     found = {name: milliseconds(work) for name, work in parts.items()}
     found["loop_ms"] = milliseconds(lambda: loop(points, faces, camera, SIZE), 3)

@@ -48,7 +48,7 @@ by hand. `mimesh convert IN OUT` converts between any two of them; `mimesh look 
 *Kept* lists what a **new** file of the format has when Blender opens it: polygons (otherwise triangles), texture
 coordinates, materials, textures, vertex colours. All formats keep the order of vertices, but glTF splits vertices at
 seams. A mesh that is written back to its **own** format is the original file with its points moved, whatever else it
-contains; this holds for all formats with *mesh* in both columns except .abc. *Largest error* is the largest distance
+contains, in .glb, .gltf, .vrm, .obj and .npz. In all others it is a new file. *Largest error* is the largest distance
 of any vertex in any frame from its correct position, divided by the size of the mesh: first for our files as
 {client} shows them, then for files written by it as they are read here.
 """
@@ -65,6 +65,13 @@ RULES = """## What to expect
   Blender converts y up to z up when it imports glTF, OBJ and Alembic: (x, y, z) becomes (x, -z, y). USD stores its up
   axis; PLY and STL have none, so choose *up* Y on import. The up axis of glTF, FBX and USD files is taken as it is; in
   all other formats it is detected from the shape.
+* **USD** results are new stages: one mesh prim in world coordinates with the polygons, texture coordinates, normals,
+  parts and materials that were read, and the axis and unit of the file. Other prims, layers, variants, subdivision,
+  vertex colours, custom attributes, skins, blend shapes and animations of the file are left out; notes name the last
+  three. To keep a scene as it is, reference the result from a layer of yours.
+* **PLY, STL and OFF** results are new files: PLY binary, with polygons, normals without hard edges, texture
+  coordinates, colours and the image of a textured scan; STL binary, triangles in the order of the file; OFF text with
+  polygons. Comments, other elements and properties, names of solids and colours of OFF files are left out.
 * **Point caches** (.pc2 .mdd .npy) contain points only. Faces and materials come from the mesh of the same name next
   to them (walk.obj for walk.pc2), which is written with the cache unless it exists. In Blender: import the mesh, add
   a *Mesh Cache* modifier.
@@ -90,10 +97,10 @@ RULES = """## What to expect
   error that names them, unless the file can be read without.
 * **Damaged files.** USD, Alembic, FBX, Draco and meshopt are read by native libraries. These run in a child process
   with limits on memory, time and the size of what they give (on Linux; elsewhere on time alone), for every file and
-  every command: what crashes them, never ends or asks for all memory gives an error of one line. An identity's own USD
-  file is written again in such a process, too. A child takes some tenths of a second, for each file: convert a long
-  folder of .usd or .abc frames once, to one file. Checksums of .usdz, .npz and .zip are checked. HDF5 (h5py) and
-  images are read without a child, all other formats by Python and NumPy. A child is no sandbox: it has your rights.
+  every command: what crashes them, never ends or asks for all memory gives an error of one line. A child takes some
+  tenths of a second, for each file: convert a long folder of .usd or .abc frames once, to one file. Checksums of .usdz,
+  .npz and .zip are checked. HDF5 (h5py) and images are read without a child, all other formats by Python and NumPy. A
+  child is no sandbox: it has your rights.
 * **Small mistakes in files** are read around: an OBJ in UTF-16 with a byte order mark (it is written as UTF-8); faces
   of an OBJ that name texture coordinates or normals where the file lists none; a BVH with more rows than it states,
   with a note. Texture coordinates, normals and colours that are no finite numbers are refused, as positions are.
@@ -152,10 +159,9 @@ the SMPL paper.
   holds for `betas`. Notes tell.
 * **Layouts.** A model has `v_template`, `shapedirs` (V, 3, K), `posedirs` (V, 3, 9 (J - 1)), `J_regressor` (J, V),
   `weights` (V, J), `kintree_table` (2, J) and `f`. A pickle of poses has `pose` (3 J) or (T, 3 J), `betas` and `trans`.
-* **Pickles** can run any program when Python loads them. mimesh does not load them: it only takes arrays of NumPy,
-  SciPy and chumpy out of them, also of those that Python 2.7 wrote with chumpy 0.70 (neither is needed). A pickle that
-  names anything else is refused
-  with that name. So are sizes that the file does not hold.
+* **Pickles** can run any program when Python loads them. mimesh only takes arrays of NumPy, SciPy and chumpy out of
+  them, also of those that Python 2.7 wrote with chumpy 0.70 (neither is needed). A pickle that names anything else is
+  refused with that name. One made to do harm can still use up memory or time: give no pickles of strangers to a server.
 """
 
 

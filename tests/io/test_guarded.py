@@ -8,7 +8,6 @@ import subprocess
 import sys
 import tempfile
 import textwrap
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -140,13 +139,14 @@ def test_the_library_is_not_loaded_by_the_reading_process(suffix, library, tmp_p
     program = f"""
 import sys
 from mimesh.io import load_mesh, save_mesh
-save_mesh(load_mesh({str(tmp_path / f"a{suffix}")!r}), {str(tmp_path / f"b{suffix}")!r})
+mesh = load_mesh({str(tmp_path / f"a{suffix}")!r})
+print({library!r} in sys.modules)
+save_mesh(mesh, {str(tmp_path / f"b{suffix}")!r})
 print({library!r} in sys.modules)
 """
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ | {"PYTHONWARNINGS": ""})
-    # Own files of USD are written again in a child, new archives by this process.
-    assert done.stdout.strip() == str(suffix == ".abc")
+    assert done.stdout.split() == ["False", "True"]  # new files are written by this process
     assert len(load_mesh(tmp_path / f"b{suffix}").vertices) == 25
 
 
@@ -155,6 +155,5 @@ def test_clip_outlives_its_file(tmp_path):
     save_mesh(grid(), tmp_path / "a.usda")
     clip = load_clip(tmp_path / "a.usda")
     (tmp_path / "a.usda").unlink()
-    np.testing.assert_allclose(clip.vertices[0], grid().vertices, atol=1e-7)
-    with pytest.raises(InputError, match="expected the file that was read, found none"):
-        save_mesh(clip.mesh, Path(tmp_path / "b.usda"))
+    save_mesh(clip.mesh, tmp_path / "b.usda")
+    np.testing.assert_allclose(load_mesh(tmp_path / "b.usda").vertices, grid().vertices, atol=1e-7)

@@ -95,7 +95,7 @@ def test_ply_texture_file_may_have_any_name(tmp_path):
     mesh = load_mesh(tmp_path / "a.ply")
     assert mesh.parts[0].material.texture == samples.png()
     save_mesh(mesh, tmp_path / "out" / "b.ply")
-    assert (tmp_path / "out" / name).read_bytes() == samples.png()
+    assert load_mesh(tmp_path / "out" / "b.ply").parts[0].material.texture == samples.png()
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["LF", "CRLF", "CR"])
@@ -110,8 +110,6 @@ def test_binary_ply_body_may_begin_with_a_line_feed(order, end, tmp_path):
     (tmp_path / "a.ply").write_bytes(data)
     mesh = load_mesh(tmp_path / "a.ply")
     assert np.array_equal(mesh.vertices, points)
-    save_mesh(mesh, tmp_path / "b.ply")
-    assert (tmp_path / "b.ply").read_bytes() == data
 
 
 @pytest.mark.parametrize("suffix", ["obj", "ply", "off", "stl", "npz", "glb", "gltf"])

@@ -120,6 +120,14 @@ def test_shadows_darken_the_floor_and_nothing_else_of_the_background():
     assert_same_picture(with_shadow[[0, -1]], without[[0, -1]])
 
 
+@pytest.mark.parametrize("perspective", [True, False])
+def test_a_camera_that_looks_up_sees_no_shadow(perspective):
+    mesh = zoo.cube()
+    camera = fit(mesh.vertices, SIZE, (20.0, -10.0), perspective=perspective)
+    with_shadow, without = (render(mesh.vertices, mesh.faces, camera, SIZE, shadows=on) for on in (True, False))
+    np.testing.assert_array_equal(with_shadow, without)
+
+
 def test_meshes_behind_the_camera_are_left_out():
     mesh = zoo.cube()
     camera = fit(mesh.vertices, SIZE)

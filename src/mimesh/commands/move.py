@@ -172,7 +172,8 @@ def transfer(
 ) -> dict[str, Any]:
     """Give the mesh IDENTITY the pose of DRIVING.
 
-    By default the output is IDENTITY-DRIVING beside IDENTITY and in its format: the same file with its points moved.
+    By default the output is IDENTITY-DRIVING beside IDENTITY and in its format. Of an OBJ or glTF it is the same
+    file with its points moved.
     """
     from ..io import load_mesh
     from ..io.atomic import together

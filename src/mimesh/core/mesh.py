@@ -27,12 +27,17 @@ UNNAMED = "mesh"
 
 @runtime_checkable
 class Source(Protocol):
-    """The file that a mesh was read from, kept so that it can be written again with only the points changed."""
+    """The file that a mesh was read from: what a new file of the mesh takes over from it."""
 
     @property
     def suffix(self) -> str:
         """Suffix of the file's format, with its dot, in lower case."""
         ...
+
+
+@runtime_checkable
+class RewritableSource(Source, Protocol):
+    """A file that can be written again with only the points changed."""
 
     def write(self, mesh: Mesh, path: Path) -> None:
         """Write the original file to `path` with the positions (and normals) of `mesh`, otherwise unchanged."""
@@ -98,7 +103,7 @@ class Mesh:
     parts: tuple[Part, ...] = ()
     """Consecutive runs that cover all faces; empty means one unnamed part."""
     source: Source | None = None
-    """The file that the mesh was read from, with all its contents; None for meshes of arrays."""
+    """The file that the mesh was read from; None for meshes of arrays, and of files that nothing is taken over from."""
     up: str | None = None
     """Axis away from the ground ("+y", "+z"), if the file defines one; None: not known."""
 

@@ -19,8 +19,7 @@ from ..core.mesh import Clip, Mesh, check_mesh
 from .atomic import whole_folder
 from .obj import read_obj_points
 from .obj_source import ObjSource
-from .ply import PlySource, read_ply_points
-from .stl import StlSource, read_stl_points
+from .stl import read_stl_points
 
 OTHER_FRAMES = {".glb", ".obj", ".off", ".ply", ".stl"}
 """Formats whose numbered meshes would be mistaken for a second series beside the frames that are written."""
@@ -37,8 +36,8 @@ def read_sequence(
     """Read the numbered meshes of a folder as one clip, in the order of their numbers.
 
     Files of other kinds, hidden files and files without a number are ignored. Of several series (another suffix or
-    another name around the number) the longest is read. Later OBJ and PLY frames that differ only in their points are
-    read by a fast path. STL frames are welded as the first frame (see `stl.read_stl_points`).
+    another name around the number) the longest is read. Later OBJ frames that differ only in their points are read by a
+    fast path. STL frames are welded as the first frame (see `stl.read_stl_points`).
 
     Args:
         suffixes: mesh formats that `read` reads.
@@ -92,9 +91,9 @@ def write_sequence(
 ) -> None:
     """Write each frame as a mesh file 0000, 0001, ... of the given suffix.
 
-    A mesh that was read from a file of that format is written as that file with other points. Otherwise `write` writes
-    a new file of the first frame, `read` reads it, and the other frames are that file with other points, so that all
-    share its materials. Frames of these names are overwritten, other files stay.
+    `write` writes PLY frames. OBJ frames are the file that the mesh was read from with other points. Where that was no
+    OBJ, `write` writes the first frame and `read` reads it, so that all frames share its materials. Frames of these
+    names are overwritten, other files stay.
 
     Raises:
         InputError: the folder has numbered meshes that would be mistaken for further frames.
@@ -103,13 +102,13 @@ def write_sequence(
     _check_other_frames(folder, names, suffix)
     with whole_folder(folder) as temporary:
         mesh = clip.mesh
-        if mesh.source is None or mesh.source.suffix != suffix:
+        if suffix == ".obj" and not isinstance(mesh.source, ObjSource):
             # Reading the first frame gives a source that writes the other frames without formatting faces again.
             write(mesh.with_vertices(clip.vertices[0]), temporary / names[0])
             mesh = read(temporary / names[0])
-        assert mesh.source is not None
+        write_frame = mesh.source.write if isinstance(mesh.source, ObjSource) and suffix == ".obj" else write
         for name, vertices in zip(names, each_frame(clip.vertices, progress), strict=True):
-            mesh.source.write(mesh.with_vertices(vertices), temporary / name)
+            write_frame(mesh.with_vertices(vertices), temporary / name)
 
 
 def _check_other_frames(folder: Path, names: list[str], suffix: str) -> None:
@@ -145,14 +144,10 @@ def read_frame(path: Path, first: Mesh, first_path: Path, read: Callable[[Path],
     Raises:
         InputError: the frame cannot be read, or its topology differs from that of the first frame.
     """
-    if isinstance(first.source, StlSource) and path.suffix.lower() == ".stl":
-        points = read_stl_points(path, first.source)
+    if first_path.suffix.lower() == path.suffix.lower() == ".stl":
+        points = read_stl_points(path, first)
         return check_mesh(dataclasses.replace(first, vertices=points), path).vertices
-    points = None
-    if isinstance(first.source, ObjSource):
-        points = read_obj_points(path, first.source)
-    elif isinstance(first.source, PlySource):
-        points = read_ply_points(path, first.source)
+    points = read_obj_points(path, first.source) if isinstance(first.source, ObjSource) else None
     if points is not None and np.isfinite(points).all():
         return points
     mesh = read(path)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..core.mesh import Material, Mesh
 from ..core.printable import plain
-from .atomic import whole_file
+from .atomic import whole_file, written
 from .beside import is_there
 from .text import decoded, encoded
 
@@ -17,6 +17,8 @@ _SIGNATURE = "# written by mimesh\n"
 """First line of libraries written here; only those are overwritten."""
 DEFAULT = "default"
 """Name of the group or material of faces without one: OBJ has no statement that ends the previous one."""
+LONGEST_STEM = 60
+"""Characters of the name of an image, which file systems limit to 255 bytes."""
 _MAPS = ("map_", "bump", "disp", "decal", "refl", "norm")
 """Prefixes of statements whose argument is an image file."""
 _NEW_MATERIAL = re.compile(r"^[ \t]*newmtl[ \t]+", re.MULTILINE)
@@ -56,6 +58,18 @@ def image_suffix(content: bytes) -> str:
     if content.startswith(b"\x89PNG"):
         return ".png"
     return ".jpg" if content.startswith(b"\xff\xd8") else ""
+
+
+def write_image(content: bytes, folder: Path, stem: str) -> str:
+    """Write an image into a folder under the first free name and return the name; an equal file there is reused."""
+    stem = _file_name(safe_name(stem))[:LONGEST_STEM]
+    name, number = f"{stem}{image_suffix(content)}", 2
+    while (there := written(folder / name)).exists() and there.read_bytes() != content:
+        name, number = f"{stem}-{number}{image_suffix(content)}", number + 1
+    if not there.exists():
+        with whole_file(folder / name) as temporary:
+            temporary.write_bytes(content)
+    return name
 
 
 def copy_companions(names: Iterable[str], source: Path, target: Path) -> None:

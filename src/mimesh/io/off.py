@@ -1,22 +1,21 @@
-"""Read OFF text files with their COFF, NOFF and STOFF variants, write them again, and write new ones."""
+"""Read OFF text files with their COFF, NOFF and STOFF variants, and write new ones."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from ..core.budgets import CORNERS
 from ..core.errors import InputError
 from ..core.geometry import unit_vectors
 from ..core.mesh import Mesh
 from .atomic import whole_file
-from .polygons import fan_corners, polygons_of, scatter_corners
-from .text import line_number, read_numbers, replace_rows, without_comments
+from .polygons import PolygonSource, fan_corners, polygons_of
+from .text import line_number, read_numbers, without_comments
 
 _HEADER = re.compile(rb"\s*(?P<kind>(ST)?[CN]*(?P<other>4?n?)OFF)?(?P<binary>\s+BINARY)?(?P<rest>.*)", re.DOTALL)
 """First line: the keyword, which may be missing, and the counts, which may follow it without a space (ModelNet)."""
@@ -25,35 +24,8 @@ LONGEST_COUNT = 19
 """Digits of a count from which on it is damaged: larger ones do not fit into 64 bits."""
 
 
-@dataclass(frozen=True, eq=False)
-class OffSource:
-    """The lines of an OFF file and the values read from them. Satisfies `mesh.Source`."""
-
-    lines: list[bytes]
-    vertex_lines: Int[np.ndarray, " V"]
-    """Index in `lines` of each vertex."""
-    vertices: Float[np.ndarray, "V 3"]
-    faces: Int[np.ndarray, "F 3"]
-    sizes: Int[np.ndarray, " P"]
-    """Corners of each polygon; the faces are triangle fans of them."""
-    normals: Float[np.ndarray, "V 3"] | None
-    """Normalised vertex normals of a NOFF file."""
-    suffix = ".off"
-
-    def write(self, mesh: Mesh, path: Path) -> None:
-        """Write the file with the points (and, in a NOFF file, vertex normals) of `mesh`; all else stays."""
-        if mesh.vertices.shape != self.vertices.shape:
-            raise ValueError(f"the file has vertices {self.vertices.shape}, the mesh {mesh.vertices.shape}")
-        lines = list(self.lines)
-        replace_rows(lines, self.vertex_lines, mesh.vertices, self.vertices, skip=0)
-        if self.normals is not None and mesh.corner_normals is not None:
-            normals = scatter_corners(mesh.corner_normals, self.faces, self.normals)
-            replace_rows(lines, self.vertex_lines, normals, self.normals, skip=3)
-        path.write_bytes(b"".join(lines))
-
-
 def read_off(path: Path) -> Mesh:
-    """Read an OFF file with one vertex or face per line; polygons become triangle fans, colours stay in `source`.
+    """Read an OFF file with one vertex or face per line; polygons become triangle fans, colours are not read.
 
     Binary, four-dimensional and n-dimensional OFF are not supported.
 
@@ -75,7 +47,7 @@ def read_off(path: Path) -> Mesh:
     faces, sizes = _read_faces(plain, face_lines, vertex_count, path)
     normals = unit_vectors(read_numbers(lines, vertex_lines, 3, 3, path)) if has_normals else None
     corner_normals = normals[faces] if normals is not None and len(faces) else None
-    source = OffSource(lines, np.array(vertex_lines, int), vertices, faces, sizes, normals)
+    source = PolygonSource(".off", sizes)
     return Mesh(vertices, faces, name=path.stem, corner_normals=corner_normals, source=source)
 
 

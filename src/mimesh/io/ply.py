@@ -1,9 +1,8 @@
-"""Read PLY files in all three encodings (ASCII, little and big endian), write them again, and write new ones."""
+"""Read PLY files in all three encodings (ASCII, little and big endian), and write new binary ones."""
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -14,81 +13,18 @@ from ..core.errors import InputError
 from ..core.geometry import unit_vectors
 from ..core.mesh import Material, Mesh, Part
 from .atomic import whole_file
+from .beside import is_there
 from .colors import linear_rgba, srgb_rgba
-from .mtl import read_image
-from .ply_layout import PlyColumn, PlyHeader, gather, locate_columns, read_header, read_units, scatter
-from .polygons import fan_corners, polygon_corners, polygon_sizes, scatter_corners
+from .mtl import read_image, write_image
+from .ply_layout import PlyColumn, PlyHeader, gather, locate_columns, read_header, read_units
+from .polygons import PolygonSource, fan_corners, polygon_corners, polygon_sizes, smooth_normals
 from .text import encoded
 
 _COLOR_NAMES = ("red", "green", "blue", "alpha")
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
 """Names of texture coordinates of vertices; PLY does not standardise them, and exporters differ."""
-
-
-@dataclass(frozen=True, eq=False)
-class PlySource:
-    """The content of a PLY file, with the location of its properties. Satisfies `mesh.Source`."""
-
-    path: Path
-    data: bytes
-    header: PlyHeader
-    units: np.ndarray
-    """The body: bytes, or the numbers of an ASCII file (see `ply_layout`)."""
-    columns: dict[str, dict[str, PlyColumn]]
-    """Location of each property by element and name."""
-    vertices: Float[np.ndarray, "V 3"]
-    faces: Int[np.ndarray, "F 3"]
-    sizes: Int[np.ndarray, " P"]
-    """Corners of each polygon; the faces are triangle fans of them."""
-    normals: Float[np.ndarray, "V 3"] | None
-    """Normalised vertex normals, where the file has nx, ny, nz."""
-    companions: list[str]
-    """The texture file that the PLY file refers to, if it exists, relative to its folder."""
-    suffix = ".ply"
-
-    def write(self, mesh: Mesh, path: Path) -> None:
-        """Write the file with the points (and vertex normals, if it has any) of `mesh`, in its own encoding and types.
-
-        Raises:
-            InputError: the file stores its points as integers, and they have changed.
-        """
-        if mesh.vertices.shape != self.vertices.shape:
-            raise ValueError(f"the file has vertices {self.vertices.shape}, the mesh {mesh.vertices.shape}")
-        changes = [("xyz", mesh.vertices, self.vertices)]
-        if self.normals is not None and mesh.corner_normals is not None:
-            normals = scatter_corners(mesh.corner_normals, self.faces, self.normals)
-            changes.append(("normals", normals, self.normals))
-        write_body = self._ascii if self.header.ascii else self._binary
-        path.write_bytes(self.data[: self.header.size] + write_body(changes))
-
-    def _binary(self, changes) -> bytes:
-        units = self.units.copy()
-        for column, rows, values in self._moved(changes):
-            scatter(units, column, rows, values)
-        return units.tobytes()
-
-    def _ascii(self, changes) -> bytes:
-        """Replace the words of changed numbers; white space and all other words stay."""
-        pieces = re.split(rb"(\s+)", self.data[self.header.size :])  # word, gap, word, gap, ...
-        first = 0 if pieces[0] else 2  # leading white space gives an empty first word
-        for column, rows, values in self._moved(changes):
-            words = values.astype(column.dtype).astype(str).tolist()  # shortest text that reads back equal in that type
-            for unit, word in zip(column.starts[rows].tolist(), words, strict=True):
-                pieces[first + 2 * unit] = word.encode()
-        return b"".join(pieces)
-
-    def _moved(self, changes):
-        """Yield for each coordinate its column, the rows that differ from the file, and their new values."""
-        for names, new, old in changes:
-            rows = np.flatnonzero((new != old).any(axis=1))
-            for k, name in enumerate(("x", "y", "z") if names == "xyz" else ("nx", "ny", "nz")):
-                column = self.columns["vertex"][name]
-                if column.dtype.kind != "f" and rows.size:
-                    raise InputError(
-                        f"{self.path}: expected float coordinates to move, found '{name}' of type {column.dtype.name}; "
-                        "export it again with float coordinates"
-                    )
-                yield column, rows, new[rows, k]
+ROUNDING = 1e-6
+"""Largest rounding of a written vertex, as a fraction of the mesh's longest side; double precision where it is more."""
 
 
 def read_ply(path: Path) -> Mesh:
@@ -96,7 +32,7 @@ def read_ply(path: Path) -> Mesh:
 
     Read are normals (nx ny nz), texture coordinates per vertex (s t, u v, texture_u texture_v) or per face corner
     (texcoord), colours per vertex (red green blue, alpha, taken as sRGB-encoded), and the image of a `comment
-    TextureFile`. All else (confidence, other elements) is kept in `source`. Triangle strips are not supported.
+    TextureFile`. All else (confidence, other elements) is left out. Triangle strips are not supported.
 
     Raises:
         InputError: the header or body is damaged or truncated, or there is no x, y, z.
@@ -122,7 +58,6 @@ def read_ply(path: Path) -> Mesh:
         )
     normals = _read_points(columns, units, ("nx", "ny", "nz"))
     normals = unit_vectors(normals) if normals is not None else None
-    parts, companions = _read_texture(header, path, len(faces))
     return Mesh(
         vertices,
         faces,
@@ -130,51 +65,54 @@ def read_ply(path: Path) -> Mesh:
         corner_uv=_read_uv(columns, units, faces, triangles, sizes),
         corner_normals=normals[faces] if normals is not None and len(faces) else None,
         vertex_colors=_read_colors(columns["vertex"], units),
-        parts=parts,
-        source=PlySource(path, data, header, units, columns, vertices, faces, sizes, normals, companions),
+        parts=_read_texture(header, path, len(faces)),
+        source=PolygonSource(".ply", sizes),
     )
 
 
-def read_ply_points(path: Path, like: PlySource) -> Float[np.ndarray, "V 3"] | None:
-    """Read only the vertices of a PLY file that equals `like` apart from its vertex rows; None where it does not.
-
-    This is the fast path for the later frames of a clip: the columns of `like` are used without locating them again.
-    """
-    data = path.read_bytes()
-    header = read_header(data, path)
-    first = header.elements[0]
-    has_fixed_rows = first.name == "vertex" and all(p.count is None for p in first.properties)
-    if not has_fixed_rows or (header.ascii, header.elements) != (like.header.ascii, like.header.elements):
-        return None
-    units = read_units(data, header, path)
-    stop = first.length * sum(1 if header.ascii else p.dtype.itemsize for p in first.properties)
-    # Equal headers and equal units after the vertices: only vertex rows can differ.
-    if len(units) != len(like.units) or not np.array_equal(units[stop:], like.units[stop:]):
-        return None
-    return _read_points(like.columns, units, ("x", "y", "z"))
-
-
 def write_ply(mesh: Mesh, path: Path) -> None:
-    """Write any mesh as a new binary PLY file: float positions, colours, polygons and corner texture coordinates.
+    """Write any mesh as a new binary PLY file: positions, normals, colours, polygons and corner texture coordinates.
 
-    Colours are sRGB-encoded bytes. Normals, parts, materials and images are not written.
+    Normals are written where all corners of a vertex share one, colours as sRGB-encoded bytes, the image of the only
+    material as `comment TextureFile`, beside the file. Other parts and materials are not written.
     """
-    sizes = polygon_sizes(mesh)
+    sizes, normals = polygon_sizes(mesh), smooth_normals(mesh)
     count = "uchar" if 2 * sizes.max(initial=0) < 256 else "int"  # type of list lengths; texcoord has two per corner
-    vertex = [("xyz", "<f4", (3,))] + ([("rgba", "u1", (4,))] if mesh.vertex_colors is not None else [])
-    rows = np.zeros(len(mesh.vertices), np.dtype(vertex))
-    rows["xyz"] = mesh.vertices
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(mesh.vertices)}"]
-    header += [f"property float {axis}" for axis in "xyz"]
+    kind, dtype = ("float", "<f4") if _fits_single(mesh.vertices) else ("double", "<f8")
+    columns = {"xyz": (mesh.vertices, dtype, [f"property {kind} {axis}" for axis in "xyz"])}
+    if normals is not None:
+        columns["normal"] = (normals, "<f4", [f"property float n{axis}" for axis in "xyz"])
     if mesh.vertex_colors is not None:
-        header += [f"property uchar {name}" for name in _COLOR_NAMES]
-        rows["rgba"] = np.round(255 * srgb_rgba(mesh.vertex_colors))
+        colors = np.round(255 * srgb_rgba(mesh.vertex_colors))
+        columns["rgba"] = (colors, "u1", [f"property uchar {name}" for name in _COLOR_NAMES])
+    fields = [(name, dtype, (values.shape[1],)) for name, (values, dtype, _) in columns.items()]
+    rows = np.zeros(len(mesh.vertices), np.dtype(fields))
+    for name, (values, _, _) in columns.items():
+        rows[name] = values
+    header = ["ply", "format binary_little_endian 1.0", *_texture_comment(mesh, path)]
+    header += [f"element vertex {len(rows)}", *itertools.chain(*(lines for _, _, lines in columns.values()))]
     if len(sizes):
         header += [f"element face {len(sizes)}", f"property list {count} int vertex_indices"]
         header += [f"property list {count} float texcoord"] if mesh.corner_uv is not None else []
     with whole_file(path) as temporary:
         text = encoded("\n".join([*header, "end_header", ""]))
         temporary.write_bytes(text + rows.tobytes() + _polygon_bytes(mesh, sizes, count))
+
+
+def _fits_single(vertices: Float[np.ndarray, "V 3"]) -> bool:
+    """Whether single precision moves no vertex by more than `ROUNDING` of the mesh's longest side."""
+    with np.errstate(over="ignore"):
+        error = np.abs(vertices.astype(np.float32) - vertices).max(initial=0.0)
+    return bool(error <= ROUNDING * np.ptp(vertices, axis=0).max(initial=0.0))
+
+
+def _texture_comment(mesh: Mesh, path: Path) -> list[str]:
+    """Write the image of a mesh with one textured material beside its file; return the comment that names it."""
+    materials = {part.material for part in mesh.parts}
+    material = materials.pop() if len(materials) == 1 else None
+    if material is None or material.texture is None or mesh.corner_uv is None:
+        return []
+    return [f"comment TextureFile {write_image(material.texture, path.parent, material.name)}"]
 
 
 def _polygon_bytes(mesh: Mesh, sizes: Int[np.ndarray, " P"], count: str) -> bytes:
@@ -253,11 +191,11 @@ def _white_level(dtype: np.dtype) -> float:
     return 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max)
 
 
-def _read_texture(header: PlyHeader, path: Path, faces: int) -> tuple[tuple[Part, ...], list[str]]:
-    """Read the image of `comment TextureFile` as one part with a material; return it and the image files found."""
+def _read_texture(header: PlyHeader, path: Path, faces: int) -> tuple[Part, ...]:
+    """Read the image of `comment TextureFile`, if there is one, as one part with a material."""
     names = [comment.split(None, 1)[1] for comment in header.comments if comment.startswith("TextureFile ")]
-    found = [name for name in names if (path.parent / name).is_file()]
+    found = [name for name in names if is_there(path.parent / name)]
     if not found or not faces:
-        return (), found
+        return ()
     material = Material(Path(found[0]).stem, (1.0, 1.0, 1.0, 1.0), read_image(path.parent / found[0]))
-    return (Part(path.stem, 0, faces, material),), found
+    return (Part(path.stem, 0, faces, material),)

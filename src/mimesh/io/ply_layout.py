@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from ..core.budgets import ELEMENTS
 from ..core.errors import InputError
@@ -143,12 +143,6 @@ def gather(units: np.ndarray, column: PlyColumn) -> np.ndarray:
     if units.dtype != np.uint8:
         return units[starts]
     return units[_bytes_of(starts, column.dtype)].view(column.dtype)[:, 0]
-
-
-def scatter(units: np.ndarray, column: PlyColumn, rows: Int[np.ndarray, " M"], values: Float[np.ndarray, " M"]) -> None:
-    """Write values into rows of a column of a binary body, in place, converted to the column's type."""
-    byte_index = _bytes_of(column.starts[rows], column.dtype)
-    units[byte_index] = values.astype(column.dtype)[:, None].view(np.uint8)
 
 
 def _read_elements(lines: list[list[str]], order: str) -> tuple[PlyElement, ...]:

@@ -6,12 +6,22 @@ Polygons are given by `sizes`, their corner counts, with the corners of all poly
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.geometry import face_normals
 from ..core.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class PolygonSource:
+    """The polygons of the file that a Mesh was read from, which new files of it have, too. Satisfies `mesh.Source`."""
+
+    suffix: str
+    sizes: Int[np.ndarray, " P"]
+    """Corners of each polygon; the faces are triangle fans of them."""
 
 
 def fan_corners(sizes: Int[np.ndarray, " P"]) -> tuple[Int[np.ndarray, "F 3"], Int[np.ndarray, " F"]]:
@@ -84,6 +94,15 @@ def with_face_normals(
 ) -> Float[np.ndarray, "F 3 3"]:
     """Replace zero corner normals by the normals of their faces."""
     return np.where(normals.any(axis=2, keepdims=True), normals, face_normals(vertices, faces)[:, None])
+
+
+def smooth_normals(mesh: Mesh) -> Float[np.ndarray, "V 3"] | None:
+    """Return the normal of each vertex, +y for one without faces; None where corners of a vertex have several."""
+    if mesh.corner_normals is None:
+        return None
+    normals = np.tile([0.0, 1.0, 0.0], (len(mesh.vertices), 1))
+    normals[mesh.faces] = mesh.corner_normals
+    return normals if (normals[mesh.faces] == mesh.corner_normals).all() else None
 
 
 def scatter_corners(

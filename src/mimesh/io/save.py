@@ -1,7 +1,7 @@
 """Write meshes, clips and rigs in any format, each whole or not at all.
 
-`save_mesh` writes the identity's original file with other points whenever the output has its suffix. `formats` maps
-suffixes to the functions of each format.
+`save_mesh` writes the identity's original file with other points where the output has its suffix and its source can do
+so (`mesh.RewritableSource`: OBJ, glTF, NPZ). `formats` maps suffixes to the functions of each format.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ..core.animated_rig import AnimatedRig, RigAnimation
 from ..core.arguments import public
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh, check_frames, check_numbers, check_timing, with_printable_names
+from ..core.mesh import Clip, Mesh, RewritableSource, check_frames, check_numbers, check_timing, with_printable_names
 from ..core.output_size import check_output_size, frames_size
 from .atomic import together, whole_file, writing
 from .formats import CACHES, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, found_suffix, gltf_file
@@ -25,7 +25,6 @@ from .frame_folder import write_sequence
 from .load import load_mesh
 from .mtl import copy_companions
 from .obj_source import ObjSource
-from .ply import PlySource
 
 if TYPE_CHECKING:
     from ..motions.bone_motion import BoneMotion
@@ -34,11 +33,11 @@ if TYPE_CHECKING:
 
 @public()
 def save_mesh(mesh: Mesh, path: str | Path) -> None:
-    """Write a mesh atomically; with the suffix of the file it was read from, as that file with other points.
+    """Write a mesh atomically; an OBJ, glTF or NPZ with the suffix of its own file as that file with other points.
 
     Polygons, texture coordinates, materials, groups, comments and order are then unchanged, and the material libraries
-    and images that it refers to are copied beside it unless files of these names exist. With another suffix a new file
-    is written, of polygons where the format has them, else of triangles.
+    and images that it refers to are copied beside it unless files of these names exist. Otherwise a new file is
+    written, of polygons where the format has them, else of triangles.
 
     Args:
         mesh: the mesh; its axes and unit are not changed.
@@ -53,7 +52,7 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
     """
     check_numbers(mesh, mesh.name)
     path, mesh = Path(path), with_printable_names(mesh)
-    if mesh.source is not None and mesh.source.suffix == path.suffix.lower():
+    if isinstance(mesh.source, RewritableSource) and mesh.source.suffix == path.suffix.lower():
         with writing(path), together():
             with whole_file(path) as temporary:
                 mesh.source.write(mesh, temporary)
@@ -289,5 +288,5 @@ def _mesh_path_of_cache(clip: Clip, path: Path) -> Path | None:
 
 
 def _copy_companions(mesh: Mesh, folder: Path) -> None:
-    if isinstance(mesh.source, ObjSource | PlySource):
+    if isinstance(mesh.source, ObjSource):
         copy_companions(mesh.source.companions, mesh.source.path.parent, folder)

@@ -1,22 +1,22 @@
-"""Read binary and text STL files, write them again, and write new ones.
+"""Read binary and text STL files, and write new binary ones.
 
-STL is a triangle soup without shared vertices: corners at one position are welded on reading, and writing a file again
-keeps its triangles and their order.
+STL is a triangle soup without shared vertices: corners at one position are welded on reading, and written files have
+the triangles in the same order.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ..core.errors import InputError
 from ..core.geometry import face_vectors, unit_vectors, weld
 from ..core.mesh import Mesh, Part
 from .atomic import whole_file
-from .text import decoded, read_numbers, replace_numbers
+from .text import decoded, read_numbers
 
 _RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 """One triangle of a binary file."""
@@ -24,43 +24,6 @@ _ROUNDING = 1e-5
 """Fraction of the largest coordinate: corners of one vertex may differ by this in later frames of a clip."""
 _HEADER_SIZE = 84
 """Bytes of a binary file before the triangles: 80 of any content and the triangle count."""
-
-
-@dataclass(frozen=True, eq=False)
-class StlSource:
-    """The content of an STL file and the welded mesh that was read from it. Satisfies `mesh.Source`."""
-
-    data: bytes
-    vertices: Float[np.ndarray, "V 3"]
-    faces: Int[np.ndarray, "F 3"]
-    is_text: bool
-    suffix = ".stl"
-
-    def write(self, mesh: Mesh, path: Path) -> None:
-        """Write the triangles in the file's order; header and attributes stay, changed triangles get new normals."""
-        if mesh.vertices.shape != self.vertices.shape:
-            raise ValueError(f"the file has vertices {self.vertices.shape}, the mesh {mesh.vertices.shape}")
-        moved = np.flatnonzero((mesh.vertices != self.vertices).any(axis=1)[self.faces].any(axis=1))
-        corners = mesh.vertices[self.faces[moved]].astype(np.float64)
-        normals = unit_vectors(face_vectors(mesh.vertices, self.faces[moved]))
-        path.write_bytes(self._text(moved, corners, normals) if self.is_text else self._binary(moved, corners, normals))
-
-    def _binary(self, moved, corners, normals) -> bytes:
-        # Some files have content after the last triangle, which is kept too.
-        body = self.data[_HEADER_SIZE : _HEADER_SIZE + len(self.faces) * _RECORD.itemsize]
-        records = np.frombuffer(body, _RECORD).copy()
-        records["normal"][moved], records["corners"][moved] = normals, corners
-        return self.data[:_HEADER_SIZE] + records.tobytes() + self.data[_HEADER_SIZE + len(body) :]
-
-    def _text(self, moved, corners, normals) -> bytes:
-        lines = self.data.splitlines(keepends=True)
-        facet_lines, vertex_lines = _lines_with(lines, b"facet"), _lines_with(lines, b"vertex")
-        for face, points, normal in zip(moved.tolist(), corners.tolist(), normals.tolist(), strict=True):
-            i = facet_lines[face]
-            lines[i] = replace_numbers(lines[i], [float(f"{x:.6g}") for x in normal], skip=2)
-            for i, point in zip(vertex_lines[3 * face : 3 * face + 3], points, strict=True):
-                lines[i] = replace_numbers(lines[i], point, skip=1)
-        return b"".join(lines)
 
 
 def read_stl(path: Path) -> Mesh:
@@ -71,20 +34,17 @@ def read_stl(path: Path) -> Mesh:
     Raises:
         InputError: the file is truncated, or is no STL file.
     """
-    data = path.read_bytes()
-    is_text = _is_text(data)
-    soup, parts = _read_soup(data, path)
+    soup, parts = _read_soup(path)
     merged, index = weld(soup)
     # `weld` sorts by position; renumber the vertices by the first corner that uses each.
     _, first, unique_index = np.unique(index, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
-    vertices, faces = merged[order], rank[unique_index].reshape(-1, 3)
-    return Mesh(vertices, faces, name=path.stem, parts=parts, source=StlSource(data, vertices, faces, is_text))
+    return Mesh(merged[order], rank[unique_index].reshape(-1, 3), name=path.stem, parts=parts)
 
 
-def read_stl_points(path: Path, like: StlSource) -> Float[np.ndarray, "V 3"]:
+def read_stl_points(path: Path, like: Mesh) -> Float[np.ndarray, "V 3"]:
     """Read the vertices of a later frame of a clip, welded as in the first frame `like`.
 
     Which corners are one vertex is decided by the first frame alone, so vertices may come to touch later. The position
@@ -93,7 +53,7 @@ def read_stl_points(path: Path, like: StlSource) -> Float[np.ndarray, "V 3"]:
     Raises:
         InputError: another number of triangles, or corners of one vertex of the first frame have separated.
     """
-    soup, _ = _read_soup(path.read_bytes(), path)
+    soup, _ = _read_soup(path)
     corners = like.faces.reshape(-1)
     if len(soup) != len(corners):
         raise InputError(
@@ -124,8 +84,9 @@ def write_stl(mesh: Mesh, path: Path) -> None:
         temporary.write_bytes(bytes(80) + len(records).to_bytes(4, "little") + records.tobytes())
 
 
-def _read_soup(data: bytes, path: Path) -> tuple[Float[np.ndarray, "C 3"], tuple[Part, ...]]:
+def _read_soup(path: Path) -> tuple[Float[np.ndarray, "C 3"], tuple[Part, ...]]:
     """Read the corners of all triangles, and the solids of a text file as parts."""
+    data = path.read_bytes()
     return _read_text(data, path) if _is_text(data) else (_read_binary(data, path), ())
 
 
@@ -154,19 +115,18 @@ def _read_binary(data: bytes, path: Path) -> Float[np.ndarray, "C 3"]:
 
 def _read_text(data: bytes, path: Path) -> tuple[Float[np.ndarray, "C 3"], tuple[Part, ...]]:
     lines = data.splitlines(keepends=True)
-    facets, corners = _lines_with(lines, b"facet"), _lines_with(lines, b"vertex")
-    closed = len(_lines_with(lines, b"endfacet"))
+    index = _lines_by_word(lines)
+    facets, corners, closed = index[b"facet"], index[b"vertex"], len(index[b"endfacet"])
     if len(corners) != 3 * len(facets) or closed != len(facets):
         raise InputError(
             f"{path}: expected three vertex lines and one endfacet for each of {len(facets)} facets, "
             f"found {len(corners)} and {closed}; the file is cut short, export it again"
         )
-    read_numbers(lines, facets, 2, 3, path)  # only checks the normals: they are replaced when the file is written again
-    return read_numbers(lines, corners, 1, 3, path), _read_parts(lines, facets)
+    read_numbers(lines, facets, 2, 3, path)  # only checks the normals
+    return read_numbers(lines, corners, 1, 3, path), _read_parts(lines, index[b"solid"], facets)
 
 
-def _read_parts(lines: list[bytes], facets: list[int]) -> tuple[Part, ...]:
-    solids = _lines_with(lines, b"solid")
+def _read_parts(lines: list[bytes], solids: list[int], facets: list[int]) -> tuple[Part, ...]:
     if len(solids) < 2:
         return ()
     starts = np.searchsorted(facets, solids).tolist()
@@ -175,6 +135,11 @@ def _read_parts(lines: list[bytes], facets: list[int]) -> tuple[Part, ...]:
     return tuple(Part(name, start, stop) for name, start, stop in spans if start < stop)
 
 
-def _lines_with(lines: list[bytes], word: bytes) -> list[int]:
-    """Return the indices of lines whose first word is `word`, in any case."""
-    return [i for i, line in enumerate(lines) if line.split(None, 1)[:1] and line.split(None, 1)[0].lower() == word]
+def _lines_by_word(lines: list[bytes]) -> defaultdict[bytes, list[int]]:
+    """Return the indices of lines by their first word in lower case; lines without a word are left out."""
+    found: defaultdict[bytes, list[int]] = defaultdict(list)
+    for i, line in enumerate(lines):
+        words = line.split(None, 1)
+        if words:
+            found[words[0].lower()].append(i)
+    return found

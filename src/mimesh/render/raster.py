@@ -1,8 +1,8 @@
-"""Pictures of meshes: a z-buffer, smooth shading and soft studio shadows in NumPy alone, the same on every machine.
+"""Pictures of meshes: a z-buffer, smooth shading and a shadow on the floor in NumPy alone, the same on every machine.
 
 A picture takes five steps: find the visible triangle of each sample (`zbuffer`), merge samples of one triangle in one
-pixel into one hit, look up base colours and normals at the hits (`textures`), light them (`shading`, `shadow`), and
-average a pixel's hits over the background.
+pixel into one hit, look up base colours and normals at the hits (`textures`), light them (`shading`), and average a
+pixel's hits over the background.
 """
 
 from __future__ import annotations
@@ -10,17 +10,21 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from ..core.geometry import smooth_step
 from ..core.mesh import Mesh
-from . import shading, shadow, textures
+from . import shading, textures
 from .camera import Camera, fit
-from .shading import to_linear
+from .shading import key_direction, to_linear
 from .textures import interpolate, unit
 from .zbuffer import Hits, visible_faces, weights_at
 
-SMOOTH = 0.005
-"""Standard deviation of the blur of shadows on the subject, as a share of the picture's longer side."""
-LIGHT_SAMPLES = 256
-"""Points along the longer side at which incoming light is computed; more would be lost, since it is blurred."""
+KEY_SHADOW, CONTACT_SHADOW = (0.16, 0.012), (0.22, 0.02)
+"""Darkness (0..1) of the floor's shadow under the key light and under light from straight above, and the standard
+deviation of their blur as a share of the picture's longer side."""
+SHADOW_PIXEL = 4
+"""Side in pixels of the blocks in which the shadow is drawn; the blur hides them."""
+EDGE = 0.14
+"""Width of the border in which the shadow fades out, as a share of the picture's shorter side."""
 
 
 def render(
@@ -46,7 +50,7 @@ def render(
         supersample: s gives s * s samples per pixel, no two of them in one row or column.
         corner_normals: shading normals; smooth with creases by default.
         surface: base colours as `textures.materials` gives them, instead of `colors`.
-        shadows: soft shadows on the subject and on the floor (about a third of the time).
+        shadows: a shadow on the floor.
         background: sRGB in 0..1; None gives RGBA with nothing behind the subject and its shadow.
     """
     if len(faces) == 0:
@@ -54,13 +58,9 @@ def render(
     if corner_normals is None:
         corner_normals = textures.creased_normals(vertices, faces)
     hits, count, normals = _fragments(vertices, faces, corner_normals, camera, size, supersample)
-    floor_dark, sky, key = np.zeros(size[::-1], np.float32), np.ones(size[::-1]), np.ones(size[::-1])
-    if shadows:
-        depth_maps, block = shadow.cast_shadows(vertices, faces, camera), max(1, round(max(size) / LIGHT_SAMPLES))
-        sky, key = _light_per_pixel(depth_maps, vertices, faces, hits, normals, size, block)
-        floor_dark = shadow.floor_shadow(depth_maps, camera, size, block)
+    floor_dark = _floor_shadow(vertices, faces, camera, size) if shadows else np.zeros(size[::-1], np.float32)
     albedo = (surface or textures.plain_colors(colors, faces))(hits)
-    color = shading.shade(albedo, normals, sky.ravel()[hits.pixel], key.ravel()[hits.pixel], camera)
+    color = shading.shade(albedo, normals, camera)
     total, covered = _resolve(color, hits, count, size, supersample)
     if background is None:
         return _transparent(total, covered, floor_dark)
@@ -156,34 +156,27 @@ def _merge_samples(visible, shifts):
     return pixel[hit], face[hit], x[hit] / count[hit], y[hit] / count[hit], count[hit]
 
 
-def _light_per_pixel(depth_maps, vertices, faces, hits, normals, size, block):
-    """Compute sky and key light (h, w) once in each block of pixels, smoothed over the subject.
+def _floor_shadow(vertices, faces, camera, size) -> Float[np.ndarray, "h w"]:
+    """Compute how dark the floor is at every pixel, 0..1: blurred pictures of the mesh, flattened along each light.
 
-    The cost is that of one hit per covered block; `_smooth` hides the coarse grid.
-    """
-    columns, rows = (-(-side // block) for side in size)
-    cell = hits.pixel // size[0] // block * columns + hits.pixel % size[0] // block
-    representative = np.full(columns * rows, -1)
-    representative[cell[::-1]] = np.arange(len(cell))[::-1]  # backwards, so that the first hit of a cell is kept
-    covered = np.flatnonzero(representative >= 0)
-    representative = representative[covered]
-    points = interpolate(vertices[faces.ravel()[hits.corner[representative]]], hits.weight[representative])
-    values = shadow.visible_light(depth_maps, points, normals[representative])
-    sigma = SMOOTH * max(size) / block
-    return [shadow.upsample(light, block, size) for light in _smooth(values, covered, (rows, columns), sigma)]
-
-
-def _smooth(values, covered, shape, sigma):
-    """Blur images over the covered cells alone, 1 elsewhere: hides the noise of few and coarse depth maps.
-
-    A normalized convolution: the blurred values are divided by the blurred mask, so empty cells have no influence.
+    It fades out at the picture's edge, so that pictures side by side look like one background. There is none where the
+    camera looks up.
     """
     from scipy.ndimage import gaussian_filter
 
-    images = np.zeros((3, shape[0] * shape[1]), np.float32)
-    images[:, covered] = *values, np.ones(len(covered))
-    *totals, weight = gaussian_filter(images.reshape(3, *shape), (0, sigma, sigma), mode="constant", truncate=2.5)
-    return [np.where(weight > 0, total / np.maximum(weight, 1e-12), 1.0) for total in totals]
+    dark = np.zeros(size[::-1], np.float32)
+    if camera.rotmat_camera_world[2] @ camera.up <= 0:
+        return dark
+    small = tuple(-(-side // SHADOW_PIXEL) for side in size)
+    height = (vertices @ camera.up - camera.floor)[:, None]
+    for direction, weight, blur in ((key_direction(camera), *KEY_SHADOW), (camera.up, *CONTACT_SHADOW)):
+        flat = camera.project(vertices - height * direction / (direction @ camera.up), size) / SHADOW_PIXEL
+        covered = visible_faces(flat, faces, *small) >= 0
+        pixels = covered.repeat(SHADOW_PIXEL, 0).repeat(SHADOW_PIXEL, 1)[: size[1], : size[0]].astype(np.float32)
+        dark += weight * gaussian_filter(pixels, blur * max(size), truncate=2.5)
+    ramps = [np.minimum(np.arange(side) + 0.5, side - np.arange(side) - 0.5) / (EDGE * min(size)) for side in size]
+    across, down = (smooth_step(ramp, (0.0, 1.0)) for ramp in ramps)
+    return dark * np.minimum(across, down[:, None]).astype(np.float32)
 
 
 def _resolve(color, hits, count, size, supersample):

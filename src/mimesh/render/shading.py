@@ -31,22 +31,17 @@ CODES = 1 << 13
 def shade(
     albedo: Float[np.ndarray, "N 3"],
     normals: Float[np.ndarray, "N 3"],
-    sky: Float[np.ndarray, " N"],
-    key: Float[np.ndarray, " N"],
     camera: Camera,
 ) -> Float[np.ndarray, "N 3"]:
-    """Compute the linear colour of surface points under the studio lights.
+    """Compute the linear colour of surface points under the studio lights; nothing casts a shadow on the subject.
 
     Args:
         albedo: linear base colour.
         normals: unit normals towards the viewer.
-        sky: share of the ambient light that reaches each point, 0..1 (see `shadow.visible_light`).
-        key: share of the key light that reaches it.
     """
     toward_key = key_direction(camera)
     viewer = camera.rotmat_camera_world[2]
     x, y, z = normals.T.astype(np.float32)
-    sky, key = sky.astype(np.float32), key.astype(np.float32)
     # Cosines between the normal and up, viewer, key light, and the half vector of key light and viewer.
     up, front, lit, half = (
         a * x + b * y + c * z
@@ -54,16 +49,15 @@ def shade(
     )
     dome = 0.5 + 0.5 * up  # share of the sky above a surface of this slope; the rest of what it faces is floor
     # Wrapped a little past the terminator: clay and skin scatter light, and the form stays readable in the shade.
-    lambert = np.maximum((lit + np.float32(0.15)) / np.float32(1.15), 0) * key
+    lambert = np.maximum((lit + np.float32(0.15)) / np.float32(1.15), 0)
     grazing = 1 - np.clip(front, 0, 1)
-    rim = grazing * grazing * grazing * np.clip(dome, 0, 1) * sky
+    rim = grazing * grazing * grazing * np.clip(dome, 0, 1)
     # Blinn-Phong with exponent 24; products are cheaper than a power.
     highlight = np.clip(half, 0, 1)
     highlight = highlight * highlight * highlight
-    gloss = highlight**8 * key * GLOSS
-    from_floor, from_sky = (1 - dome) * sky, dome * sky
+    gloss = highlight**8 * GLOSS
     light = np.stack(
-        [from_sky * SKY[k] + from_floor * BOUNCE[k] + lambert * KEY[k] + rim * RIM[k] for k in range(3)], axis=1
+        [dome * SKY[k] + (1 - dome) * BOUNCE[k] + lambert * KEY[k] + rim * RIM[k] for k in range(3)], axis=1
     )
     return _shoulder(albedo.astype(np.float32) * light + gloss[:, None])
 
@@ -80,14 +74,9 @@ def key_direction(camera: Camera) -> Float[np.ndarray, 3]:
 
     A subject in a named view looks to that side.
     """
-    right, front = floor_axes(camera)
-    return unit(0.72 * right + 0.95 * camera.up + 0.62 * front)
-
-
-def floor_axes(camera: Camera) -> tuple[Float[np.ndarray, 3], Float[np.ndarray, 3]]:
-    """Return two unit vectors along the floor: the picture's right, and towards the viewer."""
     right = camera.rotmat_camera_world[0]
-    return right, np.cross(right, camera.up)
+    front = np.cross(right, camera.up)  # along the floor, towards the viewer
+    return unit(0.72 * right + 0.95 * camera.up + 0.62 * front)
 
 
 def unit(vector: Float[np.ndarray, 3]) -> Float[np.ndarray, 3]:

@@ -12,7 +12,7 @@ import numpy as np
 from ..bodies.joint_names import ancestors
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh, check_cut, cut_clip, spread_clip
+from ..core.mesh import Clip, Mesh, RewritableSource, check_cut, cut_clip, spread_clip
 from ..io import (
     check_writable,
     clip_suffixes,
@@ -27,6 +27,7 @@ from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
 from ..io.gltf.own_animation import OwnAnimation
 from ..io.gltf.scene import node_parents
+from ..io.polygons import smooth_normals
 from ..io.timing import DEFAULT_FPS
 from ..motions.amass import parse_betas
 from ..motions.on_body import is_motion_file
@@ -53,7 +54,7 @@ DEVIATION_CAUSES = {
 """What a note says about the `deviation_cause` of a report."""
 POINT_ATTRIBUTES = ("materials", "texture coordinates", "normals", "vertex colours")
 LACKS = {suffix: POINT_ATTRIBUTES for suffix in (".npz", ".off", ".stl")}
-LACKS |= {".ply": ("materials", "texture coordinates", "normals")}
+LACKS |= {".ply": ("materials besides one image", "normals of hard edges")}
 LACKS |= {".abc": ("colours of materials", "textures", "vertex colours")}
 LACKS |= dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), ("vertex colours",))
 """Suffix -> attributes of a Mesh that a new file of that format has not. Point caches have a mesh file beside them."""
@@ -278,10 +279,14 @@ def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[st
 def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
     """Return a note on the attributes of a mesh that the format of a path does not keep."""
     suffix = path.suffix.lower()
-    if mesh.source is not None and mesh.source.suffix == suffix:
+    if isinstance(mesh.source, RewritableSource) and mesh.source.suffix == suffix:
         return ()
+    materials = {part.material for part in mesh.parts}
+    is_image = len(materials) == 1 and any(material and material.texture for material in materials)
     has = {
         "materials": any(part.material for part in mesh.parts),
+        "materials besides one image": any(materials) and not is_image,
+        "normals of hard edges": mesh.corner_normals is not None and smooth_normals(mesh) is None,
         "colours of materials": any(part.material for part in mesh.parts),
         "textures": any(part.material and part.material.texture for part in mesh.parts),
         "texture coordinates": mesh.corner_uv is not None,

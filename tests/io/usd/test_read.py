@@ -71,7 +71,7 @@ def test_only_visible_meshes_are_read(tmp_path):
     stage.Save()
     mesh = load_mesh(tmp_path / "a.usda")
     np.testing.assert_allclose(mesh.vertices, CUBE + [6, 0, 0])
-    assert mesh.source.notes == ("kept 1 point instancer as they were: they do not follow the new shape",)
+    assert mesh.source.notes == ("left out 1 point instancer",)
 
 
 def test_instances_are_read_with_their_transforms(tmp_path):
@@ -88,7 +88,6 @@ def test_instances_are_read_with_their_transforms(tmp_path):
     mesh = load_mesh(tmp_path / "a.usda")
     np.testing.assert_allclose(mesh.vertices, np.concatenate([CUBE + [2 * k, 0, 0] for k in range(3)]))
     assert len(mesh.parts) == 3
-    assert "3 instances" in mesh.source.notes[0]
 
 
 def test_up_axis_and_unit_are_kept(tmp_path):

@@ -41,10 +41,6 @@ class AlembicSource:
     """Name of the mesh object."""
     suffix = ".abc"
 
-    def write(self, mesh: Mesh, path: Path) -> None:
-        """Write a mesh as a new archive with the object name of the old one."""
-        write_alembic(mesh, path)
-
     def values(self) -> Values:
         """Return all fields as arrays and JSON values, for another process."""
         return {"sizes": self.sizes, "notes": self.notes, "name": self.name}

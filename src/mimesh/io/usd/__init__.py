@@ -2,8 +2,8 @@
 
 child                                    what runs in a child process: all that opens a file of others
 stage -> skinning, appearance -> read    read a stage as a Mesh or a stream of frames
-         source, package, rewrite        write the file that was read again, with other points
-         write, write_material           write a new file for any Mesh or Clip
+source                                   what a new file takes over: polygons, axis, unit
+package, write_material -> write         write a new file for any Mesh or Clip
 
 The library is imported only in the child, and when a new file is written.
 """
@@ -47,13 +47,8 @@ def read_usd_clip(path: Path, fps: float | None = None, progress: Progress | Non
 
 
 def write_usd(mesh: Mesh, path: Path) -> None:
-    """Write a mesh as USD: its own file with other points if that was USD, else a new file (see `write.write_new`)."""
-    _need_library(path, "write")
-    if isinstance(mesh.source, UsdSource):
-        with whole_file(path) as temporary:
-            mesh.source.write(mesh, temporary)
-    else:
-        write_usd_clip(Clip.still(mesh), path)
+    """Write a mesh as a new USD file (see `write.write_new`)."""
+    write_usd_clip(Clip.still(mesh), path)
 
 
 def write_usd_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:

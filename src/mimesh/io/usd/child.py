@@ -15,10 +15,9 @@ from ...core.errors import InputError
 from ...core.frame_buffer import Progress
 from ...core.mesh import Mesh
 from ..beside import confined
-from ..guarded import hand_over_clip, hand_over_mesh, take_mesh
-from . import read, saving
+from ..guarded import hand_over_clip, hand_over_mesh
+from . import read
 from .package import check_package
-from .rewrite import write_again
 from .source import UsdSource
 
 # usd-core ships no types.
@@ -47,21 +46,9 @@ def read_clip(source: Path, target: Path, confined_to: str | None, fps: float | 
         hand_over_clip(target, stream, _values(stream.mesh), progress)
 
 
-def rewrite(source: Path, target: Path, request: str, output: str) -> None:
-    """Write the file `source` again as `output`, with the mesh of the file `request`; `target` only gets a mark.
-
-    Raises:
-        InputError: as `rewrite.write_again`, or a place that cannot be written to.
-    """
-    mesh, values = take_mesh(Path(request))
-    with saving(Path(output).parent):
-        write_again(UsdSource.from_values(values), mesh, Path(output))
-    target.write_bytes(b"written")
-
-
 def _values(mesh: Mesh) -> dict:
     assert isinstance(mesh.source, UsdSource)
-    return mesh.source.values()
+    return vars(mesh.source)
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""Read and write USD packages (.usdz).
+"""Check and write USD packages (.usdz).
 
 A package is a zip archive of uncompressed files whose contents begin at multiples of 64 bytes, so that a reader can map
 them into memory. Its first file is the root layer.
@@ -6,11 +6,9 @@ them into memory. Its first file is the root layer.
 
 from __future__ import annotations
 
-import contextlib
 import shutil
 import struct
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 
 from ...core.errors import InputError
@@ -29,36 +27,18 @@ def check_package(path: Path) -> None:
     """
     if path.suffix.lower() != ".usdz":
         return
-    with _open(path) as package:
-        broken = package.testzip()
+    try:
+        with zipfile.ZipFile(path) as package:
+            if any(entry.compress_type != zipfile.ZIP_STORED for entry in package.infolist()):
+                raise zipfile.BadZipFile("compressed files in it")
+            broken = package.testzip()
+    except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
+        raise InputError(f"{path}: expected a .usdz package, found {error}; export it again") from error
     if broken is not None:
         raise InputError(
             f"{path}: expected the checksum of {broken[:80]!r} in it, found another; "
             "the file is damaged, export it again"
         )
-
-
-def unpack(path: Path, folder: Path) -> list[str]:
-    """Extract a package into a folder and return the names of its files in order, the root layer first.
-
-    Raises:
-        InputError: the file is no zip archive, its files are compressed, or one has another checksum.
-    """
-    with _open(path) as package:
-        package.extractall(folder)
-        return [entry.filename for entry in package.infolist() if not entry.is_dir()]
-
-
-@contextlib.contextmanager
-def _open(path: Path) -> Iterator[zipfile.ZipFile]:
-    """Open a package; what zipfile raises for a damaged one, here or in the block, becomes an InputError."""
-    try:
-        with zipfile.ZipFile(path) as package:
-            if any(entry.compress_type != zipfile.ZIP_STORED for entry in package.infolist()):
-                raise zipfile.BadZipFile("compressed files in it")
-            yield package
-    except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
-        raise InputError(f"{path}: expected a .usdz package, found {error}; export it again") from error
 
 
 def pack(folder: Path, names: list[str], path: Path) -> None:

@@ -1,11 +1,10 @@
-"""Read a USD stage as a mesh or stream of frames in world coordinates, recording which prim each vertex came from."""
+"""Read a USD stage as a mesh or stream of frames in world coordinates."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,29 +28,15 @@ from .appearance import (
     read_material,
     uv_primvar_name,
 )
-from .rewrite import writing_notes
 from .skinning import MeshPrim, find_skinning, transform_points
-from .source import PrimRange, UsdSource
-from .stage import DEFAULT_TIME, has_default_values, open_stage, shown_meshes, time_code_range
+from .source import UsdSource
+from .stage import ALL_PRIMS, DEFAULT_TIME, has_default_values, open_stage, shown_meshes, time_code_range
 
 # usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
 
 MaterialCache = dict[Sdf.Path, Material]
 """Materials of the stage by prim path, so that each is read once."""
-
-
-@dataclass(frozen=True, eq=False)
-class WorldMesh:
-    """One mesh prim as a Mesh in world coordinates."""
-
-    mesh: Mesh
-    sizes: Int[np.ndarray, " P"]
-    """Corners of each polygon; the faces are triangle fans of them."""
-    corner_of: Int[np.ndarray, "F 3"]
-    """Index of each face corner in the prim's `faceVertexIndices`."""
-    is_mirrored: bool
-    """Whether the prim's world transform has a negative determinant, which reverses the winding of faces."""
 
 
 def read_mesh(path: Path) -> Mesh:
@@ -153,26 +138,21 @@ def _join_prims(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) -> Mes
     first = time_code_range(stage, _samples(mesh_prims), path)[0]
     xforms = UsdGeom.XformCache(DEFAULT_TIME if at_default_time else Usd.TimeCode(first))
     materials: MaterialCache = {}
-    world_meshes = [_read_prim(mesh_prim, xforms, materials, path) for mesh_prim in mesh_prims]
-    mesh = _concatenate([world_mesh.mesh for world_mesh in world_meshes], path.stem)
+    meshes, sizes = zip(*(_read_prim(mesh_prim, xforms, materials, path) for mesh_prim in mesh_prims), strict=True)
+    mesh = _concatenate(meshes, path.stem)
     source = UsdSource(
-        path=path.resolve(),
         suffix=path.suffix.lower(),
-        vertices=mesh.vertices,
-        sizes=np.concatenate([world_mesh.sizes for world_mesh in world_meshes]),
-        ranges=_prim_ranges(mesh_prims, world_meshes),
-        at_default_time=at_default_time,
-        first=first,
+        sizes=np.concatenate(sizes),
         up_axis=str(UsdGeom.GetStageUpAxis(stage)),
         meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
-        notes=writing_notes(stage, mesh_prims),
+        notes=_writing_notes(stage, mesh_prims),
     )
     # A stage without this metadatum counts as y up, but says nothing about what its exporter did.
     authored = stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis)
     return dataclasses.replace(mesh, source=source, up=f"+{source.up_axis.lower()}" if authored else None)
 
 
-def _concatenate(meshes: list[Mesh], name: str) -> Mesh:
+def _concatenate(meshes: Sequence[Mesh], name: str) -> Mesh:
     """Concatenate meshes to one of the given name, with shifted vertex indices and face ranges of parts."""
     starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes]).tolist()
     face_starts = np.cumsum([0] + [len(mesh.faces) for mesh in meshes]).tolist()
@@ -195,20 +175,24 @@ def _concatenate(meshes: list[Mesh], name: str) -> Mesh:
     )
 
 
-def _prim_ranges(mesh_prims: list[MeshPrim], world_meshes: list[WorldMesh]) -> tuple[PrimRange, ...]:
-    """Return which vertices and faces of the joined mesh came from each prim."""
-    ranges = []
-    start = first_face = 0
-    for mesh_prim, world_mesh in zip(mesh_prims, world_meshes, strict=True):
-        stop = start + len(world_mesh.mesh.vertices)
-        prim_path = str(mesh_prim.prim.GetPath())
-        ranges.append(PrimRange(prim_path, start, stop, first_face, world_mesh.corner_of, world_mesh.is_mirrored))
-        start, first_face = stop, first_face + len(world_mesh.mesh.faces)
-    return tuple(ranges)
+def _writing_notes(stage: Usd.Stage, mesh_prims: list[MeshPrim]) -> tuple[str, ...]:
+    """List what a new file of the meshes of a stage will lack, one line each; other prims are not listed."""
+    counts = {
+        "skin or blend shapes": sum(mesh_prim.skinning is not None for mesh_prim in mesh_prims),
+        "animation": sum(bool(mesh_prim.sample_times()) for mesh_prim in mesh_prims),
+    }
+    notes = [f"dropped the {what} of {count} of {len(mesh_prims)} meshes" for what, count in counts.items() if count]
+    instancers = sum(prim.IsA(UsdGeom.PointInstancer) for prim in stage.Traverse(ALL_PRIMS))
+    notes += [f"left out {instancers} point instancer{'s' * (instancers > 1)}"] * bool(instancers)
+    return tuple(notes)
 
 
-def _read_prim(mesh_prim: MeshPrim, xforms: UsdGeom.XformCache, materials: MaterialCache, path: Path) -> WorldMesh:
-    """Read one prim at the time of `xforms`, with its faces sorted so that each part is one consecutive run.
+def _read_prim(
+    mesh_prim: MeshPrim, xforms: UsdGeom.XformCache, materials: MaterialCache, path: Path
+) -> tuple[Mesh, Int[np.ndarray, " P"]]:
+    """Read one prim in world coordinates at the time of `xforms`, and the corner count of each of its polygons.
+
+    Faces are sorted so that each part is one consecutive run.
 
     Raises:
         InputError: face indices are out of range, or the face counts do not sum to their number.
@@ -240,7 +224,7 @@ def _read_prim(mesh_prim: MeshPrim, xforms: UsdGeom.XformCache, materials: Mater
         corner_normals=_normals(mesh_prim, xforms, vertices, faces, corners, polygon_of, corner_of, path),
         parts=_parts(binding_prims, labels[polygon], materials),
     )
-    return WorldMesh(mesh, counts[order], corner_of, is_mirrored)
+    return mesh, counts[order]
 
 
 def _polygons(prim: Usd.Prim, time: Usd.TimeCode, path: Path) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, " C"]]:

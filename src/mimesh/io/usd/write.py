@@ -23,7 +23,7 @@ from ...core.frame_buffer import PAGED, Progress, each_frame
 from ...core.geometry import normal_turner
 from ...core.mesh import Clip, Mesh
 from ..atomic import scratch_folder
-from ..polygons import polygon_corners, polygon_sizes
+from ..polygons import polygon_corners, polygon_sizes, smooth_normals
 from .package import pack
 from .source import UsdSource
 from .stage import DEFAULT_TIME
@@ -127,10 +127,10 @@ def _normal_function(usd_mesh: UsdGeom.Mesh, mesh: Mesh, corner_at: Int[np.ndarr
     if mesh.corner_normals is None or not len(mesh.faces):
         return None
     rotated_normals = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
-    rest_normals, vertex_of = mesh.corner_normals.reshape(-1, 3), mesh.faces.ravel()
+    vertex_of = mesh.faces.ravel()
     corner_of_vertex = np.full(len(mesh.vertices), -1)  # any corner of each vertex, -1 for a vertex without faces
     corner_of_vertex[vertex_of] = np.arange(len(vertex_of))
-    is_smooth = bool((rest_normals[corner_of_vertex[vertex_of]] == rest_normals).all())
+    is_smooth = smooth_normals(mesh) is not None
     usd_mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex if is_smooth else FACE_VARYING)
 
     def frame_normals(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "N 3"]:

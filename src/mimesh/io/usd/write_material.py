@@ -9,8 +9,7 @@ from jaxtyping import Int
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, Vt
 
 from ...core.mesh import Material, Mesh
-from ..atomic import whole_file, written
-from ..mtl import image_suffix
+from ..mtl import write_image
 
 # usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
@@ -90,7 +89,7 @@ def _add_material(
     surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
     usd_material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
     if textured and material.texture is not None:
-        file = _write_image(material.texture, folder, usd_material.GetPath().name)
+        file = write_image(material.texture, folder, usd_material.GetPath().name)
         diffuse.ConnectToSource(_add_texture(usd_material, f"{asset_folder}/{file}", color).ConnectableAPI(), "rgb")
     return usd_material
 
@@ -118,14 +117,3 @@ def _shader(material: UsdShade.Material, name: str, shader_id: str) -> UsdShade.
     if shader_id == "UsdPreviewSurface":
         shader.CreateOutput("surface", Sdf.ValueTypeNames.Token)
     return shader
-
-
-def _write_image(content: bytes, folder: Path, stem: str) -> str:
-    """Write an image into a folder under the first free name and return the name; an equal file there is reused."""
-    name, number = f"{stem}{image_suffix(content)}", 2
-    while (there := written(folder / name)).exists() and there.read_bytes() != content:
-        name, number = f"{stem}-{number}{image_suffix(content)}", number + 1
-    if not there.exists():
-        with whole_file(folder / name) as temporary:
-            temporary.write_bytes(content)
-    return name
