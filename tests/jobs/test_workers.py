@@ -16,7 +16,7 @@ import zoo
 
 from mimesh.io import save_mesh
 from mimesh.jobs import run
-from mimesh.jobs.run import Task, next_job
+from mimesh.jobs.run import BatchTask, next_job
 from mimesh.jobs.table import BatchJob
 
 SCRIPT = """
@@ -33,12 +33,12 @@ def repeating(monkeypatch) -> None:
     monkeypatch.setattr(run, "_do_or_exit", crashing.repeat_or_crash)
 
 
-def tasks(*drivings: str, identities: int = 1) -> dict[int, Task]:
+def tasks(*drivings: str, identities: int = 1) -> dict[int, BatchTask]:
     jobs = [BatchJob("row", "transfer", str(k % identities), driving, "out") for k, driving in enumerate(drivings)]
-    return {k: Task(job, "", draw=False) for k, job in enumerate(jobs)}
+    return {k: BatchTask(job, "", draw=False) for k, job in enumerate(jobs)}
 
 
-def outcomes(given: dict[int, Task], workers: int) -> list[dict[str, Any]]:
+def outcomes(given: dict[int, BatchTask], workers: int) -> list[dict[str, Any]]:
     """Have workers do tasks; outcomes by number, each of which may come once only."""
     found = list(run._do_here(given, workers))
     assert sorted(number for number, _ in found) == sorted(given)

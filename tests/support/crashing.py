@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from mimesh.jobs.run import Task
+from mimesh.jobs.run import BatchTask
 
 
-def repeat_or_crash(task: Task) -> dict[str, Any]:
+def repeat_or_crash(task: BatchTask) -> dict[str, Any]:
     """Return the driving's name and the number of this process, or crash as a native library does."""
     if task.job.driving == "crash":
         os.abort()

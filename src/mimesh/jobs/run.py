@@ -56,7 +56,7 @@ LOCAL = "local"
 
 
 @dataclass(frozen=True)
-class Task:
+class BatchTask:
     """A job for a worker."""
 
     job: BatchJob
@@ -128,7 +128,7 @@ def batch(
         for job in jobs:
             record_path(job).unlink(missing_ok=True)
     shown = set(shown_jobs(len(jobs))) if sheet else set()
-    tasks = [Task(job, fingerprint(job), k in shown) for k, job in enumerate(jobs)]
+    tasks = [BatchTask(job, fingerprint(job), k in shown) for k, job in enumerate(jobs)]
     outcomes = [_recorded(task) or {"state": NOT_RUN} for task in tasks]
     workers = workers or usable_cores()
     count = min(workers, sum(outcome["state"] == NOT_RUN for outcome in outcomes))
@@ -162,7 +162,7 @@ def _common_folder(jobs: Sequence[BatchJob]) -> Path:
 
 
 def _do_tasks(
-    tasks: Sequence[Task],
+    tasks: Sequence[BatchTask],
     outcomes: list[dict[str, Any]],
     workers: int,
     cluster: str | None,
@@ -221,7 +221,7 @@ def _digest(path: Path, modified: int, size: int) -> str:
     return digest.hexdigest()
 
 
-def _recorded(task: Task) -> dict[str, Any] | None:
+def _recorded(task: BatchTask) -> dict[str, Any] | None:
     """Return the recorded outcome of a job whose output exists and was made from the same, else None."""
     try:
         record = json.loads(record_path(task.job).read_text(encoding="utf-8"))
@@ -234,7 +234,7 @@ def _recorded(task: Task) -> dict[str, Any] | None:
     return {**outcome, "state": DONE_BEFORE} if isinstance(outcome, dict) else None
 
 
-def do_task(task: Task) -> dict[str, Any]:
+def do_task(task: BatchTask) -> dict[str, Any]:
     """Do a job unless its record says that it is done; return its outcome, with a "tile" if a picture is wanted.
 
     Workers of this machine and of a cluster run it. Errors are outcomes; a signal to stop is not caught.
@@ -255,7 +255,7 @@ def do_task(task: Task) -> dict[str, Any]:
     return {**failed, "seconds": round(time.perf_counter() - begin, 3), "memory_mib": resident_memory()}
 
 
-def _do_job(task: Task, begin: float) -> dict[str, Any]:
+def _do_job(task: BatchTask, begin: float) -> dict[str, Any]:
     """Do a job, write its record, and return its outcome."""
     path = record_path(task.job)
     path.unlink(missing_ok=True)
@@ -279,7 +279,7 @@ def _do_job(task: Task, begin: float) -> dict[str, Any]:
     return {**outcome, "memory_mib": resident_memory()}
 
 
-def _do_here(tasks: Mapping[int, Task], workers: int) -> Generator[tuple[int, dict[str, Any]], None, None]:
+def _do_here(tasks: Mapping[int, BatchTask], workers: int) -> Generator[tuple[int, dict[str, Any]], None, None]:
     """Have worker processes do numbered tasks; yield numbers and outcomes as they come.
 
     If this generator is closed, or Ctrl-C ends it, the workers end at once and delete their temporary files.
@@ -371,9 +371,8 @@ class _Process(SpawnProcess):
         finally:
             sys.modules["__main__"] = script
             for name, value in before.items():
-                if value is None:
-                    del os.environ[name]
-                else:
+                os.environ.pop(name)
+                if value is not None:
                     os.environ[name] = value
 
 
@@ -398,7 +397,7 @@ def _begin_worker(lifeline: Connection) -> None:
     threading.Thread(target=follow, daemon=True).start()  # last: a pool would print that its preparation was stopped
 
 
-def _do_or_exit(task: Task) -> dict[str, Any]:
+def _do_or_exit(task: BatchTask) -> dict[str, Any]:
     """Do a task in a worker process; a signal to stop ends the process, where the pool would go on."""
     try:
         return do_task(task)
@@ -406,7 +405,7 @@ def _do_or_exit(task: Task) -> dict[str, Any]:
         os._exit(1)
 
 
-def _do_on_cluster(tasks: Mapping[int, Task], address: str) -> Generator[tuple[int, dict[str, Any]], None, None]:
+def _do_on_cluster(tasks: Mapping[int, BatchTask], address: str) -> Generator[tuple[int, dict[str, Any]], None, None]:
     """Have a Ray cluster do numbered tasks, up to MOST_TASKS on one core with one thread; yield as `_do_here` does.
 
     What is lost with a machine is done again, without the jobs whose records say that they are done.
@@ -457,7 +456,7 @@ def _connect(ray: Any, address: str) -> None:
         raise InputError(f"--cluster: expected a Ray cluster at {address}, found '{found}'; start it first") from error
 
 
-def chunks(tasks: Mapping[int, Task]) -> list[list[int]]:
+def chunks(tasks: Mapping[int, BatchTask]) -> list[list[int]]:
     """Divide numbered tasks: up to MOST_TASKS of one identity each."""
     numbers: defaultdict[str, list[int]] = defaultdict(list)
     for number, task in tasks.items():
@@ -465,7 +464,7 @@ def chunks(tasks: Mapping[int, Task]) -> list[list[int]]:
     return [some[k : k + MOST_TASKS] for some in numbers.values() for k in range(0, len(some), MOST_TASKS)]
 
 
-def _do_in_folder(tasks: list[Task], folder: str) -> list[dict[str, Any]]:
+def _do_in_folder(tasks: list[BatchTask], folder: str) -> list[dict[str, Any]]:
     """Do tasks one after another, with paths that start in a folder; runs on the cluster."""
     os.chdir(folder)
     keep_results()

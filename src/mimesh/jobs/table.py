@@ -130,10 +130,8 @@ def _all_pairs(identities: Any, drivings: str, output: str | Path | None, comman
             "give one: -o 'out/{identity}/{driving}.glb'"
         )
     moving = (*CLIP_READERS, *ANIMATED, *COLLECTIONS) if command == "animate" else mesh_suffixes()
-    meshes, clips = (
-        find_files(str(identities), mesh_suffixes(), "meshes"),
-        find_files(drivings, moving, "driving files"),
-    )
+    meshes = find_files(str(identities), mesh_suffixes(), "meshes")
+    clips = find_files(drivings, moving, "driving files")
     return [(f"{mesh} + {clip}", {"identity": mesh, "driving": clip}) for mesh in meshes for clip in clips]
 
 
@@ -173,11 +171,10 @@ def _job(
     """Return the job of a row."""
     if None in row:  # what csv.DictReader makes of values beyond the last column
         raise InputError(f"{where}: expected as many values as columns, found more; quote values that have commas")
-    given = _texts(row)
-    values = {name: value for name, value in given.items() if value}
+    values = _texts(row)
     for name in ("identity", "driving", *(("output",) if pattern is None else ())):
         if name not in values:
-            raise InputError(f"{where}: expected a value for {name}, found none; columns: {', '.join(given)}")
+            raise InputError(f"{where}: expected a value for {name}, found none; columns: {', '.join(map(str, row))}")
     command = values.pop("command", command)
     if command not in COMMANDS:
         raise InputError(f"{where}: expected animate or transfer as command, found {command!r}; name one of them")
@@ -187,14 +184,13 @@ def _job(
 
 
 def _texts(values: Mapping[Any, Any]) -> dict[str, str]:
-    """Return values as texts by the names of options: root_bone and --Root-bone are root-bone, True is yes."""
-    words = {None: "", True: "yes", False: "no"}
-    return {
-        str(name).strip().lstrip("-").replace("_", "-").lower(): words[value]
-        if value is None or isinstance(value, bool)
-        else str(value).strip()
-        for name, value in values.items()
-    }
+    """Return values that are not empty as texts, by the names of options: root_bone: True is root-bone: yes."""
+    texts = {}
+    for name, value in values.items():
+        value = ("yes" if value else "no") if isinstance(value, bool) else "" if value is None else str(value).strip()
+        if value:
+            texts[str(name).strip().lstrip("-").replace("_", "-").lower()] = value
+    return texts
 
 
 def find_files(text: str, suffixes: Sequence[str], what: str) -> list[str]:
