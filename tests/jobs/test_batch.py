@@ -17,10 +17,12 @@ import zoo
 
 import mimesh
 from mimesh.cli import run
+from mimesh.core.budgets import limits_are_lifted
 from mimesh.core.mesh import Clip
+from mimesh.core.output_size import LARGEST_OUTPUT, check_output_size
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.jobs.summary import BatchResult
-from mimesh.jobs.table import filled, find_files, read_table
+from mimesh.jobs.table import filled, find_files, option_values, read_jobs
 
 
 @pytest.fixture
@@ -251,7 +253,7 @@ def test_tables_as_programs_write_them(files):
     Path("jobs.csv").write_bytes(
         b"\xef\xbb\xbfIdentity\tDriving\tOutput\tRoot_Bone\nids/a.obj\tclips/run\tx.glb\tyes\n"
     )
-    (job,) = read_table(Path("jobs.csv"), {"rest": "T"}, None, "animate")
+    (job,) = read_jobs("jobs.csv", None, None, {"rest": "T"}, "animate")
     assert (job.identity, job.driving, job.output) == ("ids/a.obj", "clips/run", "x.glb")
     assert dict(job.options) == {"rest": "T", "root-bone": "yes"}
 
@@ -261,3 +263,10 @@ def test_patterns_and_folders(files):
     assert find_files("ids", (".obj",), "meshes") == ["ids/a.obj", "ids/b.obj"]
     assert find_files("ids/a.obj", (".obj",), "meshes") == ["ids/a.obj"]
     assert filled("{identity}-{driving}-{number:03}.glb", "x/a.b.obj", "clips/walk", 7) == "a.b-walk-007.glb"
+
+
+def test_what_options_set_ends_with_the_parsing():
+    assert option_values("transfer", (("no-limits", "yes"),))["no_limits"]
+    assert not limits_are_lifted()
+    assert option_values("transfer", ())["large"] is False
+    check_output_size(2 * int(LARGEST_OUTPUT), "out.obj", "write less of it")  # outputs of Python have no limit

@@ -13,7 +13,8 @@ import zoo
 
 from mimesh.cli import run
 from mimesh.io import save_mesh
-from mimesh.jobs.cluster import MOST_CALLS, chunks
+from mimesh.jobs.run import MOST_TASKS, BatchTask, chunks
+from mimesh.jobs.table import BatchJob
 
 RAY = importlib.util.find_spec("ray") is not None
 PROGRAM = """
@@ -71,7 +72,8 @@ def test_without_ray_the_extra_is_named(tmp_path, monkeypatch, capfd):
 
 
 def test_tasks_have_one_identity_and_few_jobs():
-    groups = ["a"] * 20 + ["b"] * 3 + ["a"]
-    tasks = chunks(groups)
-    assert sorted(number for task in tasks for number in task) == list(range(24))
-    assert all(len({groups[number] for number in task}) == 1 and len(task) <= MOST_CALLS for task in tasks)
+    identities = ["a"] * 20 + ["b"] * 3 + ["a"]
+    jobs = [BatchJob("row", "transfer", identity, "pose.obj", "out.obj") for identity in identities]
+    found = chunks({number: BatchTask(job, "", draw=False) for number, job in enumerate(jobs)})
+    assert sorted(number for numbers in found for number in numbers) == list(range(24))
+    assert all(len({identities[k] for k in numbers}) == 1 and len(numbers) <= MOST_TASKS for numbers in found)

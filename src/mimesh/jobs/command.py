@@ -86,17 +86,18 @@ def batch(
 
     options = {"model": model} if model != "mime" else {}
     for text in option or ():
-        name, equals, value = text.partition("=")
-        if not equals or not name:
+        name, _, value = text.partition("=")
+        if not name or "=" not in text:
             raise InputError(f"--option: expected NAME=VALUE, found {text!r}; write root=keep or ground=no")
         options[name] = value
     if cluster is not None and workers is not None:
         raise InputError("--workers: expected it without --cluster, which has workers of its own; leave one out")
-    silent = quiet or json
-    if not silent and not sys.stderr.isatty():
+    silent, terminal = quiet or json, sys.stderr.isatty()
+    if not silent and not terminal:
         say("checking all jobs", error=True)
     # Without a terminal each job has a line of its own.
-    with progress("jobs", silent or not sys.stderr.isatty()) as advance:
+    with progress("jobs", silent or not terminal) as advance:
+        bar = advance and (lambda done, total, job, outcome: advance(done, total))
         result = run_batch(
             str(jobs),
             None if drivings is None else str(drivings),
@@ -108,25 +109,14 @@ def batch(
             summary=summary,
             sheet=sheet,
             cluster=cluster,
-            report=advance_bar(advance) if advance else None if silent else print_lines(),
+            report=None if silent else bar or print_lines(),
         )
     if json:
         print_json(result.facts())
-    elif not quiet:
-        print_summary(result)
-    elif result.failed:
-        print_failures(result)
+    else:
+        print_summary(result, quiet)
     if result.failed:
         raise Stop(SOME_FAILED)
-
-
-def advance_bar(advance: Callable[[int, int], None]) -> Callable[..., None]:
-    """Return a report that moves a bar on the terminal."""
-
-    def report(done: int, total: int, job: BatchJob | None, outcome: dict[str, Any]) -> None:
-        advance(done, total)
-
-    return report
 
 
 def print_lines() -> Callable[..., None]:
@@ -147,21 +137,19 @@ def print_lines() -> Callable[..., None]:
     return report
 
 
-def print_summary(result: BatchResult) -> None:
-    """Print how many jobs were done, the files, and the failed jobs."""
-    counts = ", ".join(f"{count} {state}" for state, count in result.counts.items() if count)
-    say(f"{len(result.jobs)} jobs: {counts}; {result.seconds:.1f} s, workers: {result.workers}")
-    print_failures(result)
-    names = {"csv": "table", "json": "facts", "png": "picture"}
-    for kind, path in result.files.items():
-        say(f"{names[kind]}: {path}")
-    say(f"next: open {result.files.get('png') or result.files['csv']}")
-
-
-def print_failures(result: BatchResult) -> None:
-    """Print the first failed jobs with their errors."""
-    failed = [(job, outcome) for job, outcome in zip(result.jobs, result.outcomes, strict=True) if outcome.get("error")]
-    for job, outcome in failed[:MOST_FAILURES]:
-        say(f"failed: {job.where}: {outcome['error']}")
+def print_summary(result: BatchResult, quiet: bool) -> None:
+    """Print how many jobs were done, the first failures and the files; if quiet, failures alone."""
+    if not quiet:
+        counts = ", ".join(f"{count} {state}" for state, count in result.counts.items() if count)
+        say(f"{len(result.jobs)} jobs: {counts}; {result.seconds:.1f} s, workers: {result.workers}")
+    pairs = zip(result.jobs, result.outcomes, strict=True)
+    failed = [f"{job.where}: {outcome['error']}" for job, outcome in pairs if outcome.get("error")]
     if len(failed) > MOST_FAILURES:
-        say(f"failed: {len(failed) - MOST_FAILURES} more, see {result.files['csv']}")
+        failed[MOST_FAILURES:] = [f"{len(failed) - MOST_FAILURES} more, see {result.files['csv']}"]
+    for line in failed:
+        say(f"failed: {line}")
+    if not quiet:
+        names = {"csv": "table", "json": "facts", "png": "picture"}
+        for kind, path in result.files.items():
+            say(f"{names[kind]}: {path}")
+        say(f"next: open {result.files.get('png') or result.files['csv']}")

@@ -1,40 +1,69 @@
-"""`batch`: check all jobs, do those that are not finished with several processes, and write a summary."""
+"""`batch`: check all jobs, have worker processes or a cluster do those that are not finished, and write a summary.
+
+Beside an output lies a record of what it was made from, so that the same batch again does only what is left: that of
+`walk.glb` is `.walk.glb.job.json`. It is removed before a job starts and written after its output.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
+import signal
+import sys
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+import traceback
+from collections import defaultdict, deque
+from collections.abc import Callable, Generator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import import_module
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
-from ..core.arguments import described, public
-from ..core.errors import InputError
-from ..core.system import usable_cores
-from ..io import mesh_suffixes
-from ..io.formats import ANIMATED, CLIP_READERS, COLLECTIONS
-from .check import check_jobs
-from .pool import run_calls
-from .records import fingerprint, finished, record_path
-from .sheet import drawn_jobs, save_sheet
-from .summary import BatchResult
-from .table import (
-    COMMANDS,
-    DONE_BEFORE,
-    FAILED,
-    NOT_RUN,
-    BatchJob,
-    all_pairs,
-    find_files,
-    numbered_rows,
-    read_rows,
-    read_table,
-)
+from ..core.arguments import public
+from ..core.errors import InputError, command_line_words
+from ..core.system import resident_memory, usable_cores
+from ..io.atomic import whole_file, writing
+from ..io.child_process import VARIABLES as LIBRARY_THREADS
+from ..io.joint_file import side_file
+from ..methods.find import weights_path
+from ..methods.mime.kept_results import keep_results
+from ..methods.onnx_runtime import THREADS
+from .summary import DONE, DONE_BEFORE, FAILED, NOT_RUN, BatchResult, draw_tile, save_sheet, shown_jobs
+from .table import BatchJob, check_jobs, option_values, read_jobs, run_command
 
 Report = Callable[[int, int, BatchJob | None, dict[str, Any]], None]
 """Gets the jobs finished, the jobs in all, and the job with its outcome; None for those that were finished before."""
-NAME = "batch"
-"""Name of the summary's files without suffix."""
+ONE_THREAD = {**LIBRARY_THREADS, THREADS: "1"}
+"""Environment variables of a worker: its libraries and networks have one thread."""
+FORMAT, VERSION = "mimesh job", 1
+"""Of a record."""
+COMPANIONS = {".obj": (".mtl",), ".gltf": (".bin",)}
+"""Suffix -> those of files beside it, with the same name, that belong to its contents."""
+TRACEBACK_LINES = 6
+MOST_TASKS = 8
+"""Jobs of one identity that a cluster's core does one after another."""
+LOCAL = "local"
+"""Address of a cluster that is started on this machine, and ended with the batch."""
+
+
+@dataclass(frozen=True)
+class BatchTask:
+    """A job for a worker."""
+
+    job: BatchJob
+    made_from: str
+    """Its fingerprint."""
+    draw: bool
+    """Whether a picture of the result is wanted."""
 
 
 @public()
@@ -90,169 +119,353 @@ def batch(
     begin = time.perf_counter()
     if workers is not None and workers < 1:
         raise InputError(f"--workers: expected 1 or more, found {workers}; leave it out for one a core")
-    jobs = _jobs(identities, drivings, output, options or {}, command)
+    jobs = read_jobs(identities, drivings, output, options or {}, command)
     folder = Path(summary) if summary is not None else _common_folder(jobs)
-    files = {kind: folder / f"{NAME}.{kind}" for kind in ("csv", "json", "png")}
-    table = [] if drivings is not None or not isinstance(identities, (str, Path)) else [Path(identities)]
+    files = {kind: folder / f"batch.{kind}" for kind in ("csv", "json", "png")}
+    table = [Path(identities)] if drivings is None and isinstance(identities, (str, Path)) else []
     check_jobs(jobs, table, tuple(files.values()))
-    run = _Run(jobs, [fingerprint(job) for job in jobs], drawn_jobs(len(jobs)) if sheet else [], again, report)
+    if again:
+        for job in jobs:
+            record_path(job).unlink(missing_ok=True)
+    shown = set(shown_jobs(len(jobs))) if sheet else set()
+    tasks = [BatchTask(job, fingerprint(job), k in shown) for k, job in enumerate(jobs)]
+    outcomes = [_recorded(task) or {"state": NOT_RUN} for task in tasks]
     workers = workers or usable_cores()
-    count = min(workers, len(run.left))
+    count = min(workers, sum(outcome["state"] == NOT_RUN for outcome in outcomes))
 
-    def saved(written: Mapping[str, Path]) -> BatchResult:
-        paths = {kind: str(path) for kind, path in written.items()}
-        result = BatchResult(jobs, run.outcomes, time.perf_counter() - begin, count, paths)
+    def saved(*kinds: str) -> BatchResult:
+        paths = {kind: str(files[kind]) for kind in kinds}
+        result = BatchResult(jobs, outcomes, time.perf_counter() - begin, count, paths)
         result.save(files["csv"], files["json"])
         return result
 
-    tables = {kind: files[kind] for kind in ("csv", "json")}
     try:
-        run.do(count, cluster)
+        tiles = _do_tasks(tasks, outcomes, workers, cluster, report)
     except KeyboardInterrupt:
-        saved(tables)
+        saved("csv", "json")
         raise
     if not sheet:
-        return saved(tables)
-    run.draw_sheet(files["png"], workers)
-    return saved(files)
-
-
-class _Run:
-    """The jobs of a batch with their outcomes so far."""
-
-    def __init__(
-        self,
-        jobs: Sequence[BatchJob],
-        made_from: Sequence[str],
-        shown: Sequence[int],
-        again: bool,
-        report: Report | None,
-    ) -> None:
-        """Take the outcomes of earlier batches, or with `again` remove their records; `shown` jobs are drawn."""
-        if again:
-            for job in jobs:
-                record_path(job).unlink(missing_ok=True)
-        self.jobs, self.made_from, self.report = jobs, made_from, report
-        self.outcomes = [_earlier(*pair) for pair in zip(jobs, made_from, strict=True)]
-        self.left = [k for k, outcome in enumerate(self.outcomes) if outcome["state"] == NOT_RUN]
-        self.tiles: dict[int, str | None] = dict.fromkeys(shown)
-        self.done = len(jobs) - len(self.left)
-
-    def do(self, workers: int, cluster: str | None) -> None:
-        """Have the jobs done that are left, by processes of this machine or by a cluster."""
-        if self.report is not None:
-            self.report(self.done, len(self.jobs), None, {"workers": workers})
-        if not self.left:
-            return
-        numbers = list(self.left)
-        calls = [
-            {"job": self.jobs[k].as_dict(), "made_from": self.made_from[k], "draw": k in self.tiles} for k in numbers
-        ]
-        groups = [self.jobs[k].identity for k in numbers]
-
-        def answered(number: int, answer: dict[str, Any]) -> None:
-            self._answered(numbers[number], answer)
-
-        if cluster is None:
-            run_calls(calls, groups, workers, answered, _lost)
-        else:
-            from .cluster import run_on_cluster
-
-            run_on_cluster(calls, groups, cluster, answered)
-
-    def draw_sheet(self, path: Path, workers: int) -> None:
-        """Write the sheet; results of earlier batches are drawn now."""
-        earlier = [k for k in self.tiles if self.outcomes[k]["state"] == DONE_BEFORE and self.tiles[k] is None]
-
-        def drawn(number: int, answer: dict[str, Any]) -> None:
-            self.tiles[earlier[number]] = answer["tile"]
-
-        if earlier:
-            calls = [{"job": self.jobs[k].as_dict(), "draw": True} for k in earlier]
-            run_calls(calls, list(range(len(calls))), workers, drawn, lambda number, ending: {"tile": None})
-        states = [self.outcomes[k].get("error") or self.outcomes[k]["state"] for k in self.tiles]
-        save_sheet([self.jobs[k] for k in self.tiles], states, list(self.tiles.values()), path)
-
-    def _answered(self, k: int, answer: dict[str, Any]) -> None:
-        """Take the outcome of a job."""
-        tile = answer.pop("tile", None)
-        if k in self.tiles:
-            self.tiles[k] = tile
-        self.outcomes[k] = answer
-        self.done += 1
-        if self.report is not None:
-            self.report(self.done, len(self.jobs), self.jobs[k], answer)
-
-
-def _jobs(
-    identities: str | Path | Sequence[Mapping[str, Any]],
-    drivings: str | Path | None,
-    output: str | Path | None,
-    options: Mapping[str, Any],
-    command: str,
-) -> list[BatchJob]:
-    """Return the jobs of a table, or of two sets of files."""
-    if command not in COMMANDS:
-        raise InputError(f"batch: expected the command animate or transfer, found {command!r}; name one of them")
-    if not isinstance(options, Mapping):
-        raise InputError(f'options: expected a dictionary, found {described(options)}; give for example {{"stop": 10}}')
-    ((_, named),) = numbered_rows([options])
-    texts = {
-        name: ("yes" if value else "no") if isinstance(value, bool) else str(value) for name, value in named.items()
-    }
-    pattern = None if output is None else str(output)
-    if drivings is None:
-        if isinstance(identities, (str, Path)):
-            if Path(identities).is_dir():
-                raise InputError(
-                    f"{identities}: expected a table of jobs (CSV), or a second folder: DRIVINGS; give one of them"
-                )
-            return read_table(Path(identities), texts, pattern, command)
-        _check_rows(identities)
-        return read_rows(numbered_rows(identities), texts, pattern, command)
-    if not isinstance(identities, (str, Path)):
-        raise InputError("batch: expected no drivings beside rows of jobs, found both; put them in the rows")
-    if pattern is None:
-        raise InputError(
-            "--output: expected a pattern for the outputs of all pairs, found none; "
-            "give one: -o 'out/{identity}/{driving}.glb'"
-        )
-    moving = (*CLIP_READERS, *ANIMATED, *COLLECTIONS) if command == "animate" else mesh_suffixes()
-    found = find_files(str(identities), mesh_suffixes(), "meshes"), find_files(str(drivings), moving, "driving files")
-    return all_pairs(*found, texts, pattern, command)
-
-
-def _check_rows(rows: Sequence[Mapping[str, Any]]) -> None:
-    """Raise InputError for jobs that are no list of dictionaries."""
-    if isinstance(rows, Mapping) or not isinstance(rows, Sequence):
-        raise InputError(f"identities: expected a list of dictionaries, or a path, found {described(rows)}; give [job]")
-    for row in rows:
-        if not isinstance(row, Mapping):
-            raise InputError(
-                f"identities: expected dictionaries as jobs, found {described(row)}; give for example "
-                '{"identity": "hero.glb", "driving": "walk.bvh", "output": "out.glb"}'
-            )
-
-
-def _earlier(job: BatchJob, made_from: str) -> dict[str, Any]:
-    """Return the outcome of a job by an earlier batch; "not run" if there is none that counts."""
-    outcome = finished(job, made_from)
-    return {"state": NOT_RUN} if outcome is None else {**outcome, "state": DONE_BEFORE}
-
-
-def _lost(number: int, ending: str) -> dict[str, Any]:
-    """Return the outcome of a job whose worker has ended: a crash of a library, or too little memory."""
-    hint = "; if the system ran out of memory, use fewer --workers" if "KILL" in ending else ""
-    return {"state": FAILED, "error": f"expected a result, found that the worker ended ({ending}){hint}"}
+        return saved("csv", "json")
+    save_sheet(jobs, outcomes, tiles, files["png"])
+    return saved(*files)
 
 
 def _common_folder(jobs: Sequence[BatchJob]) -> Path:
     """Return the folder that all outputs lie below."""
-    folders = [str(Path(job.output).resolve().parent) for job in jobs]
     try:
-        common = Path(os.path.commonpath(folders))
+        common = Path(os.path.commonpath([Path(job.output).resolve().parent for job in jobs]))
     except ValueError as error:  # several drives
-        raise InputError("--summary: expected a folder for the summary of outputs on several drives, found none; "
-                         "give one") from error  # fmt: skip
+        message = "--summary: expected a folder for the summary of outputs on several drives, found none; give one"
+        raise InputError(message) from error
     here = Path.cwd()
     return common.relative_to(here) if common.is_relative_to(here) else common
+
+
+def _do_tasks(
+    tasks: Sequence[BatchTask],
+    outcomes: list[dict[str, Any]],
+    workers: int,
+    cluster: str | None,
+    report: Report | None,
+) -> dict[int, bytes | None]:
+    """Have the jobs done that are left, put their outcomes in place, and return pictures by the number of the job."""
+    left = [k for k, outcome in enumerate(outcomes) if outcome["state"] == NOT_RUN]
+    undrawn = [k for k, task in enumerate(tasks) if task.draw and outcomes[k]["state"] == DONE_BEFORE]
+    wanted, tiles, done = {k: tasks[k] for k in left + undrawn}, {}, len(tasks) - len(left)
+    if report is not None:
+        report(done, len(tasks), None, {"workers": min(workers, len(left))})
+    # Closed at once if `report` raises an error, so that the workers end.
+    with closing(_do_here(wanted, workers) if cluster is None else _do_on_cluster(wanted, cluster)) as finished:
+        for k, outcome in finished:
+            tiles[k] = outcome.pop("tile", None)
+            if outcomes[k]["state"] == DONE_BEFORE:  # its picture alone was wanted
+                continue
+            outcomes[k], done = outcome, done + 1
+            if report is not None:
+                report(done, len(tasks), tasks[k].job, outcome)
+    return tiles
+
+
+def record_path(job: BatchJob) -> Path:
+    """Return the path of a job's record."""
+    output = Path(job.output)
+    return output.with_name(f".{output.name}.job.json")
+
+
+def fingerprint(job: BatchJob) -> str:
+    """Return a digest of everything that the output of a job depends on, but not of where it is written."""
+    facts: dict[str, Any] = {"command": job.command, "options": sorted(job.options)}
+    facts["inputs"] = {name: _contents(path) for name, path in job.inputs().items()}
+    facts["joints"] = [_contents(side_file(Path(path))) for path in (job.identity, job.driving)]
+    facts["weights"] = _contents(weights_path(option_values(job.command, job.options)["model"]))
+    return hashlib.blake2b(json.dumps(facts).encode(), digest_size=16).hexdigest()
+
+
+def _contents(path: Path) -> list[str]:
+    """Return digests of a file and of its companions, or of all files of a folder; empty if there is none."""
+    if path.is_dir():
+        files = sorted(path.iterdir())
+    else:
+        files = [path, *(path.with_suffix(suffix) for suffix in COMPANIONS.get(path.suffix.lower(), ()))]
+    facts = [(file.resolve(), file.stat()) for file in files if file.is_file()]
+    return [_digest(file, stat.st_mtime_ns, stat.st_size) for file, stat in facts]
+
+
+@lru_cache(maxsize=2**16)
+def _digest(path: Path, modified: int, size: int) -> str:
+    """Return a digest of the name and contents of a file, which is read once while it does not change."""
+    digest = hashlib.blake2b(path.name.encode("utf-8", "surrogateescape"), digest_size=16)
+    with path.open("rb") as file:
+        while chunk := file.read(2**20):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+def _recorded(task: BatchTask) -> dict[str, Any] | None:
+    """Return the recorded outcome of a job whose output exists and was made from the same, else None."""
+    try:
+        record = json.loads(record_path(task.job).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    expected = {"format": FORMAT, "version": VERSION, "made_from": task.made_from}
+    if not isinstance(record, dict) or not expected.items() <= record.items() or not Path(task.job.output).exists():
+        return None
+    outcome = record.get("outcome")
+    return {**outcome, "state": DONE_BEFORE} if isinstance(outcome, dict) else None
+
+
+def do_task(task: BatchTask) -> dict[str, Any]:
+    """Do a job unless its record says that it is done; return its outcome, with a "tile" if a picture is wanted.
+
+    Workers of this machine and of a cluster run it. Errors are outcomes; a signal to stop is not caught.
+    """
+    job, begin = task.job, time.perf_counter()
+    failed: dict[str, Any] = {"state": FAILED}
+    try:
+        outcome = _recorded(task) or _do_job(task, begin)
+        return {**outcome, "tile": draw_tile(job)} if task.draw else outcome
+    except InputError as error:
+        failed["error"] = " ".join(str(error).split())
+    except MemoryError:
+        failed["error"] = f"{job.identity}: expected enough memory, found too little; use fewer --workers"
+    except Exception as error:
+        kind = f"{type(error).__name__}: {error}".splitlines()[0]
+        failed["error"] = f"{kind} (a bug of mimesh; please report it)"
+        failed["traceback"] = "".join(traceback.format_exception(error)[-TRACEBACK_LINES:])
+    return {**failed, "seconds": round(time.perf_counter() - begin, 3), "memory_mib": resident_memory()}
+
+
+def _do_job(task: BatchTask, begin: float) -> dict[str, Any]:
+    """Do a job, write its record, and return its outcome."""
+    path = record_path(task.job)
+    path.unlink(missing_ok=True)
+    with command_line_words():
+        facts = run_command(task.job)
+    reports = [clip["report"] for clip in facts.get("clips", ())] or [facts["report"]]
+    found = [report[which].get("confidence") for report in reports for which in ("identity", "driving")]
+    outcome = {
+        "state": DONE,
+        "seconds": round(time.perf_counter() - begin, 3),
+        "frames": facts["frames"],
+        "vertices": facts["vertices"],
+        "confidence": min((confidence for confidence in found if confidence is not None), default=None),
+        "steps": facts["seconds"],
+        "notes": facts["report"]["notes"],
+        "error": None,
+    }
+    record = {"format": FORMAT, "version": VERSION, "made_from": task.made_from, "outcome": outcome}
+    with writing(path), whole_file(path) as temporary:
+        temporary.write_text(json.dumps(record) + "\n", encoding="utf-8", newline="\n")
+    return {**outcome, "memory_mib": resident_memory()}
+
+
+def _do_here(tasks: Mapping[int, BatchTask], workers: int) -> Generator[tuple[int, dict[str, Any]], None, None]:
+    """Have worker processes do numbered tasks; yield numbers and outcomes as they come.
+
+    If this generator is closed, or Ctrl-C ends it, the workers end at once and delete their temporary files.
+    """
+    waiting: dict[str, deque[int]] = {}
+    for number, task in tasks.items():
+        waiting.setdefault(task.job.identity, deque()).append(number)
+    begun: set[str] = set()
+    # Workers wait for the end of this pipe, which comes with the end of `line`, also when this process is killed.
+    lifeline, line = SpawnContext().Pipe(duplex=False)
+    pools, running = [_Worker(lifeline) for _ in range(min(workers, len(tasks)))], {}
+
+    def start(worker: _Worker) -> None:
+        worker.identity, number = next_job(waiting, begun, worker.identity)
+        running[worker.submit(_do_or_exit, tasks[number])] = worker, number
+
+    try:
+        for worker in pools:
+            start(worker)
+        while running:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                worker, number = running.pop(future)
+                try:
+                    outcome = future.result()
+                except BrokenProcessPool:
+                    outcome = {"state": FAILED, "error": worker.ending()}
+                    pools.append(worker := _Worker(lifeline))
+                if waiting:
+                    start(worker)
+                yield number, outcome
+    finally:
+        if running:
+            line.close()
+        for worker in pools:
+            worker.shutdown()
+        lifeline.close()
+        line.close()
+
+
+def next_job(waiting: dict[str, deque[int]], begun: set[str], identity: str | None) -> tuple[str, int]:
+    """Take a job for a worker: of the identity it has, else of one that no worker has begun, else where most are left.
+
+    Args:
+        waiting: identity -> numbers of its jobs; the job is removed.
+        begun: identities that workers have begun; that of the job is added.
+        identity: what the worker has done last.
+    """
+    if identity not in waiting:
+        new = next((name for name in waiting if name not in begun), None)
+        identity = new or max(waiting, key=lambda name: len(waiting[name]))
+    begun.add(identity)
+    number = waiting[identity].popleft()
+    if not waiting[identity]:
+        del waiting[identity]
+    return identity, number
+
+
+class _Worker(ProcessPoolExecutor):
+    """A pool of one process: so it can stay with an identity, and costs its own job alone if it ends."""
+
+    def __init__(self, lifeline: Connection) -> None:
+        super().__init__(1, _Context(), _begin_worker, (lifeline,))
+        self.identity: str | None = None
+        """Of its last job."""
+
+    def ending(self) -> str:
+        """Return the error of a job whose process has ended: a crash of a library, or too little memory."""
+        (process,) = self._processes.values()
+        self.shutdown()  # waits for the exit code
+        code = process.exitcode or 0
+        ending = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+        hint = "; if the system ran out of memory, use fewer --workers" if "KILL" in ending else ""
+        return f"expected a result, found that the worker ended ({ending}){hint}"
+
+
+class _Process(SpawnProcess):
+    """A process with ONE_THREAD, which does not run the script that has called `batch`.
+
+    Spawned processes run the script of their parent; without `if __name__ == "__main__"` each would start the batch
+    anew. They need nothing of it, so it is hidden while they are started.
+    """
+
+    def start(self) -> None:
+        script, before = sys.modules["__main__"], {name: os.environ.get(name) for name in ONE_THREAD}
+        sys.modules["__main__"] = ModuleType("__main__")
+        os.environ.update(ONE_THREAD)
+        try:
+            super().start()
+        finally:
+            sys.modules["__main__"] = script
+            for name, value in before.items():
+                os.environ.pop(name)
+                if value is not None:
+                    os.environ[name] = value
+
+
+class _Context(SpawnContext):
+    """Has a pool start such processes."""
+
+    Process = _Process
+
+
+def _begin_worker(lifeline: Connection) -> None:
+    """Prepare a worker process: when `lifeline` ends, so does the worker, after it has deleted its temporary files."""
+    os.dup2(2, 1)  # what libraries print must not come between what the command prints, such as one JSON object
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the batch itself ends its workers
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+
+    def follow() -> None:
+        with suppress(EOFError):
+            lifeline.recv()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    keep_results()
+    threading.Thread(target=follow, daemon=True).start()  # last: a pool would print that its preparation was stopped
+
+
+def _do_or_exit(task: BatchTask) -> dict[str, Any]:
+    """Do a task in a worker process; a signal to stop ends the process, where the pool would go on."""
+    try:
+        return do_task(task)
+    except SystemExit:
+        os._exit(1)
+
+
+def _do_on_cluster(tasks: Mapping[int, BatchTask], address: str) -> Generator[tuple[int, dict[str, Any]], None, None]:
+    """Have a Ray cluster do numbered tasks, up to MOST_TASKS on one core with one thread; yield as `_do_here` does.
+
+    What is lost with a machine is done again, without the jobs whose records say that they are done.
+
+    Args:
+        tasks: by number.
+        address: of the cluster, "auto" for the one that this machine belongs to, or LOCAL.
+
+    Raises:
+        InputError: Ray is not installed, or there is no cluster at the address.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that is started here reports to nobody
+    try:
+        ray: Any = import_module("ray")
+    except ImportError:
+        raise InputError(
+            "ray: expected it for --cluster, found it not installed; pip install 'mimesh[cluster]'"
+        ) from None
+    if not tasks:
+        return
+    if begun := not ray.is_initialized():
+        _connect(ray, address)
+    try:
+        do = ray.remote(num_cpus=1, max_retries=-1)(_do_in_folder)  # again as often as a machine is lost
+        waiting = {do.remote([tasks[k] for k in numbers], os.getcwd()): numbers for numbers in chunks(tasks)}
+        while waiting:
+            (ready,), _ = ray.wait(list(waiting), num_returns=1)
+            numbers = waiting.pop(ready)
+            try:
+                outcomes = ray.get(ready)
+            except ray.exceptions.RayError as error:
+                message = f"expected a result, found that Ray gave its task up ({str(error).splitlines()[0]})"
+                outcomes = [{"state": FAILED, "error": message} for _ in numbers]
+            yield from zip(numbers, outcomes, strict=True)
+    finally:
+        if begun:
+            ray.shutdown()
+
+
+def _connect(ray: Any, address: str) -> None:
+    """Connect to a cluster, whose workers find the modules that this process has."""
+    variables = {**ONE_THREAD, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    options = {"include_dashboard": False} if address == LOCAL else {}
+    try:
+        ray.init(address=address, runtime_env={"env_vars": variables}, log_to_driver=False, **options)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        found = str(error).splitlines()[0]
+        raise InputError(f"--cluster: expected a Ray cluster at {address}, found '{found}'; start it first") from error
+
+
+def chunks(tasks: Mapping[int, BatchTask]) -> list[list[int]]:
+    """Divide numbered tasks: up to MOST_TASKS of one identity each."""
+    numbers: defaultdict[str, list[int]] = defaultdict(list)
+    for number, task in tasks.items():
+        numbers[task.job.identity].append(number)
+    return [some[k : k + MOST_TASKS] for some in numbers.values() for k in range(0, len(some), MOST_TASKS)]
+
+
+def _do_in_folder(tasks: list[BatchTask], folder: str) -> list[dict[str, Any]]:
+    """Do tasks one after another, with paths that start in a folder; runs on the cluster."""
+    os.chdir(folder)
+    keep_results()
+    return [do_task(task) for task in tasks]

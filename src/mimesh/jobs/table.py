@@ -1,25 +1,52 @@
-"""Read the jobs of a batch: rows of a table, or all pairs of two lists of files with a pattern for the outputs."""
+"""Jobs of a batch: read them from a table, or pair two sets of files, and check all before the first one starts.
+
+A job is one run of `mimesh animate` or `mimesh transfer`. Its options are the command's, which parses them.
+"""
 
 from __future__ import annotations
 
 import csv
 import glob
+import os
 import string
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from contextvars import copy_context
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import InputError
+import typer
+
+from ..bodies.engine_rig import Layout
+from ..commands import move
+from ..commands.clips import check_clip_output, check_suffix
+from ..commands.terminal import refuse_inputs
+from ..core.arguments import described
+from ..core.errors import InputError, did_you_mean
+from ..core.normalization import parse_axis
 from ..core.system import refuse_pipe
+from ..io import mesh_suffixes
+from ..io.formats import ANIMATED, CLIP_READERS, COLLECTIONS, MESH_WRITERS
+from ..methods.find import find_method
+from ..pipeline.prepared import MotionOptions
+from ..tools.preview import names_beside
 
 COMMANDS = ("animate", "transfer")
-FILES = ("identity", "driving", "output")
 PLACEHOLDERS = ("identity", "driving", "number")
 """Names in the pattern of outputs: the inputs' names without folder and suffix, and the number of the job from 1."""
-STATES = DONE, DONE_BEFORE, FAILED, NOT_RUN = ("done", "done before", "failed", "not run")
-"""Of a job, in the order of messages: done now, by an earlier batch, with an error, or stopped before its start."""
-WILDCARDS = frozenset("*?[")
+FILE_OPTIONS = ("reference", "markers", "body_model", "joints", "driving_joints")
+"""Options whose values are input files."""
+AXIS_OPTIONS = ("up", "front", "driving_up", "driving_front")
+NOT_FOR_JOBS = ("output", "open", "json", "quiet", "help")
+"""Options that a batch gives each job itself."""
+SWITCHES = {**dict.fromkeys(("yes", "true", "1", "on"), True), **dict.fromkeys(("no", "false", "0", "off"), False)}
+"""What the value of a switch may be."""
+MOST_SHOWN = 3
+"""Errors that are shown of many."""
+Row = tuple[str, Mapping[Any, Any]]
+"""Where a row comes from, for messages, and its values by column."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +68,18 @@ class BatchJob:
         """Name of the pair in lists and pictures."""
         return f"{stem(self.identity)} + {stem(self.driving)}"
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields for JSON."""
-        return asdict(self)
+    def inputs(self) -> dict[str, Path]:
+        """Return the files that it reads by what they are: identity, driving, and those that its options name."""
+        files = {"identity": Path(self.identity), "driving": Path(self.driving)}
+        return files | {name: Path(path) for name, path in self.options if name.replace("-", "_") in FILE_OPTIONS}
 
-    @classmethod
-    def from_dict(cls, fields: Mapping[str, Any]) -> BatchJob:
-        """Make a job from what `as_dict` returned."""
-        return cls(**{**fields, "options": tuple((name, value) for name, value in fields["options"])})
+    def outputs(self) -> list[Path]:
+        """Return the files that it writes: the output, and its preview if one is wanted."""
+        if not option_values(self.command, self.options)["preview"]:
+            return [Path(self.output)]
+        suffix = Path(self.identity).suffix
+        usual = ".glb" if self.command == "animate" or suffix.lower() == ".fbx" else suffix  # as the command has it
+        return [Path(self.output), *names_beside(Path(self.output), usual=usual)]
 
 
 def stem(path: str) -> str:
@@ -57,69 +88,109 @@ def stem(path: str) -> str:
     return resolved.name if resolved.is_dir() else resolved.stem
 
 
-def read_table(path: Path, options: Mapping[str, str], pattern: str | None, command: str) -> list[BatchJob]:
-    """Read the jobs of a CSV file with a header, in UTF-8, with commas, semicolons or tabs between its columns.
-
-    Raises:
-        InputError: no such file, or one without the columns that are needed; see `read_rows`.
-    """
-    refuse_pipe(path)
-    if not path.is_file():
-        raise InputError(f"{path}: expected a table of jobs (CSV), found no such file; check the path")
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            first = file.readline()
-            file.seek(0)
-            delimiter = max(",;\t", key=first.count)
-            reader = csv.DictReader(file, delimiter=delimiter, restval="", strict=True)
-            rows = [(f"{path}:{reader.line_num}", row) for row in reader]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: expected a CSV file in UTF-8, found '{error}'; save it as CSV UTF-8") from error
-    return read_rows(rows, options, pattern, command)
-
-
-def read_rows(
-    rows: Iterable[tuple[str, Mapping[Any, Any]]], options: Mapping[str, str], pattern: str | None, command: str
+def read_jobs(
+    identities: str | Path | Sequence[Mapping[str, Any]],
+    drivings: str | Path | None,
+    output: str | Path | None,
+    options: Mapping[str, Any],
+    command: str,
 ) -> list[BatchJob]:
-    """Return the jobs of rows, each with the place that messages name.
+    """Return the jobs of a table or of rows, or with `drivings` one for each pair; for the arguments see `run.batch`.
 
     A row has identity and driving; output, if there is no pattern; command, if it is not the usual one; and options by
     their names without dashes, which replace those for all jobs. Empty values are left out.
 
     Raises:
-        InputError: a row lacks one of them, or has more values than columns.
+        InputError: there is no job, or a row lacks a value or has too many; files are not looked for in a table.
     """
-    jobs = []
-    for number, (where, row) in enumerate(rows, 1):
-        if None in row:  # what csv.DictReader makes of values beyond the last column
-            raise InputError(f"{where}: expected as many values as columns, found more; quote values that have commas")
-        given = {_column(name): "" if value is None else _text(value) for name, value in row.items()}
-        values = {name: value for name, value in given.items() if value != ""}
-        missing = next((name for name in FILES[:2] if name not in values), None)
-        if missing or ("output" not in values and pattern is None):
-            missing = missing or "output"
-            raise InputError(f"{where}: expected a value for {missing}, found none; columns: {', '.join(given)}")
-        named = values.pop("command", command)
-        if named not in COMMANDS:
-            raise InputError(f"{where}: expected animate or transfer as command, found {named!r}; name one of them")
-        identity, driving = values.pop("identity"), values.pop("driving")
-        output = values.pop("output", None) or filled(str(pattern), identity, driving, number)
-        jobs.append(BatchJob(where, named, identity, driving, output, tuple({**options, **values}.items())))
+    if command not in COMMANDS:
+        raise InputError(f"batch: expected the command animate or transfer, found {command!r}; name one of them")
+    if not isinstance(options, Mapping):
+        raise InputError(f'options: expected a dictionary, found {described(options)}; give for example {{"stop": 10}}')
+    if drivings is not None:
+        rows = _all_pairs(identities, str(drivings), output, command)
+    elif isinstance(identities, (str, Path)):
+        rows = _table_rows(Path(identities))
+    else:
+        rows = _given_rows(identities)
+    shared, pattern = _texts(options), None if output is None else str(output)
+    jobs = [_job(number, where, row, shared, pattern, command) for number, (where, row) in enumerate(rows, 1)]
     if not jobs:
         raise InputError("batch: expected at least one job, found none; add rows below the header")
     return jobs
 
 
-def all_pairs(
-    identities: Sequence[str], drivings: Sequence[str], options: Mapping[str, str], pattern: str, command: str
-) -> list[BatchJob]:
-    """Return a job for each identity with each driving."""
-    rows = [
-        (f"{identity} + {driving}", {"identity": identity, "driving": driving})
-        for identity in identities
-        for driving in drivings
-    ]
-    return read_rows(rows, options, pattern, command)
+def _all_pairs(identities: Any, drivings: str, output: str | Path | None, command: str) -> list[Row]:
+    """Return a row for each identity with each driving."""
+    if not isinstance(identities, (str, Path)):
+        raise InputError("batch: expected no drivings beside rows of jobs, found both; put them in the rows")
+    if output is None:
+        raise InputError(
+            "--output: expected a pattern for the outputs of all pairs, found none; "
+            "give one: -o 'out/{identity}/{driving}.glb'"
+        )
+    moving = (*CLIP_READERS, *ANIMATED, *COLLECTIONS) if command == "animate" else mesh_suffixes()
+    meshes = find_files(str(identities), mesh_suffixes(), "meshes")
+    clips = find_files(drivings, moving, "driving files")
+    return [(f"{mesh} + {clip}", {"identity": mesh, "driving": clip}) for mesh in meshes for clip in clips]
+
+
+def _table_rows(path: Path) -> list[Row]:
+    """Read a CSV file with a header, in UTF-8, with commas, semicolons or tabs between its columns."""
+    refuse_pipe(path)
+    if path.is_dir():
+        raise InputError(f"{path}: expected a table of jobs (CSV), or a second folder: DRIVINGS; give one of them")
+    if not path.is_file():
+        raise InputError(f"{path}: expected a table of jobs (CSV), found no such file; check the path")
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            delimiter = max(",;\t", key=file.readline().count)
+            file.seek(0)
+            reader = csv.DictReader(file, delimiter=delimiter, restval="", strict=True)
+            return [(f"{path}:{reader.line_num}", row) for row in reader]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: expected a CSV file in UTF-8, found '{error}'; save it as CSV UTF-8") from error
+
+
+def _given_rows(rows: Any) -> list[Row]:
+    """Return the rows of a program, which must be a list of dictionaries."""
+    if isinstance(rows, Mapping) or not isinstance(rows, Sequence):
+        raise InputError(f"identities: expected a list of dictionaries, or a path, found {described(rows)}; give [job]")
+    for row in rows:
+        if not isinstance(row, Mapping):
+            raise InputError(
+                f"identities: expected dictionaries as jobs, found {described(row)}; give for example "
+                '{"identity": "hero.glb", "driving": "walk.bvh", "output": "out.glb"}'
+            )
+    return [(f"job {number}", row) for number, row in enumerate(rows, 1)]
+
+
+def _job(
+    number: int, where: str, row: Mapping[Any, Any], options: Mapping[str, str], pattern: str | None, command: str
+) -> BatchJob:
+    """Return the job of a row."""
+    if None in row:  # what csv.DictReader makes of values beyond the last column
+        raise InputError(f"{where}: expected as many values as columns, found more; quote values that have commas")
+    values = _texts(row)
+    for name in ("identity", "driving", *(("output",) if pattern is None else ())):
+        if name not in values:
+            raise InputError(f"{where}: expected a value for {name}, found none; columns: {', '.join(map(str, row))}")
+    command = values.pop("command", command)
+    if command not in COMMANDS:
+        raise InputError(f"{where}: expected animate or transfer as command, found {command!r}; name one of them")
+    identity, driving = values.pop("identity"), values.pop("driving")
+    output = values.pop("output", None) or filled(str(pattern), identity, driving, number)
+    return BatchJob(where, command, identity, driving, output, tuple({**options, **values}.items()))
+
+
+def _texts(values: Mapping[Any, Any]) -> dict[str, str]:
+    """Return values that are not empty as texts, by the names of options: root_bone: True is root-bone: yes."""
+    texts = {}
+    for name, value in values.items():
+        value = ("yes" if value else "no") if isinstance(value, bool) else "" if value is None else str(value).strip()
+        if value:
+            texts[str(name).strip().lstrip("-").replace("_", "-").lower()] = value
+    return texts
 
 
 def find_files(text: str, suffixes: Sequence[str], what: str) -> list[str]:
@@ -130,19 +201,20 @@ def find_files(text: str, suffixes: Sequence[str], what: str) -> list[str]:
     Raises:
         InputError: there is nothing of that kind.
     """
-    if not Path(text).exists() and WILDCARDS & set(text):
-        found = sorted(glob.glob(text, recursive=True))
-        found = [path for path in found if Path(path).is_dir() or Path(path).suffix.lower() in suffixes]
-    elif Path(text).is_dir():
-        found = sorted(str(path) for path in Path(text).iterdir() if path.suffix.lower() in suffixes and path.is_file())
-    else:
-        found = [text] if Path(text).exists() else []
+    path = Path(text)
+    if path.is_dir():
+        found = [str(file) for file in path.iterdir() if file.suffix.lower() in suffixes and file.is_file()]
+    elif path.exists():
+        found = [text]
+    else:  # a text without wildcards finds nothing
+        found = glob.glob(text, recursive=True)
+        found = [name for name in found if Path(name).is_dir() or Path(name).suffix.lower() in suffixes]
     if not found:
         raise InputError(
             f"{text}: expected {what} of a format that `mimesh convert --help` names, found none; give a file, a "
             "folder of files, or a pattern in quotes ('characters/*.glb')"
         )
-    return found
+    return sorted(found)
 
 
 def filled(pattern: str, identity: str, driving: str, number: int) -> str:
@@ -162,17 +234,143 @@ def filled(pattern: str, identity: str, driving: str, number: int) -> str:
     raise InputError(f"{pattern}: expected only {known} in the pattern of outputs, found {found}; rename them")
 
 
-def numbered_rows(rows: Iterable[Mapping[str, Any]]) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield rows of a program with what messages call them."""
-    for number, row in enumerate(rows, 1):
-        yield f"job {number}", row
+@cache
+def _parsers() -> dict[str, Any]:
+    """Return the commands by name, as the library behind Typer has them."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    app.command("animate")(move.animate)
+    app.command("transfer")(move.transfer)
+    group: Any = typer.main.get_command(app)
+    return dict(group.commands)
 
 
-def _column(name: str) -> str:
-    """Return the name of a column as options are written: output_fps and --output-fps are output-fps."""
-    return str(name).strip().lstrip("-").replace("_", "-").lower()
+def _option_words(command: str, options: tuple[tuple[str, str], ...]) -> list[str]:
+    """Return options as arguments of the command; previews are off by default, since a sheet shows all results."""
+    known = {
+        flag.removeprefix("--"): parameter
+        for parameter in _parsers()[command].params
+        for flag in (*parameter.opts, *parameter.secondary_opts)
+        if flag.startswith("--") and flag.removeprefix("--") not in NOT_FOR_JOBS
+    }
+    words = []
+    for name, value in {"preview": "no", **dict(options)}.items():
+        parameter = known.get(name)
+        if parameter is None:
+            raise InputError(
+                f"expected an option of mimesh {command}, found {name}{did_you_mean(name, known)}; "
+                f"mimesh {command} --help lists them"
+            )
+        if not parameter.is_flag:
+            words.append(f"--{name}={value}")
+        elif (on := SWITCHES.get(value.lower())) is None:
+            raise InputError(f"expected yes or no for {name}, found {value!r}; write one of them")
+        else:
+            words += (parameter.opts if on else parameter.secondary_opts)[:1]
+    return words
 
 
-def _text(value: Any) -> str:
-    """Return a value of a table or of a program as text."""
-    return ("yes" if value else "no") if isinstance(value, bool) else str(value).strip()
+@cache
+def option_values(command: str, options: tuple[tuple[str, str], ...]) -> dict[str, Any]:
+    """Parse and check options as the command does: parameter -> value. Many jobs have the same ones.
+
+    Raises:
+        InputError: an option does not exist, its value is not of its kind, or the method cannot use it.
+    """
+    words = [*_option_words(command, options), "--", "identity", "driving"]
+    try:
+        # What an option sets, such as --no-limits, does not outlast the parsing.
+        values = dict(copy_context().run(_parsers()[command].make_context, command, words).params)
+    except Exception as error:
+        # Typer's versions define their usage errors in different modules; all of them have `format_message`.
+        if (format_message := getattr(error, "format_message", None)) is None:
+            raise
+        message = " ".join(format_message().split()).rstrip(".")
+        raise InputError(f"{message}; see mimesh {command} --help") from error
+    for name in AXIS_OPTIONS:
+        parse_axis(values[name], f"--{name.replace('_', '-')}")
+    method = find_method(values["model"], **{name: values[name] for name in ("ensemble", "seed", "pairing")})
+    motion: dict[str, Any] = {name: values[name] for name in ("root", "ground", "smooth") if name in values}
+    MotionOptions(**motion, rig=values["rig"], body=values["body"]).check(method)
+    return values
+
+
+def run_command(job: BatchJob) -> dict[str, Any]:
+    """Run the command of a job and return the facts that it prints with --json.
+
+    Raises:
+        InputError: as the command.
+    """
+    command, words = _parsers()[job.command], _option_words(job.command, job.options)
+
+    def run() -> dict[str, Any]:
+        arguments = [*words, f"--output={job.output}", "--quiet", "--", job.identity, job.driving]
+        with command.make_context(job.command, arguments) as context:
+            return command.invoke(context)
+
+    return copy_context().run(run)  # what an option sets, such as --no-limits, ends with the job
+
+
+def check_jobs(jobs: Sequence[BatchJob], more_inputs: Sequence[Path], more_outputs: Sequence[Path]) -> None:
+    """Check jobs, and the files that a batch reads and writes besides theirs. Meshes are not read.
+
+    Raises:
+        InputError: some jobs cannot be done; the message names up to MOST_SHOWN errors and says how many there are.
+    """
+    places: defaultdict[str, list[str]] = defaultdict(list)
+    for job in jobs:
+        try:
+            _check_job(job)
+        except InputError as error:
+            places[" ".join(str(error).split())].append(job.where)
+    errors = [
+        f"{first}{f' and {len(others)} more' if others else ''}: {message}"
+        for message, (first, *others) in places.items()
+    ] or _collisions(jobs, more_inputs, more_outputs)
+    if errors:
+        more = f"; and {len(errors) - MOST_SHOWN} more errors" if len(errors) > MOST_SHOWN else ""
+        raise InputError(f"{'; '.join(errors[:MOST_SHOWN])}{more} (nothing was started)")
+
+
+def _check_job(job: BatchJob) -> None:
+    """Raise InputError if a file of a job does not exist, or an option cannot be used."""
+    if not Path(job.identity).is_file():
+        raise InputError(f"{job.identity}: expected the file of the mesh to move, found none; check the path")
+    for path in job.inputs().values():
+        if not path.exists():
+            raise InputError(f"{path}: expected a file, found nothing of that name; check the path")
+    values, output = option_values(job.command, job.options), Path(job.output)
+    for path in job.outputs():
+        refuse_inputs(path, *job.inputs().values())
+    if job.command == "animate":
+        layout = Layout(values["names"], values["root_bone"], values["rest"], values["output_fps"])
+        check_clip_output(output, 1, values["skinned"], values["morphs"], values["blendshapes"], layout)
+    else:
+        check_suffix(output, (*MESH_WRITERS, Path(job.identity).suffix.lower()))
+
+
+def _collisions(jobs: Sequence[BatchJob], more_inputs: Sequence[Path], more_outputs: Sequence[Path]) -> list[str]:
+    """List the outputs that are those of another job, lie in one, or are an input of any job."""
+    inputs = {_same(path): str(path) for path in [*more_inputs, *(x for job in jobs for x in job.inputs().values())]}
+    folders = {_same(Path(job.output)): job.where for job in jobs} | inputs
+    taken = {_same(path): "the batch's own summary" for path in more_outputs} | inputs
+    errors = [
+        f"{path}: expected a summary apart from the inputs, found {inputs[_same(path)]}; move it with --summary"
+        for path in more_outputs
+        if _same(path) in inputs
+    ]
+    for job in jobs:
+        for path in job.outputs():
+            key = _same(path)
+            other = taken.get(key) or next((folders[x] for x in map(str, Path(key).parents) if x in folders), None)
+            if other is not None:
+                errors.append(
+                    f"{job.where}: expected an output of its own, found {path}, which is or lies in that of {other}; "
+                    "give each job another output, apart from all inputs"
+                )
+            taken[key] = job.where
+    return errors
+
+
+def _same(path: Path) -> str:
+    """Return one text for all ways to write a path."""
+    return os.path.normcase(path.resolve())
