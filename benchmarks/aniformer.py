@@ -53,7 +53,7 @@ def main() -> None:
 
 def speed() -> dict[str, dict[str, float]]:
     """Return seconds and operations per frame of the result, for the public code's arithmetic and for ours."""
-    from mimesh.learn.models.aniformer import AniFormerConfig
+    from mimesh.learn.aniformer import AniFormerConfig
 
     public = AniFormerConfig(frames=1, attention="vertices", heads=1, scaled=False, keys=VERTICES)
     own_configs = {attention: AniFormerConfig(attention=attention) for attention in ("frames", "vertices", "both")}
@@ -67,9 +67,8 @@ def frame_cost(config) -> dict[str, float]:
     """Return the cost per frame: the fastest of REPEATS runs of a window, divided by the frames that a window adds."""
     import torch
 
+    from mimesh.learn.aniformer import AniFormer, AniFormerTask
     from mimesh.learn.export import to_onnx
-    from mimesh.learn.models.aniformer import AniFormer
-    from mimesh.learn.tasks.aniformer import AniFormerTask
 
     torch.manual_seed(0)
     model = AniFormer(config)

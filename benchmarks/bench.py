@@ -93,7 +93,7 @@ def generator() -> dict[str, float]:
         return {}
     import torch
 
-    from mimesh.learn.bodies import TorchBody
+    from mimesh.learn.data.bodies import TorchBody
 
     body = load_body()
     torch_body = TorchBody(body)

@@ -25,7 +25,7 @@ def main(argv: list[str] | None = None) -> None:
     options = parser.parse_args(argv)
     # Only training and export need PyTorch; using the exported network does not.
     from mimesh.learn.export import export_command
-    from mimesh.learn.train import train_command
+    from mimesh.learn.start import train_command
 
     # Training pairs are generated during the training. An interrupted training is continued with resume=<its folder>.
     run = options.output / "run"

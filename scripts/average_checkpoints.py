@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 from mimesh.learn import checkpoint
-from mimesh.learn.exported_weights import load_start
+from mimesh.learn.export import load_start
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ from mimesh.evaluate.results import read_reports
 from mimesh.evaluate.run import fingerprint
 from mimesh.io.atomic import whole_file
 from mimesh.learn import checkpoint
-from mimesh.learn.body_sampler import DataConfig
+from mimesh.learn.config import recorded_config
 from mimesh.learn.export import export_command, test_set
 
 ALL_KINDS = tuple((name, kind) for name, protocol in PROTOCOLS.items() for kind in protocol.kinds)
@@ -65,12 +65,12 @@ def ship(name: str, path: Path) -> None:
     new = state.metrics.get("val", float("inf"))
     if card.exists():
         facts = json.loads(card.read_text())
-        data = facts["config"]["data"]
-        if data["kind"] != state.config.data.kind:
-            raise InputError(f"{path}: expected data {data['kind']} as shipped, found others")
+        shipped = recorded_config(facts["config"], str(card))
+        if shipped.data.kind != state.config.data.kind:
+            raise InputError(f"{path}: expected data {shipped.data.kind} as shipped, found others")
         stored = facts["metrics"]
         old = stored["val"].get("val_pmd_e4", old)
-        if not state.metrics or stored.get("version") != VERSION or DataConfig(**data) != state.config.data:
+        if not state.metrics or stored.get("version") != VERSION or shipped.data != state.config.data:
             with tempfile.TemporaryDirectory() as folder:
                 exported = Path(folder) / f"{name}.onnx"
                 export_command(path, exported)

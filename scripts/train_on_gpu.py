@@ -33,11 +33,11 @@ from mimesh.io.atomic import whole_file
 from mimesh.learn import checkpoint
 from mimesh.learn.config import load_config
 from mimesh.learn.cost import training_operations
+from mimesh.learn.loop import FULL_RATE, TrainingRun, train
 from mimesh.learn.processes import joined_processes
+from mimesh.learn.start import begin_with
 from mimesh.learn.table_rows import ROWS
-from mimesh.learn.tasks.base import TrainConfig
-from mimesh.learn.train import FULL_RATE, begin_with, train
-from mimesh.learn.training_run import TrainingRun
+from mimesh.learn.task import TrainConfig
 
 WARM_STEPS, TIMED_STEPS, PROFILED_STEPS = 6, 40, 3
 """Of `--rate`: steps before the clock starts, steps timed, and steps listed kernel by kernel."""

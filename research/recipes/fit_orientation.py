@@ -168,13 +168,13 @@ def draw_people(count: int, seed: int, kinds: tuple[str, ...] = KINDS) -> np.nda
 def draw_figures(folder: Path, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Draw features (count, C) of figures, upright and within 40 degrees of facing +z, and the pack of each.
 
-    Figures and their points are those of the training of `mime` (`learn.tasks.mime_characters`), even by area.
+    Figures and their points are those of the training of `mime` (`learn.data.figures`), even by area.
     """
     import torch
 
-    from mimesh.learn.character_surfaces import TrainingCharacters
-    from mimesh.learn.primitives import primitive_people
-    from mimesh.learn.tasks.mime_characters import CharacterBank, FigureSampler
+    from mimesh.learn.data.characters import TrainingCharacters
+    from mimesh.learn.data.figures import CharacterBank, FigureSampler
+    from mimesh.learn.data.primitives import primitive_people
 
     body = load_body()
     characters = TrainingCharacters.read(folder, body)
@@ -205,7 +205,7 @@ def standing_poses(body: RiggedBody, poses: np.ndarray) -> tuple[np.ndarray, np.
     """
     import torch
 
-    from mimesh.learn.bodies import world_rotations
+    from mimesh.learn.data.bodies import world_rotations
 
     local = rotvec_to_rotmat(poses)
     world = world_rotations(torch.from_numpy(local), body.parents).numpy()
@@ -221,7 +221,7 @@ def draw_figure_poses(body: RiggedBody, bank, which, frames: np.ndarray, rng: np
     """Draw world rotations (B, J, 3, 3) of the joints of figures `which` of a bank; frames of clips are given."""
     import torch
 
-    from mimesh.learn.bodies import world_rotations
+    from mimesh.learn.data.bodies import world_rotations
 
     kinds = rng.choice(list(FIGURE_KINDS), len(which), p=list(FIGURE_KINDS.values()))
     local = np.tile(np.eye(3), (len(which), len(body.parents), 1, 1))

@@ -90,7 +90,7 @@ def test_bones_scale_in_length_on_both_sides():
 
 def test_joints_agree_with_those_of_training_people():
     torch = pytest.importorskip("torch")
-    from mimesh.learn.tasks.mime_people import SurfaceBody, plain_people
+    from mimesh.learn.data.surfaces import SurfaceBody, plain_people
 
     state = random_state(size=1.0)
     posed, surface = PosedBody(SAMPLED, state), SurfaceBody(BODY, 100)

@@ -18,14 +18,17 @@ from mimesh.bodies.character_pool import read_pool  # noqa: E402
 from mimesh.bodies.sampling import rotvec_to_rotmat  # noqa: E402
 from mimesh.core.errors import InputError  # noqa: E402
 from mimesh.learn import checkpoint  # noqa: E402
-from mimesh.learn.body_sampler import DataConfig  # noqa: E402
-from mimesh.learn.character_folder import read_character_folder  # noqa: E402
-from mimesh.learn.character_surfaces import CharacterSurface, TrainingCharacters, body_spread  # noqa: E402
+from mimesh.learn.data.characters import (  # noqa: E402
+    CharacterSurface,
+    TrainingCharacters,
+    body_spread,
+    read_character_folder,
+)
+from mimesh.learn.data.endless import pose_sources  # noqa: E402
 from mimesh.learn.export import export_command  # noqa: E402
-from mimesh.learn.pose_sources import pose_sources  # noqa: E402
-from mimesh.learn.tasks.mime import SurfaceSource  # noqa: E402
-from mimesh.learn.tasks.npt_batches import CharacterPairSource  # noqa: E402
-from mimesh.learn.train import train_command  # noqa: E402
+from mimesh.learn.mime import MimeData, SurfaceSource  # noqa: E402
+from mimesh.learn.npt import CharacterPairSource, NPTData  # noqa: E402
+from mimesh.learn.start import train_command  # noqa: E402
 
 CPU = torch.device("cpu")
 TINY = ["data.body=quadruped", "data.characters=0.5", "pairs=16", "batch=8", "validate_every=1000"]
@@ -149,7 +152,7 @@ def test_poses_of_training_animals_are_those_of_animals():
 
 @pytest.mark.parametrize("characters", [0.0, 1.0])
 def test_truths_of_a_batch_are_the_identity_in_the_pose_of_the_driving(characters, folder):
-    config = DataConfig("wide", 64, "identity", heading=180.0, characters=characters, body="quadruped")
+    config = MimeData("wide", 64, "identity", heading=180.0, characters=characters, body="quadruped")
     surfaces = TrainingCharacters.read(folder, BODY) if characters else None
     source = SurfaceSource(config, BODY, CPU, 0, surfaces)
     batch = source.batch(6, 0)
@@ -168,7 +171,7 @@ def test_driving_characters_have_a_share_of_joint_limits_of_their_own(folder):
     surfaces = TrainingCharacters.read(folder, BODY)
 
     def drawn(limits, of_characters):
-        config = DataConfig(
+        config = MimeData(
             "wide", 64, "identity", characters=0.5, body="quadruped", limits=limits, character_limits=of_characters
         )
         return SurfaceSource(config, BODY, CPU, 0, surfaces).batch(12, 0).driving.rotation
@@ -180,7 +183,7 @@ def test_driving_characters_have_a_share_of_joint_limits_of_their_own(folder):
 
 
 def test_npt_takes_rigged_animals_beside_the_shipped_quadruped(folder):
-    config = DataConfig("wide", 64, "identity", characters=0.5, body="quadruped")
+    config = NPTData("wide", 64, "identity", characters=0.5, body="quadruped")
     source = CharacterPairSource(config, BODY, CPU, 0, TrainingCharacters.read(folder, BODY))
     batch = source.batch(12, 0)
     for mesh in (batch.identity, batch.driving, batch.truth):

@@ -12,10 +12,8 @@ from pools import write_character
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.errors import InputError
-from mimesh.learn.character_folder import read_character_folder
-from mimesh.learn.character_surfaces import TrainingCharacters
-from mimesh.learn.low_poly import LEVELS
-from mimesh.learn.training_clips import LEAST_TURN, TrainingClips, distinct_poses, possible
+from mimesh.learn.data.characters import LEVELS, TrainingCharacters, read_character_folder
+from mimesh.learn.data.clips import LEAST_TURN, TrainingClips, distinct_poses, possible
 from mimesh.motions import load_motion, walk_motion
 
 BODY = load_body()

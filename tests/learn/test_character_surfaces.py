@@ -11,11 +11,7 @@ from mimesh.bodies import load_body
 from mimesh.bodies.character_pool import read_character
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
-from mimesh.learn.character_surfaces import (
-    CharacterSurface,
-    TrainingCharacters,
-    body_spread,
-)
+from mimesh.learn.data.characters import CharacterSurface, TrainingCharacters, body_spread
 
 BODY = load_body()
 

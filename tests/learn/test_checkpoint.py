@@ -14,8 +14,8 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
 from mimesh.core.surface_points import SurfacePoints
 from mimesh.learn import checkpoint
-from mimesh.learn.models.mime import MimeNetwork
-from mimesh.learn.training_run import TrainingRun
+from mimesh.learn.loop import TrainingRun
+from mimesh.learn.mime import MimeNetwork
 from mimesh.methods.onnx_runtime import import_onnxruntime
 
 ROOT = Path(__file__).parents[2]

@@ -5,10 +5,9 @@ import re
 import pytest
 
 from mimesh.core.errors import InputError
+from mimesh.learn.aniformer import AniFormerConfig, AniFormerTrainConfig
 from mimesh.learn.config import config_differences, load_config
-from mimesh.learn.models.aniformer import AniFormerConfig
-from mimesh.learn.models.npt import NPTConfig
-from mimesh.learn.tasks.aniformer import AniFormerTrainConfig
+from mimesh.learn.npt import NPTConfig
 
 
 def test_configurations_take_changes():
@@ -42,10 +41,10 @@ def test_configurations_of_mime_load(name):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("data.kind=clips", "expected data.kind table6 or wide with mime, found clips"),
-        ("data.target_scale=truth", "expected data.target_scale identity"),
+        ("data.kind=clips", "data, kind: expected table6 or wide, found 'clips'"),
+        ("data.target_scale=truth", "data, target_scale: expected identity, found 'truth'"),
         ("model.heads=3", "expected heads that divide width 128, found 3"),
-        ("data.character_limits=0.1", "expected data.character_limits null without characters of mime, found 0.1"),
+        ("data.character_limits=0.1", "expected data.character_limits null without data.characters, found 0.1"),
         ("data.character_limits=few", r"character_limits: expected float \| None, found 'few'"),
     ],
 )
@@ -85,7 +84,7 @@ def test_shipped_configurations_load(name):
         ("data: {kind: wide, recombine: 0.5}", "expected data.recombine 0 with wide, found 0.5"),
         ("data: {recombine: 2}", "recombine from 0 to 1, found 2"),
         ("data: {reflect: 2}", "reflect from 0 to 1, found 2"),
-        ("{network: mime, data: {kind: wide, target_scale: identity, reflect: 0.5}}", "reflect 0 with mime, found 0.5"),
+        ("{network: mime, data: {kind: wide, reflect: 0.5}}", "found reflect; remove it"),
     ],
 )
 def test_configurations_are_checked(tmp_path, text, message):

@@ -7,11 +7,10 @@ import torch
 from trainings import TINY
 
 from mimesh.learn import checkpoint
-from mimesh.learn.cost import activation_bytes, operations_spent, training_operations
-from mimesh.learn.models.npt import NPTConfig
-from mimesh.learn.tasks.npt import NPTTask
-from mimesh.learn.train import begin_with, train
-from mimesh.learn.training_run import TrainingRun
+from mimesh.learn.cost import activation_bytes, described_cost, operations_spent, training_operations
+from mimesh.learn.loop import TrainingRun, train
+from mimesh.learn.npt import NPTConfig, NPTTask
+from mimesh.learn.start import begin_with
 
 
 def kept(vertices, precision="fp32", **changes):
@@ -62,7 +61,7 @@ def test_a_training_from_an_older_checkpoint_counts_with_the_configuration_of_th
 
 def test_the_log_says_what_a_training_takes(tmp_path):
     run = TrainingRun.start(TINY, tmp_path)
-    said = run.cost()
+    said = described_cost(run)
     assert "a step of 2 pairs is" in said
     assert "PFLOP in all" in said
     assert "GiB for its gradient" in said
@@ -75,6 +74,6 @@ def test_doublings_count_with_their_vertices(tmp_path):
     task = NPTTask(config, torch.device("cpu"))
     expected = training_operations(task, task.make_model(), 8 + 2 * 4 + 4 * 4)
     run = TrainingRun.start(config, tmp_path)
-    assert f"{expected / 1e15:.3g} PFLOP in all" in run.cost()
+    assert f"{expected / 1e15:.3g} PFLOP in all" in described_cost(run)
     state = checkpoint.load(train(config, tmp_path) / "last.safetensors")
     assert state.operations == pytest.approx(expected)

@@ -16,14 +16,10 @@ from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
 from mimesh.learn.config import config_from, load_config
 from mimesh.learn.cost import operations_of
-from mimesh.learn.export import export_command, infer_onnx
-from mimesh.learn.exported_weights import compress
-from mimesh.learn.models.mime import POINTS, MimeConfig, MimeNetwork
-from mimesh.learn.models.npt import NPT, NPTConfig
-from mimesh.learn.onnx_graph import to_onnx
-from mimesh.learn.tasks.mime import MimeTask
-from mimesh.learn.tasks.npt import NPTTask
-from mimesh.learn.training_run import TrainingRun
+from mimesh.learn.export import compress, export_command, infer_onnx, to_onnx
+from mimesh.learn.loop import TrainingRun
+from mimesh.learn.mime import POINTS, MimeConfig, MimeNetwork, MimeTask
+from mimesh.learn.npt import NPT, NPTConfig, NPTTask
 from mimesh.methods.onnx_runtime import import_onnxruntime
 
 ZOO = Path(mimesh.__file__).parent / "zoo"

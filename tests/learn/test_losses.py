@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from mimesh.learn.losses import edge_ratio, match_frames, mean_squared_distance, reconstruction
+from mimesh.learn.layers import edge_ratio, match_frames, mean_squared_distance, reconstruction
 
 
 @pytest.fixture

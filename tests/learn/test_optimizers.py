@@ -5,9 +5,8 @@ import dataclasses
 import pytest
 import torch
 
-from mimesh.learn.models.npt import NPT, NPTConfig
+from mimesh.learn.npt import NPT, NPTConfig, NPTTrainConfig
 from mimesh.learn.optimizers import Muon, make_optimizers, orthogonalize
-from mimesh.learn.tasks.npt import NPTTrainConfig
 
 CONFIG = NPTTrainConfig(model=NPTConfig(encoder=(8, 16, 16), decoder=(19, 8, 8)), optimizer="muon", learning_rate=1e-2)
 

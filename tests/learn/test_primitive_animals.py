@@ -8,8 +8,8 @@ pytest.importorskip("torch")
 from animals import BODY, LEGS
 
 from mimesh.bodies.character_limbs import SIDES
-from mimesh.learn.character_surfaces import body_spread
-from mimesh.learn.primitive_animals import ANIMALS, primitive_animal, primitive_animals
+from mimesh.learn.data.characters import body_spread
+from mimesh.learn.data.primitive_animals import ANIMALS, primitive_animal, primitive_animals
 
 SEEDS = range(16)
 

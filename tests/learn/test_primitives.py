@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("torch")
 
 from mimesh.bodies import load_body
-from mimesh.learn.primitives import SHAPES, primitive_person, sample_primitive
+from mimesh.learn.data.primitives import SHAPES, primitive_person, sample_primitive
 
 BODY = load_body()
 HALF = np.array([0.5, 2.0, 1.0])

@@ -12,12 +12,10 @@ from trainings import TINY
 
 from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
+from mimesh.learn.data.figures import share_of
+from mimesh.learn.loop import TrainingRun, train
+from mimesh.learn.npt import NPTTask, PairSource
 from mimesh.learn.processes import is_first_process, joined_processes
-from mimesh.learn.tasks.npt import NPTTask
-from mimesh.learn.tasks.npt_batches import PairSource
-from mimesh.learn.train import train
-from mimesh.learn.training_run import TrainingRun
-from mimesh.learn.vertex_sampler import share_of
 
 PARTS = dataclasses.replace(TINY, batch=4, pairs=16, validate_every=8, precision="fp32", accumulate=2)
 

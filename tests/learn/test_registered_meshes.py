@@ -23,24 +23,26 @@ from mimesh.evaluate.measure import TRAINED_ON, training_facts  # noqa: E402
 from mimesh.evaluate.protocols import HUMAN_NPT  # noqa: E402
 from mimesh.io import load_mesh, save_mesh  # noqa: E402
 from mimesh.learn import checkpoint  # noqa: E402
-from mimesh.learn.body_sampler import DataConfig  # noqa: E402
-from mimesh.learn.config import load_config  # noqa: E402
+from mimesh.learn.aniformer import (  # noqa: E402
+    AniFormerConfig,
+    AniFormerData,
+    AniFormerTrainConfig,
+    MeshWindowSource,
+)
+from mimesh.learn.config import load_config, options_of  # noqa: E402
+from mimesh.learn.data.registered import HeldOutMeshes, RegisteredMeshes  # noqa: E402
 from mimesh.learn.export import DATA, export_command  # noqa: E402
-from mimesh.learn.mesh_pairs import HeldOutMeshes  # noqa: E402
-from mimesh.learn.models.aniformer import AniFormerConfig  # noqa: E402
-from mimesh.learn.registered_meshes import RegisteredMeshes  # noqa: E402
-from mimesh.learn.tasks.aniformer import AniFormerTrainConfig, MeshWindowSource  # noqa: E402
-from mimesh.learn.tasks.find import find_task  # noqa: E402
-from mimesh.learn.tasks.npt import MeshPairSource  # noqa: E402
-from mimesh.learn.train import train, train_command  # noqa: E402
-from mimesh.learn.training_run import TrainingRun  # noqa: E402
+from mimesh.learn.loop import TrainingRun, train  # noqa: E402
+from mimesh.learn.npt import MeshPairSource, NPTData  # noqa: E402
+from mimesh.learn.start import train_command  # noqa: E402
+from mimesh.learn.task import NETWORKS, find_task  # noqa: E402
 from mimesh.learn.validation import Validation  # noqa: E402
 from mimesh.methods.find import find_method  # noqa: E402
 
 CPU = torch.device("cpu")
 AXES = {"up": "+y", "front": "+z"}
-ALL = DataConfig("meshes", 0)
-MESHES = dataclasses.replace(TINY, data=DataConfig("meshes", 64), precision="fp32")
+ALL = NPTData("meshes", 0)
+MESHES = dataclasses.replace(TINY, data=NPTData("meshes", 64), precision="fp32")
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +61,7 @@ def clips(tmp_path_factory):
 
 def read(folder, window=1, /, **options):
     """Read the meshes of a folder with options of the data."""
-    return RegisteredMeshes.read(folder, DataConfig("meshes", **options), window)
+    return RegisteredMeshes.read(folder, NPTData("meshes", **options), window)
 
 
 def centred(points):
@@ -136,7 +138,7 @@ def test_subsets_have_edges_of_the_mesh(folder):
 
 @pytest.mark.parametrize("vertices", [0, 32])
 def test_a_step_is_a_pure_function(folder, clips, vertices):
-    config = DataConfig("meshes", vertices, reflect=0.5)
+    config = NPTData("meshes", vertices, reflect=0.5)
     assert_steps_are_pure(MeshPairSource(config, read(folder, **AXES), CPU, 3))
     assert_steps_are_pure(MeshWindowSource(config, read(clips, 3, **AXES), CPU, 3))
 
@@ -199,7 +201,7 @@ def test_windows_are_the_same_frames_of_two_people(clips):
         assert all(np.array_equal(other_order, named[0][1]) for _, other_order in named)
         for t in range(3):
             np.testing.assert_allclose(truth[t], files[i, other, start + t][order], atol=1e-6)
-    config = AniFormerTrainConfig(data=DataConfig("meshes", 32), validation_pairs=2)
+    config = AniFormerTrainConfig(data=AniFormerData("meshes", 32), validation_pairs=2)
     trial = Validation(find_task("aniformer")(config, CPU, "fp32", meshes)).trial("unseen", 0)
     assert trial.clip.vertices.shape == trial.truth_frames.shape == (3, len(order), 3)
     (i, _, _), order = name_of(normalised(trial.identity.vertices), files)
@@ -302,11 +304,11 @@ def test_resume_continues_exactly_and_with_the_same_meshes_only(folder, tmp_path
 
 def test_options_that_do_not_go_together_are_refused(folder, tmp_path):
     for model, changes, options, message in (
-        ("mime", [], {"meshes": folder}, "expected data.kind meshes with npt or aniformer"),
-        ("npt", ["data.kind=table6"], {"meshes": folder}, "expected a training of npt or aniformer on meshes"),
+        ("mime", [], {"meshes": folder}, "--meshes: expected a model that is trained on them, found mime"),
+        ("npt", ["data.kind=table6"], {"meshes": folder}, "expected a training on meshes, found one on table6"),
         ("npt", ["data.kind=meshes"], {}, "expected the folder of meshes"),
         ("npt", [], {"pattern": "{person}_{pose}"}, "--pattern {person}_{pose}: expected it with --meshes"),
-        ("npt", [], {"meshes": folder, "clips": folder}, "expected it without --characters and --clips"),
+        ("npt", [], {"meshes": folder, "characters": folder}, "expected it without --characters and --clips"),
         ("aniformer", [], {"meshes": folder}, "expected clips of 3 frames or more, found at most 1"),
     ):
         with pytest.raises(InputError) as error:
@@ -316,7 +318,7 @@ def test_options_that_do_not_go_together_are_refused(folder, tmp_path):
 
 
 def test_reports_and_cards_describe_every_kind_of_data():
-    kinds = set(get_args(get_type_hints(DataConfig)["kind"]))
+    kinds = {kind for model in NETWORKS for kind in get_args(get_type_hints(options_of(model))["kind"])}
     assert set(TRAINED_ON) == set(DATA) == kinds
 
 
@@ -481,7 +483,7 @@ def test_recordings_without_a_truth_are_refused_with_a_way_to_one(lengths, messa
 
 def test_animals_are_validated_and_exported_as_such(folder, tmp_path):
     """What the meshes are is said by data.body: in the card, in the metadata, and where nothing is held out."""
-    config = dataclasses.replace(MESHES, data=DataConfig("meshes", 64, body="quadruped"))
+    config = dataclasses.replace(MESHES, data=NPTData("meshes", 64, body="quadruped"))
     config.check("here")
     meshes = read(folder, hold_out_people="none", hold_out_poses="none", **AXES)
     assert find_task("npt")(config, CPU, "fp32", meshes).protocol.name == "quadruped"

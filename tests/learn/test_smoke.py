@@ -2,16 +2,13 @@
 
 import torch
 
-from mimesh.learn.body_sampler import DataConfig
-from mimesh.learn.models.mime import MimeConfig, MimeNetwork
-from mimesh.learn.models.npt import NPT, NPTConfig
-from mimesh.learn.tasks.base import shipped_body
-from mimesh.learn.tasks.mime import MimeLossConfig, SurfaceSource, mime_loss
-from mimesh.learn.tasks.npt import PairSource, npt_loss
+from mimesh.learn.mime import MimeConfig, MimeData, MimeLossConfig, MimeNetwork, SurfaceSource, mime_loss
+from mimesh.learn.npt import NPT, NPTConfig, NPTData, PairSource, npt_loss
+from mimesh.learn.task import shipped_body
 
 
 def test_npt_overfits_one_pair():
-    batch = PairSource(DataConfig("table6", 128), shipped_body(), torch.device("cpu"), seed=0).batch(1, 0)
+    batch = PairSource(NPTData("table6", 128), shipped_body(), torch.device("cpu"), seed=0).batch(1, 0)
     torch.manual_seed(0)
     model = NPT(NPTConfig(encoder=(32, 64, 128), decoder=(131, 64, 32)))
     optimizer = torch.optim.Adam(model.parameters(), lr=3e-3)
@@ -27,7 +24,7 @@ def test_npt_overfits_one_pair():
 
 def test_mime_overfits_one_pair():
     body = shipped_body()
-    batch = SurfaceSource(DataConfig("wide", 128, "identity"), body, torch.device("cpu"), seed=0).batch(1, 0)
+    batch = SurfaceSource(MimeData("wide", 128, "identity"), body, torch.device("cpu"), seed=0).batch(1, 0)
     torch.manual_seed(0)
     model = MimeNetwork(MimeConfig(width=32, latents=8, blocks=2, near=16, local=16, skinning=16), body)
     optimizer = torch.optim.Adam(model.parameters(), lr=5e-3)

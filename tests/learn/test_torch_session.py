@@ -16,9 +16,9 @@ from mimesh.evaluate.run import evaluate_command
 from mimesh.learn import torch_session
 from mimesh.learn.config import config_from
 from mimesh.learn.export import export_command
-from mimesh.learn.models.npt import NPTConfig
+from mimesh.learn.loop import TrainingRun
+from mimesh.learn.npt import NPTConfig
 from mimesh.learn.torch_session import in_torch
-from mimesh.learn.training_run import TrainingRun
 from mimesh.methods import find_method
 
 ANIFORMER = {

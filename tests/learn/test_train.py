@@ -14,13 +14,14 @@ import torch
 from trainings import TINY, losses
 
 from mimesh.core.errors import InputError
-from mimesh.learn import checkpoint, training_log
+from mimesh.learn import checkpoint
+from mimesh.learn import log as training_log
 from mimesh.learn.config import load_config
-from mimesh.learn.precision import choose_precision, product_rate
-from mimesh.learn.stop_request import StopRequest
-from mimesh.learn.tasks.npt import NPTTrainConfig
-from mimesh.learn.train import train, train_command
-from mimesh.learn.training_run import TrainingRun, schedule
+from mimesh.learn.loop import TrainingRun, schedule, train
+from mimesh.learn.npt import NPTTrainConfig
+from mimesh.learn.optimizers import choose_precision, product_rate
+from mimesh.learn.processes import StopRequest
+from mimesh.learn.start import train_command
 from mimesh.learn.validation import Validation
 
 
@@ -146,7 +147,7 @@ def test_a_checkpoint_is_written_before_every_validation(tmp_path, monkeypatch):
 
 def test_a_validation_that_lasts_is_told_with_what_is_left(tmp_path, monkeypatch):
     """With no time between lines, one after each trial and batch but the last, by pairs: a batch is 32 of them."""
-    monkeypatch.setattr("mimesh.learn.training_log.LOG_SECONDS", 0.0)
+    monkeypatch.setattr("mimesh.learn.log.LOG_SECONDS", 0.0)
     config = dataclasses.replace(TINY, pairs=8, validate_every=8, validation_pairs=1)
     lines = [json.loads(line) for line in (train(config, tmp_path / "run") / "log.jsonl").read_text().splitlines()]
     told = [line["text"].partition(" pairs measured, about ")[0] for line in lines if line["kind"] == "validating"]
@@ -217,7 +218,7 @@ def test_precision_is_measured_where_it_is_not_given(monkeypatch):
         (0.9, "bf16", "fp32"),
     ):
         rates = {torch.float32: 72e9, torch.bfloat16: 1e9 * bf16}
-        monkeypatch.setattr("mimesh.learn.precision.product_rate", lambda dtype, device, rates=rates: rates[dtype])
+        monkeypatch.setattr("mimesh.learn.optimizers.product_rate", lambda dtype, device, rates=rates: rates[dtype])
         precision, reason = choose_precision("auto", cpu, before)
         assert precision == expected
         assert reason == f"matrix products in {expected}: GFLOP/s measured are 72 in fp32 and {bf16:.3g} in bf16"
@@ -232,7 +233,7 @@ def test_measuring_precision_takes_a_moment():
 
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
 def test_checkpoint_and_log_say_the_precision(tmp_path, precision, monkeypatch):
-    monkeypatch.setattr("mimesh.learn.training_run.choose_precision", lambda *_: (precision, "because"))
+    monkeypatch.setattr("mimesh.learn.loop.choose_precision", lambda *_: (precision, "because"))
     folder = train(dataclasses.replace(TINY, pairs=2, optimizer="muon"), tmp_path / "run", max_minutes=1e-9)
     assert checkpoint.load(folder / "last.safetensors").precision == precision
     line = json.loads((folder / "log.jsonl").read_text().splitlines()[0])

@@ -4,20 +4,20 @@ import pytest
 import torch
 
 from mimesh.evaluate.clip_protocols import on_template
-from mimesh.learn.body_sampler import DataConfig
-from mimesh.learn.models.aniformer import AniFormerConfig
-from mimesh.learn.tasks.aniformer import AniFormerTrainConfig
-from mimesh.learn.tasks.find import find_task
-from mimesh.learn.tasks.limp import LIMPTrainConfig
-from mimesh.learn.tasks.npt import NPTTrainConfig
+from mimesh.learn.aniformer import AniFormerConfig, AniFormerData, AniFormerTrainConfig
+from mimesh.learn.limp import LIMPData, LIMPTrainConfig
+from mimesh.learn.npt import NPTData, NPTTrainConfig
+from mimesh.learn.task import find_task
 from mimesh.learn.validation import Validation, to_unit_sphere
 
-DATA = {"data": DataConfig("clips80", 2100), "validation_pairs": 1}
+OPTIONS = ("clips80", 2100, "identity")
 CONFIGS = {
-    "npt": NPTTrainConfig(**DATA),
-    "limp": LIMPTrainConfig(**DATA),
-    "aniformer": AniFormerTrainConfig(**DATA),
-    "regression": AniFormerTrainConfig(**DATA, model=AniFormerConfig(head="regression")),
+    "npt": NPTTrainConfig(data=NPTData(*OPTIONS), validation_pairs=1),
+    "limp": LIMPTrainConfig(data=LIMPData(*OPTIONS), validation_pairs=1),
+    "aniformer": AniFormerTrainConfig(data=AniFormerData(*OPTIONS), validation_pairs=1),
+    "regression": AniFormerTrainConfig(
+        data=AniFormerData(*OPTIONS), validation_pairs=1, model=AniFormerConfig(head="regression")
+    ),
 }
 
 

@@ -4,14 +4,12 @@ import dataclasses
 
 import torch
 
-from mimesh.learn.body_sampler import DataConfig
-from mimesh.learn.models.npt import NPTConfig
-from mimesh.learn.tasks.npt import NPTTrainConfig
-from mimesh.learn.training_run import TrainingRun
+from mimesh.learn.loop import TrainingRun
+from mimesh.learn.npt import NPTConfig, NPTData, NPTTrainConfig
 
 TINY = NPTTrainConfig(
     model=NPTConfig(encoder=(8, 16, 16), decoder=(16, 8, 8)),
-    data=DataConfig("table6", 64),
+    data=NPTData("table6", 64),
     batch=2,
     pairs=16,
     learning_rate=1e-3,

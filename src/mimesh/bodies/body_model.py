@@ -1,7 +1,7 @@
 """RiggedBody: a body model with shape components, a skeleton and skinning weights, posed by linear blend skinning.
 
 Frame: metres, y up, the body faces +z, its left side is +x. At rest every joint frame has the world's axes. A joint's
-rotation is given in the frame of its parent, as in SMPL. The batched torch twin is `learn.bodies`.
+rotation is given in the frame of its parent, as in SMPL. The batched torch twin is `learn.data.bodies`.
 """
 
 from __future__ import annotations

@@ -18,9 +18,8 @@ from ..core.errors import InputError
 from ..evaluate.metrics import VERSION
 from ..evaluate.provenance import commit
 from ..io.atomic import whole_file
-from .config import config_differences, config_from
-from .tasks.base import TrainConfig
-from .tasks.find import find_task
+from .config import config_differences, recorded_config
+from .task import TrainConfig, find_task
 
 POSITION = (
     "step",
@@ -116,7 +115,7 @@ def load(path: Path) -> Checkpoint:
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (OSError, SafetensorError, KeyError) as error:
         raise InputError(f"{path}: expected a checkpoint of `mimesh train`, found none ({error})") from error
-    config = config_from(json.loads(header["config"]), str(path))
+    config = recorded_config(json.loads(header["config"]), str(path))
     position = json.loads(header["state"])
     if position.pop("version", 1) != VERSION:
         position |= {"best": float("inf"), "metrics": {}}

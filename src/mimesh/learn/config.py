@@ -15,8 +15,7 @@ import yaml
 
 from ..core.errors import InputError, did_you_mean
 from ..core.system import refuse_pipe
-from .tasks.base import TrainConfig
-from .tasks.find import NETWORKS, find_task
+from .task import NETWORKS, DataConfig, TrainConfig, find_task
 
 MOST_DIFFERENCES = 4
 """Keys that an error about two configurations names; the rest is counted."""
@@ -117,6 +116,22 @@ def config_from(values: dict[str, Any], where: str) -> TrainConfig:
     return config
 
 
+def recorded_config(values: dict[str, Any], where: str) -> TrainConfig:
+    """Build the configuration that a checkpoint or card holds.
+
+    Older files hold the options of the data of all models. Those that its model does not have changed nothing.
+    """
+    if (network := values.get("network", "npt")) in NETWORKS and "data" in values:
+        known = {option.name for option in dataclasses.fields(options_of(network))}
+        values = {**values, "data": {key: value for key, value in values["data"].items() if key in known}}
+    return config_from(values, where)
+
+
+def options_of(network: str) -> type[DataConfig]:
+    """Give the options of a model's data."""
+    return typing.get_type_hints(find_task(network).config_type)["data"]
+
+
 def _build(kind: type, values: Any, where: str) -> Any:
     """Build a dataclass from a dictionary, dataclasses within it included."""
     if not isinstance(values, dict):
@@ -149,7 +164,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     else:
         fits = isinstance(value, hint) and (hint is bool or not isinstance(value, bool))
     if not fits:
-        wanted = typing.get_args(hint) if origin is Literal else getattr(hint, "__name__", hint)
+        wanted = " or ".join(typing.get_args(hint)) if origin is Literal else getattr(hint, "__name__", hint)
         if isinstance(hint, types.GenericAlias):
             wanted = hint
         raise InputError(f"{where}: expected {wanted}, found {value!r}")

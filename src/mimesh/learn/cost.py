@@ -3,14 +3,31 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
 
 from .checkpoint import Checkpoint
-from .tasks.base import BatchSource, Task, TrainConfig
-from .tasks.find import find_task
+from .task import BatchSource, Task, TrainConfig, find_task
+
+if TYPE_CHECKING:
+    from .loop import TrainingRun
+
+
+def described_cost(run: TrainingRun) -> str:
+    """Say what the training takes: arithmetic of a step and of the whole, and memory."""
+    config, weights = run.config, sum(parameter.numel() for parameter in run.model.parameters())
+    step = training_operations(run.task, run.model, config.batch)
+    part = config.batch // config.accumulate // run.processes.count
+    kept = activation_bytes(run.task, run.model, run.source) * part
+    first = run.task.with_vertices(config.data.vertices)
+    whole = schedule_operations(first, run.model, config.pairs) / 1e15
+    in_all = "" if config.minutes else f", {whole:.3g} PFLOP in all"
+    return (
+        f"{weights / 1e6:.3g} M weights; a step of {config.batch} pairs is {step / 1e12:.3g} TFLOP{in_all}; "
+        f"a part of {part} pairs keeps {kept / 2**30:.3g} GiB for its gradient"
+    )
 
 
 def training_operations(task: Task, model: nn.Module, pairs: int) -> float:

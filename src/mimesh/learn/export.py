@@ -1,9 +1,11 @@
-"""Checkpoint to ONNX: dynamic vertex counts, weights stored in half precision, a card beside it."""
+"""Checkpoint to ONNX (dynamic vertex counts, weights in fewer bits, a card beside it), and back to a network."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import logging
+import warnings
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,19 +13,23 @@ from typing import Any
 
 import numpy as np
 import onnx
+import onnxscript.optimizer
+import torch
+from google.protobuf.message import DecodeError
 from jaxtyping import Float
-from torch import nn
+from torch import Tensor, nn
 
 from ..core.errors import InputError
 from ..evaluate.metrics import VERSION
 from ..io.atomic import together, whole_file, written
 from ..methods.onnx_runtime import import_onnxruntime
 from . import checkpoint
-from .config import TrainConfig
+from .checkpoint import Checkpoint
+from .config import recorded_config
 from .cost import operations_spent
-from .exported_weights import compress
-from .onnx_graph import to_onnx
-from .tasks.find import find_task
+from .data.characters import CharacterOptions
+from .data.people import PeopleOptions
+from .task import DataConfig, OnnxInterface, Task, find_task
 
 DATA = {
     "table6": "16 people x 400 poses of NPT Table 6",
@@ -36,39 +42,30 @@ DATA = {
     "blocks and hands without fingers",
 }
 """Descriptions of `DataConfig.kind` for the card."""
-MIME_DATA = (
-    "random people of the shipped body, some in its skirt, tights or hair; rest, Table 6, joint limits, frames of the "
-    "training seconds of the shipped motions, limbs that touch; headings, some turned over; noise, one-sided surfaces, "
-    "missing parts"
-)
-"""Description of `wide` where `mime` is trained on it."""
-ANIMAL_PAIRS = (
-    "endless animals of the shipped quadruped; at rest, gaits, sitting, lying and eating, everyday poses, joint "
-    "limits; headings"
-)
-"""Description of `wide` where `npt` is trained on four-legged animals."""
-ANIMAL_CLIPS = (
-    "endless animals of the shipped quadruped; windows of gaits and of ways to sit, lie and eat at up to 3 times their "
-    "speed, ways between poses within the joint limits; headings"
-)
-"""Description of `clips` where `aniformer` is."""
-ANIMAL_DATA = (
-    "random animals of the shipped quadruped; at rest, gaits, sitting, lying and eating, everyday poses, joint limits; "
-    "headings, some turned over; noise, one-sided surfaces, missing parts"
-)
-"""Description of `wide` where `mime` is."""
+ANIMALS = {
+    "wide": "endless animals of the shipped quadruped; at rest, gaits, sitting, lying and eating, everyday poses, "
+    "joint limits; headings",
+    "clips": "endless animals of the shipped quadruped; windows of gaits and of ways to sit, lie and eat at up to 3 "
+    "times their speed, ways between poses within the joint limits; headings",
+    "meshes": DATA["meshes"] + " of animals",
+}
+"""The same where `DataConfig.body` is quadruped."""
 RECOMBINED = ", in {share:.0%} of the cases with head, arms and legs each of another of these"
 """What is added to `table6` and `clips80` where poses are recombined."""
 MIXED = ", {share:.0%} of the people random mixtures of the 16"
 """What is added to them where people are mixed."""
-CHARACTERS = "; characters of others (`characters`) and people of primitives, in these poses and those of their clips"
-"""What is added to it where characters are part of the data."""
-NPT_CHARACTERS = "; characters of others (`characters`) in these poses and those of their clips"
-"""What is added to `wide` where `npt` is trained on characters too."""
 STORED_BITS = (16, 8)
 """Of a weight, as `mimesh export` writes it."""
 FULL_BITS = 32
 """Of a weight as it was trained."""
+STORED = ".stored"
+"""Behind the name of a weight that is stored in fewer bits."""
+ROW_SCALE = ".scale"
+"""Behind the name of a matrix stored as int8: its rows' scales."""
+INT8_STEPS = 127
+"""Steps from zero to the largest number of a row of int8."""
+SMALLEST = 256
+"""Tensors of fewer numbers are not worth it."""
 
 
 def export_command(path: Path, out: Path, bits: int = 16) -> dict[str, Any]:
@@ -130,7 +127,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
         "file": out.name,
         "crc32": zlib.crc32(written(out).read_bytes()),
         "license": "not stated" if trained.config.data.kind == "meshes" else "Apache-2.0",
-        "data": described_data(trained.config),
+        "data": described_data(trained.config.data),
         "config": config,
         "seed": config["seed"],
         "commit": header["commit"],
@@ -146,21 +143,16 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
     }
 
 
-def described_data(config: TrainConfig) -> str:
+def described_data(data: DataConfig) -> str:
     """Say in words what a training had as data."""
-    animals, characters = config.data.body == "quadruped", bool(config.data.characters)
-    if config.data.kind == "meshes":
-        return DATA["meshes"] + " of animals" * animals
-    if config.network == "mime" and config.data.kind == "wide":
-        data, more = (ANIMAL_DATA if animals else MIME_DATA), CHARACTERS
-    else:
-        of_people = DATA[config.data.kind]
-        data = {"npt": ANIMAL_PAIRS, "aniformer": ANIMAL_CLIPS}[config.network] if animals else of_people
-        more = NPT_CHARACTERS if config.network == "npt" else ""
-    more = more.replace("people", "animals") if animals else more
-    data += RECOMBINED.format(share=config.data.recombine) if config.data.recombine else ""
-    data += MIXED.format(share=config.data.mix_people) if config.data.mix_people else ""
-    return data + (more if characters else "")
+    animals = data.body == "quadruped"
+    text = data.words.get((data.kind, data.body)) or (ANIMALS if animals else DATA)[data.kind]
+    if isinstance(data, PeopleOptions):
+        text += RECOMBINED.format(share=data.recombine) if data.recombine else ""
+        text += MIXED.format(share=data.mix_people) if data.mix_people else ""
+    if isinstance(data, CharacterOptions) and data.characters:
+        text += data.words_of_characters.replace("people", "animals") if animals else data.words_of_characters
+    return text
 
 
 def test_set(card: dict[str, Any]) -> str:
@@ -178,3 +170,155 @@ def infer_onnx(
     """Run an exported network once, to compare it with torch."""
     session = import_onnxruntime().InferenceSession(network.SerializeToString(), providers=["CPUExecutionProvider"])
     return np.asarray(session.run(["result"], {"identity": identity, "driving": driving})[0])
+
+
+def to_onnx(interface: OnnxInterface) -> onnx.ModelProto:
+    """Export a network; all inputs and outputs are float32."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the exporter's own deprecations
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # torchvision, which is not needed
+        program = torch.onnx.export(
+            interface.module.eval(),
+            interface.example,
+            dynamo=True,
+            input_names=list(interface.inputs),
+            output_names=list(interface.outputs),
+            dynamic_shapes=interface.dynamic,
+            verbose=False,
+            optimize=False,
+        )
+        assert program is not None
+        # Constants are computed in advance from numbers, not from weights: those keep their names (`renamed_weights`).
+        onnxscript.optimizer.optimize(program.model, input_size_limit=2, output_size_limit=64)
+    return without_traces(program.model_proto)
+
+
+def without_traces(network: onnx.ModelProto) -> onnx.ModelProto:
+    """Remove what the exporter writes about the source files that each operation came from."""
+    graph = network.graph
+    for thing in (graph, *graph.node, *graph.value_info, *graph.input, *graph.output, *graph.initializer):
+        del thing.metadata_props[:]
+        thing.ClearField("doc_string")
+    return network
+
+
+def compress(network: onnx.ModelProto, bits: int = 16, smallest: int = SMALLEST) -> onnx.ModelProto:
+    """Copy a network with its weights stored in fewer bits; arithmetic stays in float32.
+
+    Args:
+        bits: 16 casts to float16; 8 rounds each row of a matrix to int8 with its own scale, and is 16 for the rest.
+        smallest: tensors of fewer numbers than these are left alone.
+    """
+    network = onnx.ModelProto.FromString(network.SerializeToString())
+    nodes = []
+    for tensor in list(network.graph.initializer):
+        if tensor.data_type != onnx.TensorProto.FLOAT or np.prod(tensor.dims) < smallest:
+            continue
+        name, values = tensor.name, onnx.numpy_helper.to_array(tensor)
+        if bits == 8 and values.ndim == 2:
+            scale = (np.abs(values).max(axis=1) / INT8_STEPS).clip(1e-12).astype(np.float32)
+            stored = np.round(values / scale[:, None]).astype(np.int8)
+            network.graph.initializer.append(onnx.numpy_helper.from_array(scale, f"{name}{ROW_SCALE}"))
+            inputs = [f"{name}{STORED}", f"{name}{ROW_SCALE}"]
+            nodes.append(onnx.helper.make_node("DequantizeLinear", inputs, [name], axis=0))
+        else:
+            stored = values.astype(np.float16)
+            nodes.append(onnx.helper.make_node("Cast", [f"{name}{STORED}"], [name], to=onnx.TensorProto.FLOAT))
+        tensor.CopyFrom(onnx.numpy_helper.from_array(stored, f"{name}{STORED}"))
+    # Nodes are in the order of execution: the stored weights are unpacked first.
+    nodes += network.graph.node
+    del network.graph.node[:]
+    network.graph.node.extend(nodes)
+    return network
+
+
+def load_start(path: Path) -> tuple[nn.Module, Checkpoint]:
+    """Load the network that a training begins with, from a checkpoint or from a file of `mimesh export`.
+
+    Raises:
+        InputError: the file is neither, or lacks its card or weights.
+    """
+    return load_exported(path) if path.suffix == ".onnx" else checkpoint.load_model(path)
+
+
+def load_exported(path: Path) -> tuple[nn.Module, Checkpoint]:
+    """Load an exported network in float32, and from its card how it was trained.
+
+    Raises:
+        InputError: not a file of `mimesh export`, no card beside it, or weights that are not found in it.
+    """
+    card_path = path.with_suffix(".json")
+    try:
+        card = json.loads(card_path.read_text(encoding="utf-8"))
+        config = recorded_config(card["config"], str(card_path))
+        pairs, seconds = card["pairs"], float(card["seconds_trained"])
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: expected its card {card_path.name} beside it, found none ({error})") from error
+    task = find_task(config.network)(config, torch.device("cpu"))
+    model = task.make_model()
+    stored = stored_weights(path)
+    if set(model.state_dict()) - set(stored):
+        stored |= renamed_weights(stored, task.make_model(), type(task))
+    missing = sorted(set(model.state_dict()) - set(stored))
+    if missing:
+        raise InputError(
+            f"{path}: expected all weights of {config.network} by name, found {len(missing)} missing "
+            f"({missing[0]} ...); begin with a checkpoint"
+        )
+    model.load_state_dict({name: stored[name] for name in model.state_dict()})
+    trained = Checkpoint(
+        config,
+        step=pairs // config.batch,
+        seconds=seconds,
+        best=float("inf"),
+        metrics={},
+        tensors={f"model.{name}": tensor for name, tensor in model.state_dict().items()},
+        before=tuple(card.get("before", ())),
+        operations=card.get("operations"),
+    )
+    return model.eval(), trained
+
+
+def renamed_weights(stored: dict[str, Tensor], twin: nn.Module, task: type[Task]) -> dict[str, Tensor]:
+    """Find the weights that the export transposed and gave numbers for names, as it does for most of mime and hands.
+
+    A network of random weights is exported, too. Where one of its weights comes out, the file has the trained one.
+
+    Args:
+        stored: the arrays of the file, by their names in it.
+        twin: a network of the same configuration, whose weights are overwritten.
+
+    Returns:
+        The trained weights that were found, by their names in the network.
+    """
+    generator = torch.Generator().manual_seed(0)
+    for weight in twin.parameters():
+        weight.data.normal_(generator=generator)
+    graph = to_onnx(task.onnx_interface(twin)).graph
+    names = {onnx.numpy_helper.to_array(tensor).tobytes(): tensor.name for tensor in graph.initializer}
+    found = {}
+    for name, weight in twin.state_dict().items():
+        as_is, turned = (names.get(values.tobytes()) for values in (weight.numpy(), weight.numpy().T.copy()))
+        if as_is in stored and stored[as_is].numel() == weight.numel():
+            found[name] = stored[as_is].reshape(weight.shape)
+        elif turned in stored and stored[turned].shape == weight.shape[::-1]:
+            found[name] = stored[turned].mT.contiguous()
+    return found
+
+
+def stored_weights(path: Path) -> dict[str, Tensor]:
+    """Read the arrays of an exported network in float32, by their names in it.
+
+    Raises:
+        InputError: the file is missing or damaged.
+    """
+    try:
+        stored = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in onnx.load(str(path)).graph.initializer}
+    except (OSError, DecodeError, ValueError) as error:
+        raise InputError(f"{path}: expected a file of `mimesh export`, found none ({error})") from error
+    weights = {}
+    for name, values in stored.items():
+        whole = name.removesuffix(STORED)
+        scale = stored.get(f"{whole}{ROW_SCALE}") if values.dtype == np.int8 else None
+        weights[whole] = values.astype(np.float32) * (1.0 if scale is None else scale[:, None])
+    return {name: torch.from_numpy(np.asarray(values, np.float32)) for name, values in weights.items()}

@@ -24,9 +24,9 @@ from ..core.errors import InputError
 from ..io.atomic import together
 from ..methods.npt import METRES
 from ..methods.onnx_metadata import MAX_WINDOW
+from .aniformer import AniFormer, AniFormerConfig
 from .export import FULL_BITS, STORED_BITS, check_output, save_card, save_network
-from .models.aniformer import AniFormer, AniFormerConfig
-from .models.npt import NPT, NPTConfig
+from .npt import NPT, NPTConfig
 
 Kind = Literal["npt", "npt-maxpool", "aniformer"]
 EMBEDDING = "Temporal_pos_embed"

@@ -12,8 +12,8 @@ from ..methods.find import REDUCED_MODELS, check_weights
 from . import checkpoint
 from .config import config_differences, load_config
 from .export import export_command
-from .tasks.base import TrainConfig
-from .train import train
+from .loop import train
+from .task import TrainConfig
 
 BITS = 8
 """Bits that a weight of these networks is stored in."""

@@ -13,10 +13,9 @@ import torch
 
 from ..core.errors import InputError
 from ..methods.base import Method
-from .exported_weights import load_exported
-from .precision import choose_precision
-from .tasks.base import OnnxInterface
-from .tasks.find import find_task
+from .export import load_exported
+from .optimizers import choose_precision
+from .task import OnnxInterface, find_task
 
 NETWORKS = ("npt", "aniformer")
 """Networks whose exported weights are those of the training."""

@@ -16,9 +16,8 @@ from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, ClipsAniformer,
 from ..evaluate.clips_ordered import CLIPS_ORDERED
 from ..evaluate.metrics import box_radius, pmd
 from ..evaluate.pairs import Pair, reorder_vertices
-from .body_sampler import DataConfig
-from .losses import match_frames
-from .tasks.base import Task
+from .layers import match_frames
+from .task import DataConfig, Task
 
 WINDOW = 3
 """Frames of each clip that networks of pairs are validated on, from its middle."""
@@ -47,8 +46,7 @@ class Validation:
         rng = protocol.rng("val", kind, index)
         trial = protocol.unshuffled_pair("val", kind, index, rng)
         count = len(trial.identity.vertices)
-        of_vertex = getattr(self.task.config.model, "vertices", 0)  # weights for each vertex need the body's own order
-        order = np.arange(count) if of_vertex else rng.permutation(count)
+        order = np.arange(count) if self.task.of_one_order else rng.permutation(count)
         if isinstance(trial, ClipPair):
             return reorder_clip_vertices(trial, order, order)
         return reorder_vertices(trial, order, order)

@@ -1,6 +1,6 @@
 """Run the network of hands: the fingers of a hand from points of its surface, and the weights of any points of it.
 
-The network (`learn.models.hands`) knows left hands in the frame of the hand's joint; right hands are mirrored for it.
+The network (`learn.hands`) knows left hands in the frame of the hand's joint; right hands are mirrored for it.
 Inputs of the ONNX file are those of the body's network (`joint_network.py`), of B hands at once. Outputs are "rotation"
 (B, 16, 3, 3), "joints" (B, 16, 3) and "scores" (B, V, 16) of the hand and its fifteen finger joints, and "separate"
 (B,), the logit of whether the hand shows separate fingers.

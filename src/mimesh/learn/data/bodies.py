@@ -1,0 +1,189 @@
+"""Body kinematics and linear blend skinning in torch: batched, differentiable twins of the NumPy ones.
+
+`TorchBody` poses the people that `RiggedBody` poses, thousands a second on any device; a test compares the two.
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from ...bodies import RiggedBody
+
+
+class TorchBody(nn.Module):
+    """A RiggedBody whose arrays are buffers with coordinates as the first axis.
+
+    In that layout skinning is one matrix product and three fused multiply-adds over long rows: six times as many bodies
+    a second on two cores as with vertices first.
+    """
+
+    rest: Tensor
+    components: Tensor
+    weights: Tensor
+    joints: Tensor
+    joint_components: Tensor
+
+    def __init__(self, body: RiggedBody, dtype: torch.dtype = torch.float32) -> None:
+        super().__init__()
+        self.parents = body.parents
+        arrays = {
+            "rest": body.vertices.T,
+            "components": body.components.transpose(0, 2, 1),
+            "weights": body.weights.T,
+            "joints": body.joints,
+            "joint_components": body.joint_components,
+        }
+        for name, array in arrays.items():
+            self.register_buffer(name, torch.from_numpy(array).to(dtype).contiguous())
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices of the whole body."""
+        return self.rest.shape[1]
+
+    def posed(
+        self,
+        shape: Float[Tensor, "B K"],
+        rotmat: Float[Tensor, "B J 3 3"],
+        index: Int[Tensor, "B N"] | None = None,
+    ) -> Float[Tensor, "B N 3"]:
+        """Compute vertices of people under local joint rotations; `index` picks vertices before any work is done."""
+        transforms = self.skinning_transforms(shape, rotmat).flatten(2)
+        if index is None:
+            rest = self.rest + (shape @ self.components.flatten(1)).unflatten(1, self.rest.shape)
+            blended = (transforms.mT.flatten(0, 1) @ self.weights).unflatten(0, (len(shape), 3, 4))
+        else:
+            rest = self.rest[:, index].transpose(0, 1)
+            rest = rest + torch.einsum("bk,kcbn->bcn", shape, self.components[:, :, index])
+            blended = (transforms.mT @ self.weights[:, index].transpose(0, 1)).unflatten(1, (3, 4))
+        moved = blended[:, :, 3]
+        for c in range(3):
+            moved = torch.addcmul(moved, blended[:, :, c], rest[:, None, c])
+        return moved.mT
+
+    def skinning_transforms(
+        self, shape: Float[Tensor, "B K"], rotmat: Float[Tensor, "B J 3 3"]
+    ) -> Float[Tensor, "B J 3 4"]:
+        """Compute the 3x4 matrix that each joint applies to a rest point: forward kinematics from the root outwards."""
+        joints = self.joints + torch.einsum("bk,kjc->bjc", shape, self.joint_components)
+        rotation: list[Tensor] = []
+        position: list[Tensor] = []
+        for j, parent in enumerate(self.parents):
+            if parent < 0:
+                rotation.append(rotmat[:, j])
+                position.append(joints[:, j])
+            else:
+                bone = (joints[:, j] - joints[:, parent])[..., None]
+                rotation.append(rotation[parent] @ rotmat[:, j])
+                position.append(position[parent] + (rotation[parent] @ bone)[..., 0])
+        turned = torch.stack(rotation, 1)
+        offset = torch.stack(position, 1)[..., None] - turned @ joints[..., None]
+        return torch.cat([turned, offset], dim=-1)
+
+
+def scaled_joints(
+    rest: Float[Tensor, "B J 3"],
+    bones: Float[Tensor, "#B J 3"],
+    branching: Bool[Tensor, " J"],
+    length: Float[Tensor, "B J"],
+    girth: Float[Tensor, "B J"],
+    turned: Float[Tensor, "B J 3 3"],
+    parents: tuple[int, ...],
+) -> tuple[Float[Tensor, "B J 3"], Float[Tensor, "B J 3 3"], Float[Tensor, "B J 3 3"]]:
+    """Compute positions of joints, and each joint's linear map of rest points and of rest normals, under bone scales.
+
+    A joint scales its surface by `length` along its bone's direction d and by `girth` across, then rotates it:
+    S = girth 1 + (length - girth) d d^T. Normals are mapped by the inverse transpose, which has 1 / girth and
+    1 / length in their place. Where bones branch there is no one direction, and `girth` is used for both.
+
+    Args:
+        rest: joints at rest.
+        bones: direction of each joint's bone at rest.
+        branching: joints with several bones.
+        turned: rotation of each joint from rest, in the world.
+    """
+    length = torch.where(branching, girth, length)[..., None, None]
+    girth = girth[..., None, None]
+    along = bones[..., :, None] * bones[..., None, :]
+    eye = torch.eye(3, device=rest.device)
+    scaling, inverse = girth * eye + (length - girth) * along, eye / girth + (1 / length - 1 / girth) * along
+    position = [rest[:, 0]]
+    for j, parent in enumerate(parents[1:], 1):
+        bone = turned[:, parent] @ (scaling[:, parent] @ (rest[:, j] - rest[:, parent])[..., None])
+        position.append(position[parent] + bone[..., 0])
+    return torch.stack(position, 1), turned @ scaling, turned @ inverse
+
+
+def skinned_surface(
+    points: Float[Tensor, "B N 3"],
+    normals: Float[Tensor, "B N 3"],
+    weights: Float[Tensor, "B N J"],
+    joints: tuple[Float[Tensor, "B J 3"], Float[Tensor, "B J 3"]],
+    linear: Float[Tensor, "B J 3 3"],
+    normal_map: Float[Tensor, "B J 3 3"],
+) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 3"]]:
+    """Skin points and unit normals linearly by the joints' linear maps, such as those of `scaled_joints`.
+
+    Args:
+        joints: positions at rest, and where the maps leave them.
+        linear: map of each joint's points, about the joint.
+        normal_map: map of its normals.
+    """
+    rest, position = joints
+    offset = position - (linear @ rest[..., None])[..., 0]
+    # Of each joint the 7 columns of both maps and the offset are blended together, in one matrix product.
+    maps = torch.cat([linear, offset[..., None], normal_map], -1)
+    blended = (weights @ maps.flatten(2)).unflatten(2, (3, 7))
+    moved = (blended[..., :3] @ points[..., None])[..., 0] + blended[..., 3]
+    return moved, nn.functional.normalize((blended[..., 4:] @ normals[..., None])[..., 0], dim=-1)
+
+
+def world_rotations(local: Float[Tensor, "B J 3 3"], parents: tuple[int, ...]) -> Float[Tensor, "B J 3 3"]:
+    """Multiply local rotations along the skeleton."""
+    world = [local[:, 0]]
+    for j, parent in enumerate(parents[1:], 1):
+        world.append(world[parent] @ local[:, j])
+    return torch.stack(world, 1)
+
+
+def rotvec_to_rotmat(rotvec: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
+    """Convert rotation vectors (radians) to rotation matrices by Rodrigues' formula."""
+    angle = rotvec.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+    x, y, z = (rotvec / angle).unbind(-1)
+    sine, cosine = angle.sin()[..., None], angle.cos()[..., None]
+    zero = torch.zeros_like(x)
+    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
+    eye = torch.eye(3, dtype=rotvec.dtype, device=rotvec.device)
+    return eye + sine * cross + (1.0 - cosine) * (cross @ cross)
+
+
+def posed_joints(
+    rotation: Float[Tensor, "B J 3 3"],
+    joints: Float[Tensor, "B J 3"],
+    target: Float[Tensor, "B J 3 3"],
+    root: Float[Tensor, "B 3"],
+    parents: tuple[int, ...],
+) -> Float[Tensor, "B J 3"]:
+    """Compute joint positions after each joint turns from `rotation` to `target` (world); bones keep their lengths."""
+    position = [root]
+    for j, parent in enumerate(parents[1:], 1):
+        bone = rotation[:, parent].mT @ (joints[:, j] - joints[:, parent])[..., None]
+        position.append(position[parent] + (target[:, parent] @ bone)[..., 0])
+    return torch.stack(position, 1)
+
+
+def skinned(
+    vertices: Float[Tensor, "B V 3"],
+    weights: Float[Tensor, "B V J"],
+    rotation: Float[Tensor, "B J 3 3"],
+    joints: Float[Tensor, "B J 3"],
+    target: Float[Tensor, "B J 3 3"],
+    target_joints: Float[Tensor, "B J 3"],
+) -> Float[Tensor, "B V 3"]:
+    """Skin vertices linearly: each joint moves them from its frame (rotation, joints) to its target frame."""
+    turned = target @ rotation.mT
+    offset = target_joints - (turned @ joints[..., None])[..., 0]
+    blended = (weights @ torch.cat([turned, offset[..., None]], -1).flatten(2)).unflatten(2, (3, 4))
+    return (blended[..., :3] @ vertices[..., None])[..., 0] + blended[..., 3]

@@ -1,0 +1,381 @@
+"""Rigged characters to train on: a folder of them, and points of their surfaces with the shipped body's joints.
+
+A sub-folder is a pack, files of the folder itself are one more. A licence that a file does not state is that of the
+nearest file named LICENSE or License, in its folder or above it up to the folder, which is quoted by name. Files that
+the index of a pool lists in another split are left out, and so are clips that are held out for evaluation.
+
+A joint of a character counts as the joint of the shipped body with its name (`bodies.character_limbs`); all others
+count as their nearest named ancestor. World rotations of the body's joints relate to those of the character's by an
+alignment: a character's limb that is turned from rest by D has the rotation G = D A, A being the rotation from the
+body's limb at rest to the character's (`evaluate.character_poses.rest_alignments`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ...bodies import RiggedBody
+from ...bodies.character_limbs import SIDES
+from ...bodies.character_pool import CLASSES, Pool, PoolCharacter, read_pool
+from ...core import geometry, surface_points
+from ...core.errors import InputError
+from ...core.frame_buffer import Progress, counted
+from ...evaluate.character_poses import animal_alignments, body_poses, place_body_joints, rest_alignments
+from ...evaluate.held_out_takes import is_held_out
+from ...io.gltf.animal import read_rigged_animal
+from ...io.gltf.character import NOT_STATED, read_rigged_character
+from ..task import DataConfig, share
+from .clips import DAMAGED, RIGGED, TrainingClips, licence_of, pack_of
+
+POINTS = 3000
+"""Points that a character is represented by."""
+PLACED = ("ForeArm", "Hand", "Leg", "Foot")
+"""Joints whose position is known from the ends of limbs where a character has no such joint."""
+TRUNK = ("LowerBack", "Spine", "Spine1", "Neck", "Neck1")
+"""Joints that are matched by their number along the trunk: their positions differ from maker to maker."""
+REASONS = 6
+"""Reasons for refusals that are listed at most; files with others are counted together."""
+CLIP_STEP = 2
+"""Every CLIP_STEP-th frame of a clip is taken; neighbouring frames are nearly the same pose."""
+INDEX = "index.json"
+LEVELS = (200, 500, 1200)
+"""Numbers of triangles of a whole character. Chosen by hand: game characters of phones have about 500 to 1,500."""
+LOW_POLY_SAMPLES = 2
+"""Points drawn on the decimated mesh for each point that is moved to the nearest of them."""
+NORMAL_WEIGHT = 0.1
+"""Distance, in heights of the mesh, that counts as much as opposite normals: points stay on their side of limbs."""
+SMALLEST = 12
+"""Triangles below which a decimated piece is not used: the piece keeps its points."""
+
+
+@dataclass(frozen=True)
+class CharacterOptions(DataConfig):
+    """What share of the data characters of a folder are."""
+
+    characters: float = share()
+    """Share of a batch that are characters of a folder, for `mime` also of primitives."""
+    leave_out: tuple[str, ...] = ()
+    """Packs of the folder that are not trained on."""
+    words_of_characters: ClassVar[str] = ""
+    """What is added to the description of the data on the card."""
+    clip_kinds: ClassVar[tuple[str, ...]] = ()
+    """Kinds of data to whose poses those of a folder of clips can be added."""
+
+    @property
+    def with_low_poly(self) -> bool:
+        """Whether low-poly versions of the surfaces are needed."""
+        return False
+
+
+@dataclass(frozen=True, eq=False)
+class CharacterSurface:
+    """A character at rest, as large as the shipped body (root mean square distance of its points from their mean)."""
+
+    pack: str
+    points: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"]
+    weights: Float[np.ndarray, "N J"]
+    """Weights of the shipped body's joints, rows sum to 1."""
+    joints: Float[np.ndarray, "J 3"]
+    """Positions of the shipped body's joints."""
+    alignment: Float[np.ndarray, "J 3 3"]
+    """Rotation A of each joint from the shipped body's rest pose to the character's."""
+    carrier: Int[np.ndarray, " J"]
+    """The joint whose rotation each joint has: itself, or its nearest ancestor that the character has."""
+    placed: Bool[np.ndarray, " J"]
+    """Whether the position of each joint is known."""
+    coarse: Float[np.ndarray, "L 2 N 3"] | None = None
+    """Points and normals on the low-poly versions (`LEVELS`); None where there are none."""
+
+    @property
+    def turning(self) -> Bool[np.ndarray, " J"]:
+        """Whether the character has the joint, so that its rotation is known."""
+        return self.carrier == np.arange(len(self.carrier))
+
+    @classmethod
+    def of(cls, character: PoolCharacter, body: RiggedBody, low_poly: bool = False) -> CharacterSurface:
+        """Sample the surface of a character at rest, and of its low-poly versions if asked."""
+        mesh = character.rig.mesh
+        face, share = surface_points.sample_surface(mesh.vertices, mesh.faces, POINTS, np.random.default_rng(0))
+        points = surface_points.at_barycentric(mesh.vertices, mesh.faces, face, share)
+        normals = geometry.face_normals(mesh.vertices, mesh.faces)[face]
+        vertex_weights = body_weights(character, body)
+        size = body_spread(body) / np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean())
+        found, aligned, known = _rest_of(character, body)
+        carrier = body.carriers(character.joints)
+        alignment = np.tile(np.eye(3), (len(body.parents), 1, 1))
+        joints = np.empty((len(body.parents), 3))
+        for j, (name, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
+            alignment[j] = aligned.get(body.joint_names[carrier[j]], np.eye(3))
+            if name in found:
+                joints[j] = found[name]
+            else:  # as far from the parent as in the body
+                joints[j] = joints[parent] + alignment[parent] @ (body.joints[j] - body.joints[parent]) / size
+        coarse = None
+        if low_poly:
+            coarse = flattened(points, normals, mesh.vertices, mesh.faces)
+            coarse[:, 0] *= size
+        return cls(
+            pack=character.meta.pack,
+            points=size * points,
+            normals=normals,
+            weights=surface_points.at_barycentric(vertex_weights, mesh.faces, face, share),
+            joints=size * joints,
+            alignment=alignment,
+            carrier=carrier,
+            placed=np.array([name in known for name in body.joint_names]),
+            coarse=coarse,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingCharacters:
+    """The characters of a folder that a training uses, and poses of the clips of another folder."""
+
+    surfaces: tuple[CharacterSurface, ...]
+    poses: Float[np.ndarray, "P J 3"]
+    """Poses of all their clips: rotation vectors of the shipped body's joints."""
+    facts: dict[str, Any]
+    """For cards: `makers`, the number of characters of each "maker: pack (licence)", `sha256` of all arrays, and where
+    packs were left out, `left_out`, their numbers of characters. `clips` are the facts of the other clips."""
+    refused: dict[str, int]
+    """Number of characters that cannot be used, by reason."""
+    characters: tuple[PoolCharacter, ...] = ()
+    """The characters themselves."""
+    clips: TrainingClips | None = None
+    """Clips of another folder."""
+    part: ClassVar[str] = "characters"
+    """Where checkpoints and cards have the facts."""
+
+    @classmethod
+    def none(cls, body: RiggedBody) -> TrainingCharacters:
+        """Make an empty set, for trainings on clips alone."""
+        return cls((), np.zeros((0, len(body.parents), 3)), {}, {})
+
+    @property
+    def all_poses(self) -> Float[np.ndarray, "P J 3"]:
+        """Poses of the characters' clips and of the other clips."""
+        return np.concatenate([self.poses, self.clips.poses]) if self.clips else self.poses
+
+    def with_clips(self, clips: TrainingClips) -> TrainingCharacters:
+        """Add a folder of clips."""
+        return dataclasses.replace(self, clips=clips, facts={**self.facts, "clips": clips.facts})
+
+    def continues(self, facts: dict[str, Any]) -> bool:
+        """Tell whether a training with some facts may go on with these characters: clips may be added, none changed."""
+        added = {key: value for key, value in self.facts.items() if key != "clips" or "clips" in facts}
+        return not facts or facts == added
+
+    def described(self) -> str:
+        """Say in words whose the characters and clips are and how many cannot be used."""
+        clips = self.clips.described() if self.clips else ""
+        return "; ".join(filter(None, [self._described_characters() if self.surfaces else "", clips]))
+
+    def _described_characters(self) -> str:
+        used = ", ".join(f"{count} of {maker}" for maker, count in self.facts["makers"].items())
+        packs = ", ".join(
+            f"{count} of the pack {pack} left out" for pack, count in self.facts.get("left_out", {}).items()
+        )
+        reasons = Counter(self.refused).most_common()
+        refused = [f"{count} refused: {reason}" for reason, count in reasons[:REASONS]]
+        if len(reasons) > REASONS:
+            refused.append(f"{sum(count for _, count in reasons[REASONS:])} refused for other reasons")
+        return "; ".join(filter(None, [used, f"{len(self.poses)} poses of their clips", packs, *refused]))
+
+    @classmethod
+    def read(
+        cls,
+        folder: str | Path,
+        body: RiggedBody,
+        split: str = "train",
+        leave_out: Collection[str] = (),
+        low_poly: bool = False,
+        progress: Progress | None = None,
+    ) -> TrainingCharacters:
+        """Read the characters of a folder: of a split of its pool, and of rigged files in it.
+
+        Args:
+            leave_out: packs that are not used.
+            low_poly: make low-poly versions of the surfaces too.
+
+        Raises:
+            InputError: no such folder, none of its characters can be used, or a pack to leave out that it has not.
+        """
+        pool = read_character_folder(folder, split, progress, body.name)
+        counts = Counter(character.meta.pack for character in pool.characters)
+        if unknown := [pack for pack in leave_out if pack not in counts]:
+            raise InputError(
+                f"--leave-out {unknown[0]}: expected a pack of {folder} ({', '.join(counts) or 'none'}), "
+                "found another; check its name"
+            )
+        characters = [character for character in pool.characters if character.meta.pack not in leave_out]
+        if not characters:
+            raise InputError(
+                f"{folder}: expected {CLASSES[body.name]}s of the split {split}, found none that can be used"
+                f"{''.join(f'; {reason}' for reason in list(pool.refusals())[:1])}; add some"
+            )
+        metas = [character.meta for character in characters]
+        makers = Counter(f"{meta.maker or NOT_STATED}: {meta.pack} ({meta.licence})" for meta in metas)
+        surfaces = tuple(
+            CharacterSurface.of(character, body, low_poly)
+            for character in counted(characters, len(characters), progress)
+        )
+        poses = clip_poses(characters, body)
+        digest = hashlib.sha256(poses.round(4).tobytes())
+        for surface in surfaces:
+            digest.update(surface.points.round(4).tobytes() + surface.weights.round(4).tobytes())
+        facts: dict[str, Any] = {"makers": dict(makers), "sha256": digest.hexdigest()}
+        if leave_out:  # facts of trainings without this option stay as they were
+            facts["left_out"] = {pack: counts[pack] for pack in leave_out}
+        return cls(surfaces, poses, facts, pool.refusals(), tuple(characters))
+
+
+def _rest_of(
+    character: PoolCharacter, body: RiggedBody
+) -> tuple[dict[str, Float[np.ndarray, " 3"]], dict[str, Float[np.ndarray, "3 3"]], set[str]]:
+    """Give the body's joints on a character at rest, their alignments, and the joints whose places are known."""
+    if body.name == "quadruped":
+        positions = {name: character.rig.joints[joint] for name, joint in character.joints.items()}
+        known = {name for name in positions if not name.startswith(("Spine", "Chest"))}
+        return positions, animal_alignments(character, body), known
+    found = place_body_joints(character)
+    known = {*character.joints, *(side + part for side in SIDES for part in PLACED)}.difference(TRUNK)
+    return {name: point for name, (_, point) in found.items()}, rest_alignments(character), known
+
+
+def body_weights(character: PoolCharacter, body: RiggedBody) -> Float[np.ndarray, "V J"]:
+    """Add up a character's weights by the shipped body's joints, rows sum to 1."""
+    rig = character.rig
+    columns = {joint: body.joint(name) for name, joint in character.joints.items()}
+    target = rig.nearest_columns(columns, body.joint("Hips"))
+    weights = rig.summed_weights(target, len(body.parents))
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def clip_poses(characters: Iterable[PoolCharacter], body: RiggedBody) -> Float[np.ndarray, "P J 3"]:
+    """Convert the clips of characters to rotation vectors of the shipped body's joints; shared clips are taken once."""
+    from scipy.spatial.transform import Rotation
+
+    first = {character.meta.clips_from: character for character in characters if character.clips}
+    poses = [
+        body_poses(character, character.transforms_of_frames(name, np.arange(0, len(clip), CLIP_STEP)), body)
+        for character in first.values()
+        for name, clip in character.clips.items()
+    ]
+    rotmat = np.concatenate([np.zeros((0, len(body.parents), 3, 3)), *poses]).reshape(-1, 3, 3)
+    return Rotation.from_matrix(rotmat).as_rotvec().reshape(-1, len(body.parents), 3)
+
+
+@cache
+def body_spread(body: RiggedBody) -> float:
+    """Measure the root mean square distance of a body's surface from its centroid (metres), once for all characters."""
+    face, share = surface_points.sample_surface(body.vertices, body.faces, POINTS, np.random.default_rng(0))
+    points = surface_points.at_barycentric(body.vertices, body.faces, face, share)
+    return float(np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean()))
+
+
+def read_character_folder(
+    folder: str | Path, split: str = "train", progress: Progress | None = None, body: str = "human"
+) -> Pool:
+    """Read the humanoids of a folder, or its animals: those of a split of its pool, then all rigged files, by path.
+
+    Args:
+        body: shipped body whose joints the characters have, `human` or `quadruped`.
+
+    Raises:
+        InputError: no folder, a damaged index, or neither an index nor rigged files.
+    """
+    folder, read = Path(folder), read_rigged_animal if body == "quadruped" else read_rigged_character
+    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in RIGGED and path.is_file())
+    has_index = (folder / INDEX).is_file()
+    if not has_index and not paths:
+        raise InputError(
+            f"{folder}: expected a folder of rigged characters (.glb, .gltf, .vrm, .fbx, or .npz with an {INDEX}), "
+            "found none; give the folder that has some"
+        )
+    pool = read_pool(folder, split, progress if not paths else None, body) if has_index else Pool((), {})
+    characters, refused = list(pool.characters), dict(pool.refused)
+    elsewhere = _files_of_other_splits(folder / INDEX, split) if has_index else {}
+    for path in counted(paths, len(paths), progress):
+        name = str(path.relative_to(folder))
+        try:
+            if path.stem in elsewhere:
+                raise InputError(f"{path}: expected a character to train on, found one of {elsewhere[path.stem]}")
+            characters.append(read(path, pack_of(path, folder), licence_of(path, folder), is_held_out))
+        except DAMAGED as error:
+            plain = str(error) if isinstance(error, InputError) else f"expected a sound file, found {error!r:.80}"
+            refused[name] = plain.removeprefix(f"{path}: ").removeprefix(f"{path.stem}: ")
+    return Pool(tuple(without_repeated_clips(characters)), refused)
+
+
+def without_repeated_clips(characters: Iterable[PoolCharacter]) -> list[PoolCharacter]:
+    """Keep clips of one name, length and skeleton in a pack once: makers export them with each character.
+
+    Clips of a pool are kept: they say which file they are from.
+    """
+    seen: set[object] = set()
+    kept = []
+    for character in characters:
+        clips = character.clips
+        if Path(character.meta.clips_from).suffix.lower() in RIGGED:
+            keys = {
+                name: (character.meta.pack, character.rig.skeleton, name, len(clip)) for name, clip in clips.items()
+            }
+            clips = {name: clip for name, clip in clips.items() if keys[name] not in seen}
+            seen.update(keys.values())
+        kept.append(dataclasses.replace(character, clips=clips))
+    return kept
+
+
+def _files_of_other_splits(index: Path, split: str) -> dict[str, str]:
+    """Read the split of each file that an index, which has been read before, lists in another one."""
+    rows = json.loads(index.read_text(encoding="utf-8"))
+    return {str(row["file"]): f"the split {row['split']} of the index" for row in rows if row["split"] != split}
+
+
+def flattened(
+    points: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    counts: Sequence[int] = LEVELS,
+) -> Float[np.ndarray, "L 2 N 3"]:
+    """Move points of a mesh to the mesh decimated to some numbers of triangles: points and normals on each.
+
+    Each point goes to the nearest, in place and normal, of random points of the decimated mesh. So it keeps its weights
+    and joints, and no triangle gets more than its share. A mesh that is coarser already keeps its points.
+    """
+    import fast_simplification
+    from scipy.spatial import KDTree
+
+    coarse, index = geometry.weld(vertices)
+    triangles = index[faces]
+    triangles = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
+    weight = NORMAL_WEIGHT * np.ptp(vertices, axis=0).max() / 2
+    result = np.tile(np.stack([points, normals]), (len(counts), 1, 1, 1))
+    for level in np.argsort(counts)[::-1]:  # from fine to coarse, each from the one before: that is fast
+        if len(triangles) > counts[level]:
+            found = fast_simplification.simplify(coarse, triangles.astype(np.int32), target_count=counts[level])
+            coarse, triangles = found[0].astype(np.float64), found[1].astype(np.int64)
+            triangles = triangles[geometry.face_areas(coarse, triangles) > 0]
+            if len(triangles) < SMALLEST:
+                break
+            rng = np.random.default_rng(0)
+            face, share = surface_points.sample_surface(coarse, triangles, LOW_POLY_SAMPLES * len(points), rng)
+            places = surface_points.at_barycentric(coarse, triangles, face, share)
+            flat = geometry.face_normals(coarse, triangles)[face]
+            tree = KDTree(np.hstack([places, weight * flat]), balanced_tree=False)
+            nearest = tree.query(np.hstack([points, weight * normals]))[1]
+            result[level] = places[nearest], flat[nearest]
+    return result

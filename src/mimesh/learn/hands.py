@@ -1,0 +1,450 @@
+"""hands: predict the fingers of a hand from points of its surface, with the layers of `mime`.
+
+The network is `mime`'s with the joints of one hand, in the frame of its hand joint; right hands are mirrored. It also
+tells whether the hand shows separate fingers at all.
+
+Batches are left hands in random gestures, as points of their surfaces in the frame of a predicted hand joint.
+Lengths are in spreads of the hand: the root mean square distance of its points from their mean, which is the origin.
+The axes are those of the palm of the shipped body's left hand in the T-pose, off by the error of the predicted joint.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from ..bodies import RiggedBody
+from ..bodies.finger_poses import finger_rotations, sample_finger_poses
+from ..bodies.hands import HAND_PARENTS, left_hand_body
+from ..bodies.joint_names import finger_joints
+from ..core.errors import InputError
+from .data.bodies import rotvec_to_rotmat, scaled_joints, skinned_surface, world_rotations
+from .data.characters import CharacterOptions, TrainingCharacters
+from .data.figures import LAST, pick_rows, rows_by_group
+from .data.hands import FINGERLESS, HUMAN, HandSurface, training_hands
+from .data.surfaces import gather_points
+from .mime import MimeConfig, MimeNetwork, Prediction, joint_errors, masked_mean, rms_normalize
+from .task import OnnxInterface, Task, TrainConfig, shipped_body
+
+HAND_POINTS = 256
+"""Points of a hand that the network takes."""
+QUERIES = 96
+"""Points of a hand whose skinning weights are predicted in training."""
+GESTURES = 16_384
+"""Gestures that a training draws from."""
+OWN_REST = 0.25
+"""Share of hands with fingers that are in the rest pose of their file."""
+FINGERLESS_SHARE = 0.25
+"""Share of hands without fingers."""
+FRAME_ERROR, WRIST_BEND = math.radians(25), math.radians(60)
+"""Largest error of the predicted hand joint's rotation, and largest rotation of the forearm at the wrist (radians)."""
+LENGTH_SPREAD, GIRTH_SPREAD = 0.16, 0.12
+"""Standard deviation of the logarithms of the lengths of fingers and of the girths of hands; half of the first, and the
+second again, are added for each bone."""
+LARGEST_LENGTH, LARGEST_GIRTH = 0.5, 0.45
+"""Largest absolute value of these logarithms."""
+WRIST_CUT = (0.15, 0.85)
+"""Range of the weight of the hand from which on the network gets a point: where the forearm is cut off."""
+MAX_NOISE = 0.06
+"""Largest standard deviation of the noise on points (spreads); mostly it is far less."""
+BUMP_HEIGHT, BUMP_FREQUENCY = 0.05, 8.0
+"""Largest height of the bumps (spreads) and scale of their frequency (radians a spread)."""
+MISSING, MAX_HOLE = 0.15, 0.6
+"""Share of hands that lack the points within a ball, and its largest radius (spreads)."""
+ONE_SIDED, WITHOUT_NORMALS = 0.1, 0.15
+"""Share of hands of which only the points facing one side are given, and share without normals."""
+UNSEEN_SEED, TRIAL_SEED, TRIAL_HANDS = 1, 77, 8
+"""Seeds of the people and of the gestures of a validation, and number of hands in each of its trials."""
+
+
+@dataclass(frozen=True)
+class HandsData(CharacterOptions):
+    """What hands is trained on: hands of the shipped body and of characters, and hands without fingers."""
+
+    kind: Literal["hands"] = "hands"
+    pairing: Literal["random"] = "random"
+    body: Literal["human"] = "human"
+
+    def check(self, where: str) -> None:
+        """Raise InputError for more characters than there are hands with fingers."""
+        super().check(where)
+        if self.characters > 1 - FINGERLESS_SHARE:
+            raise InputError(
+                f"{where}: expected data.characters from 0 to {1 - FINGERLESS_SHARE}, found {self.characters}"
+            )
+
+
+@dataclass(frozen=True)
+class HandLossConfig:
+    """Weights of the terms beside the rotations."""
+
+    joints: float = 2.0
+    """Of squared distances of joints, in units of the points' spread."""
+    weights: float = 0.05
+    """Of the cross-entropy of the skinning weights."""
+    separate: float = 0.05
+    """Of the cross-entropy of whether the hand shows separate fingers."""
+
+
+@dataclass(frozen=True)
+class HandsTrainConfig(TrainConfig):
+    """The configuration of a training of hands."""
+
+    network: Literal["hands"] = "hands"
+    model: MimeConfig = field(default_factory=MimeConfig)
+    data: HandsData = field(default_factory=HandsData)
+    structure: HandLossConfig = field(default_factory=HandLossConfig)
+
+    def check(self, where: str) -> None:
+        """Raise InputError for a width that the heads do not divide."""
+        super().check(where)
+        if self.model.heads < 1 or self.model.width % self.model.heads:
+            raise InputError(f"{where}: expected heads that divide width {self.model.width}, found {self.model.heads}")
+
+
+class HandNetwork(MimeNetwork):
+    """Predict joints and skinning weights of left hands, and a logit of whether they show separate fingers."""
+
+    def __init__(self, config: MimeConfig) -> None:
+        super().__init__(config, left_hand_body())
+        self.separate = nn.Linear(config.width, 1)
+
+    def predict_separate(self, prediction: Prediction) -> Float[Tensor, " B"]:
+        """Compute the logit of each hand from the mean of its tokens."""
+        return self.separate(rms_normalize(prediction.tokens.mean(1)))[:, 0].float()
+
+    def forward(  # pyright: ignore[reportIncompatibleMethodOverride] (of one mesh, not of a pair)
+        self,
+        points: Float[Tensor, "B N 3"],
+        normals: Float[Tensor, "B N 3"],
+        vertices: Float[Tensor, "B V 3"],
+        vertex_normals: Float[Tensor, "B V 3"],
+    ) -> tuple[Prediction, Float[Tensor, " B"], Float[Tensor, "B V 16"]]:
+        """Predict the joints of hands, the logit of separate fingers, and scores of any points of the same hands.
+
+        The logits of skinning weights (scores) are those of the hand and its 15 finger joints.
+        """
+        prediction = self.predict_joints(points, normals)
+        return prediction, self.predict_separate(prediction), self.predict_weights(prediction, vertices, vertex_normals)
+
+    def estimate_flops(self, vertices: int, points: int) -> float:
+        """Count floating-point operations for one hand; `mime`'s count is that of a pair."""
+        return super().estimate_flops(vertices, points) / 2
+
+
+@dataclass(frozen=True)
+class HandBatch:
+    """B hands: what the network is given, and what is true of them. See the module for units and axes."""
+
+    points: Float[Tensor, "B N 3"]
+    """With noise, as the queries."""
+    normals: Float[Tensor, "B N 3"]
+    """Of unit length, or zero where a hand has none."""
+    queries: Float[Tensor, "B Q 3"]
+    query_normals: Float[Tensor, "B Q 3"]
+    query_weights: Float[Tensor, "B Q 16"]
+    """Skinning weights of the hand, to which the forearm's are added, and of 15 finger joints, rows sum to 1."""
+    rotation: Float[Tensor, "B 16 3 3"]
+    """Of the hand and its finger joints from the shipped body's rest pose."""
+    joints: Float[Tensor, "B 16 3"]
+    separate: Bool[Tensor, " B"]
+    """Whether a hand shows separate fingers; if not, weights, rotation and joints mean nothing."""
+
+
+@cache
+def gesture_bank(seed: int) -> Float[np.ndarray, "P 15 3 3"]:
+    """Draw the gestures of a training: local rotations of a left hand's joints."""
+    return finger_rotations(sample_finger_poses(GESTURES, np.random.default_rng(seed)), left=True)
+
+
+class HandSource(nn.Module):
+    """Makes batches of hands; a batch is a pure function of the seed and its step.
+
+    A batch is drawn in five steps: which hands, rotations of their joints, the posed surfaces, which points of them are
+    given, and the errors of these points.
+    """
+
+    points: Tensor
+    normals: Tensor
+    weights: Tensor
+    joints: Tensor
+    alignment: Tensor
+    bones: Tensor
+    separate: Tensor
+    gestures: Tensor
+    branching: Tensor
+
+    def __init__(self, surfaces: list[HandSurface], device: torch.device, seed: int, characters: float) -> None:
+        """Put the hands on the device.
+
+        Args:
+            surfaces: of one group, all or none show separate fingers.
+            characters: share of characters' hands with fingers; those without have FINGERLESS_SHARE, the shipped body's
+                the rest.
+        """
+        super().__init__()
+        self.seed, self.device = seed, device
+        for name in ("points", "normals", "weights", "joints", "alignment", "bones"):
+            stacked = np.stack([getattr(surface, name) for surface in surfaces])
+            self.register_buffer(name, torch.from_numpy(stacked).float())
+        self.register_buffer("separate", torch.tensor([surface.separate for surface in surfaces]))
+        self.register_buffer("gestures", torch.from_numpy(gesture_bank(seed)).float())
+        self.register_buffer("branching", torch.tensor([j == 0 for j in range(16)]))  # the hand has five bones
+        rows = rows_by_group([surface.group for surface in surfaces], device)
+        kinds = [group if surfaces[int(some[0])].separate else FINGERLESS for group, some in rows.items()]
+        self.rows, self.shares = list(rows.values()), torch.tensor(group_shares(kinds, characters), device=device)
+        self.to(device)
+
+    def batch(self, size: int, step: int) -> HandBatch:
+        """Make the hands of a step."""
+        rng = torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
+        group = self.shares.multinomial(size, replacement=True, generator=rng)
+        which = pick_rows(self.rows, group, torch.rand(size, generator=rng, device=self.device))
+        rotation = self._rotations(which, rng)
+        points, normals, joints = self._posed(which, rotation, rng)
+        weights, centre = self.weights[which], points.mean(1, keepdim=True)
+        spread = _spread(points)
+        points, joints = (points - centre) / spread, (joints - centre) / spread
+        index = self._choose(points, normals, weights, rng)
+        points, normals, weights = (gather_points(values, index) for values in (points, normals, weights))
+        noise = MAX_NOISE * self._uniform(rng, size, 1, 1).pow(3)
+        points = points + noise * torch.randn(points.shape, generator=rng, device=self.device)
+        turn = self._turn(rng, size, FRAME_ERROR)
+        points, normals, joints = (vectors @ turn.mT for vectors in (points, normals, joints))
+        normals = normals * (self._uniform(rng, size, 1, 1) >= WITHOUT_NORMALS)
+        of_hand = torch.cat([weights[..., :2].sum(-1, keepdim=True), weights[..., 2:]], -1)
+        given, queries = slice(HAND_POINTS), slice(HAND_POINTS, None)
+        return HandBatch(
+            points[:, given],
+            normals[:, given],
+            points[:, queries],
+            normals[:, queries],
+            of_hand[:, queries],
+            turn[:, None] @ rotation,
+            joints,
+            self.separate[which],
+        )
+
+    def _rotations(self, which: Int[Tensor, " B"], rng: torch.Generator) -> Float[Tensor, "B 16 3 3"]:
+        """Draw the rotation of every joint in the frame of the palm: that of a gesture, or of the rest pose."""
+        size = len(which)
+        gesture = torch.randint(GESTURES, (size,), generator=rng, device=self.device)
+        hand = torch.eye(3, device=self.device).expand(size, 1, 3, 3)
+        posed = world_rotations(torch.cat([hand, self.gestures[gesture]], 1), HAND_PARENTS)
+        alignment = self.alignment[which]
+        rest = alignment[:, :1].mT @ alignment
+        own = self._uniform(rng, size, 1, 1, 1) < OWN_REST
+        return torch.where(own | ~self.separate[which][:, None, None, None], rest, posed)
+
+    def _posed(
+        self, which: Int[Tensor, " B"], rotation: Float[Tensor, "B 16 3 3"], rng: torch.Generator
+    ) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 3"], Float[Tensor, "B 16 3"]]:
+        """Scale the bones, bend the wrist, add bumps and pose the joints: points, normals and joints."""
+        size, rest = len(which), self.joints[which]
+        length, girth = self._proportions(size, rng)
+        turned = rotation @ self.alignment[which].mT
+        joints, linear, normal_map = scaled_joints(
+            rest, self.bones[which], self.branching, length, girth, turned, HAND_PARENTS
+        )
+        # The first of the 17 columns of weights is the forearm's, which turns about the wrist.
+        forearm = self._turn(rng, size, WRIST_BEND)[:, None] @ turned[:, :1]
+        linear, normal_map = (torch.cat([forearm, maps], 1) for maps in (linear, normal_map))
+        centres = torch.cat([rest[:, :1], rest], 1), torch.cat([joints[:, :1], joints], 1)
+        bumpy = self._bumpy(which, rng)
+        points, normals = skinned_surface(bumpy, self.normals[which], self.weights[which], centres, linear, normal_map)
+        return points, normals, joints
+
+    def _proportions(self, size: int, rng: torch.Generator) -> tuple[Float[Tensor, "B 16"], Float[Tensor, "B 16"]]:
+        """Draw scales along and across the bones: the lengths of one finger, and the girths of one hand, are alike."""
+        fingers = LENGTH_SPREAD * self._normal(rng, size, 6)  # the hand and five fingers
+        length = torch.cat([fingers[:, :1], fingers[:, 1:].repeat_interleave(3, 1)], 1)
+        length = length + 0.5 * LENGTH_SPREAD * self._normal(rng, size, 16)
+        girth = GIRTH_SPREAD * (self._normal(rng, size, 1) + self._normal(rng, size, 16))
+        return length.clamp(-LARGEST_LENGTH, LARGEST_LENGTH).exp(), girth.clamp(-LARGEST_GIRTH, LARGEST_GIRTH).exp()
+
+    def _bumpy(self, which: Int[Tensor, " B"], rng: torch.Generator) -> Float[Tensor, "B N 3"]:
+        """Move the points of hands at rest along their normals by a sine wave through space."""
+        size, points = len(which), self.points[which]
+        spread = _spread(points)
+        direction = BUMP_FREQUENCY * self._normal(rng, size, 1, 3) / spread
+        phase = 2 * math.pi * self._uniform(rng, size, 1, 1)
+        height = BUMP_HEIGHT * spread * self._uniform(rng, size, 1, 1).square()
+        wave = ((points * direction).sum(-1, keepdim=True) + phase).sin()
+        return points + height * wave * self.normals[which]
+
+    def _choose(
+        self,
+        points: Float[Tensor, "B N 3"],
+        normals: Float[Tensor, "B N 3"],
+        weights: Float[Tensor, "B N 17"],
+        rng: torch.Generator,
+    ) -> Int[Tensor, "B M"]:
+        """Choose random points of hands, those that are given and then queries, in random order.
+
+        The points with the smallest keys are taken: random numbers below 1, raised by LAST in a hole and on the side
+        that is not given, and by more beyond the wrist. If others are too few, they are repeated.
+        """
+        size, total = points.shape[:2]
+        key = torch.rand(size, total, generator=rng, device=self.device)
+        low, high = WRIST_CUT
+        least = low + (high - low) * self._uniform(rng, size, 1)
+        centre = torch.randint(total, (size, 1), generator=rng, device=self.device)
+        radius = MAX_HOLE * self._uniform(rng, size, 1) * (self._uniform(rng, size, 1) < MISSING)
+        in_hole = (points - gather_points(points, centre)).norm(dim=-1) < radius
+        side = F.normalize(self._normal(rng, size, 1, 3), dim=-1)
+        hidden = ((normals * side).sum(-1) < 0) & (self._uniform(rng, size, 1) < ONE_SIDED)
+        beyond = weights[..., 1:].sum(-1) < least
+        key = key + LAST * (in_hole | hidden) + 2 * LAST * beyond
+        order = key.topk(HAND_POINTS + QUERIES, dim=1, largest=False).indices
+        enough = (key < LAST).sum(1, keepdim=True).clamp_min(1)
+        order = order.gather(1, torch.arange(order.shape[1], device=self.device) % enough)
+        shuffled = torch.rand(size, order.shape[1], generator=rng, device=self.device).argsort(1)
+        return order.gather(1, shuffled)
+
+    def _turn(self, rng: torch.Generator, size: int, largest: float) -> Float[Tensor, "B 3 3"]:
+        """Draw rotations about any axis by up to an angle (radians)."""
+        axis = F.normalize(self._normal(rng, size, 3), dim=-1)
+        return rotvec_to_rotmat(axis * largest * self._uniform(rng, size, 1))
+
+    def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
+        return torch.rand(*size, generator=rng, device=self.device)
+
+    def _normal(self, rng: torch.Generator, *size: int) -> Tensor:
+        return torch.randn(*size, generator=rng, device=self.device)
+
+
+def _spread(points: Float[Tensor, "B N 3"]) -> Float[Tensor, "B 1 1"]:
+    """Compute the root mean square distance of points from their mean."""
+    return (points - points.mean(1, keepdim=True)).square().sum(-1).mean(1).sqrt()[:, None, None]
+
+
+def group_shares(kinds: list[str], characters: float) -> list[float]:
+    """Give the share of each group in a batch by its kind: HUMAN, FINGERLESS, or a pack of characters.
+
+    Args:
+        characters: share of all packs together.
+    """
+    packs = sum(kind not in (HUMAN, FINGERLESS) for kind in kinds)
+    share = {
+        HUMAN: 1 - FINGERLESS_SHARE - (characters if packs else 0.0),
+        FINGERLESS: FINGERLESS_SHARE / max(kinds.count(FINGERLESS), 1),
+    }
+    return [share.get(kind, characters / max(packs, 1)) for kind in kinds]
+
+
+def hands_loss(model: nn.Module, batch: HandBatch, weights: HandLossConfig) -> Float[Tensor, ""]:
+    """Compute the errors of rotations, joints and weights of hands with fingers, and of the logits of all."""
+    prediction, logit, scores = model(batch.points, batch.normals, batch.queries, batch.query_normals)
+    known = batch.separate[:, None]
+    rotation, joints = joint_errors(prediction, (batch.rotation, known), (batch.joints, known))
+    entropy = -masked_mean((batch.query_weights * scores.log_softmax(-1)).sum(-1), known)
+    separate = F.binary_cross_entropy_with_logits(logit, batch.separate.float())
+    terms = rotation, weights.joints * joints, weights.weights * entropy, weights.separate * separate
+    return torch.stack(terms).sum()
+
+
+def joint_error(prediction: Prediction, batch: HandBatch) -> Float[Tensor, " B"]:
+    """Compute the mean squared distance of the finger joints in squared spreads of the given points."""
+    return ((prediction.joints - batch.joints) / prediction.scale)[:, 1:].square().sum(-1).mean(1)
+
+
+@cache
+def unseen_hands() -> tuple[HandSurface, ...]:
+    """Make hands of people of the shipped body that no training gets."""
+    return tuple(training_hands(shipped_body(), (), UNSEEN_SEED))
+
+
+class HandTrials:
+    """Batches of unseen hands, in place of the pairs of a protocol."""
+
+    validation_kinds = ("unseen",)
+
+    def __init__(self, source: HandSource) -> None:
+        self.source = source
+
+    def count(self, kind: str, limit: int) -> int:
+        """Give the number of trials: as many as are asked for."""
+        return limit
+
+    def pair(self, split: str, kind: str, index: int) -> HandBatch:
+        """Make a trial; all are of one kind."""
+        return self.source.batch(TRIAL_HANDS, index)
+
+
+class HandsTask(Task[HandsTrainConfig, HandNetwork]):
+    """Training, validation and export of hands."""
+
+    config_type = HandsTrainConfig
+    test_set = "fingers"
+
+    @property
+    def body(self) -> RiggedBody:
+        """The left hand of the shipped body."""
+        return left_hand_body()
+
+    @property
+    def protocol(self) -> Any:
+        """Unseen hands, in place of a protocol of pairs."""
+        return HandTrials(HandSource(list(unseen_hands()), self.device, TRIAL_SEED, 0.0))
+
+    def make_model(self) -> HandNetwork:
+        """Build the network with fresh weights."""
+        return HandNetwork(self.config.model)
+
+    def source(self, seed: int) -> HandSource:
+        """Build the generator of hands."""
+        characters = self.brought.characters if isinstance(self.brought, TrainingCharacters) else ()
+        return HandSource(training_hands(shipped_body(), characters), self.device, seed, self.config.data.characters)
+
+    def loss(self, model: HandNetwork, batch: HandBatch, step: int) -> Tensor:
+        """Compute the loss of a batch."""
+        with self.autocast():
+            return hands_loss(model, batch, self.config.structure)
+
+    def trial_error(self, model: HandNetwork, trial: HandBatch) -> float:
+        """Compute the error of a trial, as of any batch."""
+        return self.batch_error(model, trial)
+
+    def batch_error(self, model: HandNetwork, batch: HandBatch) -> float:
+        """Compute `joint_error`, mean over the hands with fingers; 0 if there are none."""
+        with self.autocast():
+            prediction = model.predict_joints(batch.points, batch.normals)
+        return float(joint_error(prediction, batch)[batch.separate].mean()) if batch.separate.any() else 0.0
+
+    def flops_per_pair(self, model: HandNetwork) -> float:
+        """Count the floating-point operations of the forward pass of one hand."""
+        return model.estimate_flops(QUERIES, HAND_POINTS)
+
+    @staticmethod
+    def onnx_interface(model: HandNetwork) -> OnnxInterface:
+        """Map points and queries of any number of hands, with normals, to joints, logits and scores."""
+        b, v = torch.export.Dim("hands", min=1), torch.export.Dim("vertices", min=1)
+        inputs = ("points", "normals", "vertices", "vertex_normals")
+        example = (*torch.randn(2, 3, HAND_POINTS, 3), *torch.randn(2, 3, 300, 3))
+        dynamic = ({0: b}, {0: b}, {0: b, 1: v}, {0: b, 1: v})
+        return OnnxInterface(_Outputs(model), inputs, ("rotation", "joints", "scores", "separate"), example, dynamic)
+
+    @staticmethod
+    def onnx_facts(model: HandNetwork) -> dict[str, Any]:
+        """Give the number of points and the names of the joints of a left hand."""
+        return {"model": "hands", "points": HAND_POINTS, "joints": ("LeftHand", *finger_joints("Left"))}
+
+
+class _Outputs(nn.Module):
+    """All that the network computes, as tensors."""
+
+    def __init__(self, model: HandNetwork) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, points: Tensor, normals: Tensor, vertices: Tensor, vertex_normals: Tensor):
+        prediction, logit, scores = self.model(points, normals, vertices, vertex_normals)
+        return prediction.rotation, prediction.joints, scores, logit

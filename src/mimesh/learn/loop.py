@@ -1,0 +1,347 @@
+"""The training loop: batches in, steps, validations and checkpoints; any model, resumable at any moment."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress
+from . import checkpoint
+from .cost import described_cost, operations_of, training_operations
+from .data.user_data import refuse_other_data
+from .log import TrainingLog, unfinished
+from .optimizers import DTYPES, choose_precision, make_optimizers
+from .processes import Processes, StopRequest, joined_processes
+from .task import BatchSource, Task, TrainConfig, UserData, find_task
+from .validation import Validation
+
+SCHEDULE = ("seed", "pairs", "minutes", "decay", "learning_rate", "accumulate", "doublings")
+SAVE_SECONDS = 60.0
+"""Wall-clock time between checkpoints."""
+FULL_RATE = "full-rate.safetensors"
+"""Checkpoint of the last step before the learning rate falls. A longer training goes on from there (`--weights`): a
+rate that has fallen to zero and rises again undoes more than a short training brings back (docs/LOG.md)."""
+COMPILE_OPTIONS: dict[str, Any] = {"triton.mix_order_reduction": False}
+"""Of torch.compile: the fusion of sums along two axes fails for AniFormer with an assertion (PyTorch 2.11)."""
+STEPS_AHEAD = 8
+"""Batches that a GPU makes at once. It computes one faster than its hundreds of small operations can be started."""
+
+
+def train(
+    config: TrainConfig,
+    folder: Path,
+    max_minutes: float | None = None,
+    pool: UserData | None = None,
+    processes: Processes | None = None,
+) -> Path:
+    """Train to the end of the schedule, or until a time limit or a signal; continue the training in the folder if any.
+
+    A checkpoint is written every minute, before every validation and at the end. At least one step is taken.
+
+    Args:
+        max_minutes: wall-clock time, counted from this call.
+        pool: what the user brings, where the configuration asks for it.
+        processes: those that share the training; None: this one alone, or those that `torchrun` started.
+
+    Raises:
+        InputError: the user's data are not those of the training so far, or the batch cannot be divided.
+        KeyboardInterrupt: after the checkpoint, where SIGINT or SIGTERM ended the training.
+    """
+    if processes is None:
+        with joined_processes() as processes:
+            return train(config, folder, max_minutes, pool, processes)
+    folder.mkdir(parents=True, exist_ok=True)
+    with StopRequest(max_minutes) as stop:
+        run = TrainingRun.start(config, folder, pool, processes)
+        validation = Validation(run.task)
+        with TrainingLog.opened(folder, run) as log:
+            log.note("precision", run.reason, precision=run.task.precision)
+            log.note("cost", described_cost(run))
+            if pool:
+                log.note(pool.part, pool.described())
+            if run.changes:
+                log.note("changes", json.dumps(run.changes[-1]))
+            run_to_end(run, validation, folder, log, stop)
+            if stop():
+                rest = "; the validation that was due is left to it" if run.validation_due() else ""
+                log.note("stopped", f"{stop.reason()}; --resume {folder} continues{rest}{unfinished(run)}")
+    return folder
+
+
+def run_to_end(run: TrainingRun, validation: Validation, folder: Path, log: TrainingLog, stop: StopRequest) -> None:
+    """Take steps, validate and save until the schedule ends or `stop` says so in one of the processes."""
+    last, first, falling = folder / "last.safetensors", run.step, run.rate_falls()
+    while True:
+        stopped, killed, run.seconds = run.processes.largest(stop(), stop.signal is not None, run.seconds)
+        if stopped and (run.step > first or killed or run.share() >= 1.0):
+            break
+        if run.validation_due():
+            log.flush()
+            run.save(last)
+            if figures := run.validate(validation, folder, stop, log.validating()):
+                log.write("validation", figures)
+        elif run.share() >= 1.0:
+            break
+        else:
+            if not falling and run.rate_falls():
+                falling = True
+                run.save(folder / FULL_RATE)
+            log.add(run.advance())
+            if time.monotonic() - run.saved > SAVE_SECONDS:
+                run.save(last)
+    log.flush()
+    run.save(last)
+
+
+@dataclass
+class TrainingRun:
+    """The state of a running training."""
+
+    config: TrainConfig
+    task: Task
+    model: nn.Module
+    step_model: nn.Module
+    """The model, or its compiled form; both share weights."""
+    ema: dict[str, Tensor]
+    """Moving average of the weights by name; empty if none is kept."""
+    optimizers: list[torch.optim.Optimizer]
+    source: BatchSource
+    processes: Processes
+    reason: str
+    """Why `task.precision` was chosen, in words."""
+    step: int = 0
+    seconds: float = 0.0
+    """Spent in steps, by `clock`."""
+    best: float = float("inf")
+    """Lowest validation figure so far."""
+    saved: float = 0.0
+    """Time of the last checkpoint (`time.monotonic`)."""
+    metrics: dict[str, float] | None = None
+    """Validation figures of the current weights; None once they have changed."""
+    validated: int = 0
+    """Step of the last validation."""
+    before: tuple[dict[str, int | float], ...] = ()
+    """Trainings whose network this one began with."""
+    changes: tuple[dict[str, Any], ...] = ()
+    """What was changed where the training was resumed, as in `Checkpoint`."""
+    operations: float = 0.0
+    """Floating-point operations so far, without those of the optimizer."""
+    samples: int = 0
+    """Parts of batches so far, over all processes: their number may change where a training is resumed."""
+
+    @classmethod
+    def start(
+        cls,
+        config: TrainConfig,
+        folder: Path,
+        pool: UserData | None = None,
+        processes: Processes | None = None,
+    ) -> TrainingRun:
+        """Set up a new training, or the one whose checkpoint lies in the folder."""
+        processes = processes or Processes(0, 1, torch.device("cuda" if torch.cuda.is_available() else "cpu"))
+        device = processes.device
+        parts = config.most_parts * processes.count
+        if config.batch % parts:
+            raise InputError(
+                f"batch: expected a multiple of {parts} (most parts of a batch x processes), found {config.batch}; "
+                "change one"
+            )
+        last = folder / "last.safetensors"
+        state = checkpoint.load(last) if last.exists() else None
+        before = state.precision if state else ""
+        precision, reason = processes.of_first(lambda: choose_precision(config.precision, device, before))
+        torch.manual_seed(config.seed)
+        task = find_task(config.network)(config, device, precision, pool)
+        model = task.make_model().to(device)
+        ema = {k: v.detach().clone() for k, v in model.state_dict().items()} if config.ema else {}
+        optimizers = make_optimizers(model, config, device, DTYPES[precision])
+        source = batches_of(task, config.seed)
+        step_model: Any = torch.compile(model, options=COMPILE_OPTIONS) if config.compile else model
+        if state:
+            refuse_other_data(pool, {"characters": state.characters, "meshes": state.meshes}, folder)
+        if config.compile:  # takes up to a minute, which is no training
+            task.loss(step_model, source.batch(config.batch // config.accumulate // processes.count, 0), 0).backward()
+            model.zero_grad(set_to_none=True)
+        run = cls(config, task, model, step_model, ema, optimizers, source, processes, reason, saved=time.monotonic())
+        if state:
+            checkpoint.unpack(state, model, ema, optimizers)
+            run.step, run.seconds, run.best, run.before = state.step, state.seconds, state.best, state.before
+            run.metrics = state.metrics or None
+            run.validated = state.step if state.validated is None else state.validated
+            run.changes = (*state.changes, *changes_at_resume(state, config, pool))
+            run.samples = state.step * state.config.accumulate if state.samples is None else state.samples
+            spent = state.operations  # not in checkpoints of earlier versions
+            run.operations = operations_of(state.config, state.step * config.batch) if spent is None else spent
+        return run
+
+    def clock(self) -> float:
+        """Give the seconds that this process spent on all cores; with a GPU those of the wall clock.
+
+        Other processes lengthen them by little: a training between busy ones does a tenth less in its time.
+        """
+        return time.process_time() if self.processes.device.type == "cpu" else time.perf_counter()
+
+    def share(self) -> float:
+        """Give how much of the training is done: 0 at the start, 1 at its end."""
+        if self.config.minutes:
+            return self.seconds / (60.0 * self.config.minutes)
+        return self.step * self.config.batch / self.config.pairs
+
+    def rate_falls(self) -> bool:
+        """Tell whether the learning rate has begun to fall towards the end of the training."""
+        return bool(self.config.decay) and self.share() >= 1.0 - self.config.decay
+
+    def validation_due(self) -> bool:
+        """Tell whether the steps since the last validation passed a multiple of `validate_every` pairs, or the end."""
+        if self.share() >= 1.0:
+            return not self.metrics
+        now, before = (step * self.config.batch // self.config.validate_every for step in (self.step, self.validated))
+        return now > before
+
+    def advance(self) -> Tensor:
+        """Take one optimizer step and give this process's mean loss, which stays on the device.
+
+        The batch has as many parts in each process as `_parts_of_batch` says. Parts are the generator's next samples,
+        in this order: which process computes one makes no difference. Random numbers of a loss are those of the
+        sample, too.
+        """
+        started = self.clock()
+        config, processes = self.config, self.processes
+        own_parts = self._parts_of_batch()
+        parts = own_parts * processes.count
+        for optimizer in self.optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = config.learning_rate * schedule(config, self.step * config.batch, self.share())
+            optimizer.zero_grad(set_to_none=True)
+        losses = []
+        for part in range(processes.rank, parts, processes.count):
+            sample = self.samples + part
+            batch = self.source.batch(config.batch // parts, sample)
+            loss = self.task.loss(self.step_model, batch, sample)
+            (loss / own_parts).backward()
+            losses.append(loss.detach())
+        processes.average_gradients(self.model)
+        if config.clip:
+            nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
+        for optimizer in self.optimizers:
+            optimizer.step()
+        if self.ema:
+            current = self.model.state_dict()
+            torch._foreach_lerp_(list(self.ema.values()), [current[name] for name in self.ema], 1.0 - config.ema)  # pyright: ignore[reportPrivateImportUsage]
+        self.step += 1
+        self.samples += parts
+        self.operations += training_operations(self.task, self.model, config.batch)
+        self.metrics = None
+        self.seconds += self.clock() - started
+        return torch.stack(losses).mean()
+
+    def _parts_of_batch(self) -> int:
+        """Give the parts that the next batch has in each process; see to it that its meshes have their vertices."""
+        doubled = sum(self.share() >= share for share in self.config.doublings)
+        vertices = self.config.data.vertices << doubled
+        if self.task.config.data.vertices != vertices:
+            self.task = self.task.with_vertices(vertices)
+            self.source = batches_of(self.task, self.config.seed)
+        return self.config.accumulate << doubled
+
+    def validate(
+        self,
+        validation: Validation,
+        folder: Path,
+        stop: Callable[[], bool] = lambda: False,
+        progress: Progress | None = None,
+    ) -> dict[str, float] | None:
+        """Measure on `val`, and keep the checkpoint if it is the best so far; None if `stop` ended the measurement."""
+        current = {k: v.clone() for k, v in self.model.state_dict().items()}
+        if self.ema:
+            self.model.load_state_dict(self.ema)
+        metrics = self.processes.of_first(lambda: validation.measure(self.model, stop, progress))
+        self.model.load_state_dict(current)
+        if metrics is None:
+            return None
+        self.metrics, self.validated = metrics, self.step
+        if metrics["val"] < self.best:
+            self.best = metrics["val"]
+            self.save(folder / "best.safetensors")
+        self.save(folder / "last.safetensors")
+        return metrics
+
+    def save(self, path: Path) -> None:
+        """Write a checkpoint, in the first process alone."""
+        self.saved = time.monotonic()
+        if not self.processes.first:
+            return
+        tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
+        position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
+        brought = {self.task.brought.part: self.task.brought.facts} if self.task.brought else {}
+        rest = {"changes": self.changes, "operations": self.operations, "samples": self.samples, **brought}
+        state = checkpoint.Checkpoint(self.config, *position, self.task.precision, **rest)
+        checkpoint.save(path, state)
+
+
+@dataclass
+class BatchesAhead:
+    """Makes the batches of several steps at once, for a device that waits for the start of small operations."""
+
+    source: BatchSource
+    group: int = -1
+    together: Any = None
+
+    def batch(self, size: int, step: int) -> Any:
+        """Give the pairs of a step: every `STEPS_AHEAD`th of those of its group, so that all have their share of each
+        kind. A pure function of the source's seed and `step`.
+        """
+        if self.group != step // STEPS_AHEAD:
+            self.group = step // STEPS_AHEAD
+            self.together = self.source.batch(size * STEPS_AHEAD, self.group)
+        parts = {field.name: getattr(self.together, field.name) for field in dataclasses.fields(self.together)}
+        own = slice(step % STEPS_AHEAD, None, STEPS_AHEAD)
+        return dataclasses.replace(
+            self.together, **{key: part[own] for key, part in parts.items() if isinstance(part, Tensor)}
+        )
+
+
+def batches_of(task: Task, seed: int) -> BatchSource:
+    """Build the generator of a training's batches on its device."""
+    source = task.source(seed)
+    if task.device.type == "cpu":
+        return source
+    one = source.batch(1, 0)
+    flat = all(isinstance(getattr(one, field.name), (Tensor, float)) for field in dataclasses.fields(one))
+    return BatchesAhead(source) if flat else source
+
+
+def resumable(config: TrainConfig) -> list[str]:
+    """List the keys that may change where a training is resumed: its schedule and the mixture of its data.
+
+    The network may not. Two trainings that go on from one checkpoint with two seeds see other batches and can be
+    averaged.
+    """
+    return [*SCHEDULE, *(f"data.{key}" for key in ("vertices", *config.data.shares()))]
+
+
+def changes_at_resume(state: checkpoint.Checkpoint, config: TrainConfig, pool: UserData | None) -> list[dict[str, Any]]:
+    """List what a resumed training changes: nothing, or one entry of `Checkpoint.changes`."""
+    values = {key: (attrgetter(key)(config), attrgetter(key)(state.config)) for key in resumable(config)}
+    changed: dict[str, Any] = {key: new for key, (new, old) in values.items() if new != old}
+    was = {key: old for key, (new, old) in values.items() if new != old}
+    if pool and "clips" in pool.facts and "clips" not in state.characters:
+        changed["clips"] = pool.facts["clips"]["makers"]
+    return [{"after_pairs": state.step * config.batch, **changed, "was": was}] if changed else []
+
+
+def schedule(config: TrainConfig, pairs: int, share: float) -> float:
+    """Give the factor on the learning rate after so many pairs, a `share` of all: rise, constant, steps, fall."""
+    rise = min(1.0, (pairs + config.batch) / config.warmup) if config.warmup else 1.0
+    fall = min(1.0, max(0.0, 1.0 - share) / config.decay) if config.decay else 1.0
+    return rise * fall * 0.1 ** sum(share >= milestone for milestone in config.milestones)

@@ -1,1 +1,0 @@
-"""Networks: one model in one file."""

@@ -1,0 +1,348 @@
+"""Neural Pose Transfer (Wang et al., CVPR 2020): give an identity mesh the pose of a driving mesh.
+
+Table 5: three 1x1 convolutions with InstanceNorm turn every driving vertex into features (the *pose code*). Each is
+paired with one identity vertex, and three SPAdaIN ResBlocks turn the pair into that identity vertex's new position. The
+pairing is random; the mean and variance of InstanceNorm are all that vertices share. Where the paper's tables and its
+public code differ, the default is the paper, and a field of `NPTConfig` chooses the other.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from ..bodies import RiggedBody
+from ..core.errors import InputError
+from ..evaluate import protocols
+from ..evaluate.clip_protocols import ClipPair
+from ..evaluate.pairs import Pair
+from ..evaluate.quadruped import QUADRUPED
+from .data.characters import CharacterOptions, TrainingCharacters
+from .data.endless import EndlessPeople, random_index
+from .data.figures import CharacterPairs, share_of
+from .data.people import BodySampler, PairBatch, PeopleOptions, pairs_of_rows
+from .data.registered import HeldOutMeshes, MeshOptions, MeshSampler, RegisteredMeshes
+from .layers import PointConv, ResBlock, edge_ratio, edge_vectors, instance_norm, mean_squared_distance, reconstruction
+from .task import OnnxInterface, Task, TrainConfig
+from .validation import clip_error, clips_protocol, pair_error
+
+POINTS = 1024
+"""Points of a character from which vertices are drawn; centre and radius of the whole follow from them, within a
+hundredth or two of the radius."""
+NEIGHBOURS = 6
+"""Of these points at rest, the nearest ones that count as neighbours: as many as a vertex of a closed mesh has."""
+
+
+@dataclass(frozen=True)
+class NPTConfig:
+    """Options of the network; the defaults are the paper's full model (6.05 M parameters)."""
+
+    encoder: tuple[int, int, int] = (64, 128, 1024)
+    """Channels of the pose feature extractor (Table 5, rows 3 to 8)."""
+    decoder: tuple[int, int, int] = (1027, 513, 256)
+    """Channels of the three ResBlocks (rows 10 to 15)."""
+    blocks: Literal["spadain", "resblock", "conv"] = "spadain"
+    """`resblock` is Table 2's "w/o SPAdaIN"; `conv` is its "concat1": 1x1 convolutions alone."""
+    plain_norm: Literal["instance", "none"] = "instance"
+    """In place of SPAdaIN where it is left out: InstanceNorm as in the encoder, or nothing. The paper does not say;
+    with nothing there the decoder treats every vertex alone."""
+    pose_code: Literal["per_vertex", "global_max"] = "per_vertex"
+    """`global_max` pools the code over the driving vertices (Table 7), so the two meshes may differ in vertex count."""
+    unnormalised: Literal["first", "block"] = "first"
+    """With `global_max`, which norms of block 1 are left out: those whose input is the pooled code (first unit and
+    shortcut), or all three, as in the public code. All vertices have that code, so an InstanceNorm would remove it."""
+    order: Literal["norm-conv-relu", "norm-relu-conv"] = "norm-conv-relu"
+    """Table 3, or the public code."""
+    output: Literal["tanh", "2tanh"] = "tanh"
+    """Row 17, or the public code's 2 tanh, whose results may leave the unit sphere."""
+
+
+@dataclass(frozen=True)
+class NPTData(PeopleOptions, CharacterOptions, MeshOptions):
+    """What NPT is trained on: the paper's table, endless people, frames of clips, characters, or registered meshes."""
+
+    kind: Literal["table6", "wide", "clips80", "clips", "meshes"] = "table6"
+    """`table6`: NPT's 16 people x 400 poses of its Table 6. `wide`: endless people; rest, Table 6, joint limits, frames
+    of motions. `clips80`: frames of AniFormer's 16 people x 80 motions. `clips`: as `wide`, validated on clips.
+    `meshes`: registered meshes of a folder."""
+    animal_kinds: ClassVar[tuple[str, ...]] = ("wide", "meshes")
+    words_of_characters: ClassVar[str] = "; characters of others (`characters`) in these poses and those of their clips"
+
+    def check(self, where: str) -> None:
+        """Raise InputError for characters with data that they cannot be a part of."""
+        super().check(where)
+        if self.characters and (self.kind != "wide" or not 0 < self.vertices <= POINTS):
+            raise InputError(
+                f"{where}: expected data.characters from 0 to 1 with data.kind wide and up to {POINTS} data.vertices, "
+                f"found {self.characters} with {self.kind} and {self.vertices or 'all'}; take the configuration small"
+            )
+        if self.characters and self.pairing == "order":
+            raise InputError(f"{where}: expected data.pairing random with data.characters, found order; leave it out")
+
+
+@dataclass(frozen=True)
+class NPTTrainConfig(TrainConfig):
+    """The defaults are NPT 4.1."""
+
+    network: Literal["npt"] = "npt"
+    model: NPTConfig = field(default_factory=NPTConfig)
+    data: NPTData = field(default_factory=NPTData)
+    edge: Literal["paper", "ratio", "off"] = "paper"
+    """The edge term: Eq. 6, one of the public code's kind (`layers.edge_ratio`), or none."""
+    edge_weight: float = 5e-4
+    """Lambda of Eq. 4. The public code sums the three edges of a face and takes its reconstruction as a mean over 3 V:
+    its 5e-4 is 4.5e-3 of `ratio` here."""
+
+
+class NPT(nn.Module):
+    """Map identity and driving vertices to the identity's vertices in the driving pose, all in a unit sphere."""
+
+    def __init__(self, config: NPTConfig) -> None:
+        super().__init__()
+        self.config = config
+        a, b, code = config.encoder
+        self.encoder = nn.ModuleList([PointConv(3, a), PointConv(a, b), PointConv(b, code)])
+        widths = config.decoder
+        self.convs = nn.ModuleList(PointConv(i, o) for i, o in zip((code + 3, *widths[:2]), widths, strict=True))
+        self.blocks = nn.ModuleList(self._block(i, c) for i, c in enumerate(widths) if config.blocks != "conv")
+        self.head = PointConv(widths[2], 3)
+
+    def _block(self, index: int, channels: int) -> ResBlock:
+        config = self.config
+        keep = (True, True, True)
+        if index == 0 and config.pose_code == "global_max":
+            keep = (False, True, False) if config.unnormalised == "first" else (False, False, False)
+        return ResBlock(channels, config.order, config.blocks == "spadain", keep, config.plain_norm == "instance")
+
+    def _plain(self, h: Float[Tensor, "C B V"], index: int) -> Float[Tensor, "C B V"]:
+        """Normalise after convolution `index` where there are no ResBlocks, but not a pooled code: it would vanish."""
+        pooled = index == 0 and self.config.pose_code == "global_max"
+        return instance_norm(h) if self.config.plain_norm == "instance" and not pooled else h
+
+    def encode(self, driving: Float[Tensor, "B U 3"]) -> Float[Tensor, "C B P"]:
+        """Compute the pose code: one vector a driving vertex (P = U), or one for the whole mesh (P = 1)."""
+        h = driving.permute(2, 0, 1)
+        for conv in self.encoder:
+            h = instance_norm(conv(h)).relu()
+        return h.max(dim=2, keepdim=True).values if self.config.pose_code == "global_max" else h
+
+    def forward(self, identity: Float[Tensor, "B V 3"], driving: Float[Tensor, "B U 3"]) -> Float[Tensor, "B V 3"]:
+        """Compute identity vertices in the driving pose; vertex i is paired with driving vertex i, unless pooled."""
+        code, points = self.encode(driving), identity.permute(2, 0, 1)
+        if self.config.pose_code == "global_max":
+            code = code.expand(-1, -1, points.shape[2])
+        h = torch.cat([code, points.to(code.dtype)])
+        for i, conv in enumerate(self.convs):
+            h = conv(h)
+            h = self.blocks[i](h, points) if len(self.blocks) else self._plain(h, i).relu()
+        bound = 2.0 if self.config.output == "2tanh" else 1.0
+        return bound * torch.tanh(self.head(h).float()).permute(1, 2, 0)
+
+    def estimate_flops(self, identity_vertices: int, driving_vertices: int) -> float:
+        """Count floating-point operations of a pair's forward pass: two for each weight of a linear layer and vertex.
+
+        Norms, activations and the pooling are not counted; a training step costs three times as much.
+        """
+        encoder = sum(m.weight.numel() for m in self.encoder.modules() if isinstance(m, PointConv))
+        total = sum(m.weight.numel() for m in self.modules() if isinstance(m, PointConv))
+        return 2.0 * (encoder * driving_vertices + (total - encoder) * identity_vertices)
+
+
+def edge_paper(result: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]) -> Float[Tensor, ""]:
+    """Compute Eq. 6: squared edge lengths, summed over vertices and their neighbours, so each edge counts twice.
+
+    `edges` lists every undirected edge once.
+    """
+    return 2.0 * (edge_vectors(result, edges).square().sum(dim=(1, 2))).mean()
+
+
+def npt_loss(
+    result: Float[Tensor, "B V 3"],
+    truth: Float[Tensor, "B V 3"],
+    edges: Int[Tensor, "B E 2"],
+    edge: str = "paper",
+    edge_weight: float = 5e-4,
+    edges_of_mesh: float = 1.0,
+) -> Float[Tensor, ""]:
+    """Compute Eq. 4 divided by the number of vertices: the same optimum, and a size that does not depend on V.
+
+    Args:
+        edge: `paper` (Eq. 6), `ratio` (as the public code) or `off`. That code compares lengths with the identity's, in
+            metres; here the truth has another unit than the identity, and skinning keeps most lengths, so with its own.
+        edge_weight: lambda of Eq. 4.
+        edges_of_mesh: edges a vertex that the whole mesh has, over those given here, when `edges` is a sample.
+    """
+    count = result.shape[1]
+    loss = reconstruction(result, truth) / count
+    if edge == "paper":
+        loss = loss + edge_weight * edges_of_mesh * edge_paper(result, edges) / count
+    elif edge == "ratio":
+        loss = loss + edge_weight * edge_ratio(result, truth, edges)
+    return loss
+
+
+class PairSource(BodySampler):
+    """Makes batches of pairs of people."""
+
+    def batch(self, size: int, step: int) -> PairBatch:
+        """Make the pairs of a step."""
+        return self._people(size, self._generator(step))
+
+    def _people(self, size: int, rng: torch.Generator) -> PairBatch:
+        pairs = self.pairs(size, rng)
+        self._reflect(rng, pairs.identity, pairs.driving, pairs.truth)
+        return pairs
+
+
+class MeshPairSource(MeshSampler):
+    """Makes batches of pairs of registered meshes."""
+
+    def batch(self, size: int, step: int) -> PairBatch:
+        """Make the pairs of a step."""
+        drawn = self.sample(size, step)
+        truth, own = drawn.truth[:, 0], drawn.truth_radius[:, 0]
+        return PairBatch(drawn.identity, drawn.driving[:, 0], truth, own, drawn.edges, drawn.edges_of_mesh)
+
+
+class CharacterPairSource(PairSource):
+    """Makes batches of which a share are pairs of characters; people of the shipped body drive every second of them."""
+
+    def __init__(
+        self, config: NPTData, body: RiggedBody, device: torch.device, seed: int, characters: TrainingCharacters
+    ) -> None:
+        super().__init__(config, body, device, seed)
+        assert isinstance(self.people, EndlessPeople)
+        self.people.add_poses(characters.all_poses)
+        self.characters, heading = config.characters, math.radians(config.heading) / 4
+        self.figures = CharacterPairs(list(characters.surfaces), body, device, POINTS, heading, missing=(0.0, 0.0))
+
+    def batch(self, size: int, step: int) -> PairBatch:
+        """Make the pairs of a step."""
+        rng, figures = self._generator(step), share_of(size, self.characters, step)
+        groups = [self._people(size - figures, rng)] if figures < size else []
+        groups += [self._figures(figures, rng)] if figures else []
+        names = ("identity", "driving", "truth", "truth_radius", "edges")
+        joined = {name: torch.cat([getattr(group, name) for group in groups]) for name in names}
+        return dataclasses.replace(groups[0], **joined)
+
+    def _figures(self, size: int, rng: torch.Generator) -> PairBatch:
+        (_, shapes), poses, _ = self.people.pairs(size, rng)
+        pairs = self.figures.draw(poses, rng)
+        index = self._with_neighbours(pairs.rest.points, rng)
+        identity, radius = in_unit_sphere(pairs.identity.points, index)
+        scale = radius if self.config.target_scale == "identity" else None
+        truth, own = in_unit_sphere(pairs.truth.points, index, scale)
+        driving, _ = in_unit_sphere(pairs.driving.points, self._random_rows(size, index.shape[1], rng))
+        people = size // 2
+        vertices = self._stratified_vertices(people, index.shape[1], rng)
+        driving[:people] = self._normalized_mesh(shapes[:people], pairs.pose[:people], vertices)[0]
+        self._reflect(rng, identity, driving, truth)
+        size_of_truth = (own / (own if scale is None else scale))[:, 0, 0]
+        return PairBatch(identity, driving, truth, size_of_truth, pairs_of_rows(index), self.edge_share)
+
+    def _with_neighbours(self, rest: Float[Tensor, "B P 3"], rng: torch.Generator) -> Int[Tensor, "B V"]:
+        """Draw points of which every second one is a neighbour at rest of the one before it."""
+        first = self._random_rows(len(rest), self.config.vertices // 2, rng)
+        distance = torch.cdist(rest.gather(1, first[..., None].expand(-1, -1, 3)), rest)
+        near = distance.topk(NEIGHBOURS + 1, largest=False).indices[..., 1:]
+        pick = random_index(NEIGHBOURS, (*first.shape, 1), rng)
+        return torch.stack([first, near.gather(2, pick)[..., 0]], -1).flatten(1)
+
+    def _random_rows(self, size: int, count: int, rng: torch.Generator) -> Int[Tensor, "B N"]:
+        return torch.rand(size, POINTS, generator=rng, device=self.device).argsort(1)[:, :count]
+
+
+def in_unit_sphere(
+    points: Float[Tensor, "B P 3"], index: Int[Tensor, "B N"], radius: Float[Tensor, "B 1 1"] | None = None
+) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B 1 1"]]:
+    """Centre some of the points on the box of all, divide them by `radius` (None: that of all); give that of all."""
+    centred = points - (points.amax(1, keepdim=True) + points.amin(1, keepdim=True)) / 2
+    own = centred.norm(dim=-1).amax(1)[:, None, None]
+    return centred.gather(1, index[..., None].expand(-1, -1, 3)) / (own if radius is None else radius), own
+
+
+class NPTTask(Task[NPTTrainConfig, NPT]):
+    """Training, validation and export of NPT."""
+
+    config_type = NPTTrainConfig
+    test_set = "human-npt"
+
+    @property
+    def meshes(self) -> RegisteredMeshes | None:
+        """The registered meshes that the user brought, if any."""
+        return self.brought if isinstance(self.brought, RegisteredMeshes) else None
+
+    @property
+    def mesh_vertices(self) -> int:
+        """Vertices of the registered meshes, or of the shipped body."""
+        return self.meshes.points.shape[1] if self.meshes else super().mesh_vertices
+
+    @property
+    def protocol(self) -> protocols.Protocol:
+        """Pairs, or clips where the data are clips; those held out where the data are meshes of a folder."""
+        if self.meshes and (held_out := HeldOutMeshes.of(self.meshes)):
+            return held_out
+        if self.config.data.body == "quadruped":
+            return QUADRUPED
+        if self.config.data.kind not in ("clips", "clips80"):
+            return protocols.HUMAN_NPT
+        return clips_protocol(self.config.data)
+
+    def make_model(self) -> NPT:
+        """Build the network with fresh weights."""
+        return NPT(self.config.model)
+
+    def source(self, seed: int) -> PairSource | MeshPairSource:
+        """Build the generator of pairs."""
+        if self.meshes:
+            return MeshPairSource(self.config.data, self.meshes, self.device, seed)
+        if isinstance(self.brought, TrainingCharacters):
+            return CharacterPairSource(self.config.data, self.body, self.device, seed, self.brought)
+        return PairSource(self.config.data, self.body, self.device, seed)
+
+    def loss(self, model: NPT, batch: PairBatch, step: int) -> Tensor:
+        """Compute Eq. 4 over V."""
+        with self.autocast():
+            result = model(batch.identity, batch.driving)
+        edge = (self.config.edge, self.config.edge_weight)
+        return npt_loss(result, batch.truth, batch.edges, *edge, batch.edges_of_mesh)
+
+    def trial_error(self, model: NPT, trial: Pair | ClipPair) -> float:
+        """Compute the PMD of a pair, or the mean over frames of a clip's window."""
+
+        def infer(identity: Float[Tensor, "V 3"], driving: Float[Tensor, "T U 3"]) -> Float[Tensor, "T V 3"]:
+            with self.autocast():
+                return model(identity.expand(len(driving), -1, -1), driving)
+
+        where = (self.config.data.target_scale, self.device)
+        return clip_error(infer, trial, *where) if isinstance(trial, ClipPair) else pair_error(infer, trial, *where)
+
+    def batch_error(self, model: NPT, batch: PairBatch) -> float:
+        """Compute the mean PMD of a batch."""
+        with self.autocast():
+            result = model(batch.identity, batch.driving)
+        return float(mean_squared_distance(result, batch.truth, batch.truth_radius))
+
+    def flops_per_pair(self, model: NPT) -> float:
+        """Count the floating-point operations of one training pair's forward pass."""
+        return model.estimate_flops(self.vertices, self.vertices)
+
+    @staticmethod
+    def onnx_interface(model: NPT) -> OnnxInterface:
+        """Map identity (B, V, 3) and driving (B, U, 3) to result (B, V, 3); U = V unless the pose code is pooled."""
+        pooled = model.config.pose_code == "global_max"
+        batch, v = torch.export.Dim("batch", min=1), torch.export.Dim("vertices", min=2)
+        u = torch.export.Dim("driving_vertices", min=2) if pooled else v
+        example = (torch.randn(2, 300, 3), torch.randn(2, 200 if pooled else 300, 3))
+        return OnnxInterface(model, ("identity", "driving"), ("result",), example, ({0: batch, 1: v}, {0: batch, 1: u}))
+
+    @staticmethod
+    def onnx_facts(model: NPT) -> dict[str, Any]:
+        """Give the kind of pose code, which decides whether the meshes may differ in vertex count."""
+        return {"model": "npt", "pose_code": model.config.pose_code}

@@ -1,0 +1,147 @@
+"""How a training is started: new, resumed, or with the network of another."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from ..core.errors import InputError, did_you_mean
+from . import checkpoint
+from .config import changed_config, config_differences, load_config, options_of
+from .cost import operations_of
+from .data.characters import CharacterOptions
+from .data.user_data import Folders, ProgressBar, read_user_data
+from .export import load_start
+from .loop import TrainingRun, resumable, train
+from .processes import joined_processes
+from .task import NETWORKS, TrainConfig, UserData
+
+CHARACTER_SHARE = 0.5
+"""Share of every batch that characters of a folder have, unless the configuration says otherwise."""
+
+
+@contextlib.contextmanager
+def no_bar(title: str) -> Iterator[None]:
+    """Show no progress."""
+    yield None
+
+
+def train_command(
+    model: str,
+    config: str,
+    out: Path | None,
+    resume: Path | None,
+    max_minutes: float | None,
+    changes: Sequence[str] = (),
+    weights: Path | None = None,
+    characters: Path | None = None,
+    clips: Path | None = None,
+    leave_out: Sequence[str] = (),
+    bar: ProgressBar = no_bar,
+    meshes: Path | None = None,
+    pattern: str = "",
+) -> Path:
+    """Do what `mimesh train` does, and give the folder with checkpoints and logs.
+
+    Args:
+        changes: "key=value" on top of the configuration, such as "seed=1" or "model.blocks=conv".
+        weights: checkpoint, or `.onnx` file with its card, whose network a new training begins with.
+        characters: folder of characters to train on, where the configuration asks for them.
+        clips: folder of motions whose poses mime is trained on.
+        leave_out: packs of the folder of characters that are not used.
+        bar: makes a progress bar with a title.
+        meshes: folder of registered meshes or clips to train on instead of the shipped body.
+        pattern: how its files are named (`registered.LAYOUTS`); empty: found.
+    """
+    if model not in NETWORKS:
+        raise InputError(
+            f"{model}: expected a model that can be trained ({', '.join(NETWORKS)}), found another"
+            + did_you_mean(model, NETWORKS)
+        )
+    folders = Folders(characters, clips, meshes, pattern)
+    with joined_processes() as processes:
+        if resume is not None:
+            fixed = [f"--weights {weights}"] * bool(weights) + [f"--leave-out {pack}" for pack in leave_out]
+            fixed += [f"--pattern {pattern}"] * bool(pattern)
+            settings, folder = resumed_config(resume, changes, fixed), resume
+        else:
+            settings, folder = new_config(model, config, out, changes, folders, leave_out)
+        pool = read_user_data(settings, folders, bar)
+        if weights is not None:
+            processes.largest(0.0)  # all have seen that the folder is empty before the first one writes there
+            processes.of_first(lambda: begin_with(settings, weights, folder, pool))
+        return train(settings, folder, max_minutes, pool, processes)
+
+
+def new_config(
+    model: str, config: str, out: Path | None, changes: Sequence[str], folders: Folders, leave_out: Sequence[str]
+) -> tuple[TrainConfig, Path]:
+    """Read the configuration of a new training, and name its folder.
+
+    Raises:
+        InputError: the folder holds a training.
+    """
+    folders.check(model, options_of(model))
+    settings = load_config(config, model, [*folders.settings(), *changes])
+    more = [f"data.leave_out={json.dumps(list(leave_out))}"] if leave_out else []
+    if folders.characters and isinstance(settings.data, CharacterOptions) and not settings.data.characters:
+        more.append(f"data.characters={CHARACTER_SHARE}")
+    settings = load_config(config, model, [*folders.settings(), *changes, *more])
+    words = [*(change.partition("=")[2] for change in changes), *(f"without-{pack}" for pack in leave_out)]
+    words += ["meshes"] if folders.meshes else []
+    folder = out or Path("runs") / "-".join([model, Path(config).stem, *words])
+    if (folder / "last.safetensors").exists():
+        raise InputError(
+            f"{folder}: expected a folder without a training, found one; continue it with --resume {folder}"
+        )
+    return settings, folder
+
+
+def resumed_config(folder: Path, changes: Sequence[str], fixed: Sequence[str] = ()) -> TrainConfig:
+    """Read the configuration of the training in a folder, and change keys that are `resumable`.
+
+    Args:
+        fixed: other options that were given, which cannot change.
+
+    Raises:
+        InputError: no training in the folder, a change that is not possible, or a value that does not belong.
+    """
+    last = folder / "last.safetensors"
+    if not last.exists():
+        raise InputError(f"{folder}: expected last.safetensors of an earlier training in it, found none")
+    config = checkpoint.load(last).config
+    keys = resumable(config)
+    refused = [*(f"--set {change}" for change in changes if change.partition("=")[0] not in keys), *fixed]
+    if refused:
+        raise InputError(
+            f"{refused[0]}: expected no changes with --resume but --set {', '.join(keys)} and --clips, found some; "
+            "leave them out"
+        )
+    return changed_config(config, changes) if changes else config
+
+
+def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: UserData | None = None) -> None:
+    """Write the first checkpoint of a training whose network is that of another, from a checkpoint or `.onnx` file.
+
+    All else is new.
+
+    Raises:
+        InputError: the checkpoint holds another network.
+    """
+    model, trained = load_start(weights)
+    if trained.config.model != config.model:
+        raise InputError(
+            f"{weights}: expected the network of the configuration, found another "
+            f"({config_differences(config, trained.config, ('network', 'model'))}); change model.*"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    run = TrainingRun.start(config, folder, pool)
+    run.model.load_state_dict(model.state_dict())
+    run.ema = {name: value.detach().clone() for name, value in model.state_dict().items()} if config.ema else {}
+    counted = {
+        "operations": operations_of(trained.config, int(trained.spent()["pairs"]))
+    }  # older checkpoints do not say
+    run.before = (*trained.before, counted | trained.spent())
+    run.save(folder / "last.safetensors")

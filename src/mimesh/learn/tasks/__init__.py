@@ -1,1 +1,0 @@
-"""What training needs besides the network, one model in one file: batches, loss, validation error, export."""

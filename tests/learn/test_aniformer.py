@@ -1,0 +1,180 @@
+"""Training windows: aligned truth, one shuffle for all frames, reproducible steps; and an AniFormer trained on them."""
+
+import dataclasses
+
+import pytest
+import torch
+from trainings import assert_steps_are_pure
+
+from mimesh.core.errors import InputError
+from mimesh.learn.aniformer import (
+    AniFormerConfig,
+    AniFormerData,
+    AniFormerTrainConfig,
+    ClipLossConfig,
+    WindowSource,
+    aniformer_loss,
+)
+from mimesh.learn.config import load_config
+from mimesh.learn.data import endless
+from mimesh.learn.loop import TrainingRun, train
+from mimesh.learn.task import shipped_body
+
+CASES = [AniFormerData("clips80", 64), AniFormerData("clips", 64, "identity"), AniFormerData("clips")]
+TINY = AniFormerTrainConfig(
+    model=AniFormerConfig(encoder=(8, 16, 16), layers=(16, 16, 8, 8), heads=2, keys=16),
+    data=AniFormerData("clips80", 32),
+    batch=2,
+    pairs=8,
+    learning_rate=1e-3,
+    ema=0.9,
+    validation_pairs=1,
+    validate_every=4,
+)
+
+
+@pytest.fixture(scope="module", params=CASES, ids=lambda c: f"{c.kind}-{c.vertices or 'all'}")
+def source(request):
+    return WindowSource(request.param, shipped_body(), torch.device("cpu"), 3, 3)
+
+
+def test_truth_is_aligned_with_the_identity_in_every_frame(source):
+    """The classic bug is a shuffle that misaligns truth: then edges would change length wildly."""
+    batch = source.batch(3, 0)
+    for t in range(3):
+        old, new = (edge_lengths(m, batch.edges) for m in (batch.identity, batch.truth[:, t]))
+        scale = (new / old).median(dim=1, keepdim=True).values
+        assert ((new / old / scale - 1).abs().median(dim=1).values < 0.05).all()
+
+
+def edge_lengths(points, edges):
+    ends = [points.gather(1, edges[..., k, None].expand(-1, -1, 3)) for k in range(2)]
+    return (ends[1] - ends[0]).norm(dim=-1)
+
+
+def test_driving_is_shuffled_on_its_own_and_alike_in_all_frames(source):
+    batch = source.batch(4, 0)
+    assert batch.driving.shape == batch.truth.shape
+    assert (batch.driving - batch.truth).norm(dim=-1).median() > 0.2
+    # A vertex stays itself: from frame to frame it moves far less than vertices lie apart.
+    step = (batch.driving[:, 1] - batch.driving[:, 0]).norm(dim=-1).median()
+    assert step < 0.3 * (batch.driving[:, 0] - batch.driving[:, 0].roll(1, 1)).norm(dim=-1).median()
+
+
+def test_frames_are_centred_and_driving_frames_fill_the_unit_sphere():
+    whole = WindowSource(CASES[-1], shipped_body(), torch.device("cpu"), 3, 3).batch(2, 1)
+    for points in (whole.driving, whole.truth, whole.identity):
+        assert (points.amax(-2) + points.amin(-2)).abs().max() < 1e-4
+    torch.testing.assert_close(whole.driving.norm(dim=-1).amax(-1), torch.ones(2, 3))
+
+
+def test_appearance_of_the_truth_does_not_depend_on_its_normalisation():
+    """Eq. 5 at the truth is what skinning does to edges, and not a change of unit."""
+    found, as_given = [], []
+    for scale in ("truth", "identity"):
+        config = AniFormerData("clips80", target_scale=scale)
+        batch = WindowSource(config, shipped_body(), torch.device("cpu"), 3, 3).batch(2, 0)
+        given = (batch.truth, batch.truth, batch.identity, batch.driving, batch.edges)
+        weights = {"motion": "off", "appearance_weight": 1.0}
+        found.append(float(aniformer_loss(*given, batch.unit, **weights)))
+        as_given.append(float(aniformer_loss(*given, **weights)))
+    assert found[0] == pytest.approx(found[1], rel=1e-4) == as_given[1]
+    assert as_given[0] > 1.5 * found[0]
+
+
+def test_reflection_mirrors_whole_windows():
+    config = AniFormerData("clips80", 64)
+    plain, mirrored = (
+        WindowSource(dataclasses.replace(config, reflect=share), shipped_body(), torch.device("cpu"), 3, 3).batch(2, 0)
+        for share in (0.0, 0.5)
+    )
+    for name in ("identity", "driving", "truth"):
+        before, after = getattr(plain, name), getattr(mirrored, name)
+        assert torch.equal(after[0], before[0] * torch.tensor([-1.0, 1.0, 1.0]))
+        assert torch.equal(after[1], before[1])
+
+
+def test_windows_between_random_poses_replace_a_share_of_the_motions():
+    config = dataclasses.replace(CASES[0], between=0.5)
+    source = WindowSource(config, shipped_body(), torch.device("cpu"), 3, 3)
+    motions = source.people.motions[:40, :3]
+    mixed = source.people._replace_by_straight(motions, torch.Generator().manual_seed(0))
+    kept = (mixed == motions).flatten(1).all(1)
+    assert 10 <= kept.sum() <= 30
+    turn = mixed[~kept][:, 1:] @ mixed[~kept][:, :-1].mT  # the same axis from step to step, up to small angles
+    angle = torch.arccos(((turn.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2).clamp(-1, 1))
+    assert angle.max() < 1.0
+    assert source.batch(4, 0).truth.isfinite().all()
+
+
+def test_a_still_clip_stays_still(monkeypatch):
+    monkeypatch.setattr(endless, "MAX_STEP", 0.0)
+    monkeypatch.setattr(endless, "CAPTURED", 0.0)
+    batch = WindowSource(CASES[1], shipped_body(), torch.device("cpu"), 3, 3).batch(2, 0)
+    assert batch.driving.diff(dim=1).abs().max() < 1e-5
+
+
+def test_a_step_is_a_pure_function(source):
+    assert_steps_are_pure(source)
+
+
+def test_resuming_continues_exactly(tmp_path):
+    whole = TrainingRun.start(TINY, tmp_path / "none")
+    expected = [float(whole.advance()) for _ in range(4)]
+    first = TrainingRun.start(TINY, tmp_path / "none")
+    begun = [float(first.advance()) for _ in range(2)]
+    first.save(tmp_path / "last.safetensors")
+    second = TrainingRun.start(TINY, tmp_path)
+    assert begun + [float(second.advance()) for _ in range(2)] == expected
+
+
+@pytest.mark.slow
+def test_a_training_validates_on_clips(tmp_path):
+    folder = train(TINY, tmp_path / "run")
+    log = (folder / "log.jsonl").read_text()
+    for kind in ("seen", "unseen", "procedural", "fresh", "val"):
+        assert f'"{kind}"' in log
+    assert (folder / "best.safetensors").exists()
+
+
+def test_the_regression_head_trains_on_the_middle_frame(tmp_path):
+    model = dataclasses.replace(TINY.model, head="regression")
+    config = dataclasses.replace(TINY, model=model, losses=ClipLossConfig(motion="off"))
+    assert TrainingRun.start(config, tmp_path).advance().isfinite()
+    with pytest.raises(InputError, match=r"losses\.motion"):
+        load_config("table", "aniformer", ["model.head=regression"])
+
+
+@pytest.mark.parametrize("name", ["paper", "small", "table"])
+def test_shipped_configurations_load(name):
+    config = load_config(name, "aniformer")
+    assert isinstance(config.model, AniFormerConfig)
+    assert config.data.kind.startswith("clips")
+
+
+def test_weights_of_a_vertex_are_trained_where_that_vertex_is_drawn(tmp_path):
+    """The public code has norms and an embedding for each vertex; of a batch, those of its vertices are used."""
+    count = len(shipped_body().vertices)
+    data = AniFormerData("clips80", 32, pairing="order")
+    config = dataclasses.replace(TINY, data=data, model=dataclasses.replace(TINY.model, vertices=count))
+    run = TrainingRun.start(config, tmp_path)
+    model, batch = run.model, run.source.batch(2, 0)
+    run.task.loss(model, batch, 0).backward()
+    for weight in (model.embedding, model.affine[0].scale):
+        used = weight.grad.reshape(-1, count).abs().sum(0) > 0
+        assert torch.equal(used.nonzero()[:, 0], batch.index.unique())
+    # All vertices in their order are the same as all of them by number.
+    whole = WindowSource(dataclasses.replace(data, vertices=0), shipped_body(), torch.device("cpu"), 0, 3).batch(1, 0)
+    straight = whole.index[0].argsort()
+    with torch.no_grad():
+        by_number = model(whole.identity, whole.driving, whole.index)[:, :, straight]
+        in_order = model(whole.identity[:, straight], whole.driving[:, :, straight])
+    assert torch.allclose(by_number, in_order, atol=1e-5)
+
+
+def test_weights_of_a_vertex_need_one_order_and_the_vertices_of_the_meshes(tmp_path):
+    with pytest.raises(InputError, match=r"expected data.pairing order with model.vertices, found random"):
+        load_config("table", "aniformer", ["model.vertices=6890"])
+    config = load_config("table", "aniformer", ["model.vertices=100", "data.pairing=order"])
+    with pytest.raises(InputError, match=r"model.vertices: expected 0 or 6890"):
+        train(config, tmp_path)

@@ -1,0 +1,267 @@
+"""Characters in mime's training pairs: exact transfers, random proportions, and props."""
+
+import dataclasses
+import json
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from motion_files import write_bvh  # noqa: E402
+from pools import BLOCKS, blocks, write_character  # noqa: E402
+
+from mimesh.core.errors import InputError  # noqa: E402
+from mimesh.learn import checkpoint  # noqa: E402
+from mimesh.learn.config import load_config  # noqa: E402
+from mimesh.learn.data.bodies import posed_joints, skinned  # noqa: E402
+from mimesh.learn.data.characters import TrainingCharacters  # noqa: E402
+from mimesh.learn.data.figures import FigureSampler  # noqa: E402
+from mimesh.learn.data.surfaces import repeat_visible, scanned  # noqa: E402
+from mimesh.learn.mime import MimeData, SurfaceSource, mime_loss  # noqa: E402
+from mimesh.learn.start import train_command  # noqa: E402
+from mimesh.learn.task import shipped_body  # noqa: E402
+from mimesh.motions import walk_motion  # noqa: E402
+
+BODY = shipped_body()
+CPU = torch.device("cpu")
+TINY = ["data.characters=0.5", "pairs=64", "batch=8", "validate_every=1000", "validation_pairs=1"]
+TINY += ["compile=false", "data.vertices=32", "model.width=32", "precision=fp32"]
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pool")
+    write_character(folder, "whole", split="train", pack="people")
+    missing = [name for name in BODY.joint_names if name not in BLOCKS]
+    write_character(folder, "blocks", shape=1, split="train", pack="toys", without=missing, spell=blocks)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def source(pool):
+    config = MimeData("wide", 200, "identity", heading=180.0, characters=1.0)
+    return SurfaceSource(config, BODY, CPU, 0, TrainingCharacters.read(pool, BODY))
+
+
+def test_an_identity_at_rest_is_moved_to_the_truth_exactly(source, monkeypatch):
+    """By linear blend skinning with its own joints and weights, whatever its proportions, props and missing joints."""
+    monkeypatch.setattr("mimesh.learn.data.figures.OWN_REST", 1.0)
+    for step in range(3):
+        batch = source.batch(12, step)
+        own, driving, truth = batch.identity, batch.driving, batch.truth
+        joints = posed_joints(own.rotation, own.joints, driving.rotation, truth.joints[:, 0], BODY.parents)
+        moved = skinned(own.points, own.weights, own.rotation, own.joints, driving.rotation, joints)
+        assert (moved - truth.points).norm(dim=-1).max() < 1e-5
+        assert torch.allclose(own.weights.sum(-1), torch.ones(12, 200), atol=1e-5)
+
+
+def test_batches_repeat_and_differ_from_step_to_step(source):
+    first, again, other = source.batch(4, 5), source.batch(4, 5), source.batch(4, 6)
+    assert torch.equal(first.identity.points, again.identity.points)
+    assert not torch.equal(first.identity.points, other.identity.points)
+
+
+def test_joints_that_are_not_known_have_no_loss(source):
+    from mimesh.learn.mime import MimeNetwork
+
+    config = load_config("small", "mime", ["model.width=32"])
+    batch = source.batch(6, 0)
+    torch.manual_seed(0)
+    model = MimeNetwork(config.model, BODY)
+    loss = mime_loss(model, batch, config.structure)
+    unknown = ~batch.identity.turning
+    assert unknown.any()
+    changed = batch.identity.rotation.clone()
+    changed[unknown] = torch.eye(3)[[1, 2, 0]]
+    other = dataclasses.replace(batch, identity=dataclasses.replace(batch.identity, rotation=changed))
+    assert torch.equal(loss, mime_loss(model, other, config.structure))
+    changed[~unknown] = torch.eye(3)[[1, 2, 0]]
+    other = dataclasses.replace(batch, identity=dataclasses.replace(batch.identity, rotation=changed))
+    assert not torch.equal(loss, mime_loss(model, other, config.structure))
+
+
+def test_packs_take_turns(pool):
+    surfaces = [*TrainingCharacters.read(pool, BODY).surfaces]
+    surfaces += [dataclasses.replace(surfaces[0], pack="many")] * 18
+    sampler = FigureSampler(surfaces, BODY, CPU)
+    drawn = sampler.draw(3000, torch.Generator().manual_seed(0)).which
+    share = torch.bincount(drawn, minlength=20) / 3000
+    assert abs(share[0] - 1 / 3) < 0.05
+    assert abs(share[1] - 1 / 3) < 0.05
+    assert share[2:].min() > 0
+
+
+def test_large_heads_have_more_of_the_points(source):
+    figures = source.figures.figures.draw(64, torch.Generator().manual_seed(1))
+    head = BODY.joint("Head")
+    one = torch.ones_like(figures.length)
+    large = one.clone()
+    large[:, head] = 3.0
+    share = []
+    for scale in (one, large):
+        some = dataclasses.replace(figures, length=scale, girth=scale, lacking=torch.zeros_like(figures.lacking))
+        index = source.figures.bank.choose(some, 200, torch.Generator().manual_seed(2), 0.0)
+        rotation = source.figures.bank.alignment[figures.which]
+        share.append(
+            source.figures.bank.posed(some, source.figures.bank.shaped(some, index), rotation).weights[..., head].mean()
+        )
+    assert share[1] > 1.5 * share[0]
+
+
+def test_missing_hands_have_no_points(source):
+    figures = source.figures.figures.draw(32, torch.Generator().manual_seed(1))
+    ends = source.figures.figures.ends[0]
+    lacking = ends.expand(32, -1)
+    some = dataclasses.replace(
+        figures, lacking=lacking, props=dataclasses.replace(figures.props, there=torch.zeros_like(figures.props.there))
+    )
+    index = source.figures.bank.choose(some, 200, torch.Generator().manual_seed(2), 0.0)
+    posed = source.figures.bank.posed(
+        some, source.figures.bank.shaped(some, index), source.figures.bank.alignment[figures.which]
+    )
+    strongest = posed.weights.argmax(-1)
+    assert not ends[strongest].any()
+    assert not posed.turning[:, ends].any()
+
+
+def test_props_are_moved_by_one_joint(source, monkeypatch):
+    monkeypatch.setattr("mimesh.learn.data.figures.SHARE", 1.0)
+    figures = source.figures.figures.draw(16, torch.Generator().manual_seed(3))
+    total = source.figures.bank.points.shape[1]
+    index = torch.arange(total, total + figures.props.there.shape[1]).expand(16, -1)
+    posed = source.figures.bank.posed(
+        figures, source.figures.bank.shaped(figures, index), source.figures.bank.alignment[figures.which]
+    )
+    assert ((posed.weights == 1).sum(-1) == 1).all()
+    assert figures.props.there.float().mean(1).min() > 0
+
+
+@pytest.mark.slow
+def test_a_training_on_characters_says_whose_they_are_and_resumes_with_the_same(pool, tmp_path):
+    changes = ["data.characters=0.5", "pairs=32", "batch=8", "validate_every=1000", "validation_pairs=1"]
+    changes += ["compile=false", "data.vertices=32", "model.width=32", "precision=fp32"]
+    out = tmp_path / "run"
+    train_command("mime", "small", out, None, 0.001, changes, None, pool)
+    lines = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    told = next(line["text"] for line in lines if line["kind"] == "characters")
+    assert told.startswith("1 of we: people (CC0-1.0), 1 of we: toys (CC0-1.0); 6 poses of their clips")
+    saved = checkpoint.load(out / "last.safetensors")
+    assert saved.characters["makers"] == {"we: people (CC0-1.0)": 1, "we: toys (CC0-1.0)": 1}
+    with pytest.raises(InputError, match=r"--characters: expected a folder with data.characters 0.5, found none"):
+        train_command("mime", "small", None, out, 0.001)
+    other = tmp_path / "other"
+    other.mkdir()
+    write_character(other, "one", split="train")
+    with pytest.raises(InputError, match="expected the characters of the training so far"):
+        train_command("mime", "small", None, out, 0.001, [], None, other)
+    train_command("mime", "small", None, out, 0.001, [], None, pool)
+    assert checkpoint.load(out / "last.safetensors").step > saved.step
+
+
+def test_characters_are_for_some_networks_and_wide_data_only(pool):
+    with pytest.raises(InputError, match=r"expected data.characters with data.kind wide only"):
+        load_config("table", "mime", ["data.characters=0.5"])
+    with pytest.raises(InputError, match=r"--characters: expected a model that is trained on them, found aniformer"):
+        train_command("aniformer", "small", None, None, None, [], None, pool)
+
+
+def test_a_folder_alone_gives_characters_half_of_every_batch(pool, tmp_path):
+    changes = ["pairs=16", "batch=8", "validate_every=1000", "validation_pairs=1", "compile=false"]
+    changes += ["data.vertices=32", "model.width=32", "precision=fp32"]
+    out = train_command("mime", "small", tmp_path / "run", None, 0.001, changes, None, pool)
+    assert checkpoint.load(out / "last.safetensors").config.data.characters == 0.5
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("walks")
+    write_bvh(folder / "walk.bvh", BODY, walk_motion(BODY, 0, 0))
+    return folder
+
+
+@pytest.mark.slow
+def test_augmentations_and_clips_may_begin_where_a_training_is_resumed(pool, clips, tmp_path):
+    out = train_command("mime", "small", tmp_path / "run", None, 0.001, TINY, None, pool)
+    before = checkpoint.load(out / "last.safetensors")
+    train_command("mime", "small", None, out, 0.001, [], None, pool)
+    assert checkpoint.load(out / "last.safetensors").config == before.config
+    assert checkpoint.load(out / "last.safetensors").changes == ()
+    changes = ["data.low_poly=0.5", "data.scans=0.25"]
+    train_command("mime", "small", None, out, 0.001, changes, None, pool, clips)
+    state = checkpoint.load(out / "last.safetensors")
+    assert (state.config.data.low_poly, state.config.data.scans) == (0.5, 0.25)
+    assert [set(change) for change in state.changes] == [{"after_pairs", "data.low_poly", "data.scans", "clips", "was"}]
+    assert state.characters["sha256"] == before.characters["sha256"]
+    assert list(state.characters["clips"]["makers"].values()) == [1]
+    with pytest.raises(InputError, match="expected the characters and clips of the training so far"):
+        train_command("mime", "small", None, out, 0.001, [], None, pool)
+    train_command("mime", "small", None, out, 0.001, [], None, pool, clips)
+    assert checkpoint.load(out / "last.safetensors").changes == state.changes
+    with pytest.raises(InputError, match=r"--set batch=4: expected no changes with --resume but --set seed, pairs"):
+        train_command("mime", "small", None, out, 0.001, ["batch=4"], None, pool, clips)
+    with pytest.raises(InputError, match=r"--leave-out toys: expected no changes with --resume"):
+        train_command("mime", "small", None, out, 0.001, [], None, pool, clips, ["toys"])
+
+
+def test_a_pack_is_left_out_by_one_option(pool, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    out = train_command("mime", "small", None, None, 0.001, TINY[1:], None, pool, None, ["toys"])
+    assert out.name.endswith("-without-toys")
+    state = checkpoint.load(out / "last.safetensors")
+    assert state.config.data.characters == 0.5
+    assert state.config.data.leave_out == ("toys",)
+    assert state.characters["left_out"] == {"toys": 1}
+    train_command("mime", "small", None, out, 0.001, [], None, pool)
+    with pytest.raises(InputError, match=r"--leave-out toys: expected it with --characters"):
+        train_command("mime", "small", tmp_path / "other", None, 0.001, TINY[1:], None, None, None, ["toys"])
+
+
+def test_clips_alone_join_the_poses_of_people(clips, tmp_path):
+    out = train_command("mime", "small", tmp_path / "run", None, 0.001, TINY[1:], None, None, clips)
+    state = checkpoint.load(out / "last.safetensors")
+    assert state.characters.keys() == {"clips"}
+    assert state.config.data.characters == 0
+    with pytest.raises(InputError, match=r"--clips: expected a model that is trained on them, found npt"):
+        train_command("npt", "small", tmp_path / "npt", None, None, [], None, None, clips)
+
+
+def test_low_poly_pairs_are_exact_and_change_no_other_batches(pool, source, monkeypatch):
+    monkeypatch.setattr("mimesh.learn.data.figures.OWN_REST", 1.0)
+    characters = TrainingCharacters.read(pool, BODY, low_poly=True)
+    config = dataclasses.replace(source.config, low_poly=1.0)
+    batch = SurfaceSource(config, BODY, CPU, 0, characters).batch(12, 0)
+    own, driving, truth = batch.identity, batch.driving, batch.truth
+    joints = posed_joints(own.rotation, own.joints, driving.rotation, truth.joints[:, 0], BODY.parents)
+    moved = skinned(own.points, own.weights, own.rotation, own.joints, driving.rotation, joints)
+    assert (moved - truth.points).norm(dim=-1).max() < 1e-5
+    assert not torch.equal(own.points, source.batch(12, 0).identity.points)
+    exact = SurfaceSource(source.config, BODY, CPU, 0, characters).batch(6, 3)
+    assert torch.equal(exact.identity.points, source.batch(6, 3).identity.points)
+
+
+def test_low_poly_people_have_few_normals():
+    source = SurfaceSource(MimeData("wide", 1500, "identity", low_poly=1.0), BODY, CPU, 0)
+    people = source.people.draw(3, torch.Generator().manual_seed(0), 1.0)
+    plain = torch.ones_like(people.length)
+    skin = (torch.arange(people.worn.shape[1]) < 1).expand(3, -1)
+    people = dataclasses.replace(people, length=plain, girth=plain, worn=skin, level=torch.tensor([1, 3, 0]))
+    index = source.surface.choose(people, 1500, torch.Generator().manual_seed(1))
+    rest = torch.eye(3).expand(3, len(BODY.parents), 3, 3)
+    normals = source.surface.posed(people, rest, index).normals
+    counts = [len(torch.unique(mesh.round(decimals=4), dim=0)) for mesh in normals]
+    assert counts[0] < 250 < counts[1] < counts[2]
+
+
+def test_a_scan_shows_what_is_in_front():
+    count = 300
+    wall = torch.rand(1, count, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 1.0, 0.0])
+    facing = torch.tensor([0.0, 0.0, 1.0]).expand(1, count, 3)
+    points = torch.cat([wall, wall - torch.tensor([0, 0, 0.6])], 1)  # a wall behind a wall, both facing +z
+    normals = torch.cat([facing, facing], 1)
+    seen = [scanned(points, normals, torch.Generator().manual_seed(k))[0] for k in range(40)]
+    behind = torch.stack([(scan[0, :, 2] < -0.3).float().mean() for scan in seen])
+    assert behind.min() < 0.05  # from the front; from behind the whole surface is given
+    assert behind.max() < 0.6
+    hidden = torch.zeros(1, 5, dtype=torch.bool)
+    hidden[0, :3] = True
+    assert repeat_visible(hidden)[0].tolist() == [3, 4, 3, 4, 3]

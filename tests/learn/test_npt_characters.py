@@ -1,0 +1,123 @@
+"""Characters in NPT's training pairs: truths of the identity's points, driving meshes of characters and people."""
+
+import dataclasses
+import json
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from pools import BLOCKS, blocks, write_character  # noqa: E402
+from trainings import TINY, assert_steps_are_pure  # noqa: E402
+
+from mimesh.cli import run  # noqa: E402
+from mimesh.core.errors import InputError  # noqa: E402
+from mimesh.learn import checkpoint  # noqa: E402
+from mimesh.learn.data.characters import TrainingCharacters  # noqa: E402
+from mimesh.learn.npt import CharacterPairSource, NPTData  # noqa: E402
+from mimesh.learn.start import train_command  # noqa: E402
+from mimesh.learn.task import shipped_body  # noqa: E402
+
+BODY = shipped_body()
+CPU = torch.device("cpu")
+CONFIG = NPTData("wide", 256, "identity", heading=180.0, characters=1.0)
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pool")
+    write_character(folder, "whole", split="train", pack="people")
+    missing = [name for name in BODY.joint_names if name not in BLOCKS]
+    write_character(folder, "blocks", shape=1, split="train", pack="toys", without=missing, spell=blocks)
+    return folder
+
+
+def source(pool, **changes):
+    config = dataclasses.replace(CONFIG, **changes)
+    return CharacterPairSource(config, BODY, CPU, 0, TrainingCharacters.read(pool, BODY))
+
+
+def lengths(points, rows):
+    ends = [points.gather(1, rows[..., k, None].expand(-1, -1, 3)) for k in range(2)]
+    return (ends[1] - ends[0]).norm(dim=-1)
+
+
+@pytest.mark.parametrize("scale", ["identity", "truth"])
+def test_truths_have_the_points_of_their_identities(pool, scale):
+    """Lengths between neighbours change little in any pose; were rows mixed up, they would change wildly."""
+    batch = source(pool, target_scale=scale).batch(12, 0)
+    ratio = lengths(batch.truth, batch.edges) / lengths(batch.identity, batch.edges)
+    unit = ratio.median(dim=1, keepdim=True).values
+    assert ((ratio / unit - 1).abs().median(dim=1).values < 0.15).all()
+    mixed = lengths(batch.truth.roll(1, dims=1), batch.edges) / lengths(batch.identity, batch.edges)
+    assert ((mixed / mixed.median(dim=1, keepdim=True).values - 1).abs().median(dim=1).values > 0.3).all()
+    assert (lengths(batch.identity, batch.edges).median() < 0.1).item()
+    if scale == "identity":
+        assert ((unit - 1).abs() < 0.05).all()
+    else:
+        assert ((batch.truth.norm(dim=-1).amax(1) - 1).abs() < 0.1).all()
+
+
+def test_driving_meshes_have_the_pose_of_the_truth(pool):
+    """Of characters and of people: each lies nearer to its own truth than to the others, most of the time."""
+    batch = source(pool, target_scale="truth").batch(16, 0)
+    distance = torch.stack([torch.cdist(batch.driving, truth[None]).amin(2).mean(1) for truth in batch.truth], 1)
+    own = distance.argmin(1) == torch.arange(16)
+    assert own[:8].sum() >= 6
+    assert own[8:].sum() >= 6
+    apart = (batch.driving - batch.truth).norm(dim=-1).median()
+    assert apart > 0.3  # rows are in another order
+
+
+def test_identities_and_driving_meshes_are_in_the_unit_sphere(pool):
+    batch = source(pool).batch(16, 1)
+    for mesh in (batch.identity, batch.driving):
+        radius = mesh.norm(dim=-1).amax(1)
+        assert (radius < 1.03).all()
+        assert (radius > 0.8).all()
+
+
+def test_characters_are_a_share_of_every_batch(pool):
+    """The others are the people that there would be without characters; steps are pure."""
+    mixed = source(pool, characters=0.25, vertices=32)
+    assert_steps_are_pure(mixed)
+    alone = CharacterPairSource.__mro__[1](dataclasses.replace(CONFIG, vertices=32), BODY, CPU, 0)
+    alone.people.motion_frames = mixed.people.motion_frames
+    people = alone._people(6, alone._generator(4))
+    batch = mixed.batch(8, 4)
+    assert torch.equal(batch.truth[:6], people.truth)
+    assert batch.edges.shape == (8, 16, 2)
+
+
+@pytest.mark.slow
+def test_train_npt_on_characters_by_the_command_line(pool, tmp_path, capsys):
+    data = {"kind": "wide", "vertices": 32, "target_scale": "identity"}
+    values = dataclasses.asdict(TINY) | {"data": data, "pairs": 8, "batch": 4, "precision": "fp32"}
+    (tmp_path / "tiny.yaml").write_text(json.dumps(values))
+    out = tmp_path / "run"
+    assert (
+        run(["train", "npt", "--config", str(tmp_path / "tiny.yaml"), "--characters", str(pool), "-o", str(out)]) == 0
+    )
+    assert "characters 0 pairs: 1 of we: people (CC0-1.0), 1 of we: toys (CC0-1.0)" in capsys.readouterr().err
+    state = checkpoint.load(out / "last.safetensors")
+    assert (state.step, state.config.data.characters) == (2, 0.5)
+    assert state.characters["makers"] == {"we: people (CC0-1.0)": 1, "we: toys (CC0-1.0)": 1}
+    assert run(["train", "npt", "--resume", str(out), "--characters", str(pool), "--set", "pairs=12"]) == 0
+    assert checkpoint.load(out / "last.safetensors").step == 3
+    other = tmp_path / "other"
+    other.mkdir()
+    write_character(other, "one", split="train")
+    with pytest.raises(InputError, match="expected the characters of the training so far"):
+        train_command("npt", "small", None, out, 0.001, [], None, other)
+    assert run(["export", str(out / "last.safetensors"), "-o", str(tmp_path / "mine.onnx")]) == 0
+    card = json.loads((tmp_path / "mine.json").read_text())
+    assert card["data"].endswith("characters of others (`characters`) in these poses and those of their clips")
+
+
+def test_tables_and_whole_meshes_take_no_characters(pool):
+    for changes, found in (
+        ([], "0.5 with table6 and 128"),
+        (["data.kind=wide", "data.vertices=0"], "0.5 with wide and all"),
+    ):
+        with pytest.raises(InputError, match=f"up to 1024 data.vertices, found {found}"):
+            train_command("npt", "table", None, None, None, changes, None, pool)
