@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -120,3 +121,18 @@ def test_texts_are_written_alike_on_all_systems():
     ]
     assert len(calls) > 5
     assert [name for name, call in calls if {"encoding", "newline"} - {word.arg for word in call.keywords}] == []
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="this system does not block signals")
+def test_ctrl_c_waits_and_does_not_reach_processes_started_meanwhile():
+    program = "import os, signal; os.kill(os.getpid(), signal.SIGINT); print('alive')"
+    steps = []
+
+    def start() -> None:
+        with system.ctrl_c_held():
+            os.kill(os.getpid(), signal.SIGINT)
+            steps.append(subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout)
+
+    with pytest.raises(KeyboardInterrupt):
+        start()
+    assert steps == ["alive\n"]

@@ -30,7 +30,7 @@ from typing import Any
 
 from ..core.arguments import public
 from ..core.errors import InputError, command_line_words
-from ..core.system import resident_memory, usable_cores
+from ..core.system import ctrl_c_held, resident_memory, usable_cores
 from ..io.atomic import whole_file, writing
 from ..io.child_process import VARIABLES as LIBRARY_THREADS
 from ..io.joint_file import side_file
@@ -367,7 +367,8 @@ class _Process(SpawnProcess):
         sys.modules["__main__"] = ModuleType("__main__")
         os.environ.update(ONE_THREAD)
         try:
-            super().start()
+            with ctrl_c_held():  # it reaches the whole group of processes; the batch itself ends its workers
+                super().start()
         finally:
             sys.modules["__main__"] = script
             for name, value in before.items():
@@ -385,8 +386,6 @@ class _Context(SpawnContext):
 def _begin_worker(lifeline: Connection) -> None:
     """Prepare a worker process: when `lifeline` ends, so does the worker, after it has deleted its temporary files."""
     os.dup2(2, 1)  # what libraries print must not come between what the command prints, such as one JSON object
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the batch itself ends its workers
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
 
     def follow() -> None:
         with suppress(EOFError):
@@ -394,7 +393,9 @@ def _begin_worker(lifeline: Connection) -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
     keep_results()
-    threading.Thread(target=follow, daemon=True).start()  # last: a pool would print that its preparation was stopped
+    threading.Thread(target=follow, daemon=True).start()
+    # Last: a signal before ends the process without a word, where a pool would print what its preparation raises.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
 
 
 def _do_or_exit(task: BatchTask) -> dict[str, Any]:
