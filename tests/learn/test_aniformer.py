@@ -98,7 +98,7 @@ def test_windows_between_random_poses_replace_a_share_of_the_motions():
     config = dataclasses.replace(CASES[0], between=0.5)
     source = WindowSource(config, shipped_body(), torch.device("cpu"), 3, 3)
     motions = source.people.motions[:40, :3]
-    mixed = source.people._replace_by_straight(motions, torch.Generator().manual_seed(0))
+    mixed = endless.replaced_by_straight(motions, source.people.limits, 0.5, torch.Generator().manual_seed(0))
     kept = (mixed == motions).flatten(1).all(1)
     assert 10 <= kept.sum() <= 30
     turn = mixed[~kept][:, 1:] @ mixed[~kept][:, :-1].mT  # the same axis from step to step, up to small angles

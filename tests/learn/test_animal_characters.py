@@ -25,9 +25,10 @@ from mimesh.learn.data.characters import (  # noqa: E402
     read_character_folder,
 )
 from mimesh.learn.data.endless import pose_sources  # noqa: E402
+from mimesh.learn.data.figures import CharacterPairSource  # noqa: E402
 from mimesh.learn.export import export_command  # noqa: E402
 from mimesh.learn.mime import MimeData, SurfaceSource  # noqa: E402
-from mimesh.learn.npt import CharacterPairSource, NPTData  # noqa: E402
+from mimesh.learn.npt import NPTData  # noqa: E402
 from mimesh.learn.start import train_command  # noqa: E402
 
 CPU = torch.device("cpu")

@@ -14,7 +14,8 @@ from mimesh.cli import run  # noqa: E402
 from mimesh.core.errors import InputError  # noqa: E402
 from mimesh.learn import checkpoint  # noqa: E402
 from mimesh.learn.data.characters import TrainingCharacters  # noqa: E402
-from mimesh.learn.npt import CharacterPairSource, NPTData  # noqa: E402
+from mimesh.learn.data.figures import CharacterPairSource  # noqa: E402
+from mimesh.learn.npt import NPTData  # noqa: E402
 from mimesh.learn.start import train_command  # noqa: E402
 from mimesh.learn.task import shipped_body  # noqa: E402
 

@@ -3,10 +3,11 @@
 import numpy as np
 import torch
 
-from mimesh.learn.data.people import BodySampler, extreme_vertices
-from mimesh.learn.loop import STEPS_AHEAD, BatchesAhead
+from mimesh.learn.data import endless
+from mimesh.learn.data.bodies import extreme_vertices
+from mimesh.learn.data.people import BodySampler
 from mimesh.learn.npt import NPTData, PairSource
-from mimesh.learn.task import shipped_body
+from mimesh.learn.task import STEPS_AHEAD, BatchesAhead, shipped_body
 
 
 def test_subsets_are_normalised_as_the_whole():
@@ -67,7 +68,9 @@ def test_recombined_poses_have_limbs_of_poses_of_the_table_and_the_trunk_of_one(
     body, share = shipped_body(), 0.5
     source = BodySampler(NPTData("table6", 64, recombine=share), body, torch.device("cpu"), seed=0)
     whole, table = source.people.poses[:200], source.people.poses[:, None]
-    mixed = source.people._recombine(whole[:, None], table, torch.Generator().manual_seed(0))[:, 0]
+    mixed = endless.recombined(whole[:, None], table, source.people.limbs, share, torch.Generator().manual_seed(0))[
+        :, 0
+    ]
     kept = (mixed == whole).flatten(1).all(1)
     assert 70 <= kept.sum() <= 130
     joints = [body.joint(name) for name in ("Hips", "Spine1", "LeftShoulder", "RightShoulder")]
@@ -84,7 +87,7 @@ def test_limbs_of_recombined_windows_move_as_in_one_window_of_the_motions():
     source = BodySampler(config, shipped_body(), torch.device("cpu"), seed=0).people
     source.motions = source.motions[:6, :8]
     window = source.motions[[0, 1], :3]
-    mixed = source._recombine(window, source.motions, torch.Generator().manual_seed(0))
+    mixed = endless.recombined(window, source.motions, source.limbs, 1.0, torch.Generator().manual_seed(0))
     every = torch.stack([source.motions[:, t : t + 3] for t in range(6)], dim=1).flatten(0, 1)
     for limb in source.limbs:
         same = (mixed[:, None, :, limb] == every[:, :, limb]).flatten(2).all(2)
@@ -126,13 +129,15 @@ def test_ordered_pairs_are_of_the_same_vertices():
 def test_mixed_people_have_the_mean_and_the_spread_of_the_people():
     device, body = torch.device("cpu"), shipped_body()
     mixed = BodySampler(NPTData("table6", 64, mix_people=1.0), body, device, 0)
-    shapes = mixed.people.draw_shapes(40_000, mixed._generator(0)).flatten(0, 1)
+    shapes = endless.mixed_people(mixed.people.shapes, 1.0, 40_000, mixed._generator(0)).flatten(0, 1)
     people = mixed.people.shapes
     assert torch.allclose(shapes.mean(0), people.mean(0), atol=0.03)
     assert torch.allclose(shapes.T.cov(correction=0), people.T.cov(correction=0), atol=0.06)
     assert torch.cdist(shapes[:100], people).amin() > 0
     some = BodySampler(NPTData("table6", 64, mix_people=0.25), body, device, 0)
-    of_table = (some.people.draw_shapes(2000, some._generator(0))[0][:, None] == people).all(2).any(1)
+    of_table = (
+        (endless.mixed_people(some.people.shapes, 0.25, 2000, some._generator(0))[0][:, None] == people).all(2).any(1)
+    )
     assert 0.7 < of_table.float().mean() < 0.8
 
 

@@ -17,9 +17,9 @@ from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
 from mimesh.learn import log as training_log
 from mimesh.learn.config import load_config
-from mimesh.learn.loop import TrainingRun, schedule, train
+from mimesh.learn.loop import TrainingRun, train
 from mimesh.learn.npt import NPTTrainConfig
-from mimesh.learn.optimizers import choose_precision, product_rate
+from mimesh.learn.optimizers import choose_precision, product_rate, schedule
 from mimesh.learn.processes import StopRequest
 from mimesh.learn.start import train_command
 from mimesh.learn.validation import Validation

@@ -35,16 +35,15 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from ..core.errors import InputError
-from ..evaluate import protocols
 from ..evaluate.clip_protocols import FRAMES, ClipPair
 from ..evaluate.pairs import Pair
-from ..evaluate.quadruped import QUADRUPED
 from . import layers
-from .data.people import BodySampler, PeopleOptions
-from .data.registered import HeldOutMeshes, MeshOptions, MeshSampler, RegisteredMeshes, WindowBatch
+from .data.endless import PeopleOptions
+from .data.people import BodySampler
+from .data.registered import MeshOptions, MeshSampler, WindowBatch
 from .layers import PointConv, ResBlock, edge_vectors, instance_norm, match_frames, mean_squared_distance
-from .task import OnnxInterface, Task, TrainConfig
-from .validation import clip_error, clips_protocol, pair_error
+from .task import OnnxInterface, TrainConfig
+from .validation import PaperTask, clip_error, pair_error
 
 Index = Tensor | slice
 """Of vertices that have weights of their own: (B, 1, V), or `EVERY`."""
@@ -479,33 +478,16 @@ def _edge_growth(
     return torch.stack(new, dim=1) - edge_vectors(identity, edges).square().sum(dim=2)[:, None]
 
 
-class AniFormerTask(Task[AniFormerTrainConfig, AniFormer]):
+class AniFormerTask(PaperTask[AniFormerTrainConfig, AniFormer]):
     """Training, validation and export of AniFormer."""
 
     config_type = AniFormerTrainConfig
     test_set = "clips-aniformer"
 
     @property
-    def meshes(self) -> RegisteredMeshes | None:
-        """The registered clips that the user brought, if any."""
-        return self.brought if isinstance(self.brought, RegisteredMeshes) else None
-
-    @property
-    def mesh_vertices(self) -> int:
-        """Vertices of the registered clips, or of the shipped body."""
-        return self.meshes.points.shape[1] if self.meshes else super().mesh_vertices
-
-    @property
     def of_one_order(self) -> bool:
         """Whether norms and embedding have weights for each vertex."""
         return bool(self.config.model.vertices)
-
-    @property
-    def protocol(self) -> protocols.Protocol:
-        """Clips: those held out where the data are clips of a folder; of animals pairs, whose driving stands still."""
-        if self.meshes and (held_out := HeldOutMeshes.of(self.meshes)):
-            return held_out
-        return QUADRUPED if self.config.data.body == "quadruped" else clips_protocol(self.config.data)
 
     def make_model(self) -> AniFormer:
         """Build the network with fresh weights."""

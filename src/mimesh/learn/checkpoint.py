@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,10 @@ from ..evaluate.metrics import VERSION
 from ..evaluate.provenance import commit
 from ..io.atomic import whole_file
 from .config import config_differences, recorded_config
-from .task import TrainConfig, find_task
+from .task import TrainConfig, UserData, find_task
 
+SCHEDULE = ("seed", "pairs", "minutes", "decay", "learning_rate", "accumulate", "doublings")
+"""Keys of the schedule, which may change where a training is resumed."""
 POSITION = (
     "step",
     "seconds",
@@ -226,3 +229,22 @@ def hardware() -> str:
     if torch.cuda.is_available():
         return torch.cuda.get_device_name()
     return f"CPU, {torch.get_num_threads()} threads"
+
+
+def resumable(config: TrainConfig) -> list[str]:
+    """List the keys that may change where a training is resumed: its schedule and the mixture of its data.
+
+    The network may not. Two trainings that go on from one checkpoint with two seeds see other batches and can be
+    averaged.
+    """
+    return [*SCHEDULE, *(f"data.{key}" for key in ("vertices", *config.data.shares()))]
+
+
+def changes_at_resume(state: Checkpoint, config: TrainConfig, pool: UserData | None) -> list[dict[str, Any]]:
+    """List what a resumed training changes: nothing, or one entry of `Checkpoint.changes`."""
+    values = {key: (attrgetter(key)(config), attrgetter(key)(state.config)) for key in resumable(config)}
+    changed: dict[str, Any] = {key: new for key, (new, old) in values.items() if new != old}
+    was = {key: old for key, (new, old) in values.items() if new != old}
+    if pool and "clips" in pool.facts and "clips" not in state.characters:
+        changed["clips"] = pool.facts["clips"]["makers"]
+    return [{"after_pairs": state.step * config.batch, **changed, "was": was}] if changed else []

@@ -28,7 +28,7 @@ from .checkpoint import Checkpoint
 from .config import recorded_config
 from .cost import operations_spent
 from .data.characters import CharacterOptions
-from .data.people import PeopleOptions
+from .data.endless import PeopleOptions
 from .task import DataConfig, OnnxInterface, Task, find_task
 
 DATA = {

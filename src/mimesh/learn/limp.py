@@ -27,7 +27,8 @@ from ..core.errors import InputError
 from ..evaluate import protocols
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, on_template
 from ..evaluate.remesh import template
-from .data.people import BodySampler, PairBatch, PeopleOptions
+from .data.endless import PeopleOptions
+from .data.people import BodySampler, PairBatch
 from .layers import PointConv, edge_vectors, instance_norm, mean_squared_distance
 from .task import OnnxInterface, Task, TrainConfig
 from .validation import clip_error

@@ -65,7 +65,7 @@ class TrainingLog:
             self.flush()
 
     def flush(self) -> None:
-        """Write what was collected: mean loss, pairs a second of `clock`, arithmetic achieved."""
+        """Write what was collected: mean loss, pairs a second of `Processes.clock`, arithmetic achieved."""
         if not self.losses:
             return
         loss = torch.stack(self.losses).mean().item()

@@ -2,39 +2,31 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from . import checkpoint
 from .cost import described_cost, operations_of, training_operations
 from .data.user_data import refuse_other_data
 from .log import TrainingLog, unfinished
-from .optimizers import DTYPES, choose_precision, make_optimizers
+from .optimizers import COMPILE_OPTIONS, DTYPES, choose_precision, make_optimizers, schedule
 from .processes import Processes, StopRequest, joined_processes
-from .task import BatchSource, Task, TrainConfig, UserData, find_task
+from .task import BatchSource, Task, TrainConfig, UserData, batches_of, find_task
 from .validation import Validation
 
-SCHEDULE = ("seed", "pairs", "minutes", "decay", "learning_rate", "accumulate", "doublings")
 SAVE_SECONDS = 60.0
 """Wall-clock time between checkpoints."""
 FULL_RATE = "full-rate.safetensors"
 """Checkpoint of the last step before the learning rate falls. A longer training goes on from there (`--weights`): a
 rate that has fallen to zero and rises again undoes more than a short training brings back (docs/LOG.md)."""
-COMPILE_OPTIONS: dict[str, Any] = {"triton.mix_order_reduction": False}
-"""Of torch.compile: the fusion of sums along two axes fails for AniFormer with an assertion (PyTorch 2.11)."""
-STEPS_AHEAD = 8
-"""Batches that a GPU makes at once. It computes one faster than its hundreds of small operations can be started."""
 
 
 def train(
@@ -121,7 +113,7 @@ class TrainingRun:
     """Why `task.precision` was chosen, in words."""
     step: int = 0
     seconds: float = 0.0
-    """Spent in steps, by `clock`."""
+    """Spent in steps, by `Processes.clock`."""
     best: float = float("inf")
     """Lowest validation figure so far."""
     saved: float = 0.0
@@ -150,12 +142,7 @@ class TrainingRun:
         """Set up a new training, or the one whose checkpoint lies in the folder."""
         processes = processes or Processes(0, 1, torch.device("cuda" if torch.cuda.is_available() else "cpu"))
         device = processes.device
-        parts = config.most_parts * processes.count
-        if config.batch % parts:
-            raise InputError(
-                f"batch: expected a multiple of {parts} (most parts of a batch x processes), found {config.batch}; "
-                "change one"
-            )
+        processes.refuse_batch(config.batch, config.most_parts)
         last = folder / "last.safetensors"
         state = checkpoint.load(last) if last.exists() else None
         before = state.precision if state else ""
@@ -178,18 +165,11 @@ class TrainingRun:
             run.step, run.seconds, run.best, run.before = state.step, state.seconds, state.best, state.before
             run.metrics = state.metrics or None
             run.validated = state.step if state.validated is None else state.validated
-            run.changes = (*state.changes, *changes_at_resume(state, config, pool))
+            run.changes = (*state.changes, *checkpoint.changes_at_resume(state, config, pool))
             run.samples = state.step * state.config.accumulate if state.samples is None else state.samples
             spent = state.operations  # not in checkpoints of earlier versions
             run.operations = operations_of(state.config, state.step * config.batch) if spent is None else spent
         return run
-
-    def clock(self) -> float:
-        """Give the seconds that this process spent on all cores; with a GPU those of the wall clock.
-
-        Other processes lengthen them by little: a training between busy ones does a tenth less in its time.
-        """
-        return time.process_time() if self.processes.device.type == "cpu" else time.perf_counter()
 
     def share(self) -> float:
         """Give how much of the training is done: 0 at the start, 1 at its end."""
@@ -215,7 +195,7 @@ class TrainingRun:
         in this order: which process computes one makes no difference. Random numbers of a loss are those of the
         sample, too.
         """
-        started = self.clock()
+        started = self.processes.clock()
         config, processes = self.config, self.processes
         own_parts = self._parts_of_batch()
         parts = own_parts * processes.count
@@ -242,7 +222,7 @@ class TrainingRun:
         self.samples += parts
         self.operations += training_operations(self.task, self.model, config.batch)
         self.metrics = None
-        self.seconds += self.clock() - started
+        self.seconds += self.processes.clock() - started
         return torch.stack(losses).mean()
 
     def _parts_of_batch(self) -> int:
@@ -287,61 +267,3 @@ class TrainingRun:
         rest = {"changes": self.changes, "operations": self.operations, "samples": self.samples, **brought}
         state = checkpoint.Checkpoint(self.config, *position, self.task.precision, **rest)
         checkpoint.save(path, state)
-
-
-@dataclass
-class BatchesAhead:
-    """Makes the batches of several steps at once, for a device that waits for the start of small operations."""
-
-    source: BatchSource
-    group: int = -1
-    together: Any = None
-
-    def batch(self, size: int, step: int) -> Any:
-        """Give the pairs of a step: every `STEPS_AHEAD`th of those of its group, so that all have their share of each
-        kind. A pure function of the source's seed and `step`.
-        """
-        if self.group != step // STEPS_AHEAD:
-            self.group = step // STEPS_AHEAD
-            self.together = self.source.batch(size * STEPS_AHEAD, self.group)
-        parts = {field.name: getattr(self.together, field.name) for field in dataclasses.fields(self.together)}
-        own = slice(step % STEPS_AHEAD, None, STEPS_AHEAD)
-        return dataclasses.replace(
-            self.together, **{key: part[own] for key, part in parts.items() if isinstance(part, Tensor)}
-        )
-
-
-def batches_of(task: Task, seed: int) -> BatchSource:
-    """Build the generator of a training's batches on its device."""
-    source = task.source(seed)
-    if task.device.type == "cpu":
-        return source
-    one = source.batch(1, 0)
-    flat = all(isinstance(getattr(one, field.name), (Tensor, float)) for field in dataclasses.fields(one))
-    return BatchesAhead(source) if flat else source
-
-
-def resumable(config: TrainConfig) -> list[str]:
-    """List the keys that may change where a training is resumed: its schedule and the mixture of its data.
-
-    The network may not. Two trainings that go on from one checkpoint with two seeds see other batches and can be
-    averaged.
-    """
-    return [*SCHEDULE, *(f"data.{key}" for key in ("vertices", *config.data.shares()))]
-
-
-def changes_at_resume(state: checkpoint.Checkpoint, config: TrainConfig, pool: UserData | None) -> list[dict[str, Any]]:
-    """List what a resumed training changes: nothing, or one entry of `Checkpoint.changes`."""
-    values = {key: (attrgetter(key)(config), attrgetter(key)(state.config)) for key in resumable(config)}
-    changed: dict[str, Any] = {key: new for key, (new, old) in values.items() if new != old}
-    was = {key: old for key, (new, old) in values.items() if new != old}
-    if pool and "clips" in pool.facts and "clips" not in state.characters:
-        changed["clips"] = pool.facts["clips"]["makers"]
-    return [{"after_pairs": state.step * config.batch, **changed, "was": was}] if changed else []
-
-
-def schedule(config: TrainConfig, pairs: int, share: float) -> float:
-    """Give the factor on the learning rate after so many pairs, a `share` of all: rise, constant, steps, fall."""
-    rise = min(1.0, (pairs + config.batch) / config.warmup) if config.warmup else 1.0
-    fall = min(1.0, max(0.0, 1.0 - share) / config.decay) if config.decay else 1.0
-    return rise * fall * 0.1 ** sum(share >= milestone for milestone in config.milestones)

@@ -34,9 +34,9 @@ from ..evaluate.protocols import Protocol
 from ..evaluate.quadruped import QUADRUPED
 from .data.bodies import posed_joints, skinned
 from .data.characters import CharacterOptions, TrainingCharacters
-from .data.endless import EndlessPeople
+from .data.endless import TABLE_KINDS, EndlessPeople, PeopleOptions
 from .data.figures import CharacterPairs, share_of
-from .data.people import TABLE_KINDS, PeopleOptions, people_of
+from .data.people import TablePeople
 from .data.primitive_animals import primitive_animals
 from .data.primitives import primitive_people
 from .data.surfaces import (
@@ -491,7 +491,7 @@ class SurfaceSource:
         characters: TrainingCharacters | None = None,
     ) -> None:
         self.config, self.device, self.seed = config, device, seed
-        self.people = people_of(config, body, device)
+        self.people = (TablePeople if config.kind in TABLE_KINDS else EndlessPeople)(config, body, device)
         self.surface = SurfaceBody(body, low_poly=config.low_poly > 0).to(device)
         self.dressed = PeopleSampler(body, config.spread, device)
         self.count = config.vertices or DEFAULT_POINTS

@@ -8,8 +8,6 @@ public code differ, the default is the paper, and a field of `NPTConfig` chooses
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -17,26 +15,15 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from ..bodies import RiggedBody
-from ..core.errors import InputError
-from ..evaluate import protocols
 from ..evaluate.clip_protocols import ClipPair
 from ..evaluate.pairs import Pair
-from ..evaluate.quadruped import QUADRUPED
-from .data.characters import CharacterOptions, TrainingCharacters
-from .data.endless import EndlessPeople, random_index
-from .data.figures import CharacterPairs, share_of
-from .data.people import BodySampler, PairBatch, PeopleOptions, pairs_of_rows
-from .data.registered import HeldOutMeshes, MeshOptions, MeshSampler, RegisteredMeshes
+from .data.characters import TrainingCharacters
+from .data.figures import CharacterPairSource, PairOptions
+from .data.people import BodySampler, PairBatch
+from .data.registered import MeshOptions, MeshSampler
 from .layers import PointConv, ResBlock, edge_ratio, edge_vectors, instance_norm, mean_squared_distance, reconstruction
-from .task import OnnxInterface, Task, TrainConfig
-from .validation import clip_error, clips_protocol, pair_error
-
-POINTS = 1024
-"""Points of a character from which vertices are drawn; centre and radius of the whole follow from them, within a
-hundredth or two of the radius."""
-NEIGHBOURS = 6
-"""Of these points at rest, the nearest ones that count as neighbours: as many as a vertex of a closed mesh has."""
+from .task import BatchSource, OnnxInterface, TrainConfig
+from .validation import PaperTask, clip_error, pair_error
 
 
 @dataclass(frozen=True)
@@ -64,7 +51,7 @@ class NPTConfig:
 
 
 @dataclass(frozen=True)
-class NPTData(PeopleOptions, CharacterOptions, MeshOptions):
+class NPTData(PairOptions, MeshOptions):
     """What NPT is trained on: the paper's table, endless people, frames of clips, characters, or registered meshes."""
 
     kind: Literal["table6", "wide", "clips80", "clips", "meshes"] = "table6"
@@ -73,17 +60,6 @@ class NPTData(PeopleOptions, CharacterOptions, MeshOptions):
     `meshes`: registered meshes of a folder."""
     animal_kinds: ClassVar[tuple[str, ...]] = ("wide", "meshes")
     words_of_characters: ClassVar[str] = "; characters of others (`characters`) in these poses and those of their clips"
-
-    def check(self, where: str) -> None:
-        """Raise InputError for characters with data that they cannot be a part of."""
-        super().check(where)
-        if self.characters and (self.kind != "wide" or not 0 < self.vertices <= POINTS):
-            raise InputError(
-                f"{where}: expected data.characters from 0 to 1 with data.kind wide and up to {POINTS} data.vertices, "
-                f"found {self.characters} with {self.kind} and {self.vertices or 'all'}; take the configuration small"
-            )
-        if self.characters and self.pairing == "order":
-            raise InputError(f"{where}: expected data.pairing random with data.characters, found order; leave it out")
 
 
 @dataclass(frozen=True)
@@ -192,12 +168,7 @@ class PairSource(BodySampler):
 
     def batch(self, size: int, step: int) -> PairBatch:
         """Make the pairs of a step."""
-        return self._people(size, self._generator(step))
-
-    def _people(self, size: int, rng: torch.Generator) -> PairBatch:
-        pairs = self.pairs(size, rng)
-        self._reflect(rng, pairs.identity, pairs.driving, pairs.truth)
-        return pairs
+        return self.pairs(size, self._generator(step))
 
 
 class MeshPairSource(MeshSampler):
@@ -210,95 +181,17 @@ class MeshPairSource(MeshSampler):
         return PairBatch(drawn.identity, drawn.driving[:, 0], truth, own, drawn.edges, drawn.edges_of_mesh)
 
 
-class CharacterPairSource(PairSource):
-    """Makes batches of which a share are pairs of characters; people of the shipped body drive every second of them."""
-
-    def __init__(
-        self, config: NPTData, body: RiggedBody, device: torch.device, seed: int, characters: TrainingCharacters
-    ) -> None:
-        super().__init__(config, body, device, seed)
-        assert isinstance(self.people, EndlessPeople)
-        self.people.add_poses(characters.all_poses)
-        self.characters, heading = config.characters, math.radians(config.heading) / 4
-        self.figures = CharacterPairs(list(characters.surfaces), body, device, POINTS, heading, missing=(0.0, 0.0))
-
-    def batch(self, size: int, step: int) -> PairBatch:
-        """Make the pairs of a step."""
-        rng, figures = self._generator(step), share_of(size, self.characters, step)
-        groups = [self._people(size - figures, rng)] if figures < size else []
-        groups += [self._figures(figures, rng)] if figures else []
-        names = ("identity", "driving", "truth", "truth_radius", "edges")
-        joined = {name: torch.cat([getattr(group, name) for group in groups]) for name in names}
-        return dataclasses.replace(groups[0], **joined)
-
-    def _figures(self, size: int, rng: torch.Generator) -> PairBatch:
-        (_, shapes), poses, _ = self.people.pairs(size, rng)
-        pairs = self.figures.draw(poses, rng)
-        index = self._with_neighbours(pairs.rest.points, rng)
-        identity, radius = in_unit_sphere(pairs.identity.points, index)
-        scale = radius if self.config.target_scale == "identity" else None
-        truth, own = in_unit_sphere(pairs.truth.points, index, scale)
-        driving, _ = in_unit_sphere(pairs.driving.points, self._random_rows(size, index.shape[1], rng))
-        people = size // 2
-        vertices = self._stratified_vertices(people, index.shape[1], rng)
-        driving[:people] = self._normalized_mesh(shapes[:people], pairs.pose[:people], vertices)[0]
-        self._reflect(rng, identity, driving, truth)
-        size_of_truth = (own / (own if scale is None else scale))[:, 0, 0]
-        return PairBatch(identity, driving, truth, size_of_truth, pairs_of_rows(index), self.edge_share)
-
-    def _with_neighbours(self, rest: Float[Tensor, "B P 3"], rng: torch.Generator) -> Int[Tensor, "B V"]:
-        """Draw points of which every second one is a neighbour at rest of the one before it."""
-        first = self._random_rows(len(rest), self.config.vertices // 2, rng)
-        distance = torch.cdist(rest.gather(1, first[..., None].expand(-1, -1, 3)), rest)
-        near = distance.topk(NEIGHBOURS + 1, largest=False).indices[..., 1:]
-        pick = random_index(NEIGHBOURS, (*first.shape, 1), rng)
-        return torch.stack([first, near.gather(2, pick)[..., 0]], -1).flatten(1)
-
-    def _random_rows(self, size: int, count: int, rng: torch.Generator) -> Int[Tensor, "B N"]:
-        return torch.rand(size, POINTS, generator=rng, device=self.device).argsort(1)[:, :count]
-
-
-def in_unit_sphere(
-    points: Float[Tensor, "B P 3"], index: Int[Tensor, "B N"], radius: Float[Tensor, "B 1 1"] | None = None
-) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B 1 1"]]:
-    """Centre some of the points on the box of all, divide them by `radius` (None: that of all); give that of all."""
-    centred = points - (points.amax(1, keepdim=True) + points.amin(1, keepdim=True)) / 2
-    own = centred.norm(dim=-1).amax(1)[:, None, None]
-    return centred.gather(1, index[..., None].expand(-1, -1, 3)) / (own if radius is None else radius), own
-
-
-class NPTTask(Task[NPTTrainConfig, NPT]):
+class NPTTask(PaperTask[NPTTrainConfig, NPT]):
     """Training, validation and export of NPT."""
 
     config_type = NPTTrainConfig
     test_set = "human-npt"
 
-    @property
-    def meshes(self) -> RegisteredMeshes | None:
-        """The registered meshes that the user brought, if any."""
-        return self.brought if isinstance(self.brought, RegisteredMeshes) else None
-
-    @property
-    def mesh_vertices(self) -> int:
-        """Vertices of the registered meshes, or of the shipped body."""
-        return self.meshes.points.shape[1] if self.meshes else super().mesh_vertices
-
-    @property
-    def protocol(self) -> protocols.Protocol:
-        """Pairs, or clips where the data are clips; those held out where the data are meshes of a folder."""
-        if self.meshes and (held_out := HeldOutMeshes.of(self.meshes)):
-            return held_out
-        if self.config.data.body == "quadruped":
-            return QUADRUPED
-        if self.config.data.kind not in ("clips", "clips80"):
-            return protocols.HUMAN_NPT
-        return clips_protocol(self.config.data)
-
     def make_model(self) -> NPT:
         """Build the network with fresh weights."""
         return NPT(self.config.model)
 
-    def source(self, seed: int) -> PairSource | MeshPairSource:
+    def source(self, seed: int) -> BatchSource:
         """Build the generator of pairs."""
         if self.meshes:
             return MeshPairSource(self.config.data, self.meshes, self.device, seed)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import time
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -33,6 +34,8 @@ SIDE_OF_TILE = 8
 DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
 SIDE = {"cpu": 256, "cuda": 4096}
 """Rows and columns of the matrices whose products are timed: one takes at most 0.1 s on a slow device of each kind."""
+COMPILE_OPTIONS: dict[str, Any] = {"triton.mix_order_reduction": False}
+"""Of torch.compile: the fusion of sums along two axes in attention across frames fails with an assertion (2.11)."""
 MIN_GAIN = {"": 1.25, "fp32": 1.6, "bf16": 0.9}
 """Speed of bf16 products over that of fp32 from which bf16 is taken, by what a resumed training used before: near the
 limit, two measurements on one machine must not give two answers."""
@@ -55,6 +58,13 @@ def make_optimizers(model: nn.Module, config: TrainConfig, device: torch.device,
         Muon(hidden, config.learning_rate, config.weight_decay, dtype),
         Adam(others, lr=config.learning_rate, betas=betas, fused=fused),
     ]
+
+
+def schedule(config: TrainConfig, pairs: int, share: float) -> float:
+    """Give the factor on the learning rate after so many pairs, a `share` of all: rise, constant, steps, fall."""
+    rise = min(1.0, (pairs + config.batch) / config.warmup) if config.warmup else 1.0
+    fall = min(1.0, max(0.0, 1.0 - share) / config.decay) if config.decay else 1.0
+    return rise * fall * 0.1 ** sum(share >= milestone for milestone in config.milestones)
 
 
 class Muon(Optimizer):

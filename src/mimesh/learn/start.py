@@ -14,7 +14,7 @@ from .cost import operations_of
 from .data.characters import CharacterOptions
 from .data.user_data import Folders, ProgressBar, read_user_data
 from .export import load_start
-from .loop import TrainingRun, resumable, train
+from .loop import TrainingRun, train
 from .processes import joined_processes
 from .task import NETWORKS, TrainConfig, UserData
 
@@ -100,7 +100,7 @@ def new_config(
 
 
 def resumed_config(folder: Path, changes: Sequence[str], fixed: Sequence[str] = ()) -> TrainConfig:
-    """Read the configuration of the training in a folder, and change keys that are `resumable`.
+    """Read the configuration of the training in a folder, and change keys that may change (`checkpoint.resumable`).
 
     Args:
         fixed: other options that were given, which cannot change.
@@ -112,7 +112,7 @@ def resumed_config(folder: Path, changes: Sequence[str], fixed: Sequence[str] = 
     if not last.exists():
         raise InputError(f"{folder}: expected last.safetensors of an earlier training in it, found none")
     config = checkpoint.load(last).config
-    keys = resumable(config)
+    keys = checkpoint.resumable(config)
     refused = [*(f"--set {change}" for change in changes if change.partition("=")[0] not in keys), *fixed]
     if refused:
         raise InputError(

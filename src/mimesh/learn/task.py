@@ -18,6 +18,8 @@ from ..evaluate import protocols
 
 NETWORKS = ("npt", "aniformer", "limp", "mime", "hands")
 """The networks that can be trained."""
+STEPS_AHEAD = 8
+"""Batches that a GPU makes at once. It computes one faster than its hundreds of small operations can be started."""
 
 
 def share(default: float | None = 0.0) -> Any:
@@ -131,6 +133,7 @@ class TrainConfig:
             )
 
 
+@runtime_checkable
 class UserData(Protocol):
     """What the user brings to a training: characters and clips, or registered meshes (`data.user_data`)."""
 
@@ -266,6 +269,38 @@ class Task(ABC, Generic[Config, Network]):
     def of_one_order(self) -> bool:
         """Whether the network has weights for each vertex, so that meshes keep the order of their file."""
         return False
+
+
+@dataclass
+class BatchesAhead:
+    """Makes the batches of several steps at once, for a device that waits for the start of small operations."""
+
+    source: BatchSource
+    group: int = -1
+    together: Any = None
+
+    def batch(self, size: int, step: int) -> Any:
+        """Give the pairs of a step: every `STEPS_AHEAD`th of those of its group, so that all have their share of each
+        kind. A pure function of the source's seed and `step`.
+        """
+        if self.group != step // STEPS_AHEAD:
+            self.group = step // STEPS_AHEAD
+            self.together = self.source.batch(size * STEPS_AHEAD, self.group)
+        parts = {field.name: getattr(self.together, field.name) for field in dataclasses.fields(self.together)}
+        own = slice(step % STEPS_AHEAD, None, STEPS_AHEAD)
+        return dataclasses.replace(
+            self.together, **{key: part[own] for key, part in parts.items() if isinstance(part, Tensor)}
+        )
+
+
+def batches_of(task: Task, seed: int) -> BatchSource:
+    """Build the generator of a training's batches on its device."""
+    source = task.source(seed)
+    if task.device.type == "cpu":
+        return source
+    one = source.batch(1, 0)
+    flat = all(isinstance(getattr(one, field.name), (Tensor, float)) for field in dataclasses.fields(one))
+    return BatchesAhead(source) if flat else source
 
 
 def find_task(network: str) -> type[Task]:

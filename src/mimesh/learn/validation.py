@@ -16,8 +16,11 @@ from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, ClipsAniformer,
 from ..evaluate.clips_ordered import CLIPS_ORDERED
 from ..evaluate.metrics import box_radius, pmd
 from ..evaluate.pairs import Pair, reorder_vertices
+from ..evaluate.protocols import HUMAN_NPT, Protocol
+from ..evaluate.quadruped import QUADRUPED
+from .data.registered import HeldOutMeshes, RegisteredMeshes
 from .layers import match_frames
-from .task import DataConfig, Task
+from .task import Config, DataConfig, Network, Task
 
 WINDOW = 3
 """Frames of each clip that networks of pairs are validated on, from its middle."""
@@ -85,6 +88,31 @@ class Validation:
         if kind == FRESH:
             return self.task.batch_error(model, self.fresh.batch(FRESH_BATCH, index))
         return self.task.trial_error(model, self.trial(kind, index))
+
+
+class PaperTask(Task[Config, Network]):
+    """The task of a network that is trained on people or on registered meshes, and measured as in its paper."""
+
+    @property
+    def meshes(self) -> RegisteredMeshes | None:
+        """The registered meshes that the user brought, if any."""
+        return self.brought if isinstance(self.brought, RegisteredMeshes) else None
+
+    @property
+    def mesh_vertices(self) -> int:
+        """Vertices of the registered meshes, or of the shipped body."""
+        return self.meshes.points.shape[1] if self.meshes else super().mesh_vertices
+
+    @property
+    def protocol(self) -> Protocol:
+        """What is held out of registered meshes; pairs of animals; the paper's pairs, or clips where the data are."""
+        if self.meshes and (held_out := HeldOutMeshes.of(self.meshes)):
+            return held_out
+        if self.config.data.body == "quadruped":
+            return QUADRUPED
+        if self.test_set == HUMAN_NPT.name and self.config.data.kind not in ("clips", "clips80"):
+            return HUMAN_NPT
+        return clips_protocol(self.config.data)
 
 
 def clips_protocol(data: DataConfig) -> ClipsAniformer:

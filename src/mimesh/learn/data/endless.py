@@ -17,10 +17,12 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ...bodies import RiggedBody, quadruped
+from ...bodies.anatomy import anatomy_of_joints
 from ...bodies.contacts import contact_bank
 from ...bodies.joint_ranges import ranges_of
 from ...bodies.sampling import limits_rotvec, lowered_arms
 from ...core.errors import InputError
+from ...core.rig import descendants
 from ...motions import mirror, pose_bank
 from ...motions.clips import split_windows
 from ...motions.gaits import quadruped_poses, quadruped_takes
@@ -28,11 +30,13 @@ from ...motions.motion import rotmat_to_rotvec
 from ..task import DataConfig, share
 from .bodies import rotvec_to_rotmat
 
+TABLE_KINDS = ("table6", "clips80")
+"""Kinds of data with a fixed table of people and poses, as in the papers."""
 IDENTITY_MIX = (0.40, 0.80, 0.85)
 """`wide`: identities up to these cumulative shares are at rest (arms anywhere from T to lowered), in Table 6, within
 joint limits; the others are frames of motions. Chosen by hand: identities that users have mostly stand."""
 DRIVING_SHARES = (0.05, 0.45, 0.38)
-"""The same for driving meshes, as shares beside `EndlessOptions.limits`: at rest, in Table 6, in frames of motions."""
+"""The same for driving meshes, as shares beside `PeopleOptions.limits`: at rest, in Table 6, in frames of motions."""
 REST_NOISE = 0.05
 """`wide`: standard deviation of joint rotations at rest (radians)."""
 MAX_STEP = 0.15
@@ -47,8 +51,8 @@ CAPTURED = 0.5
 
 
 @dataclass(frozen=True)
-class EndlessOptions(DataConfig):
-    """How new people are drawn; the kinds `wide` and `clips`."""
+class PeopleOptions(DataConfig):
+    """How people are drawn: new ones (`wide`, `clips`), or more than those of a table (`table6`, `clips80`)."""
 
     spread: float = 1.3
     """Standard deviation of the shape coefficients of endless people."""
@@ -60,12 +64,22 @@ class EndlessOptions(DataConfig):
     """Share of people whose body parts touch each other; animals have no such poses."""
     limits: float = share(0.12)
     """Share of driving meshes that are posed anyhow within the joint limits."""
+    between: float = share()
+    """`clips80`: share of windows and frames that lie on a straight way between two poses within the joint limits,
+    instead of in one of the 80 motions."""
+    recombine: float = share()
+    """`table6`, `clips80`: share of poses, or windows, whose head, arms and legs are each turned as in another one."""
+    mix_people: float = share()
+    """`table6`, `clips80`: share of people who are random mixtures of the 16 (`mixed_people`)."""
     animal_kinds: ClassVar[tuple[str, ...]] = ()
     """Kinds of data that a model can be trained on with `body` quadruped."""
 
     def check(self, where: str) -> None:
-        """Raise InputError for animals in data of people."""
+        """Raise InputError for animals in data of people, and for more of a table where there is none."""
         super().check(where)
+        for key, kinds in (("between", TABLE_KINDS[1:]), ("recombine", TABLE_KINDS), ("mix_people", TABLE_KINDS)):
+            if (value := getattr(self, key)) and self.kind not in kinds:
+                raise InputError(f"{where}: expected data.{key} 0 with {self.kind}, found {value}")
         if self.body == "quadruped" and self.kind not in self.animal_kinds:
             raise InputError(
                 f"{where}: expected data.body human with data.kind {self.kind}, found quadruped; animals are data of "
@@ -73,10 +87,18 @@ class EndlessOptions(DataConfig):
             )
 
 
+@dataclass(frozen=True)
+class ReflectOptions(DataConfig):
+    """For data whose truth may be mirrored."""
+
+    reflect: float = share()
+    """Share of every batch whose meshes are all mirrored, left to right."""
+
+
 class EndlessPeople:
     """Draws people and poses on one device; each call is a pure function of its generator."""
 
-    def __init__(self, config: EndlessOptions, body: RiggedBody, device: torch.device, frames: int = 0) -> None:
+    def __init__(self, config: PeopleOptions, body: RiggedBody, device: torch.device, frames: int = 0) -> None:
         """Put on the device what people and poses are drawn from.
 
         Args:
@@ -204,6 +226,71 @@ def random_between(bounds: Float[Tensor, "2 J 3"], size: int, rng: torch.Generat
     """Draw rotation vectors between the lowest and the highest of each joint and axis."""
     part = torch.rand(size, *bounds.shape[1:], generator=rng, device=rng.device)
     return bounds[0] + part * (bounds[1] - bounds[0])
+
+
+def mixed_people(people: Float[Tensor, "P K"], part: float, size: int, rng: torch.Generator) -> Float[Tensor, "2 B K"]:
+    """Draw identities and driving people of a table, a part of them mixtures of all.
+
+    A mixture is their mean plus normal multiples of what each departs from it, so that its mean and covariance are
+    those of the people. New people are as hard as new poses: 16 do not span a body of as many shape components.
+    """
+    shapes = people[random_index(len(people), (2, size), rng)]
+    if not part:
+        return shapes
+    mean = people.mean(0)
+    normal = torch.randn(2, size, len(people), generator=rng, device=rng.device)
+    mixtures = mean + normal @ (people - mean) / math.sqrt(len(people))
+    some = torch.rand(2, size, 1, generator=rng, device=rng.device) < part
+    return torch.where(some, mixtures, shapes)
+
+
+def limb_masks(body: RiggedBody) -> Bool[np.ndarray, "L J"]:
+    """Tell which joints belong to head, arms and legs: those of each limb from its first joint on."""
+    tops = [body.joint(top) for top in anatomy_of_joints(body.joint_names).regions.values()]
+    joints = np.arange(len(body.joint_names))
+    return np.stack([np.isin(joints, list(descendants([top], body.parents))) for top in tops])
+
+
+def random_window(
+    motions: Float[Tensor, "M T J 3 3"], size: int, frames: int, rng: torch.Generator
+) -> Float[Tensor, "B W J 3 3"]:
+    """Cut windows of some frames out of random motions."""
+    which = random_index(len(motions), (size, 1), rng)
+    first = random_index(motions.shape[1] - frames + 1, (size, 1), rng)
+    return motions[which, first + torch.arange(frames, device=rng.device)]
+
+
+def recombined(
+    window: Float[Tensor, "B W J 3 3"],
+    motions: Float[Tensor, "M T J 3 3"],
+    limbs: Bool[Tensor, "L J"],
+    part: float,
+    rng: torch.Generator,
+) -> Float[Tensor, "B W J 3 3"]:
+    """Turn each limb of a part of the windows as in a random window of the motions.
+
+    400 poses or 80 motions are too few to learn how any pose maps to any other: new ones have two to three times
+    the error of these. Their limbs make far more.
+    """
+    if not part:
+        return window
+    size, frames = window.shape[:2]
+    some = torch.rand(size, 1, generator=rng, device=rng.device) < part
+    for limb in limbs:
+        other = random_window(motions, size, frames, rng)
+        window = torch.where((some & limb)[:, None, :, None, None], other, window)
+    return window
+
+
+def replaced_by_straight(
+    window: Float[Tensor, "B T J 3 3"], limits: Float[Tensor, "2 J 3"], part: float, rng: torch.Generator
+) -> Float[Tensor, "B T J 3 3"]:
+    """Replace a part of the windows by straight ways between two poses within the joint limits."""
+    if not part:
+        return window
+    straight = straight_windows(limits, len(window), window.shape[1], rng)
+    some = torch.rand(len(window), generator=rng, device=rng.device) < part
+    return torch.where(some[:, None, None, None, None], straight, window)
 
 
 def straight_windows(

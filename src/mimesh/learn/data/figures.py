@@ -10,6 +10,7 @@ part of a body: shapes, sizes and places are drawn far more widely than real one
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -21,9 +22,11 @@ from torch import Tensor, nn
 from ...bodies import RiggedBody
 from ...bodies.anatomy import anatomy_of
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
+from ...core.errors import InputError
 from .bodies import posed_joints, scaled_joints, skinned, skinned_surface, world_rotations
-from .characters import CharacterSurface
-from .endless import random_headings
+from .characters import CharacterOptions, CharacterSurface, TrainingCharacters
+from .endless import EndlessPeople, PeopleOptions, random_headings, random_index
+from .people import BodySampler, PairBatch, pairs_of_rows
 from .primitives import SHAPES, sample_primitive
 from .surfaces import MAX_HOLE, PosedSurface, random_bumps, random_levels, without_bumps
 
@@ -52,6 +55,11 @@ PROP_SIZE = (0.015, 0.3)
 """Half of the smallest and of the largest size of a prop along each of its axes (metres), drawn by their logarithm."""
 PROP_OFFSET = 0.25
 """Largest distance of a prop's centre from its joint (metres), beside half of its length for props that are held."""
+PAIR_POINTS = 1024
+"""Points of a character from which vertices are drawn; centre and radius of the whole follow from them, within a
+hundredth or two of the radius."""
+NEIGHBOURS = 6
+"""Of these points at rest, the nearest ones that count as neighbours: as many as a vertex of a closed mesh has."""
 
 
 @dataclass(frozen=True)
@@ -390,3 +398,77 @@ def share_of(size: int, share: float, step: int) -> int:
     """
     before, after = (math.floor(round(share * size * count, 6)) for count in (step, step + 1))
     return after - before
+
+
+@dataclass(frozen=True)
+class PairOptions(PeopleOptions, CharacterOptions):
+    """For pairs of people, a share of them characters."""
+
+    def check(self, where: str) -> None:
+        """Raise InputError for characters with data that they cannot be a part of."""
+        super().check(where)
+        if self.characters and (self.kind != "wide" or not 0 < self.vertices <= PAIR_POINTS):
+            raise InputError(
+                f"{where}: expected data.characters from 0 to 1 with data.kind wide and up to {PAIR_POINTS} "
+                f"data.vertices, found {self.characters} with {self.kind} and {self.vertices or 'all'}; take the "
+                "configuration small"
+            )
+        if self.characters and self.pairing == "order":
+            raise InputError(f"{where}: expected data.pairing random with data.characters, found order; leave it out")
+
+
+class CharacterPairSource(BodySampler):
+    """Makes batches of which a share are pairs of characters; people drive every second of them."""
+
+    def __init__(
+        self, config: PairOptions, body: RiggedBody, device: torch.device, seed: int, characters: TrainingCharacters
+    ) -> None:
+        super().__init__(config, body, device, seed)
+        assert isinstance(self.people, EndlessPeople)
+        self.people.add_poses(characters.all_poses)
+        self.characters, heading = config.characters, math.radians(config.heading) / 4
+        self.figures = CharacterPairs(list(characters.surfaces), body, device, PAIR_POINTS, heading, missing=(0.0, 0.0))
+
+    def batch(self, size: int, step: int) -> PairBatch:
+        """Make the pairs of a step."""
+        rng, figures = self._generator(step), share_of(size, self.characters, step)
+        groups = [self.pairs(size - figures, rng)] if figures < size else []
+        groups += [self._figures(figures, rng)] if figures else []
+        names = ("identity", "driving", "truth", "truth_radius", "edges")
+        joined = {name: torch.cat([getattr(group, name) for group in groups]) for name in names}
+        return dataclasses.replace(groups[0], **joined)
+
+    def _figures(self, size: int, rng: torch.Generator) -> PairBatch:
+        (_, shapes), poses, _ = self.people.pairs(size, rng)
+        pairs = self.figures.draw(poses, rng)
+        index = self._with_neighbours(pairs.rest.points, rng)
+        identity, radius = in_unit_sphere(pairs.identity.points, index)
+        scale = radius if self.config.target_scale == "identity" else None
+        truth, own = in_unit_sphere(pairs.truth.points, index, scale)
+        driving, _ = in_unit_sphere(pairs.driving.points, self._random_rows(size, index.shape[1], rng))
+        people = size // 2
+        vertices = self._stratified_vertices(people, index.shape[1], rng)
+        driving[:people] = self._normalized_mesh(shapes[:people], pairs.pose[:people], vertices)[0]
+        self._reflect(rng, identity, driving, truth)
+        size_of_truth = (own / (own if scale is None else scale))[:, 0, 0]
+        return PairBatch(identity, driving, truth, size_of_truth, pairs_of_rows(index), self.edge_share)
+
+    def _with_neighbours(self, rest: Float[Tensor, "B P 3"], rng: torch.Generator) -> Int[Tensor, "B V"]:
+        """Draw points of which every second one is a neighbour at rest of the one before it."""
+        first = self._random_rows(len(rest), self.config.vertices // 2, rng)
+        distance = torch.cdist(rest.gather(1, first[..., None].expand(-1, -1, 3)), rest)
+        near = distance.topk(NEIGHBOURS + 1, largest=False).indices[..., 1:]
+        pick = random_index(NEIGHBOURS, (*first.shape, 1), rng)
+        return torch.stack([first, near.gather(2, pick)[..., 0]], -1).flatten(1)
+
+    def _random_rows(self, size: int, count: int, rng: torch.Generator) -> Int[Tensor, "B N"]:
+        return torch.rand(size, PAIR_POINTS, generator=rng, device=self.device).argsort(1)[:, :count]
+
+
+def in_unit_sphere(
+    points: Float[Tensor, "B P 3"], index: Int[Tensor, "B N"], radius: Float[Tensor, "B 1 1"] | None = None
+) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B 1 1"]]:
+    """Centre some of the points on the box of all, divide them by `radius` (None: that of all); give that of all."""
+    centred = points - (points.amax(1, keepdim=True) + points.amin(1, keepdim=True)) / 2
+    own = centred.norm(dim=-1).amax(1)[:, None, None]
+    return centred.gather(1, index[..., None].expand(-1, -1, 3)) / (own if radius is None else radius), own

@@ -6,9 +6,7 @@ the people, each in any of the poses; the truth is the first one in the pose of 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 import torch
@@ -16,49 +14,16 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ...bodies import RiggedBody
-from ...bodies.anatomy import anatomy_of_joints
 from ...bodies.joint_ranges import ranges_of
-from ...bodies.sampling import limits_rotvec, sample_pose
+from ...bodies.sampling import limits_rotvec
 from ...bodies.sampling import rotvec_to_rotmat as numpy_rotmat
 from ...core import geometry
-from ...core.errors import InputError
-from ...core.rig import descendants
 from ...evaluate.clip_protocols import CLIPS_ANIFORMER
 from ...evaluate.protocols import HUMAN_NPT
-from ..task import DataConfig, share
-from .bodies import TorchBody
-from .endless import EndlessOptions, EndlessPeople, random_index, straight_windows
-
-TABLE_KINDS = ("table6", "clips80")
-"""Kinds of data with a fixed table of people and poses, as in the papers."""
-
-
-@dataclass(frozen=True)
-class PeopleOptions(EndlessOptions):
-    """How people of the tables are drawn, and new ones; the kinds `table6` and `clips80`, and those of new people."""
-
-    between: float = share()
-    """`clips80`: share of windows and frames that lie on a straight way between two poses within the joint limits,
-    instead of in one of the 80 motions."""
-    recombine: float = share()
-    """`table6`, `clips80`: share of poses, or windows, whose head, arms and legs are each turned as in another one."""
-    mix_people: float = share()
-    """`table6`, `clips80`: share of people who are random mixtures of the 16 (`TablePeople.draw_shapes`)."""
-
-    def check(self, where: str) -> None:
-        """Raise InputError for changes to tables where there is none."""
-        super().check(where)
-        for key, kinds in (("between", TABLE_KINDS[1:]), ("recombine", TABLE_KINDS), ("mix_people", TABLE_KINDS)):
-            if (value := getattr(self, key)) and self.kind not in kinds:
-                raise InputError(f"{where}: expected data.{key} 0 with {self.kind}, found {value}")
-
-
-@dataclass(frozen=True)
-class ReflectOptions(DataConfig):
-    """For data whose truth may be mirrored."""
-
-    reflect: float = share()
-    """Share of every batch whose meshes are all mirrored, left to right."""
+from ..task import DataConfig
+from . import endless
+from .bodies import TorchBody, extreme_vertices
+from .endless import TABLE_KINDS, EndlessPeople, PeopleOptions, ReflectOptions, random_index, random_window
 
 
 class TablePeople:
@@ -79,7 +44,7 @@ class TablePeople:
         self.motions = self.poses[:, None]
         if clips:
             self.motions = torch.from_numpy(CLIPS_ANIFORMER.train_motions(body)).float().to(device)
-        self.limbs = torch.from_numpy(limb_masks(body)).to(device)
+        self.limbs = torch.from_numpy(endless.limb_masks(body)).to(device)
 
     def pairs(
         self, size: int, rng: torch.Generator
@@ -88,11 +53,11 @@ class TablePeople:
 
         The identity is in a Table 6 pose, the driving mesh in one or in a frame of a motion.
         """
-        shapes = self.draw_shapes(size, rng)
+        shapes = endless.mixed_people(self.shapes, self.config.mix_people, size, rng)
         table = self.poses[:, None]
-        identity = self._recombine(random_window(table, size, 1, rng), table, rng)
-        driving = self._recombine(random_window(self.motions, size, 1, rng), self.motions, rng)
-        driving = self._replace_by_straight(driving, rng)
+        identity = random_window(table, size, 1, rng)
+        identity = endless.recombined(identity, table, self.limbs, self.config.recombine, rng)
+        driving = self._drawn(size, 1, rng)
         nobody = torch.zeros(2, size, dtype=torch.bool, device=rng.device)
         return shapes, torch.stack([identity[:, 0], driving[:, 0]]), nobody
 
@@ -100,59 +65,15 @@ class TablePeople:
         self, size: int, rng: torch.Generator
     ) -> tuple[Float[Tensor, "2 B K"], Float[Tensor, "B J 3 3"], Float[Tensor, "B T J 3 3"]]:
         """Draw two people for each window, a Table 6 pose of the identity, and the driving poses of a motion."""
-        shapes = self.draw_shapes(size, rng)
-        window = self._recombine(random_window(self.motions, size, self.frames, rng), self.motions, rng)
-        window = self._replace_by_straight(window, rng)
-        pose = self.poses[random_index(len(self.poses), (size,), rng)]
-        return shapes, pose, window
+        shapes = endless.mixed_people(self.shapes, self.config.mix_people, size, rng)
+        window = self._drawn(size, self.frames, rng)
+        return shapes, self.poses[random_index(len(self.poses), (size,), rng)], window
 
-    def draw_shapes(self, size: int, rng: torch.Generator) -> Float[Tensor, "2 B K"]:
-        """Draw identities and driving people of the table: its people, the configured share mixtures of them.
-
-        A mixture is their mean plus normal multiples of what each departs from it, so that its mean and covariance are
-        those of the people. New people are as hard as new poses: 16 do not span a body of as many shape components.
-        """
-        people = self.shapes
-        shapes = people[random_index(len(people), (2, size), rng)]
-        if not self.config.mix_people:
-            return shapes
-        mean = people.mean(0)
-        normal = torch.randn(2, size, len(people), generator=rng, device=rng.device)
-        mixtures = mean + normal @ (people - mean) / math.sqrt(len(people))
-        some = torch.rand(2, size, 1, generator=rng, device=rng.device) < self.config.mix_people
-        return torch.where(some, mixtures, shapes)
-
-    def _recombine(
-        self, window: Float[Tensor, "B W J 3 3"], motions: Float[Tensor, "M T J 3 3"], rng: torch.Generator
-    ) -> Float[Tensor, "B W J 3 3"]:
-        """Turn each limb of the configured share of the windows as in a random window of the motions.
-
-        400 poses or 80 motions are too few to learn how any pose maps to any other: new ones have two to three times
-        the error of these. Their limbs make far more.
-        """
-        if not self.config.recombine:
-            return window
-        size, frames = window.shape[:2]
-        some = torch.rand(size, 1, generator=rng, device=rng.device) < self.config.recombine
-        for limb in self.limbs:
-            other = random_window(motions, size, frames, rng)
-            window = torch.where((some & limb)[:, None, :, None, None], other, window)
-        return window
-
-    def _replace_by_straight(self, window: Float[Tensor, "B T J 3 3"], rng: torch.Generator):
-        """Replace the configured share of the windows by straight ways between two poses."""
-        if not self.config.between:
-            return window
-        straight = straight_windows(self.limits, len(window), window.shape[1], rng)
-        some = torch.rand(len(window), generator=rng, device=rng.device) < self.config.between
-        return torch.where(some[:, None, None, None, None], straight, window)
-
-
-def people_of(
-    config: PeopleOptions, body: RiggedBody, device: torch.device, frames: int = 0
-) -> TablePeople | EndlessPeople:
-    """Make what people of a kind of data are drawn by, in pairs or in windows of some frames."""
-    return (TablePeople if config.kind in TABLE_KINDS else EndlessPeople)(config, body, device, frames)
+    def _drawn(self, size: int, frames: int, rng: torch.Generator) -> Float[Tensor, "B T J 3 3"]:
+        """Draw windows of the motions, with limbs of others and straight ways in place of some where that is asked."""
+        window = random_window(self.motions, size, frames, rng)
+        window = endless.recombined(window, self.motions, self.limbs, self.config.recombine, rng)
+        return endless.replaced_by_straight(window, self.limits, self.config.between, rng)
 
 
 class VertexSampler:
@@ -192,9 +113,6 @@ class VertexSampler:
     def _generator(self, step: int) -> torch.Generator:
         """Make the random numbers of a step."""
         return torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
-
-    def _tensor(self, array: np.ndarray) -> Tensor:
-        return torch.from_numpy(array).float().to(self.device)
 
     def _sample_vertices(
         self, size: int, rng: torch.Generator
@@ -277,7 +195,8 @@ class BodySampler(VertexSampler):
         super().__init__(body.vertices, body.faces, config, device, seed, by_area=config.kind == "wide")
         self.body = TorchBody(body).to(device)
         self.extreme = torch.from_numpy(extreme_vertices(body)).to(device)
-        self.people = people_of(config, body, device, frames)
+        drawn_by = TablePeople if config.kind in TABLE_KINDS else EndlessPeople
+        self.people = drawn_by(config, body, device, frames)
 
     def pairs(self, size: int, rng: torch.Generator) -> PairBatch:
         """Draw two people for each pair, in two poses, and make the first one in the pose of the second, too."""
@@ -287,6 +206,7 @@ class BodySampler(VertexSampler):
         driving, _ = self._normalized_mesh(driving_shape, driving_pose, driving_index)
         scale = radius if self.config.target_scale == "identity" else None
         truth, own = self._normalized_mesh(identity_shape, driving_pose, index, scale)
+        self._reflect(rng, identity, driving, truth)
         size_of_truth = (own / (own if scale is None else scale))[:, 0, 0]
         return PairBatch(identity, driving, truth, size_of_truth, edges, share)
 
@@ -314,40 +234,6 @@ class BodySampler(VertexSampler):
         return (points - centre) / (own if radius is None else radius), own
 
 
-def limb_masks(body: RiggedBody) -> Bool[np.ndarray, "L J"]:
-    """Tell which joints belong to head, arms and legs: those of each limb from its first joint on."""
-    tops = [body.joint(top) for top in anatomy_of_joints(body.joint_names).regions.values()]
-    joints = np.arange(len(body.joint_names))
-    return np.stack([np.isin(joints, list(descendants([top], body.parents))) for top in tops])
-
-
-def random_window(
-    motions: Float[Tensor, "M T J 3 3"], size: int, frames: int, rng: torch.Generator
-) -> Float[Tensor, "B W J 3 3"]:
-    """Cut windows of some frames out of random motions."""
-    which = random_index(len(motions), (size, 1), rng)
-    first = random_index(motions.shape[1] - frames + 1, (size, 1), rng)
-    return motions[which, first + torch.arange(frames, device=rng.device)]
-
-
 def pairs_of_rows(index: Int[Tensor, "B N"]) -> Int[Tensor, "B E 2"]:
     """List the edges among drawn vertices of which every second one is a neighbour of the one before it."""
     return torch.arange(index.shape[1], device=index.device).view(1, -1, 2).expand(len(index), -1, -1)
-
-
-@cache
-def extreme_vertices(body: RiggedBody, poses: int = 400) -> Int[np.ndarray, " N"]:
-    """Find the vertices that are outermost (along an axis, or from the centre) in any of many random poses.
-
-    Centre and radius of a posed body follow from these alone, within a hundredth or two of the radius. Posing takes
-    seconds, so a body's answer is kept.
-    """
-    found: list[int] = []
-    usual, widest = ranges_of(body)
-    for i in range(poses):
-        limits = usual if i % 2 else widest
-        vertices = body.posed(np.zeros(1), numpy_rotmat(sample_pose(body, 0, i, limits)))
-        centre = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
-        found += [*vertices.argmax(axis=0), *vertices.argmin(axis=0)]
-        found += np.argsort(np.linalg.norm(vertices - centre, axis=1))[-3:].tolist()
-    return np.unique(found)

@@ -33,7 +33,8 @@ from ...io import list_animations, load_clip, load_points
 from ...io.formats import ANIMATED, CACHES, CLIP_READERS, COLLECTIONS, MESH_READERS, MOTIONS
 from ...motions.on_body import is_motion_file
 from .characters import DAMAGED
-from .people import ReflectOptions, VertexSampler
+from .endless import ReflectOptions
+from .people import VertexSampler
 
 VOTES = 25
 """Meshes, evenly spread over the folder, whose detected axes are compared: the most frequent ones are those of all."""
@@ -689,7 +690,7 @@ class MeshSampler(VertexSampler):
         super().__init__(meshes.points[0], meshes.faces, config, device, seed)
         self.keep_unit = config.target_scale == "identity"
         self.points = torch.from_numpy(meshes.points).to(device)
-        self.radius = self._tensor(meshes.radius)
+        self.radius = torch.from_numpy(meshes.radius).float().to(device)
         self.triples = meshes.split.training.to(device)
 
     def sample(self, size: int, step: int) -> WindowBatch:
