@@ -152,10 +152,9 @@ the SMPL paper.
   holds for `betas`. Notes tell.
 * **Layouts.** A model has `v_template`, `shapedirs` (V, 3, K), `posedirs` (V, 3, 9 (J - 1)), `J_regressor` (J, V),
   `weights` (V, J), `kintree_table` (2, J) and `f`. A pickle of poses has `pose` (3 J) or (T, 3 J), `betas` and `trans`.
-* **Pickles** can run any program when Python loads them. mimesh does not load them: it only takes arrays of NumPy,
-  SciPy and chumpy out of them, also of those that Python 2.7 wrote with chumpy 0.70 (neither is needed). A pickle that
-  names anything else is refused
-  with that name. So are sizes that the file does not hold.
+* **Pickles** can run any program when Python loads them. mimesh only takes arrays of NumPy, SciPy and chumpy out of
+  them, also of those that Python 2.7 wrote with chumpy 0.70 (neither is needed). A pickle that names anything else is
+  refused with that name. One made to do harm can still use up memory or time: give no pickles of strangers to a server.
 """
 
 
