@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import usd_stages as stages
 import zoo
-from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdUtils
+from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from mimesh.core.geometry import face_normals, vertex_normals
 from mimesh.core.mesh import Clip, Material, Mesh, Part
@@ -115,6 +115,8 @@ def character(path: Path) -> Path:
     cube.AddScaleOp().Set((-3, 1, 2))
     cube.CreateNormalsAttr(stages.vectors(np.repeat(face_normals(zoo.cube().vertices, zoo.cube().faces)[::2], 4, 0)))
     cube.SetNormalsInterpolation("faceVarying")
+    uv = UsdGeom.PrimvarsAPI(cube).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
+    uv.Set(Vt.Vec2fArray.FromNumpy(np.random.default_rng(1).random((24, 2)).astype(np.float32)))
     stages.bind(cube.GetPrim(), stages.add_material(stage, "/world/m", (1, 0, 0), "./skin.png"))
     UsdGeom.Camera.Define(stage, "/world/camera").AddTranslateOp().Set((1, 2, 3))
     stage.Save()
@@ -139,6 +141,7 @@ def test_moved_mesh_keeps_what_was_read(before, after, tmp_path):
     np.testing.assert_array_equal(reread.faces, mesh.faces)
     np.testing.assert_array_equal(reread.source.sizes, mesh.source.sizes)
     np.testing.assert_allclose(reread.corner_normals, moved.corner_normals, atol=1e-6)
+    np.testing.assert_array_equal(reread.corner_uv, mesh.corner_uv)
     assert reread.parts == mesh.parts
     assert reread.parts[0].material.texture == PNG
     assert reread.source.details == mesh.source.details
