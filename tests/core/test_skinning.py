@@ -131,7 +131,8 @@ def test_a_bvh_skeleton_is_placed_as_the_body():
 
 def test_torch_bodies_are_the_numpy_bodies():
     torch = pytest.importorskip("torch")
-    learn_bodies = pytest.importorskip("mimesh.learn.bodies")
+    from mimesh.learn.data import bodies as learn_bodies
+
     twin = learn_bodies.TorchBody(BODY, torch.float64)
     shape, rotmat = torch.from_numpy(SHAPE)[None], torch.from_numpy(ROTMAT)[None]
     expected = BODY.posed(SHAPE, ROTMAT)
@@ -148,8 +149,8 @@ def test_torch_bodies_are_the_numpy_bodies():
 
 def test_torch_skinning_from_any_pose_is_that_of_a_packed_mesh():
     torch = pytest.importorskip("torch")
-    learn_bodies = pytest.importorskip("mimesh.learn.bodies")
-    twin = learn_bodies if hasattr(learn_bodies, "skinned") else pytest.importorskip("mimesh.learn.skinning")
+    from mimesh.learn.data import bodies as twin
+
     target = np.swapaxes(ROTATION, -1, -2)
     skinned = SkinnedMesh.of(POSED, Rig(ROTATION, POSITIONS, BODY.weights), BODY.parents)
     tensors = [torch.from_numpy(a)[None] for a in (POSED, BODY.weights, ROTATION, POSITIONS, target)]

@@ -23,9 +23,9 @@ from mimesh.learn import export  # noqa: E402
 from mimesh.learn.aniformer import AniFormerData, WindowSource  # noqa: E402
 from mimesh.learn.config import load_config  # noqa: E402
 from mimesh.learn.data.endless import training_takes  # noqa: E402
+from mimesh.learn.models import find_task  # noqa: E402
 from mimesh.learn.npt import NPTConfig, NPTData, NPTTrainConfig, PairSource  # noqa: E402
 from mimesh.learn.start import train_command  # noqa: E402
-from mimesh.learn.task import find_task  # noqa: E402
 from mimesh.methods.find import find_method  # noqa: E402
 
 CPU = torch.device("cpu")

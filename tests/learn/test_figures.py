@@ -125,7 +125,7 @@ def test_missing_hands_have_no_points(source):
 
 
 def test_props_are_moved_by_one_joint(source, monkeypatch):
-    monkeypatch.setattr("mimesh.learn.data.figures.SHARE", 1.0)
+    monkeypatch.setattr("mimesh.learn.data.figures.PROP_SHARE", 1.0)
     figures = source.figures.figures.draw(16, torch.Generator().manual_seed(3))
     total = source.figures.bank.points.shape[1]
     index = torch.arange(total, total + figures.props.there.shape[1]).expand(16, -1)
@@ -241,7 +241,7 @@ def test_low_poly_pairs_are_exact_and_change_no_other_batches(pool, source, monk
 
 def test_low_poly_people_have_few_normals():
     source = SurfaceSource(MimeData("wide", 1500, "identity", low_poly=1.0), BODY, CPU, 0)
-    people = source.people.draw(3, torch.Generator().manual_seed(0), 1.0)
+    people = source.dressed.draw(3, torch.Generator().manual_seed(0), 1.0)
     plain = torch.ones_like(people.length)
     skin = (torch.arange(people.worn.shape[1]) < 1).expand(3, -1)
     people = dataclasses.replace(people, length=plain, girth=plain, worn=skin, level=torch.tensor([1, 3, 0]))

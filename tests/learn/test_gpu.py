@@ -11,8 +11,8 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from mimesh.learn.config import load_config  # noqa: E402
+from mimesh.learn.models import find_task  # noqa: E402
 from mimesh.learn.optimizers import make_optimizers  # noqa: E402
-from mimesh.learn.task import find_task  # noqa: E402
 
 pytestmark = pytest.mark.gpu
 CONFIGS = sorted(path.name.removesuffix(".yaml") for path in (resources.files("mimesh.learn") / "configs").iterdir())

@@ -151,7 +151,7 @@ def test_shares_of_groups_sum_to_one():
 
 
 def test_data_of_another_kind_is_refused():
-    with pytest.raises(InputError, match=r"data\.kind hands"):
+    with pytest.raises(InputError, match=r"kind: expected hands"):
         load_config("small", "hands", ["data.kind=wide"])
     with pytest.raises(InputError, match=r"data\.characters"):
         load_config("small", "hands", ["data.characters=0.9"])

@@ -149,5 +149,5 @@ def test_the_data_must_have_the_templates_vertices():
 
 def test_the_target_scale_must_be_the_identitys():
     changed = {**CONFIG, "data": {**CONFIG["data"], "target_scale": "truth"}}
-    with pytest.raises(InputError, match=r"target_scale identity"):
+    with pytest.raises(InputError, match=r"target_scale: expected identity"):
         config_from(changed, "here")

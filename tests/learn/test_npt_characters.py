@@ -15,7 +15,7 @@ from mimesh.core.errors import InputError  # noqa: E402
 from mimesh.learn import checkpoint  # noqa: E402
 from mimesh.learn.data.characters import TrainingCharacters  # noqa: E402
 from mimesh.learn.data.figures import CharacterPairSource  # noqa: E402
-from mimesh.learn.npt import NPTData  # noqa: E402
+from mimesh.learn.npt import NPTData, PairSource  # noqa: E402
 from mimesh.learn.start import train_command  # noqa: E402
 from mimesh.learn.task import shipped_body  # noqa: E402
 
@@ -82,9 +82,9 @@ def test_characters_are_a_share_of_every_batch(pool):
     """The others are the people that there would be without characters; steps are pure."""
     mixed = source(pool, characters=0.25, vertices=32)
     assert_steps_are_pure(mixed)
-    alone = CharacterPairSource.__mro__[1](dataclasses.replace(CONFIG, vertices=32), BODY, CPU, 0)
+    alone = PairSource(dataclasses.replace(CONFIG, vertices=32), BODY, CPU, 0)
     alone.people.motion_frames = mixed.people.motion_frames
-    people = alone._people(6, alone._generator(4))
+    people = alone.pairs(6, alone._generator(4))
     batch = mixed.batch(8, 4)
     assert torch.equal(batch.truth[:6], people.truth)
     assert batch.edges.shape == (8, 16, 2)

@@ -33,9 +33,9 @@ from mimesh.learn.config import load_config, options_of  # noqa: E402
 from mimesh.learn.data.registered import HeldOutMeshes, RegisteredMeshes  # noqa: E402
 from mimesh.learn.export import DATA, export_command  # noqa: E402
 from mimesh.learn.loop import TrainingRun, train  # noqa: E402
+from mimesh.learn.models import NETWORKS, find_task  # noqa: E402
 from mimesh.learn.npt import MeshPairSource, NPTData  # noqa: E402
 from mimesh.learn.start import train_command  # noqa: E402
-from mimesh.learn.task import NETWORKS, find_task  # noqa: E402
 from mimesh.learn.validation import Validation  # noqa: E402
 from mimesh.methods.find import find_method  # noqa: E402
 

@@ -5,7 +5,7 @@ import torch
 
 from mimesh.core.errors import InputError
 from mimesh.learn.config import load_config
-from mimesh.learn.task import NETWORKS, find_task
+from mimesh.learn.models import NETWORKS, find_task
 
 
 @pytest.mark.parametrize("network", NETWORKS)

@@ -6,8 +6,8 @@ import torch
 from mimesh.evaluate.clip_protocols import on_template
 from mimesh.learn.aniformer import AniFormerConfig, AniFormerData, AniFormerTrainConfig
 from mimesh.learn.limp import LIMPData, LIMPTrainConfig
+from mimesh.learn.models import find_task
 from mimesh.learn.npt import NPTData, NPTTrainConfig
-from mimesh.learn.task import find_task
 from mimesh.learn.validation import Validation, to_unit_sphere
 
 OPTIONS = ("clips80", 2100, "identity")

@@ -20,7 +20,8 @@ from ..evaluate.metrics import VERSION
 from ..evaluate.provenance import commit
 from ..io.atomic import whole_file
 from .config import config_differences, recorded_config
-from .task import TrainConfig, UserData, find_task
+from .models import find_task
+from .task import TrainConfig, UserData
 
 SCHEDULE = ("seed", "pairs", "minutes", "decay", "learning_rate", "accumulate", "doublings")
 """Keys of the schedule, which may change where a training is resumed."""

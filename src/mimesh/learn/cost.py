@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from .checkpoint import Checkpoint
-from .task import BatchSource, Task, TrainConfig, find_task
+from .models import find_task
+from .task import BatchSource, Task, TrainConfig
 
 if TYPE_CHECKING:
     from .loop import TrainingRun

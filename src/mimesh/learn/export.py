@@ -29,7 +29,8 @@ from .config import recorded_config
 from .cost import operations_spent
 from .data.characters import CharacterOptions
 from .data.endless import PeopleOptions
-from .task import DataConfig, OnnxInterface, Task, find_task
+from .models import find_task
+from .task import DataConfig, OnnxInterface, Task
 
 DATA = {
     "table6": "16 people x 400 poses of NPT Table 6",

@@ -17,9 +17,10 @@ from . import checkpoint
 from .cost import described_cost, operations_of, training_operations
 from .data.user_data import refuse_other_data
 from .log import TrainingLog, unfinished
+from .models import find_task
 from .optimizers import COMPILE_OPTIONS, DTYPES, choose_precision, make_optimizers, schedule
 from .processes import Processes, StopRequest, joined_processes
-from .task import BatchSource, Task, TrainConfig, UserData, batches_of, find_task
+from .task import BatchSource, Task, TrainConfig, UserData, batches_of
 from .validation import Validation
 
 SAVE_SECONDS = 60.0

@@ -15,8 +15,9 @@ from .data.characters import CharacterOptions
 from .data.user_data import Folders, ProgressBar, read_user_data
 from .export import load_start
 from .loop import TrainingRun, train
+from .models import NETWORKS
 from .processes import joined_processes
-from .task import NETWORKS, TrainConfig, UserData
+from .task import TrainConfig, UserData
 
 CHARACTER_SHARE = 0.5
 """Share of every batch that characters of a folder have, unless the configuration says otherwise."""

@@ -16,8 +16,6 @@ from ..bodies import RiggedBody, load_body
 from ..core.errors import InputError
 from ..evaluate import protocols
 
-NETWORKS = ("npt", "aniformer", "limp", "mime", "hands")
-"""The networks that can be trained."""
 STEPS_AHEAD = 8
 """Batches that a GPU makes at once. It computes one faster than its hundreds of small operations can be started."""
 
@@ -62,7 +60,7 @@ class TrainConfig:
     """Everything a training depends on besides the code; each model adds fields. The defaults are the papers'."""
 
     network: str = ""
-    """Name of the model, one of `NETWORKS`."""
+    """Name of the model, one of `models.NETWORKS`."""
     model: Any = None
     """Options of the network."""
     data: DataConfig = field(default_factory=DataConfig)
@@ -301,25 +299,3 @@ def batches_of(task: Task, seed: int) -> BatchSource:
     one = source.batch(1, 0)
     flat = all(isinstance(getattr(one, field.name), (Tensor, float)) for field in dataclasses.fields(one))
     return BatchesAhead(source) if flat else source
-
-
-def find_task(network: str) -> type[Task]:
-    """Give the task of a network by its name.
-
-    Raises:
-        InputError: no network of that name can be trained.
-    """
-    match network:
-        case "npt":
-            from .npt import NPTTask as task
-        case "aniformer":
-            from .aniformer import AniFormerTask as task
-        case "limp":
-            from .limp import LIMPTask as task
-        case "mime":
-            from .mime import MimeTask as task
-        case "hands":
-            from .hands import HandsTask as task
-        case _:
-            raise InputError(f"{network}: expected a model that can be trained ({', '.join(NETWORKS)}), found another")
-    return task

@@ -1,0 +1,31 @@
+"""The networks that can be trained, by name."""
+
+from __future__ import annotations
+
+from ..core.errors import InputError
+from .task import Task
+
+NETWORKS = ("npt", "aniformer", "limp", "mime", "hands")
+"""The networks that can be trained."""
+
+
+def find_task(network: str) -> type[Task]:
+    """Give the task of a network by its name.
+
+    Raises:
+        InputError: no network of that name can be trained.
+    """
+    match network:
+        case "npt":
+            from .npt import NPTTask as task
+        case "aniformer":
+            from .aniformer import AniFormerTask as task
+        case "limp":
+            from .limp import LIMPTask as task
+        case "mime":
+            from .mime import MimeTask as task
+        case "hands":
+            from .hands import HandsTask as task
+        case _:
+            raise InputError(f"{network}: expected a model that can be trained ({', '.join(NETWORKS)}), found another")
+    return task
