@@ -131,9 +131,9 @@ def test_windows_are_of_gaits_and_of_ways_between_poses():
     assert steps.max() < 0.5
     takes = training_takes(BODY)
     assert all(take.shape == (60, *BODY.joints.shape) for take in takes)
-    assert len(source.captured) == sum(map(len, takes))
+    assert len(source.people.captured) == sum(map(len, takes))
     # A window at the highest speed ends in the take that it begins in.
-    first = source.starts.numpy()
+    first = source.people.starts.numpy()
     assert (first // 60 == (first + 3 * 2) // 60).all()
     assert len(first) == len(takes) * (60 - 6)
 

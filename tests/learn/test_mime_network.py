@@ -4,7 +4,6 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from mimesh.learn.config import config_from  # noqa: E402
 from mimesh.learn.data.bodies import posed_joints, skinned  # noqa: E402
 from mimesh.learn.mime import (  # noqa: E402
     JointFrames,
@@ -88,29 +87,3 @@ def test_the_loss_reaches_every_weight(model, batch):
     assert loss.isfinite()
     assert [n for n, p in model.named_parameters() if p.grad is None or not p.grad.isfinite().all()] == []
     assert [n for n, p in model.named_parameters() if not p.grad.any()] == []
-
-
-def test_weights_under_their_former_names_load(model):
-    former = {
-        ".cross_attention.": ".look.",
-        ".self_attention.": ".attend.",
-        "refinement.correction.": "mending.mend.",
-        "refinement.point.": "mending.seen.",
-        "refinement.": "mending.",
-        "skinning_head.": "weigh.",
-    }
-    state = {}
-    for name, value in model.state_dict().items():
-        for today, then in former.items():
-            name = name.replace(today, then)
-        state[name] = value
-    assert {name.split(".")[0] for name in state} >= {"mending", "weigh"}
-    again = MimeNetwork(SMALL, BODY)
-    again.load_state_dict(state)
-    assert all(torch.equal(value, again.state_dict()[name]) for name, value in model.state_dict().items())
-
-
-def test_former_configuration_keys_are_read():
-    values = {"network": "mime", "model": {"mendings": 2, "weighing": 8}, "structure": {"joints": 0.5}}
-    config = config_from(values | {"data": {"kind": "wide", "target_scale": "identity"}}, "here")
-    assert (config.model.refinements, config.model.skinning) == (2, 8)

@@ -54,7 +54,7 @@ def train(
     require("train", "torch", "yaml", "safetensors", "tensorboard")
     with progress("starting", json):  # PyTorch takes seconds to load
         from ..learn.processes import is_first_process
-        from ..learn.train import train_command
+        from ..learn.start import train_command
 
     folder = train_command(
         model,

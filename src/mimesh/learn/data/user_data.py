@@ -44,10 +44,12 @@ class Folders:
             options: of the model's data.
 
         Raises:
-            InputError: it does not, or there is a pattern without a folder.
+            InputError: it does not, or they do not go together.
         """
         if self.pattern and self.meshes is None:
             raise InputError(f"--pattern {self.pattern}: expected it with --meshes, found it without; name the folder")
+        if self.meshes is not None and (self.characters or self.clips):
+            raise InputError("--meshes: expected it without --characters and --clips, found both; leave one out")
         of_characters = issubclass(options, CharacterOptions)
         takes = {
             "meshes": issubclass(options, MeshOptions),
@@ -80,14 +82,12 @@ def read_meshes(data: MeshOptions, folders: Folders, window: int, bar: ProgressB
     """Read the registered meshes of a folder.
 
     Raises:
-        InputError: no folder, others beside it, or nothing to train on in it.
+        InputError: no folder, or nothing to train on in it.
     """
     if folders.meshes is None:
         raise InputError(
             "--meshes: expected the folder of meshes that this training is on, found none; add --meshes FOLDER"
         )
-    if folders.characters or folders.clips:
-        raise InputError("--meshes: expected it without --characters and --clips, found both; leave one out")
     with bar("reading meshes") as progress:
         return RegisteredMeshes.read(folders.meshes, data, window, progress)
 
