@@ -6,7 +6,7 @@ import torch
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
-from mimesh.learn import bodies
+from mimesh.learn.data import bodies
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ import mimesh
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
-from mimesh.learn.config import config_from, load_config
+from mimesh.learn.config import load_config, recorded_config
 from mimesh.learn.cost import operations_of
 from mimesh.learn.export import compress, export_command, infer_onnx, to_onnx
 from mimesh.learn.loop import TrainingRun
@@ -112,7 +112,7 @@ def test_shipped_files_hold_no_paths_of_sources():
 @pytest.mark.parametrize("path", CARDS, ids=lambda path: path.stem)
 def test_cards_have_the_arithmetic_of_their_training(path):
     card = json.loads(path.read_text())
-    config, total = config_from(card["config"], path.name), 0.0
+    config, total = recorded_config(card["config"], path.name), 0.0
     # Backwards: the last stretch has the vertices of the configuration, those before have what the changes say.
     last, vertices = card["pairs"], config.data.vertices
     for change in reversed([change for change in card.get("changes", []) if "data.vertices" in change]):
