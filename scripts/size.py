@@ -8,10 +8,11 @@ Files are those that git knows. An arrow is an import of one package of `mimesh`
 from __future__ import annotations
 
 import argparse
-import ast
 import json
 import subprocess
 from pathlib import Path
+
+import grimp
 
 ROOT = Path(__file__).parents[1]
 PARTS = ("src", "tests", "scripts", "research", "benchmarks", "blender", "examples", "docs")
@@ -43,7 +44,7 @@ def count() -> dict:
     words = {p: len(p.read_text(encoding="utf-8").split()) for p in pages}
     apart = {"README": ROOT / "README.md", "the log": ROOT / "docs" / "LOG.md", "results": ROOT / "docs" / "RESULTS.md"}
     rest = sum(number for page, number in words.items() if page not in apart.values())
-    arrows = sorted({arrow for path in python["src"] for arrow in arrows_of(path)})
+    arrows = sorted(package_imports())
     return {
         "python": {part: (len(paths), sum(map(lines_of, paths))) for part, paths in python.items()},
         "words": {**{name: words[page] for name, page in apart.items()}, f"{len(pages) - len(apart)} others": rest},
@@ -58,23 +59,12 @@ def lines_of(path: Path) -> int:
     return len(path.read_text(encoding="utf-8").splitlines())
 
 
-def arrows_of(path: Path) -> set[tuple[str, str]]:
-    """Find the packages of mimesh that a module imports from other packages of mimesh."""
-    place = path.relative_to(ROOT / "src" / "mimesh").parts
-    arrows = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom):
-            above = place[: len(place) - node.level] if node.level else ()
-            names = (node.module or "").split(".") if node.module else [alias.name for alias in node.names]
-            target = [*above, *names] if node.level else names[1:] if names[0] == "mimesh" else []
-            if target:
-                arrows.add((top(place[0]), top(target[0])))
-    return {(here, there) for here, there in arrows if here != there}
-
-
-def top(name: str) -> str:
-    """Give the package, or the module at the top, that a name belongs to."""
-    return name.removesuffix(".py")
+def package_imports() -> set[tuple[str, str]]:
+    """Find which package of mimesh imports which other one; imports for type checkers count."""
+    graph = grimp.build_graph("mimesh", cache_dir=None)
+    pairs = ((module, other) for module in graph.modules for other in graph.find_modules_directly_imported_by(module))
+    names = ((module.split(".")[1], other.split(".")[1]) for module, other in pairs if "." in module and "." in other)
+    return {(here, there) for here, there in names if here != there}
 
 
 if __name__ == "__main__":

@@ -2,15 +2,17 @@
 
 import ast
 from collections import Counter
-from functools import cache
 from pathlib import Path
 
+import grimp
 import pytest
 
 import mimesh
 
 ROOT = Path(mimesh.__file__).parent
+CHECKOUT = Path(__file__).parents[1]
 GUARDS = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
+IMPORTERS = ("import_module", "__import__", "importorskip")
 FILES = sorted(ROOT.rglob("*.py"))
 
 
@@ -20,41 +22,10 @@ def skipped_nodes(tree: ast.Module) -> set[ast.AST]:
     return {inner for guard in guards for statement in guard.body for inner in ast.walk(statement)}
 
 
-@cache
-def modules() -> dict[str, Path]:
-    """Module name below `mimesh` -> its file; "" is the package itself."""
-    return {
-        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix("__init__").rstrip("."): path
-        for path in FILES
-    }
-
-
-@cache
-def imports_of(module: str) -> frozenset[str]:
-    """Modules of ours that one imports when it runs, at load or inside a function."""
-    path = modules()[module]
-    package = module.split(".") if path.name == "__init__.py" and module else module.split(".")[:-1]
-    tree = ast.parse(path.read_text())
-    skipped, found = skipped_nodes(tree), set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node not in skipped:
-            if node.level:
-                base = [*package[: len(package) + 1 - node.level], *(node.module or "").split(".")]
-            elif (node.module or "").split(".")[0] == "mimesh":
-                base = node.module.split(".")[1:]
-            else:
-                continue
-            owner = ".".join(part for part in base if part)
-            names = (f"{owner}.{alias.name}".lstrip(".") for alias in node.names)
-            found |= {name if name in modules() else owner for name in names}
-        elif isinstance(node, ast.Import) and node not in skipped:
-            names = {alias.name.removeprefix("mimesh.") for alias in node.names if alias.name.startswith("mimesh.")}
-            found |= names
-    return frozenset(found - {module})
-
-
-def test_no_modules_import_each_other_in_a_circle():
-    waiting = {module: set(imports_of(module)) - {""} for module in modules()}
+def test_the_package_imports_nothing_and_no_modules_import_each_other_in_a_circle():
+    graph = grimp.build_graph("mimesh", exclude_type_checking_imports=True, cache_dir=None)
+    waiting = {module: graph.find_modules_directly_imported_by(module) - {"mimesh"} for module in graph.modules}
+    assert not waiting["mimesh"]
     while free := {module for module, others in waiting.items() if not others & waiting.keys()}:
         waiting = {module: others for module, others in waiting.items() if module not in free}
     assert sorted(waiting) == []
@@ -75,6 +46,51 @@ def test_no_model_is_named_outside_the_methods(name):
     """The pipeline, the studio and the tools treat all methods alike."""
     found = {path.relative_to(ROOT).parts[0] for path in FILES if name in path.read_text()}
     assert found == {"methods"}
+
+
+def imports_onnxruntime(source: str) -> bool:
+    """Whether a file imports onnxruntime when it runs, by a statement or by a function; type checkers may."""
+    tree = ast.parse(source)
+    skipped = skipped_nodes(tree)
+    for node in ast.walk(tree):
+        if node in skipped:
+            continue
+        names: list[object] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            names = [node.module]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in IMPORTERS:
+            names = [argument.value for argument in node.args if isinstance(argument, ast.Constant)]
+        if any(str(name).split(".")[0] == "onnxruntime" for name in names):
+            return True
+    return False
+
+
+@pytest.mark.parametrize("folder", ["src", "scripts", "research", "benchmarks", "blender", "examples", "docs", "tests"])
+def test_one_module_imports_onnxruntime(folder):
+    names = {"src": ["mimesh/methods/onnx_runtime.py"], "tests": ["test_privacy.py"]}
+    files = sorted((CHECKOUT / folder).rglob("*.py"))
+    assert files
+    allowed = [CHECKOUT / folder / name for name in names.get(folder, [])]
+    assert [path for path in files if imports_onnxruntime(path.read_text())] == allowed
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("def run():\n    import onnxruntime as ort", True),
+        ("from onnxruntime.capi import errors", True),
+        ("import importlib\nimportlib.import_module('onnxruntime')", True),
+        ("pytest.importorskip('onnxruntime')", True),
+        ("if TYPE_CHECKING:\n    from onnxruntime import InferenceSession", False),
+        ("if TYPE_CHECKING:\n    pass\nelse:\n    import onnxruntime", True),
+        ("if not TYPE_CHECKING:\n    import onnxruntime", True),
+        ("from .onnx_runtime import import_onnxruntime", False),
+    ],
+)
+def test_an_import_of_onnxruntime_is_found(source, found):
+    assert imports_onnxruntime(source) == found
 
 
 def test_importing_the_package_loads_nothing_heavy():

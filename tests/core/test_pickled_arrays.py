@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import pickle
 import pickletools
 import subprocess
 import sys
+import time
 import types
 from pathlib import Path
 
@@ -163,12 +165,25 @@ def test_the_malicious_pickles_would_work_in_pickle_itself(tmp_path):
 
 CODES = {
     "persistent identifier": b"\x80\x02Pfile\n.",
+    "persistent identifier, binary": b"\x80\x02S'x'\nQ.",
     "extension registry": b"\x80\x02\x82\x01.",
+    "out-of-band buffer": b"\x80\x05\x97.",
+    "state of a dictionary": b"\x80\x02}}b.",
+    "state of a name": b"\x80\x02cnumpy\nndarray\nN}S'__setstate__'\nN\x86b.",
     "call of a text": b"\x80\x02S'eval'\n(S'1'\ntR.",
+    "call of a call": b"\x80\x02cnumpy\nndarray\n)R)R.",
+    "call with a dictionary": b"\x80\x02cnumpy\nndarray\n}R.",
+    "reconstructor of a text": b"\x80\x02ccopy_reg\n_reconstructor\n(S'os.system'\nNNtR.",
+    "item of a list": b"\x80\x02](K\x01K\x02u.",
+    "append to a dictionary": b"\x80\x02}K\x01a.",
     "empty stack": b"\x80\x020.",
+    "no mark": b"\x80\x02t.",
+    "unknown memo": b"\x80\x02h\x07.",
     "unknown code": b"\x80\x02\xfe.",
+    "protocol of the future": b"\x80\x63}.",
     "nothing": b"",
     "no dictionary": b"\x80\x02K\x01.",
+    "a list": b"\x80\x02].",
     "no pickle": b"PK\x03\x04 something else",
     "an HTML page": b"<!DOCTYPE html><title>Sign in</title>",
 }
@@ -183,6 +198,81 @@ def test_odd_codes_give_one_error(name, tmp_path):
 def test_a_state_that_sets_attributes_of_a_class_stays_in_its_file(tmp_path):
     error_of(b"\x80\x02}S'a'\ncscipy.sparse\ncsr_matrix\nN}S'data'\nK\x01s\x86bs.", tmp_path)
     test_arrays_of_every_layout_are_read_exactly(2, tmp_path)
+
+
+def array_pickle(shape: bytes, kind: bytes = b"f8", data: bytes = b"12345678", order: bytes = b"<") -> bytes:
+    """A pickle of {"a": array} with the pickled shape, the type and the bytes given."""
+    return (
+        b"\x80\x02}U\x01acnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85U\x01b\x87R(K\x01"
+        + shape + b"cnumpy\ndtype\n(U" + bytes([len(kind)]) + kind + b"K\x00K\x01tR"
+        + b"(K\x03U" + bytes([len(order)]) + order
+        + b"NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89U" + bytes([len(data)]) + data + b"tbs."
+    )  # fmt: skip
+
+
+def test_the_arrays_of_the_next_test_are_good_otherwise(tmp_path):
+    read = read_pickled_arrays(write(tmp_path / "a.pkl", array_pickle(b"K\x01\x85")))
+    assert read.array("a").tobytes() == b"12345678"
+
+
+BOMBS = {
+    "shape larger than the bytes": array_pickle(b"J\xff\xff\xff\x7fJ\xff\xff\xff\x7f\x86"),
+    "shape that overflows": array_pickle(b"\x8a\x08" + b"\x00" * 7 + b"\x10" + b"K\x20\x86"),
+    "type of a terabyte": array_pickle(b"K\x01\x85", b"V999999999999"),
+    "type with a shape": array_pickle(b"K\x01\x85", b"(99999,99999)f8"),
+    "type of objects": array_pickle(b"K\x01\x85", b"O8"),
+    "type of fields": array_pickle(b"K\x01\x85", b"f4,f4"),
+    "odd byte order": array_pickle(b"K\x01\x85", order=b"f8,<"),
+    "shape of the empty array": b"\x80\x02}U\x01acnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\n"
+    b"\x8a\x05\x00\x00\x00\x00\x7f\x85U\x01b\x87Rs.",
+    "memo of four billion": b"\x80\x02}r\xff\xff\xff\xffK\x01.",
+    "memo, as text": b"(dp999999999999999\n0K\x01.",
+    "bytes of an exabyte": b"\x80\x04}\x8c\x01a\x8e" + b"\xff" * 7 + b"\x00" + b"s.",
+    "byte array of an exabyte": b"\x80\x05}\x8c\x01a\x96" + b"\xff" * 6 + b"\x0f\x00" + b"s.",
+    "text of four gigabytes": b"\x80\x02}X\xff\xff\xff\xffas.",
+    "frame of an exabyte": b"\x80\x04\x95" + b"\xff" * 6 + b"\x0f\x00}.",
+    "number of a million digits": b"I" + b"9" * 1_000_000 + b"\n.",
+    "nested lists": b"\x80\x02}U\x01a" + b"]" * 100_000 + b"a" * 99_999 + b"s.",
+    "variable of itself": b"\x80\x02}U\x01acchumpy.ch\nCh\n)\x81q\x01}U\x01xh\x01sbs.",
+    "variables of variables": b"\x80\x02}U\x01a"
+    + b"cchumpy.ch\nCh\n)\x81}U\x01x" * 50_000
+    + b"K\x01"
+    + b"sb" * 50_000
+    + b"s.",
+}
+
+
+def selections(depth: int) -> bytes:
+    """A pickle whose entry "a" is a selection from a selection by itself, `depth` times: 2^depth arrays to make."""
+    level = b"cchumpy.reordering\nSelect\n)\x81}(U\x01ah%cU\x04idxsh%cubq%c0"
+    array = pickle.dumps(np.zeros(1, np.int64), 2)[2:-1] + b"q\x640"
+    names = [100, *range(101, 101 + depth)]
+    chain = b"".join(level % (below, below, name) for below, name in itertools.pairwise(names))
+    return b"\x80\x02" + array + chain + b"}U\x01ah%cs." % names[-1]
+
+
+TWINS = b"K\x01" + b"2\x86" * 60
+"""A tuple of a tuple of ... twice each: to print, to hash and to compare it takes 2^60 steps. As a key it does, and so
+do many keys of one hash: see the page of formats."""
+BOMBS |= {
+    "nested tuples as a type": b"\x80\x02}U\x01acnumpy.core.multiarray\nscalar\ncnumpy\ndtype\n("
+    + TWINS + b"K\x00K\x01tRU\x0812345678\x86Rs.",
+    "nested tuples as the type of an array": array_pickle(b"K\x01\x85").replace(b"U\x02f8", TWINS),
+    "nested tuples as an order": b"\x80\x02}U\x01acnumpy.core.numeric\n_frombuffer\n(U\x0812345678cnumpy\ndtype\n"
+    + b"(U\x02f8K\x00K\x01tRK\x01\x85" + TWINS + b"tRs.",
+    "selections of selections": selections(40),
+    "number of ten thousand digits as a key": b"\x80\x02}\x8b\x70\x17\x00\x00" + b"\x01" * 6000 + b"K\x01s.",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_claims_of_great_size_cost_nothing(name, tmp_path):
+    import resource
+
+    before, started = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
+    error_of(BOMBS[name], tmp_path)
+    assert time.process_time() - started < 5
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB
 
 
 def spoilt(**changes) -> dict:

@@ -126,7 +126,8 @@ def test_interrupted_run_is_continued_with_the_same_commit(commit, again, tmp_pa
     assert len(measured) == 5 + again
     for a, b in zip(resumed["results"], uninterrupted["results"], strict=True):
         assert a["pmd_e4"] == b["pmd_e4"]
-    assert not out.with_name("figures.json.partial").exists()
+    assert {path.name for path in tmp_path.iterdir()} - {"figures.json.partial.old"} == {out.name}
+    assert (tmp_path / "figures.json.partial.old").exists() == (commit == "abc-dirty")
 
 
 def interrupted(*_):
@@ -392,6 +393,7 @@ def test_evaluation_of_clips_has_clip_metrics_and_is_continued(tmp_path, monkeyp
         return measure_clip(shortened(trial, 3), method, **options)
 
     monkeypatch.setattr("mimesh.evaluate.run.measure_clip", counted)
+    monkeypatch.setattr("mimesh.evaluate.run.commit", lambda: "abc")
     folder = write_all(tmp_path / "motions")
     with pytest.raises(KeyboardInterrupt):
         evaluate_command("clips-aniformer", ["copy"], out, pairs=1, data=folder)

@@ -18,7 +18,7 @@ from mimesh.core.errors import InputError
 
 CASES = {"bvh": 80, "amass": 80, "vrma": 60, "glb": 200, "gltf": 200, "vrm": 150, "onnx": 200}
 """Cases of the slower readers; the limit is a number of cases, so that every machine reads the same."""
-OTHERS, NATIVE = 300, 20
+OTHERS, NATIVE = 300, 40
 """Cases of other readers, and of those whose library decodes each file in a guarded process of its own."""
 
 
@@ -33,8 +33,8 @@ def test_damaged_files_are_read_or_refused(name, tmp_path):
     ):
         assert outcome.kind != "failed", f"case {number} of {name}: {outcome.text}"
         kinds[outcome.kind] += 1
-    assert kinds["accepted"]
-    assert kinds["refused"]
+    assert kinds["accepted"] > 2
+    assert kinds["refused"] > 2
 
 
 def test_cases_are_the_same_each_time():
@@ -53,12 +53,20 @@ def _warn(path: Path):
     return zoo.cube()
 
 
+def _refuse_for_memory(path: Path):
+    try:
+        raise MemoryError
+    except MemoryError as error:
+        raise InputError(f"{path}: expected little, found much; less") from error
+
+
 BAD_UV = dataclasses.replace(zoo.cube(), corner_uv=np.full((12, 3, 2), np.nan))
 OUTSIDE = dataclasses.replace(zoo.tetrahedron(), faces=np.array([[0, 1, 4]]))
 FAILURES = {
     "exception": (lambda path: _raise(KeyError("x")), r"^KeyError at test_damaged_at_random.py:\d+: 'x'"),
     "unclear": (lambda path: _raise(InputError("no")), "^an unclear refusal: 'no'"),
     "warning": (_warn, r"^warning at test_damaged_at_random.py:\d+: careful"),
+    "memory": (_refuse_for_memory, "^more memory than there is"),
     "not finite": (lambda path: BAD_UV, "^corner_uv of another size or not finite"),
     "out of range": (lambda path: OUTSIDE, "^faces out of range"),
 }

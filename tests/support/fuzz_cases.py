@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fuzz_seeds import Seed
-from fuzz_targets import Target, case_of, problem_of, shape_of, unclear
+from fuzz_targets import Target, case_of, problem_of, unclear
 
 from mimesh.core.errors import InputError
 
@@ -42,8 +42,10 @@ def run_case(read: Any, path: Path) -> Outcome:
             result = read(path)
             kind, text = "accepted", problem_of(result)
     except InputError as error:
-        kind, text = "refused", shape_of(str(error))
-        if unclear(str(error), path):
+        kind, text = "refused", str(error)
+        if _caused_by_memory(error):
+            kind, text = "failed", "more memory than there is, refused"
+        elif unclear(str(error), path):
             kind, text = "failed", f"an unclear refusal: {str(error)[:300]!r}"
     except Exception as error:
         kind, text = "failed", f"{type(error).__name__} at {_place(error)}: {str(error)[:200]}"
@@ -56,6 +58,14 @@ def run_case(read: Any, path: Path) -> Outcome:
     if kind != "failed" and seconds > SECONDS:
         kind, text = "failed", f"{seconds:.0f} s of processor time"
     return Outcome(kind, text or "", seconds)
+
+
+def _caused_by_memory(error: BaseException | None) -> bool:
+    while error is not None:
+        if isinstance(error, MemoryError):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _place(error: BaseException) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
-import re
 import tempfile
 from collections.abc import Callable
 from functools import cache, partial
@@ -110,11 +109,6 @@ def unclear(message: str, path: Path) -> bool:
     """Whether a refusal is not one line that names the file, what was expected and what was found."""
     words = all(word in message for word in ("expected ", "found ", str(path.parent)))
     return not words or "\n" in message or len(message) > LONGEST_REFUSAL
-
-
-def shape_of(message: str) -> str:
-    """Return a refusal without its numbers, quoted words and paths: what tells refusals apart."""
-    return re.sub(r"'[^']*'|\"[^\"]*\"|/\S+|\d[\d.,]*", "_", message)[:90]
 
 
 def read_rig(path: Path) -> Mesh:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import io
 import pickle
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -32,6 +33,10 @@ NAMES = {
 """Package -> classes and functions that a pickle may name, in whatever module of the package a version has them."""
 TYPES = {f"{kind}{size}" for kind, sizes in {"f": "248", "i": "1248", "u": "1248", "b": "1"}.items() for size in sizes}
 """Types of arrays that are read, as NumPy names them in a pickle."""
+LARGEST_SPARSE = 1 << 24
+"""Entries, zeros included, up to which a sparse matrix is accepted: joints times vertices, 1.6 million for SMPL+H."""
+LARGEST_KEY = 1 << 60
+"""Numbers below this are keys of dictionaries."""
 DAMAGE = (
     *(pickle.UnpicklingError, ValueError, TypeError, LookupError, AttributeError, EOFError, OverflowError),
     *(RuntimeError, SystemError, MemoryError, struct.error),
@@ -73,6 +78,8 @@ def read_pickled_arrays(path: Path) -> PickledArrays:
     entries = _load(path.read_bytes(), path)
     if not isinstance(entries, dict):
         raise InputError(f"{path}: expected a pickled dictionary of arrays, found something else; check the file")
+    if any(isinstance(key, int) and abs(key) >= LARGEST_KEY for key in entries):  # Python refuses to print long ones
+        raise InputError(f"{path}: expected names of arrays, found a number of many digits; check the file")
     return PickledArrays(path, {_text(key): value for key, value in entries.items()})
 
 
@@ -135,6 +142,18 @@ class _Unpickler(pickle._Unpickler):
             )
         return self.records.get(name, _reconstructor)
 
+    def load_bytearray8(self) -> None:
+        """Read a byte array as bytes: the machine would make room for what the file claims."""
+        (size,) = struct.unpack("<Q", self.read(8))
+        self.append(self.read(size))
+
+    dispatch: ClassVar[dict[int, Callable[..., None]]] = {
+        **pickle._Unpickler.dispatch,
+        pickle.BYTEARRAY8[0]: load_bytearray8,
+    }
+    append: Callable[[object], None]
+    read: Callable[[int], bytes]
+
 
 def _reconstructor(kind: type, *_: object) -> _Record:
     """Make an empty object of a class, as `copyreg._reconstructor` does."""
@@ -152,7 +171,8 @@ def _array(value: Any) -> np.ndarray:
     kind = type(value).__name__
     if kind == "_reconstruct":  # the state is (version, shape, type, column-major, bytes)
         shape, dtype, column_major, data = value.state[-4:]
-        if str(dtype.arguments[0]).startswith("O"):  # an array of one object is that object
+        name = dtype.arguments[0]
+        if isinstance(name, str) and name.startswith("O"):  # an array of one object is that object
             (content,) = data
             return _array(content)
         return np.frombuffer(_bytes(data), _dtype(dtype)).reshape(shape, order="F" if column_major else "C")
@@ -165,7 +185,10 @@ def _array(value: Any) -> np.ndarray:
     if kind == "Ch":
         return _array(value.state["x"])
     if kind == "Select":  # entries `idxs` of the flattened array `a`, in another shape
-        chosen = _array(value.state["a"]).reshape(-1)[_array(value.state["idxs"])]
+        index = value.state["idxs"]
+        if type(index).__name__ == "Select":  # of selections of selections a short pickle could ask 2^40 times
+            raise ValueError("a selection by a selection")
+        chosen = _array(value.state["a"]).reshape(-1)[_array(index)]
         shape = value.state.get("preferred_shape")
         return chosen if shape is None else chosen.reshape(shape)
     if kind in NAMES["scipy.sparse"]:
@@ -177,7 +200,10 @@ def _dense(kind: str, state: dict[str, Any]) -> np.ndarray:
     """Make the array of a sparse matrix from its attributes."""
     from scipy import sparse
 
-    shape, data = state["_shape"] if "_shape" in state else state["shape"], _array(state["data"])
+    rows, columns = shape = state["_shape"] if "_shape" in state else state["shape"]
+    if not 0 < rows * columns <= LARGEST_SPARSE:
+        raise ValueError(f"a sparse matrix of {rows} x {columns}")
+    data = _array(state["data"])
     if kind.startswith("coo"):
         places = state["coords"] if "coords" in state else (state["row"], state["col"])
         return sparse.coo_matrix((data, tuple(map(_array, places))), shape=shape).toarray()

@@ -248,7 +248,8 @@ def foreign_clip_rows(models: tuple[str, ...], count: int, data: Path | None) ->
         identity = load_mesh(path)
         for model in models:
             result = animate(identity, clip, model, driving_up="+y", driving_front="+z").clip
-            yield [Tile(path.stem, identity), *_frame_tiles(model, result.vertices, result.mesh.faces)]
+            frames = [(t, result.mesh.with_vertices(result.vertices[t])) for t in SHOWN_FRAMES]
+            yield [Tile(path.stem, identity), *(Tile(f"{model}, frame {t}", mesh) for t, mesh in frames)]
 
 
 def animal_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:

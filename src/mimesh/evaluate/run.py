@@ -107,7 +107,7 @@ def evaluate_command(
     config |= {"runtime": runtime_name} if runtime else {}
     made = provenance(config)
     question = {**config, "protocol": settings(chosen), "metrics": VERSION, "machine": machine(), **libraries()}
-    question |= {"commit": made["commit"]}
+    question["commit"] = made["commit"]
     if out is not None:
         keep_other_report(out, chosen.name, config)
     ledger = PartialReport(out and out.with_name(out.name + ".partial"), question)
@@ -209,8 +209,8 @@ class PartialReport:
         if path is None:
             return
         lines = list(_whole_lines(path))
-        same = bool(lines) and lines[0] == json.loads(json.dumps(question))
-        same = same and not question["commit"].endswith("-dirty")
+        dirty = question["commit"].endswith("-dirty")
+        same = bool(lines) and not dirty and lines[0] == json.loads(json.dumps(question))
         self.metrics = {json.dumps(key): figures for key, figures in lines[1:] if same}
         if path.exists() and not same:
             path.replace(path.with_name(path.name + ".old"))

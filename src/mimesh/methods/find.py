@@ -70,8 +70,9 @@ def weights_path(model: str) -> Path:
     if is_table_model(model):
         path = Path(model)
         file = f"{REDUCED_MODELS.get(path.name, path.name)}.onnx"
-        folder = TRAINED if (TRAINED / file).is_file() and not (ABLATIONS / file).is_file() else ABLATIONS
-        return (folder if model == path.name else path.parent) / file
+        if model != path.name:
+            return path.parent / file
+        return TRAINED / file if (TRAINED / file).is_file() and not (ABLATIONS / file).is_file() else ABLATIONS / file
     model = REDUCED_MODELS.get(model, model)
     if model in (*SHIPPED_NETWORKS, *INDEX_PAIRED.values(), *NETWORK_OF_BODY.values()):
         return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
