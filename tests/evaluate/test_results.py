@@ -133,7 +133,7 @@ def test_tables_are_replaced_between_their_marks(tmp_path):
     page = with_tables(text, {"results": table})
     assert page == f"before <!-- results:begin -->\n\n{table}\n\n<!-- results:end --> after"
     assert with_tables(page, {"results": table}) == page
-    with pytest.raises(ValueError, match="papers:begin.* once, found 0 and 0"):
+    with pytest.raises(ValueError, match=r"papers:begin.* once, found 0 and 0"):
         with_tables(text, {"papers": table})
 
 

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from mimesh.bodies import load_body
+from mimesh.bodies.anatomy import anatomy_of
 from mimesh.methods.mime.body_fit import NearestBody
 from mimesh.methods.mime.weight_cleanup import MAX_BONES, bone_distances, clean_weights
 
@@ -32,6 +33,15 @@ def test_bone_distances_are_counted_along_the_skeleton():
     assert apart[BODY.joint("LeftArm"), ELBOW] == 1
     assert apart[BODY.joint("LeftUpLeg"), BODY.joint("RightUpLeg")] == 4
     assert apart[ELBOW, KNEE] >= MAX_BONES
+
+
+def test_bones_of_an_animals_trunk_are_not_counted():
+    """Forelegs border on hips where one joint moves the trunk; counted, their bones would be cut apart."""
+    body = load_body("quadruped")
+    trunk = [body.joint(name) for name in anatomy_of("quadruped").optional_trunk]
+    leg, hips = body.joint("LeftForearm"), body.joint("Hips")
+    assert bone_distances(body.parents)[leg, hips] >= MAX_BONES
+    assert bone_distances(body.parents, trunk)[leg, hips] < MAX_BONES
 
 
 def test_correct_weights_stay():
