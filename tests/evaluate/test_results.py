@@ -118,17 +118,15 @@ def test_reports_of_an_earlier_version_of_the_metrics_are_refused(tmp_path):
         page_tables(written(tmp_path, old))
 
 
-def test_readme_tells_what_is_not_possible_from_what_was_not_measured(tmp_path):
-    table = readme_table(written(tmp_path, report("characters", [impossible("copy", "table6")])))
-    lines = {line.split(" | ")[0]: line for line in table.splitlines()}
-    assert "| not possible | not measured |" in next(line for name, line in lines.items() if "`copy`" in name)
-    assert "| not measured | not measured |" in next(line for name, line in lines.items() if "`npt`" in name)
+def test_readme_says_what_was_not_measured(tmp_path):
+    table = readme_table(written(tmp_path, report("noise", [row("copy", "holes", 2.0)])))
+    _, _, *lines = table.splitlines()
+    assert lines
+    assert all("not measured" in line for line in lines)
 
 
-def test_tables_are_replaced_between_their_marks(tmp_path):
-    rows = [row("mime", "unseen", 0.28), row("copy", "unseen", 15.0)]
-    table = readme_table(written(tmp_path, report("human-npt", rows)))
-    assert "| not measured | not measured | not measured | 5 mm, 0.28 (0.28) |" in table
+def test_tables_are_replaced_between_their_marks():
+    table = "| a | b |"
     text = "before <!-- results:begin --> old <!-- results:end --> after"
     page = with_tables(text, {"results": table})
     assert page == f"before <!-- results:begin -->\n\n{table}\n\n<!-- results:end --> after"
