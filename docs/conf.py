@@ -21,7 +21,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "inser
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build", "results"]
 
-myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist"]
+myst_enable_extensions = ["attrs_block", "attrs_inline", "deflist"]
 myst_heading_anchors = 4
 # Pages may leave out a level of headings.
 suppress_warnings = ["myst.header"]

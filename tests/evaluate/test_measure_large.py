@@ -1,11 +1,9 @@
 """scripts/measure_large.py: its inputs have the wanted sizes, its exponents are slopes, a small case runs."""
 
 import json
-import re
 import runpy
 import subprocess
 import sys
-import xml.etree.ElementTree
 from pathlib import Path
 
 import numpy as np
@@ -73,27 +71,3 @@ def test_a_case_is_measured_in_a_process_of_its_own(tmp_path):
     assert 50 < figures["peak_mib"] < 4000
     assert 10 < figures["own_mib"] <= figures["peak_mib"]
     assert set(report["exponents"]["copy"]) >= {"all", "moved", "peak_mib"}
-
-
-def test_the_drawing_shows_the_figures_that_are_stored(monkeypatch):
-    monkeypatch.syspath_prepend(str(SCRIPT.parent))
-    from draw_growth import growth_chart
-
-    root = SCRIPT.parents[1]
-    drawn = growth_chart(json.loads((root / "benchmarks" / "large.json").read_text()))
-    assert drawn == (root / "docs" / "images" / "growth.svg").read_text(), "run python scripts/draw_docs.py growth"
-    xml.etree.ElementTree.fromstring(drawn)
-
-
-def test_a_chart_has_a_straight_line_where_time_is_linear(monkeypatch):
-    monkeypatch.syspath_prepend(str(SCRIPT.parent))
-    from draw_growth import chart
-
-    rows = {size: {"seconds": {"all": size / 2e4}, "peak_mib": 2048} for size in (100_000, 300_000, 1_000_000)}
-    dashed, seconds, memory = (
-        np.array([[float(number) for number in point.split(",")] for point in points.split()])
-        for points in re.findall(r'polyline points="([^"]*)"', "".join(chart(50, "vertices", rows)))
-    )
-    slopes = np.diff(seconds[:, 1]) / np.diff(seconds[:, 0])
-    assert slopes == pytest.approx(np.divide(*np.diff(dashed, axis=0)[0, ::-1]), rel=0.01)
-    assert np.ptp(memory[:, 1]) == 0
