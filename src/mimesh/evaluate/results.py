@@ -186,7 +186,7 @@ def readme_table(folder: Path) -> str:
         [label, f"{cell(found[method], 'mm')} mm" if method in found else "not measured"]
         for method, label in README_METHODS.items()
     ]
-    return markdown_table(["method", "people of other makers, in frames of motions"], lines)
+    return markdown_table(["method", "people of other makers, in frames of motions, without rigs"], lines)
 
 
 def with_tables(text: str, tables: dict[str, str]) -> str:
