@@ -18,7 +18,7 @@ Key = tuple[str, str]
 """Name of a protocol and kind of pair."""
 
 
-class Table(NamedTuple):
+class PageTable(NamedTuple):
     """A table of docs/results.md: some methods on some test sets. What else was measured is in rows.csv."""
 
     sets: dict[str, Key]
@@ -29,7 +29,7 @@ class Table(NamedTuple):
 
 
 TABLES = {
-    "characters": Table(
+    "characters": PageTable(
         {
             "Table 6": ("characters", "table6"),
             "joint limits": ("characters", "limits"),
@@ -38,7 +38,7 @@ TABLES = {
         ("mime", "mime-network", "npt", "deformation-transfer-13", "identity"),
         "deformation-transfer-13",
     ),
-    "papers": Table(
+    "papers": PageTable(
         {
             "random pairs, seen": ("human-npt", "seen"),
             "random pairs, unseen": ("human-npt", "unseen"),
@@ -51,7 +51,7 @@ TABLES = {
         ),
         "copy",
     ),
-    "animals": Table(
+    "animals": PageTable(
         {
             "gaits": ("quadruped", "gaits"),
             "everyday poses": ("quadruped", "usual"),
@@ -60,7 +60,7 @@ TABLES = {
         ("mime-quadruped", "deformation-transfer-13", "copy", "identity"),
         "deformation-transfer-13",
     ),
-    "disturbed": Table(
+    "disturbed": PageTable(
         {
             "noise of up to 2 %": ("noise", "noise-2"),
             "noise of up to 5 %": ("noise", "noise-5"),
@@ -99,7 +99,7 @@ def page_tables(folder: Path) -> dict[str, str]:
     return tables | {"skeletons": _skeletons(rows), "warnings": _warnings(rows)}
 
 
-def main_table(table: Table, rows: dict[Key, list[dict[str, Any]]]) -> str:
+def main_table(table: PageTable, rows: dict[Key, list[dict[str, Any]]]) -> str:
     """Format a table; methods that were not measured on a set, or not possible, have no row there."""
     lines = []
     for name, key in table.sets.items():

@@ -1,4 +1,4 @@
-"""Map file suffixes to the functions that read and write them: one table each for meshes and clips.
+"""The formats by suffix: what reads and writes meshes and clips, and what else the rest must know of each.
 
 A reader takes a Path and returns a Mesh or Clip. A writer takes the Mesh or Clip and a Path, and writes atomically
 (`atomic.whole_file`). Modules with slow imports are imported when one of their files is read or written.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..core.frame_buffer import Progress
@@ -143,68 +144,58 @@ def _read_cache(path: Path, fps: float | None, progress: Progress | None) -> Cli
     return read_cache(path, fps, sorted(suffixes, key=lambda suffix: suffix not in FRAME_SUFFIXES), read, progress)
 
 
-MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
-    ".abc": _read_alembic,
-    ".bvh": _read_motion,
-    ".fbx": _read_gltf,
-    ".glb": _read_gltf,
-    ".gltf": _read_gltf,
-    ".npz": _read_npz,
-    ".obj": read_obj,
-    ".off": read_off,
-    ".pkl": _read_body_model,
-    ".ply": read_ply,
-    ".stl": read_stl,
-    ".usd": read_usd,
-    ".usda": read_usd,
-    ".usdc": read_usd,
-    ".usdz": read_usd,
-    ".vrm": _read_gltf,
-    ".vrma": _read_gltf,
+@dataclass(frozen=True)
+class Format:
+    """One format: a new one is a module with its functions, and one of these in FORMATS."""
+
+    name: str
+    """On the studio's page."""
+    read: Callable[[Path], Mesh] | None = None
+    write: Callable[[Mesh, Path], None] | None = None
+    read_clip: Callable[[Path, float | None, Progress | None], Clip] | None = None
+    """Arguments: path, frame rate (None: the file's), progress callback. None also for those of ANIMATED."""
+    write_clip: Callable[[Clip, Path, Progress | None], None] | None = None
+    lacks: tuple[str, ...] = ()
+    """What a new file leaves out of a Mesh (`tools.convert` says so in a note)."""
+    one_mesh: bool = False
+    """Whether a file is one mesh and nothing more, so that numbered files may be the frames of a clip."""
+
+
+POINTS_ALONE = ("materials", "texture coordinates", "normals", "vertex colours")
+"""What formats of points and triangles lack."""
+FORMATS = {
+    ".abc": Format(
+        *("Alembic", _read_alembic, _write_alembic, _read_alembic_clip, _write_alembic_clip),
+        lacks=("colours of materials", "textures", "vertex colours"),
+    ),
+    ".bvh": Format("BVH", _read_motion, None, _read_motion_clip),
+    ".fbx": Format("FBX", _read_gltf, _write_gltf, None, _write_gltf_clip),
+    ".glb": Format("GLB", _read_gltf, _write_gltf, None, _write_gltf_clip),
+    ".gltf": Format("glTF", _read_gltf, _write_gltf, None, _write_gltf_clip),
+    ".hdf5": Format("HDF5", None, None, _read_hdf5_clip),
+    ".mdd": Format("MDD points", None, None, _read_cache, write_mdd),
+    ".npy": Format("NumPy points", None, None, _read_cache, write_npy),
+    ".npz": Format("NumPy archive", _read_npz, write_npz, _read_npz_clip, write_npz_clip, POINTS_ALONE),
+    ".obj": Format("OBJ", read_obj, write_obj, one_mesh=True),
+    ".off": Format("OFF", read_off, write_off, lacks=POINTS_ALONE, one_mesh=True),
+    ".pc2": Format("PC2 points", None, None, _read_cache, write_pc2),
+    ".pkl": Format("SMPL's pickle", _read_body_model),
+    ".ply": Format(
+        *("PLY", read_ply, write_ply), lacks=("materials besides one image", "normals of hard edges"), one_mesh=True
+    ),
+    ".stl": Format("STL", read_stl, write_stl, lacks=POINTS_ALONE, one_mesh=True),
+    **{
+        suffix: Format(name, read_usd, write_usd, read_usd_clip, write_usd_clip, ("vertex colours",))
+        for suffix, name in ((".usd", "USD"), (".usda", "USD as text"), (".usdc", "USD, binary"), (".usdz", "USDZ"))
+    },
+    ".vrm": Format("VRM", _read_gltf),
+    ".vrma": Format("VRM animation, no mesh", _read_gltf),
 }
-MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
-    ".abc": _write_alembic,
-    ".fbx": _write_gltf,
-    ".glb": _write_gltf,
-    ".gltf": _write_gltf,
-    ".npz": write_npz,
-    ".obj": write_obj,
-    ".off": write_off,
-    ".ply": write_ply,
-    ".stl": write_stl,
-    ".usd": write_usd,
-    ".usda": write_usd,
-    ".usdc": write_usd,
-    ".usdz": write_usd,
-}
-CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] = {
-    ".abc": _read_alembic_clip,
-    ".bvh": _read_motion_clip,
-    ".hdf5": _read_hdf5_clip,
-    ".mdd": _read_cache,
-    ".npy": _read_cache,
-    ".npz": _read_npz_clip,
-    ".pc2": _read_cache,
-    ".usd": read_usd_clip,
-    ".usda": read_usd_clip,
-    ".usdc": read_usd_clip,
-    ".usdz": read_usd_clip,
-}
-"""Readers of clips except those of ANIMATED; arguments: path, frame rate (None: the file's), progress callback."""
-CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
-    ".abc": _write_alembic_clip,
-    ".fbx": _write_gltf_clip,
-    ".glb": _write_gltf_clip,
-    ".gltf": _write_gltf_clip,
-    ".mdd": write_mdd,
-    ".npy": write_npy,
-    ".npz": write_npz_clip,
-    ".pc2": write_pc2,
-    ".usd": write_usd_clip,
-    ".usda": write_usd_clip,
-    ".usdc": write_usd_clip,
-    ".usdz": write_usd_clip,
-}
+"""Suffix -> format."""
+MESH_READERS = {suffix: format.read for suffix, format in FORMATS.items() if format.read}
+MESH_WRITERS = {suffix: format.write for suffix, format in FORMATS.items() if format.write}
+CLIP_READERS = {suffix: format.read_clip for suffix, format in FORMATS.items() if format.read_clip}
+CLIP_WRITERS = {suffix: format.write_clip for suffix, format in FORMATS.items() if format.write_clip}
 ANIMATED = (".fbx", ".glb", ".gltf", ".vrm", ".vrma")
 """Files that may contain several animations, read by `gltf.read_gltf_clip`."""
 JOINTED = (".fbx", ".glb", ".gltf", ".vrm")

@@ -17,11 +17,12 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh, check_mesh
 from .atomic import whole_folder
+from .formats import FORMATS
 from .obj import read_obj_points
 from .obj_source import ObjSource
 from .stl import read_stl_points
 
-OTHER_FRAMES = {".glb", ".obj", ".off", ".ply", ".stl"}
+OTHER_FRAMES = {".glb", *(suffix for suffix, format in FORMATS.items() if format.one_mesh)}
 """Formats whose numbered meshes would be mistaken for a second series beside the frames that are written."""
 _NUMBER = re.compile(r"\d+")
 

@@ -55,9 +55,9 @@ class NPTData(PairOptions, MeshOptions):
     """What NPT is trained on: the paper's table, endless people, frames of clips, characters, or registered meshes."""
 
     kind: Literal["table6", "wide", "clips80", "clips", "meshes"] = "table6"
-    """`table6`: the 16 people x 400 poses of `evaluate.protocols.HUMAN_NPT`, whatever the seed. `wide`: endless people; rest, Table 6, joint limits, frames
-    of motions. `clips80`: frames of AniFormer's 16 people x 80 motions. `clips`: as `wide`, validated on clips.
-    `meshes`: registered meshes of a folder."""
+    """`table6`: the 16 people x 400 poses of `evaluate.protocols.HUMAN_NPT`, whatever the seed. `wide`: endless people;
+    rest, Table 6, joint limits, frames of motions. `clips80`: frames of AniFormer's 16 people x 80 motions. `clips`: as
+    `wide`, validated on clips. `meshes`: registered meshes of a folder."""
     animal_kinds: ClassVar[tuple[str, ...]] = ("wide", "meshes")
     words_of_characters: ClassVar[str] = "; characters of others (`characters`) in these poses and those of their clips"
 

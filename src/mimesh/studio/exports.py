@@ -12,7 +12,7 @@ from ..core.errors import InputError, command_line_words
 from ..core.frame_buffer import Progress
 from ..io import check_writable, save_mesh
 from ..io.atomic import whole_file
-from ..io.formats import CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS
+from ..io.formats import CLIP_WRITERS, FORMATS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS
 from ..pipeline.result import ClipResult
 from ..pipeline.skinned import AS_IT_IS, save_skinned
 from ..pipeline.vrma import check_bones_layout
@@ -30,28 +30,9 @@ NEEDS |= {".abc": ("alembic3d", "alembic"), ".mp4": ("av", "video")}
 SHAPED = (".glb", ".gltf")
 """Formats to which a number of blend shapes can be given."""
 FORMAT_NAMES = {
-    ".abc": "Alembic",
-    ".fbx": "FBX",
-    ".gif": "GIF, a movie",
-    ".glb": "GLB",
-    ".gltf": "glTF",
-    ".mdd": "MDD points",
-    ".mp4": "MP4, a movie",
-    ".npy": "NumPy points",
-    ".npz": "NumPy archive",
-    ".obj": "OBJ",
-    ".off": "OFF",
-    ".pc2": "PC2 points",
-    ".ply": "PLY",
-    ".stl": "STL",
-    ".usd": "USD",
-    ".usda": "USD as text",
-    ".usdc": "USD, binary",
-    ".usdz": "USDZ",
-    ".vrma": "VRM animation, no mesh",
-    ".webp": "WebP, a movie",
-    "frames.obj": "OBJ frames",
-    "frames.ply": "PLY frames",
+    **{suffix: format.name for suffix, format in FORMATS.items()},
+    **{f"frames{suffix}": f"{FORMATS[suffix].name} frames" for suffix in FRAME_SUFFIXES},
+    **{".gif": "GIF, a movie", ".mp4": "MP4, a movie", ".webp": "WebP, a movie"},
 }
 """Names of the formats on the page."""
 

@@ -24,7 +24,7 @@ from ..io import (
     save_mesh,
 )
 from ..io.beside import missing_images, missing_images_notes
-from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
+from ..io.formats import FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
 from ..io.gltf.own_animation import OwnAnimation
 from ..io.gltf.scene import node_parents
 from ..io.polygons import smooth_normals
@@ -52,12 +52,6 @@ DEVIATION_CAUSES = {
     "weights": ": files of joints have four weights a vertex",
 }
 """What a note says about the `deviation_cause` of a report."""
-POINT_ATTRIBUTES = ("materials", "texture coordinates", "normals", "vertex colours")
-LACKS = {suffix: POINT_ATTRIBUTES for suffix in (".npz", ".off", ".stl")}
-LACKS |= {".ply": ("materials besides one image", "normals of hard edges")}
-LACKS |= {".abc": ("colours of materials", "textures", "vertex colours")}
-LACKS |= dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), ("vertex colours",))
-"""Suffix -> attributes of a Mesh that a new file of that format has not. Point caches have a mesh file beside them."""
 
 
 @dataclass(frozen=True)
@@ -293,7 +287,8 @@ def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
         "normals": mesh.corner_normals is not None,
         "vertex colours": mesh.vertex_colors is not None,
     }
-    missing = [name for name in LACKS.get(suffix, ()) if has[name]]
+    lacks = FORMATS[suffix].lacks if suffix in FORMATS else ()  # movies and folders of frames are none
+    missing = [name for name in lacks if has[name]]
     if not missing:
         return ()
     return (f"{suffix} files as written here hold no {' or '.join(missing)}: left out of {path.name}",)

@@ -30,7 +30,7 @@ from ...evaluate.clip_protocols import ClipPair
 from ...evaluate.pairs import Pair
 from ...evaluate.protocols import Protocol
 from ...io import list_animations, load_clip, load_points
-from ...io.formats import ANIMATED, CACHES, CLIP_READERS, COLLECTIONS, MESH_READERS, MOTIONS
+from ...io.formats import ANIMATED, CACHES, CLIP_READERS, COLLECTIONS, FORMATS, MESH_READERS, MOTIONS
 from ...motions.on_body import is_motion_file
 from .characters import DAMAGED
 from .endless import ReflectOptions
@@ -38,8 +38,6 @@ from .people import VertexSampler
 
 VOTES = 25
 """Meshes, evenly spread over the folder, whose detected axes are compared: the most frequent ones are those of all."""
-SINGLE = (".obj", ".off", ".ply", ".stl")
-"""Formats of one mesh a file."""
 NAMED = 4
 """Files refused that are named at most; others are counted."""
 MESH_SUFFIXES = (MESH_READERS.keys() | CLIP_READERS.keys()) - MOTIONS
@@ -208,7 +206,7 @@ class FrameStore:
 
     def _read(self, path: Path, name: str | None) -> Float[np.ndarray, "T V 3"]:
         """Read the frames of a mesh, a clip (of a name) or a folder, and check that they are of the topology."""
-        if self.mesh is not None and path.is_file() and path.suffix.lower() in SINGLE:
+        if self.mesh is not None and path.is_file() and FORMATS[path.suffix.lower()].one_mesh:
             frames = load_points(path, self.mesh, self.path)[None]
         else:
             clip = load_clip(path, animation=name)
