@@ -21,6 +21,8 @@ from mimesh.core.mesh import Clip, Material, Part
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.polygons import polygon_sizes
 
+pytestmark = pytest.mark.usefixtures("in_process")
+
 TimeSampling = alembic3d.AbcCoreAbstract.TimeSampling
 CUBE_QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 

@@ -17,6 +17,8 @@ from mimesh.io.gltf.animation import animation_names, read_channels
 from mimesh.io.gltf.document import open_document, read_floats
 from mimesh.io.gltf.skin_file import read_skin
 
+pytestmark = pytest.mark.usefixtures("in_process")
+
 pytest.importorskip("ufbx")
 METRE = 0.01
 """Metres of the unit of files that state none: a centimetre."""

@@ -15,6 +15,8 @@ from mimesh.io.gltf.document import open_document, read_accessor
 from mimesh.io.gltf.draft import AccessorCopier
 from mimesh.io.gltf.skin_file import read_skin
 
+pytestmark = pytest.mark.usefixtures("in_process")
+
 
 @pytest.fixture
 def plain(tmp_path):

@@ -16,6 +16,8 @@ from mimesh.core.geometry import face_normals
 from mimesh.core.mesh import Mesh
 from mimesh.io import load_clip, load_mesh, save_mesh
 
+pytestmark = pytest.mark.usefixtures("in_process")
+
 CUBE = zoo.cube().vertices
 
 

@@ -16,6 +16,8 @@ from mimesh.core.geometry import face_normals, vertex_normals
 from mimesh.core.mesh import Clip, Material, Mesh, Part
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 
+pytestmark = pytest.mark.usefixtures("in_process")
+
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 PNG = b"\x89PNG and so on"
 
