@@ -181,12 +181,3 @@ def test_links_to_other_files_are_not_followed(tmp_path):
         file["faces"] = FACES
     with pytest.raises(InputError, match=r"expected datasets of shape \(V, 3, T\)"):
         load_clip(tmp_path / "b.hdf5")
-
-
-def test_without_h5py_the_extra_is_named(path, monkeypatch):
-    import importlib.util
-
-    found = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "h5py" else found(name))
-    with pytest.raises(InputError, match=r"pip install 'mimesh\[hdf5\]'"):
-        load_clip(path)

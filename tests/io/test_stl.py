@@ -79,14 +79,6 @@ def test_file_does_not_depend_on_vertex_order(tmp_path):
     assert (tmp_path / "a.stl").read_bytes() == (tmp_path / "b.stl").read_bytes()
 
 
-@pytest.mark.parametrize("make", [make for make in zoo.ZOO if make is not zoo.point_cloud])
-def test_new_file_of_any_mesh_reads_back(make, tmp_path):
-    mesh = make()
-    save_mesh(mesh, tmp_path / "new.stl")
-    reread = load_mesh(tmp_path / "new.stl")
-    np.testing.assert_array_equal(reread.vertices[reread.faces], mesh.vertices[mesh.faces].astype(np.float32))
-
-
 def test_minus_zero_is_welded_with_zero(tmp_path):
     mesh = Mesh(
         np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [-0.0, 0, 0], [0, -1, 0]], float), np.array([[0, 1, 2], [3, 4, 1]])

@@ -152,16 +152,6 @@ def test_clip_frames_exact_in_float32_stay_exact(tmp_path):
         np.testing.assert_array_equal(reference.points(0, 0, np.eye(5)[k, 1:].tolist()), frames[k])
 
 
-@pytest.mark.parametrize("make", zoo.ZOO)
-def test_mesh_without_seams_keeps_its_vertices_when_written_and_read(make, tmp_path):
-    mesh = make()
-    write_gltf(mesh, tmp_path / "b.glb")
-    loaded = read_gltf(tmp_path / "b.glb")
-    np.testing.assert_allclose(loaded.vertices, mesh.vertices, atol=1e-6)
-    np.testing.assert_array_equal(loaded.faces, mesh.faces)
-    assert loaded.parts == () or [part.name for part in loaded.parts] == [mesh.name]
-
-
 def test_mesh_with_seams_keeps_its_corners_when_written_and_read(tmp_path):
     mesh = full_featured_cube()
     write_gltf(mesh, tmp_path / "b.glb")

@@ -16,8 +16,6 @@ from mimesh.core.mesh import Mesh
 from mimesh.io.gltf import read_gltf, write_gltf
 from mimesh.io.gltf.draft import Draft
 
-MOVED = ("POSITION", "NORMAL", "TANGENT")
-
 
 @pytest.fixture(params=["hero", "props"])
 def sample(request: pytest.FixtureRequest) -> samples.Sample:

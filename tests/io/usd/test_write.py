@@ -61,16 +61,6 @@ def test_new_clip_round_trips(suffix, smooth, tmp_path):
     np.testing.assert_allclose(resampled.vertices[1], 0.024 * frames[23] + 0.976 * frames[24], atol=1e-5)
 
 
-@pytest.mark.parametrize("make", zoo.ZOO)
-def test_new_mesh_round_trips(make, tmp_path):
-    mesh = make()
-    save_mesh(mesh, tmp_path / "a.usdc")
-    reread = load_mesh(tmp_path / "a.usdc")
-    np.testing.assert_array_equal(reread.vertices, mesh.vertices.astype(np.float32))
-    np.testing.assert_array_equal(reread.faces, mesh.faces)
-    assert len(load_clip(tmp_path / "a.usdc")) == 1
-
-
 def test_normals_rotate_and_the_extent_bounds_each_frame(tmp_path):
     mesh = full_mesh(smooth=False)
     frames = np.stack([bend(mesh.vertices, 0.5 * k) for k in range(4)])
