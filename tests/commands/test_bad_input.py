@@ -94,7 +94,7 @@ def test_bad_input_in_a_separate_process(good):
     assert sorted(good.rglob("*")) == before
 
 
-@pytest.mark.parametrize(
+@matrix(
     ("args", "part"),
     [
         (["transfer", "good.obj", "good.obj", "-m", "nonsense", "-o", "x.obj"], "--model"),
@@ -119,6 +119,7 @@ def test_bad_input_in_a_separate_process(good):
         (["train", "npt", "--config", "lost.yaml", "-o", "x"], "lost.yaml"),
         (["train", "npt", "--resume", "lost"], "lost"),
     ],
+    quick=lambda case: case[0][0] not in ("export", "train"),  # which load PyTorch
 )
 def test_bad_option(args, part, good, capsys):
     assert run(args) == 2

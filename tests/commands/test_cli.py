@@ -261,6 +261,7 @@ def test_models_lists_all_models(capsys):
     assert "\\n" not in shown
 
 
+@pytest.mark.slow
 def test_doctor_passes_on_this_installation(capsys):
     assert run(["doctor", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
@@ -292,6 +293,7 @@ def test_doctor_reports_a_failed_check(capsys, monkeypatch):
     assert "FAIL  self check          ZeroDivisionError" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("body", "motion"), [("human", "jump"), ("quadruped", "horse-gallop")])
 def test_demo_writes_its_files(body, motion, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("mimesh.tools.demo.FRAMES", 2)
@@ -361,7 +363,7 @@ def test_interrupt_exits_with_130(files, capsys, monkeypatch):
 
 
 def test_closed_pipe_is_no_error(files):
-    many = [str(files / "hero.obj")] * 200
+    many = [str(files / "hero.obj")] * 20
     process = subprocess.Popen([MIMESH, "look", *many], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
     process.stdout.close()

@@ -14,8 +14,8 @@ import pytest
 import zoo
 
 from mimesh.cli import run
-from mimesh.core.mesh import Clip, Material, Part
-from mimesh.io import save_clip, save_mesh
+from mimesh.core.mesh import Clip, Material, Mesh, Part
+from mimesh.io import load_mesh, save_clip, save_mesh
 
 
 @pytest.fixture
@@ -24,12 +24,13 @@ def files(tmp_path: Path) -> Path:
     cube = zoo.cube()
     hero = dataclasses.replace(cube, parts=(Part("all", 0, 12, Material("red", (1.0, 0.0, 0.0, 1.0))),))
     save_mesh(hero, tmp_path / "hero.glb")
-    save_mesh(cube.with_vertices(cube.vertices * [1, 2, 1]), tmp_path / "pose.obj")
+    pose = load_mesh(tmp_path / "hero.glb")  # with the vertices that `copy` needs
+    save_mesh(Mesh(pose.vertices * [1, 2, 1], pose.faces), tmp_path / "pose.obj")
     return tmp_path
 
 
 def transfer(files, *more):
-    arguments = ["transfer", str(files / "hero.glb"), str(files / "pose.obj"), "-m", "npt-maxpool", "--no-preview"]
+    arguments = ["transfer", str(files / "hero.glb"), str(files / "pose.obj"), "-m", "copy", "--no-preview"]
     return run([*arguments, *map(str, more)])
 
 

@@ -126,6 +126,7 @@ def test_animations_of_driving_files_are_chosen_and_named(moves, words, names):
     assert [clip.name for clip in clips] == names
 
 
+@pytest.mark.slow
 def test_one_file_of_several_animations_becomes_one_file_of_several_clips(moves, tmp_path, capsys):
     words = ["animate", str(moves), str(moves), "-o", str(tmp_path / "a.glb"), "--json"]
     assert run([*words, "--animation", "Walk", "--animation", "Run"]) == 0
@@ -194,6 +195,7 @@ def test_a_vrma_has_bones_alone(files, tmp_path, capsys):
     assert "found .vrm, which holds none by its specification; write b.vrma" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_vrm_in_a_pose_has_a_note(files, tmp_path, capsys):
     path, _, _ = vrm(tmp_path / "avatar.vrm")
     drive(files / "pose.vrma")

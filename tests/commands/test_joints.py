@@ -60,6 +60,7 @@ def test_a_side_file_is_used_and_said_and_can_be_ignored(files, side_file, capsy
     assert np.abs(corrected - plain).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_models_without_joints_ignore_a_side_file_and_refuse_a_given_one(files, side_file, capsys):
     assert transfer(files, "copy.obj", "-m", "copy") == 0
     assert "joints:" not in capsys.readouterr().out
@@ -87,6 +88,7 @@ def test_bad_files_are_refused(files, options, message, capsys):
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_animate_takes_and_saves_joints_of_the_driving(files, capsys):
     words = ["animate", files / "hero.obj", files / "pose.obj", "-o", files / "clip.glb", "--no-preview"]
     saved = files / "driving.json"

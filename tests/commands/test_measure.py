@@ -54,6 +54,7 @@ def test_missing_files_of_deformation_transfer_are_refused(people, extra, messag
     assert error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_generate_figure_and_evaluate_print_json(tmp_path, capsys):
     network = str(write_network(tmp_path / "tiny.onnx"))
     assert run(["generate", "noise", "-o", str(tmp_path / "meshes"), "--pairs", "1", "--split", "val", "--json"]) == 0

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import zoo
+from matrix import matrix
 from people import walk
 
 from mimesh.cli import run
@@ -101,7 +102,11 @@ def test_no_clobber_heeds_the_files_beside_an_output(files, capsys):
     assert run(["render", str(files / "hero.obj"), "-o", str(files / "x.png"), "-n"]) == 2
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".gltf", ".npz", ".npy", ".pc2", ".mdd", ".usda", ".usdc", ".abc"])
+@matrix(
+    "suffix",
+    [".glb", ".gltf", ".npz", ".npy", ".pc2", ".mdd", ".usda", ".usdc", ".abc"],
+    quick=[".glb", ".npz", ".usdc"],
+)
 def test_estimated_sizes_are_near_those_of_files(suffix, tmp_path):
     if suffix.startswith(".us"):
         pytest.importorskip("pxr")

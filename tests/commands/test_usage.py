@@ -12,6 +12,7 @@ from typing import get_args
 
 import pytest
 import zoo
+from matrix import matrix
 from threadpoolctl import threadpool_info
 
 from mimesh.bodies.engine_names import SCHEMES, RestPose
@@ -166,7 +167,7 @@ print(*[os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREA
 """
 
 
-@pytest.mark.parametrize(
+@matrix(
     ("arguments", "given", "expected"),
     [
         (["look", "x"], {}, "1 1 None"),
@@ -174,6 +175,7 @@ print(*[os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREA
         (["look", "x"], {"OMP_NUM_THREADS": "2"}, "2 None None"),
         (["train", "x"], {}, "None None None"),
     ],
+    quick=lambda case: "--threads" in case[0],
 )
 def test_threads_before_libraries_are_loaded(arguments, given, expected):
     unset = (*common.LINEAR_ALGEBRA, THREADS)
