@@ -57,6 +57,7 @@ def test_bones_are_named_and_arranged_as_by_animate(moved, tmp_path):
     assert any("sampled from 3 frames" in note for note in export.notes)
 
 
+@pytest.mark.slow
 def test_vrm_animations_have_bones_alone(moved, tmp_path):
     session, files = moved
     export = exported(session, ".vrma", skinned=False)
@@ -65,6 +66,7 @@ def test_vrm_animations_have_bones_alone(moved, tmp_path):
     assert export.path.read_bytes() == expected.read_bytes()
 
 
+@pytest.mark.slow
 def test_vrm_animations_of_a_mesh_with_a_rig_have_its_bones(moved, tmp_path):
     _, (_, driving) = moved
     vrm(tmp_path / "hero.vrm", named=True)

@@ -3,9 +3,11 @@
 import io
 import json
 import zipfile
+from itertools import cycle, product
 
 import numpy as np
 import pytest
+from matrix import matrix
 from starlette.testclient import TestClient
 from waiting import wait_until
 
@@ -115,8 +117,11 @@ def test_requests_need_the_token_and_the_own_host(session, headers, status):
     assert response.headers["x-content-type-options"] == "nosniff"
 
 
-@pytest.mark.parametrize("origin", [None, "null", "http://evil.example", f"https://{HOST}", "http://127.0.0.1:1"])
-@pytest.mark.parametrize("path", ["/api/uploads", "/api/demo", "/api/options", "/api/exports"])
+PATHS = ("/api/uploads", "/api/demo", "/api/options", "/api/exports")
+ORIGINS = (None, "null", "http://evil.example", f"https://{HOST}", "http://127.0.0.1:1")
+
+
+@matrix(("path", "origin"), product(PATHS, ORIGINS), quick=zip(cycle(PATHS), ORIGINS, strict=False))
 def test_changes_need_the_own_origin(session, client, path, origin):
     del client.headers["origin"]
     response = client.post(path, headers={} if origin is None else {"origin": origin})

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matrix import matrix
 from people import person, walk
 from waiting import wait_until
 
@@ -68,6 +69,7 @@ def test_results_are_those_of_animate(mime_session, files):
     np.testing.assert_allclose(pose, expected.clip.vertices[2], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_options_are_those_of_animate(mime_session, files):
     options = {"root": "drop", "refine": True, "smooth": 0.2}
     mime_session.set_options(options)
@@ -225,7 +227,7 @@ def Mesh "m" {
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the children of a thread are listed by Linux only")
-@pytest.mark.parametrize("end", ["remove", "close"])
+@matrix("end", ["remove", "close"], quick=["remove"])
 def test_reading_in_a_child_is_stopped_at_once(end, session, tmp_path):
     pytest.importorskip("pxr")
 
@@ -247,6 +249,7 @@ def test_reading_in_a_child_is_stopped_at_once(end, session, tmp_path):
     assert session.driving is None or session.driving.content is None
 
 
+@pytest.mark.slow
 def test_damaged_files_give_an_error_and_the_studio_goes_on(session, tmp_path):
     pytest.importorskip("pxr")
     for name, text in {

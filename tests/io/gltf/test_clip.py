@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import product
 from pathlib import Path
 
 import gltf_samples as samples
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import zoo
 from gltf_reference import ReferenceReader
+from matrix import matrix
 
 from mimesh.core.mesh import Clip, Material, Mesh, Part
 from mimesh.io.gltf import read_gltf, write_gltf, write_gltf_clip
@@ -117,8 +119,11 @@ def test_clip_has_one_active_target_at_keys_and_two_between(tmp_path):
     assert (accessor.min, accessor.max) == ([0.0], pytest.approx([6 / 24]))
 
 
-@pytest.mark.parametrize("make", [full_featured_cube, *zoo.ZOO], ids=lambda make: make.__name__)
-@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+@matrix(
+    ("make", "suffix"),
+    product([full_featured_cube, *zoo.ZOO], [".glb", ".gltf"]),
+    quick=lambda case: case[1] == ".glb" or case[0] is full_featured_cube,
+)
 def test_clip_of_a_mesh_without_source_plays_in_a_new_file(make, suffix, tmp_path):
     mesh = make()
     clip = clip_of(mesh)

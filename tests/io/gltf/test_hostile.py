@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from itertools import product
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -12,6 +13,7 @@ import gltf_samples as samples
 import numpy as np
 import pytest
 from gltf_reference import ReferenceReader, json_of
+from matrix import matrix
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
@@ -184,8 +186,10 @@ def test_clip_file_keeps_all_but_positions_and_normals(make, tmp_path):
     assert clip.mesh.parts == mesh.parts
 
 
-@pytest.mark.parametrize("name", ["the data.bin", "50%20off.bin", "数据 #1?.bin", "a+b&c.bin"])
-@pytest.mark.parametrize("escape", [quote, str], ids=["escaped", "as it is"])
+NAMES = ("the data.bin", "50%20off.bin", "数据 #1?.bin", "a+b&c.bin")
+
+
+@matrix(("name", "escape"), product(NAMES, [quote, str]), quick=[*zip(NAMES, [quote, str] * 2, strict=True)])
 def test_buffers_and_images_in_other_files_are_found(name, escape, tmp_path):
     sample = unusual_document()
     (tmp_path / FOLDER / "maps").mkdir(parents=True)

@@ -39,8 +39,16 @@ def test_polygons_become_fans_and_transforms_nest(tmp_path):
     assert [(part.name, part.start, part.stop) for part in mesh.parts] == [("cube", 0, 12)]
 
 
-@pytest.mark.parametrize("hand", ["rightHanded", "leftHanded"])
-@pytest.mark.parametrize("scale", [(1, 1, 1), (1, -1, 1), (-2, -2, -2), (-1, 1, -1)])
+@pytest.mark.parametrize(
+    ("hand", "scale"),
+    [
+        ("rightHanded", (1, -1, 1)),
+        ("rightHanded", (-2, -2, -2)),
+        ("leftHanded", (1, 1, 1)),
+        ("leftHanded", (-1, 1, -1)),
+        ("leftHanded", (-2, -2, -2)),
+    ],
+)
 def test_faces_point_outwards_under_mirroring_and_left_hand_orientation(hand, scale, tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda")
     polygons = stages.QUADS if hand == "rightHanded" else [polygon[::-1] for polygon in stages.QUADS]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import zipfile
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 import usd_stages as stages
 import zoo
+from matrix import matrix
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from mimesh.core.geometry import face_normals, vertex_normals
@@ -41,9 +43,7 @@ def full_mesh(smooth: bool = True) -> Mesh:
     return dataclasses.replace(mesh, name="Körper 1", corner_normals=normals, corner_uv=uv, parts=parts)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", SUFFIXES)
-@pytest.mark.parametrize("smooth", [True, False])
+@matrix(("suffix", "smooth"), product(SUFFIXES, [True, False]), quick=[(".usdc", True)])
 def test_new_clip_round_trips(suffix, smooth, tmp_path):
     mesh = full_mesh(smooth)
     frames = np.stack([bend(mesh.vertices, 0.1 * k) for k in range(40)])
@@ -115,9 +115,7 @@ def character(path: Path) -> Path:
     return path
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("before", SUFFIXES)
-@pytest.mark.parametrize("after", SUFFIXES)
+@matrix(("before", "after"), product(SUFFIXES, SUFFIXES), quick=[(".usda", ".usdc")])
 def test_moved_mesh_keeps_what_was_read(before, after, tmp_path):
     path = character(tmp_path / "in" / f"a{'.usda' if before == '.usdz' else before}")
     if before == ".usdz":
