@@ -237,10 +237,7 @@ COMMANDS = ("look", "convert", "transfer", "animate")
 
 @matrix(
     ("command", "name"),
-    product(
-        ["look", "convert", "transfer", "animate"],
-        ["sparse.glb", "empty.npz", "polygon.obj", "index.obj", "motion.npz"],
-    ),
+    product(COMMANDS, ["sparse.glb", "empty.npz", "polygon.obj", "index.obj", "motion.npz"]),
     quick=[("look", "motion.npz"), ("convert", "sparse.glb"), ("transfer", "index.obj"), ("animate", "empty.npz")],
 )
 def test_commands_refuse_them_with_one_line(command, name, tmp_path, capsys):

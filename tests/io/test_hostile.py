@@ -9,16 +9,14 @@ import hostile
 import numpy as np
 import pytest
 from matrix import sampled
-from nasty import naive_obj, triangles_of
+from nasty import CUBE_SHARED_NORMALS, NASTY_OBJ, SHEETS_SHARED_NORMALS, naive_obj, triangles_of
 
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 
-FILES = {
-    (suffix, name): text
-    for suffix in ("obj", "ply", "off", "stl")
-    for name, text in getattr(hostile, suffix.upper()).items()
-}
+OBJ = hostile.OBJ | {"nasty": NASTY_OBJ, "cube": CUBE_SHARED_NORMALS, "sheets": SHEETS_SHARED_NORMALS}
+TEXTS = {"obj": OBJ, "ply": hostile.PLY, "off": hostile.OFF, "stl": hostile.STL}
+FILES = {(suffix, name): text for suffix, texts in TEXTS.items() for name, text in texts.items()}
 ENDS = {"LF": b"\n", "CRLF": b"\r\n", "CR": b"\r"}
 
 
@@ -80,9 +78,9 @@ def check_text_of_obj(file: Path, mesh: Mesh) -> None:
     assert 0 < changed <= 3 * points
 
 
-@pytest.mark.parametrize("name", hostile.OBJ)
+@pytest.mark.parametrize("name", OBJ)
 def test_polygons_equal_those_of_a_naive_reader(name, tmp_path):
-    text = hostile.OBJ[name]
+    text = OBJ[name]
     (tmp_path / "a.obj").write_bytes(text)
     mesh = load_mesh(tmp_path / "a.obj")
     naive = re.sub(rb"#[^\n]*", b"", text)  # a comment ends with its line, whatever it ends in
@@ -107,5 +105,8 @@ def test_clip_keeps_materials_and_names(key, tmp_path):
     if mesh.vertex_colors is not None:
         colors = clip.mesh.vertex_colors[clip.mesh.faces]
         assert np.allclose(colors, mesh.vertex_colors[mesh.faces], atol=1e-6)
-    names, again = ([(p.material and p.material.name, p.start, p.stop) for p in one.parts] for one in (mesh, clip.mesh))
+    bare = None if mesh.vertex_colors is None else "default"  # colours need a white material
+    names, again = (
+        [(p.material.name if p.material else bare, p.start, p.stop) for p in one.parts] for one in (mesh, clip.mesh)
+    )
     assert not names or again == names

@@ -22,7 +22,7 @@ from nasty import (
 from PIL import Image
 
 from mimesh.core.geometry import face_vectors, vertex_normals
-from mimesh.core.mesh import Material, Part, permute_vertices
+from mimesh.core.mesh import Material, Part
 from mimesh.io import load_mesh, save_mesh
 
 FILES = {"nasty": NASTY_OBJ, "cube": CUBE_SHARED_NORMALS, "sheets": SHEETS_SHARED_NORMALS}
@@ -48,11 +48,6 @@ def bend_and_save(source, target):
     moved = mesh.with_vertices(bend(mesh.vertices))
     save_mesh(moved, target)
     return mesh, moved, load_mesh(target)
-
-
-def test_unmoved_mesh_gives_the_same_bytes(obj, tmp_path):
-    save_mesh(load_mesh(obj), tmp_path / "out" / "same.obj")
-    assert (tmp_path / "out" / "same.obj").read_bytes() == obj.read_bytes()
 
 
 def test_rigid_motion_changes_only_points_and_normals(obj, tmp_path):
@@ -143,25 +138,6 @@ def test_unmoved_vertices_keep_their_text_and_colours_stay(tmp_path):
     assert b"v\t0.1 -2.0 0.3333333333333333\t0.1 0.2 0.3   # corner\n" in text
     assert b"v 1.000000 0 0 0 0 0\n" in text
     assert b"v 1 1 \\\n  1\n" in text
-
-
-def test_permuting_the_file_permutes_the_mesh(tmp_path):
-    mesh = zoo.cube()
-    order = np.random.default_rng(3).permutation(8)
-    save_mesh(permute_vertices(mesh, order), tmp_path / "permuted.obj")
-    save_mesh(mesh, tmp_path / "plain.obj")
-    reread = load_mesh(tmp_path / "permuted.obj")
-    np.testing.assert_array_equal(reread.vertices, load_mesh(tmp_path / "plain.obj").vertices[order])
-    np.testing.assert_array_equal(
-        triangle_soup(reread.vertices, reread.faces), triangle_soup(mesh.vertices, mesh.faces)
-    )
-
-
-def test_mesh_equals_that_of_a_naive_reader_and_of_trimesh(obj):
-    mesh = load_mesh(obj)
-    vertices, polygons, _ = naive_obj(obj.read_bytes())
-    np.testing.assert_array_equal(mesh.vertices, vertices)
-    np.testing.assert_array_equal(mesh.faces, triangles_of(polygons)[0])
 
 
 @pytest.mark.parametrize("name", ["cube", "sheets"])

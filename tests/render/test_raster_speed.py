@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from mimesh.bodies import load_body
 from mimesh.render.camera import fit
@@ -15,6 +16,7 @@ import raster as benchmark
 SIZE = (512, 512)
 
 
+@pytest.mark.slow
 def test_rendering_is_faster_than_a_loop_over_triangles():
     """4 to 6 times as fast when measured; the bound leaves room for type checks and busy machines."""
     mesh = load_body().mesh()
@@ -24,6 +26,7 @@ def test_rendering_is_faster_than_a_loop_over_triangles():
     assert plain > 1.3 * ours
 
 
+@pytest.mark.slow
 def test_the_loop_draws_the_same_silhouette():
     mesh = load_body().mesh()
     camera = fit(mesh.vertices, SIZE)

@@ -74,26 +74,6 @@ def test_clip_animates_normals(tmp_path):
             np.testing.assert_allclose(corners, corner_normals[start:stop], atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["hero", "props"])
-def test_clip_file_equals_the_mesh_file_besides_targets_and_animation(name, tmp_path):
-    """The clip's file is frame 0 written as a mesh, plus morph targets, weights and one animation."""
-    mesh = read_gltf(getattr(samples, name)().glb(tmp_path / "a.glb"))
-    clip = clip_of(mesh)
-    write_gltf_clip(clip, tmp_path / "b.glb")
-    write_gltf_clip(Clip(mesh, clip.vertices[:1]), tmp_path / "c.glb")
-    moving, still = ReferenceReader(tmp_path / "b.glb"), ReferenceReader(tmp_path / "c.glb")
-    for key in ("nodes", "materials", "images", "textures", "scenes", "cameras"):
-        assert getattr(moving.file, key) == getattr(still.file, key)
-    assert still.file.animations == []
-    assert [a.name for a in moving.file.animations] == ["a"]
-    for mesh_moving, mesh_still in zip(moving.file.meshes, still.file.meshes, strict=True):
-        for one, other in zip(mesh_moving.primitives, mesh_still.primitives, strict=True):
-            assert vars(one.attributes) == vars(other.attributes)
-            assert (one.indices, one.material) == (other.indices, other.material)
-            assert not other.targets
-    np.testing.assert_allclose(read_gltf(tmp_path / "c.glb").vertices, clip.vertices[0], atol=1e-5)
-
-
 def test_clip_gives_all_primitives_of_a_mesh_the_same_number_of_targets(tmp_path):
     """Lines and points of an animated mesh have targets too, and the source file's targets are dropped."""
     path = samples.hero().glb(tmp_path / "a.glb")
