@@ -55,34 +55,6 @@ def test_nothing_is_noted_where_nothing_is_lost(files, capsys):
     assert not any("left out" in note for note in json.loads(capsys.readouterr().out)["report"]["notes"])
 
 
-@pytest.mark.parametrize("identity", [".", "..", "nowhere"])
-@pytest.mark.parametrize("command", ["transfer", "animate"])
-def test_identity_must_be_a_file(files, command, identity, capsys, monkeypatch):
-    monkeypatch.chdir(files)
-    assert run([command, identity, "pose.obj"]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "expected the file of the mesh to move" in error
-
-
-def test_missing_driving_without_suffix_is_refused(files, capsys):
-    assert run(["animate", str(files / "hero.glb"), str(files / "nope")]) == 2
-    assert "nothing of that name" in capsys.readouterr().err
-
-
-def test_range_outside_the_clip_is_refused(files, capsys):
-    (files / "walk").mkdir()
-    for t in range(2):
-        save_mesh(zoo.cube(), files / "walk" / f"{t}.obj")
-    assert run(["animate", str(files / "hero.glb"), str(files / "walk"), "--start", "20"]) == 2
-    assert "walk: expected --start and --stop within its 2 frames, found 20 to the end" in capsys.readouterr().err
-
-
-def test_negative_seed_is_refused(files, capsys):
-    assert transfer(files, "--seed", "-1") == 2
-    assert "Traceback" not in capsys.readouterr().err
-
-
 def test_look_prints_the_good_files_beside_a_bad_one(files, capsys):
     (files / "bad.obj").write_text("")
     assert run(["look", str(files / "bad.obj"), str(files / "pose.obj")]) == 2

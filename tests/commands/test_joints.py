@@ -76,18 +76,6 @@ def test_a_side_file_of_another_mesh_is_refused(files, side_file, capsys):
     assert "6890 vertices, found those of a mesh with 5310" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--joints", "nowhere.json"), "nowhere.json: expected a file of joints, found none"),
-        (("--save-joints", "x.txt"), "expected a .json file for the joints"),
-    ],
-)
-def test_bad_files_are_refused(files, options, message, capsys):
-    assert transfer(files, "x.obj", *options) == 2
-    assert message in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_animate_takes_and_saves_joints_of_the_driving(files, capsys):
     words = ["animate", files / "hero.obj", files / "pose.obj", "-o", files / "clip.glb", "--no-preview"]

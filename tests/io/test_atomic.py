@@ -19,7 +19,7 @@ from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Material, Part
 from mimesh.io import atomic, load_mesh, save_clip, save_mesh
-from mimesh.io.atomic import PREFIX, scratch_folder, together, whole_file, whole_folder, written
+from mimesh.io.atomic import PREFIX, together, whole_file, whole_folder, written
 
 posix = pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes with names")
 
@@ -184,23 +184,9 @@ def test_a_link_stays_and_its_target_is_replaced(there, tmp_path):
     assert names(tmp_path / "data") == ["big.obj"]
 
 
-def test_a_linked_frame_stays_a_link(tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "0000.obj").symlink_to(tmp_path / "kept.obj")
-    save_clip(Clip.still(zoo.cube()), tmp_path / "out", suffix=".obj")
-    assert (tmp_path / "out" / "0000.obj").is_symlink()
-    assert len(load_mesh(tmp_path / "kept.obj").faces) == 12
-
-
 @posix
 def test_a_pipe_is_no_output(pair, capsys):
     os.mkfifo(pair / "out.obj")
     assert run(["convert", str(pair / "hero.obj"), str(pair / "out.obj")]) == 2
     assert "out.obj: expected a file to write, found a pipe or a device" in capsys.readouterr().err
     assert (pair / "out.obj").is_fifo()
-
-
-def test_a_scratch_folder_goes(tmp_path):
-    with scratch_folder(tmp_path) as folder:
-        (folder / "a").write_text("a")
-    assert names(tmp_path) == []

@@ -78,12 +78,6 @@ def test_missing_colours_are_white_and_values_above_one_are_bytes(tmp_path):
     assert np.allclose(srgb_rgba(colors), [[1, 0, 0.2, 1], [1, 1, 1, 1], [0, 1, 0, 1], [1, 1, 1, 1]])
 
 
-def test_file_without_colours_gives_none(tmp_path):
-    for suffix in ("obj", "ply", "glb"):
-        save_mesh(zoo.cube(), tmp_path / f"a.{suffix}")
-        assert load_mesh(tmp_path / f"a.{suffix}").vertex_colors is None
-
-
 @pytest.mark.parametrize("kind", ["double", "ushort", "uchar"])
 def test_ply_colours_of_every_width(kind, tmp_path):
     full = {"double": 1.0, "ushort": 65535, "uchar": 255}[kind]

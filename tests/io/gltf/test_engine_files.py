@@ -118,6 +118,7 @@ def test_half_way_between_frames_is_what_a_player_of_gltf_shows(tmp_path):
     assert np.allclose(sampled.root[1], (rig.root[0] + rig.root[1]) / 2)
 
 
+@pytest.mark.slow
 def test_a_result_is_saved_with_engine_names(tmp_path):
     from people import person, walk
 
