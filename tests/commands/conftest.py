@@ -1,8 +1,25 @@
-"""Pictures of the commands are small here: what is in them is tested in tests/render and tests/tools."""
+"""Files for commands, and small pictures: what is in them is tested in tests/render and tests/tools."""
+
+from pathlib import Path
 
 import pytest
+import zoo
+
+from mimesh.io import save_mesh
 
 
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch):
     monkeypatch.setattr("mimesh.tools.preview.TILE", (60, 72))
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    """A folder with hero.obj, pose.obj, pose.ply and walk/ (three frames), all of one topology."""
+    cube = zoo.cube()
+    save_mesh(cube, tmp_path / "hero.obj")
+    for name in ("pose.obj", "pose.ply"):
+        save_mesh(cube.with_vertices(cube.vertices * [1, 2, 1]), tmp_path / name)
+    for t in range(3):
+        save_mesh(cube.with_vertices(cube.vertices * [1, 1 + t / 4, 1]), tmp_path / "walk" / f"{t:03}.obj")
+    return tmp_path

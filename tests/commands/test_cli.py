@@ -20,18 +20,6 @@ from mimesh.io import load_clip, load_mesh, save_mesh
 MIMESH = Path(sys.executable).with_name("mimesh")
 
 
-@pytest.fixture
-def files(tmp_path: Path) -> Path:
-    """A folder with hero.obj, pose.ply and walk/ (three frames), all of one topology."""
-    cube = zoo.cube()
-    save_mesh(cube, tmp_path / "hero.obj")
-    save_mesh(cube.with_vertices(cube.vertices * [1, 2, 1]), tmp_path / "pose.ply")
-    (tmp_path / "walk").mkdir()
-    for t in range(3):
-        save_mesh(cube.with_vertices(cube.vertices * [1, 1 + t / 4, 1]), tmp_path / "walk" / f"{t:03}.obj")
-    return tmp_path
-
-
 def test_help_names_every_command_and_imports_nothing_heavy():
     script = (
         "import sys; from mimesh.cli import run; run(['--help']);"

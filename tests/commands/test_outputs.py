@@ -16,18 +16,6 @@ from mimesh.core.output_size import frames_size
 from mimesh.io import save_clip, save_mesh
 
 
-@pytest.fixture
-def files(tmp_path: Path) -> Path:
-    """A folder with hero.obj, pose.obj and walk/ (three frames), all of one topology."""
-    cube = zoo.cube()
-    save_mesh(cube, tmp_path / "hero.obj")
-    save_mesh(cube.with_vertices(cube.vertices * [1, 2, 1]), tmp_path / "pose.obj")
-    (tmp_path / "walk").mkdir()
-    for t in range(3):
-        save_mesh(cube.with_vertices(cube.vertices * [1, 1 + t / 4, 1]), tmp_path / "walk" / f"{t:03}.obj")
-    return tmp_path
-
-
 def transfer(files: Path, *options: str | Path) -> int:
     words = ["transfer", files / "hero.obj", files / "pose.obj", "-m", "copy", "--no-preview", *options]
     return run([str(word) for word in words])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matrix import matrix
 from people import person, walk
-from waiting import wait_until
+from waiting import finished, wait_until
 
 from mimesh import InputError, animate, save_clip, save_mesh, transfer
 from mimesh.bodies.animals import animal
@@ -53,10 +53,7 @@ def only_item(session):
 
 def finished_outcome(session, seconds=60.0):
     """Wait for the result of the only mesh and return its outcome."""
-    wait_until(
-        lambda: (outcome := only_item(session).outcome) is not None and (outcome.current or outcome.error), seconds
-    )
-    return only_item(session).outcome
+    return finished(session, seconds).outcome
 
 
 def test_results_are_those_of_animate(mime_session, files):
