@@ -18,6 +18,7 @@ from unittest import mock
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
+from matrix import matrix
 from people import person, walk
 
 from mimesh.io import save_clip, save_mesh
@@ -244,7 +245,11 @@ def test_a_trace_shows_connections_and_files(place):
     assert trace.outside(place.root) == []
 
 
-@pytest.mark.parametrize(("command", "driving"), [("transfer", "pose.obj"), ("animate", "walk.glb")])
+@matrix(
+    ("command", "driving"),
+    [("transfer", "pose.obj"), ("animate", "walk.glb")],
+    quick=lambda case: case[0] == "transfer",
+)
 def test_a_command_connects_to_nothing_and_writes_its_output_alone(command, driving, inputs, place):
     shown = {"transfer": "result.glb", "animate": "result"}[command]  # .glb is not the usual suffix for an .obj
     require_strace()

@@ -37,6 +37,7 @@ def exported(session, suffix, skinned=True, blendshapes=None, layout=None):
     return export
 
 
+@pytest.mark.slow
 def test_bones_are_named_and_arranged_as_by_animate(moved, tmp_path):
     session, files = moved
     layout = Layout("unreal", True, "T", 20.0)

@@ -39,6 +39,7 @@ def session(files):
     session.close()
 
 
+@pytest.mark.slow
 def test_corrections_give_the_result_of_animate_and_can_be_taken_back(session, files):
     item, plain = result(session)
     found = session.joints(item.number).result(60)

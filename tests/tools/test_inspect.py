@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import rigs
 import zoo
-from people import walk
+from people import person, walk
 
 import mimesh
 from mimesh.core.errors import InputError
@@ -26,6 +26,17 @@ GOLDEN = {
     "bow_tie": (7, 7, 4, 1, False, 9, 1, True, None),
     "point_cloud": (50, 50, 0, 0, False, 0, 0, True, None),
 }
+
+
+@pytest.fixture(autouse=True)
+def no_way_it_stands(monkeypatch):
+    """Leave out how a mesh stands, which a network finds in seconds."""
+    monkeypatch.setattr("mimesh.tools.inspect._stands", lambda mesh, rig: None)
+
+
+def test_the_way_a_person_stands_is_told(monkeypatch):
+    monkeypatch.undo()
+    assert facts_of(person(0)).stands.startswith("up +y, front +z, taken for")
 
 
 def split(mesh):
