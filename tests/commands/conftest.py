@@ -9,8 +9,10 @@ from mimesh.io import save_mesh
 
 
 @pytest.fixture(autouse=True)
-def small_pictures(monkeypatch):
+def small_pictures_and_no_way_it_stands(monkeypatch):
+    """How a cube stands takes a network seconds to find, and tests/tools/test_inspect.py asks it."""
     monkeypatch.setattr("mimesh.tools.preview.TILE", (60, 72))
+    monkeypatch.setattr("mimesh.tools.inspect._stands", lambda mesh, rig: None)
 
 
 @pytest.fixture

@@ -34,11 +34,7 @@ def path(clips, tmp_path_factory):
 
 @pytest.mark.parametrize(
     ("choice", "options"),
-    [
-        ("50002_chicken_wings", {"chunks": (1000, 3, 1)}),
-        ("50002_CHICKEN_WINGS", {"compression": "gzip"}),
-        ("0", {}),
-    ],
+    [("50002_chicken_wings", {"chunks": (1000, 3, 1)}), ("50002_CHICKEN_WINGS", {"compression": "gzip"}), ("0", {})],
 )
 def test_a_chosen_clip_is_read_exactly(choice, options, clips, tmp_path):
     path = write_dfaust(tmp_path / "registrations_m.hdf5", clips, load_body().faces.astype(np.uint32), **options)

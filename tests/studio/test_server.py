@@ -327,10 +327,7 @@ def test_the_number_of_meshes_is_limited(session, client, monkeypatch):
 
 
 def test_unknown_numbers_are_refused(client):
-    for method, path in (
-        ("DELETE", "/api/meshes/99"),
-        ("POST", "/api/uploads/9/identity"),
-    ):
+    for method, path in (("DELETE", "/api/meshes/99"), ("POST", "/api/uploads/9/identity")):
         assert client.request(method, path).status_code == 422
     assert client.get("/api/exports/99").status_code == 404
     assert client.post("/api/uploads/9/unknown").status_code == 404
