@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import struct
 from itertools import product
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import numpy as np
 import pytest
 import rigs
 from foreign_names import renamed
+from gltf_reference import json_of
 from matrix import matrix
 from scipy.spatial.transform import Rotation
 
@@ -41,11 +40,6 @@ def distance(vertices: np.ndarray, expected: np.ndarray) -> float:
 
 def truth() -> np.ndarray:
     return np.stack([rigs.posed(PERSON, frame) for frame in rigs.exercise(PERSON)])
-
-
-def json_of(path: Path) -> dict:
-    content = path.read_bytes()
-    return json.loads(content[20 : 20 + struct.unpack_from("<I", content, 12)[0]])
 
 
 def test_nodes_with_a_matrix_move_in_memory_as_in_the_written_file(model, driving, tmp_path):
