@@ -113,6 +113,7 @@ def test_a_person_with_the_motion_of_an_animal_is_refused(client):
     client.post("/api/demo", json={"what": "both", "character": "imp", "motion": "horse gallop"})
     error = moved(client)["outcome"]["error"]
     assert "imp is taken for a person, and horse-gallop for a four-legged animal: expected two of a kind" in error
+    assert "choose the body" in error
     assert "--" not in error
 
 

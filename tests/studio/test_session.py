@@ -79,7 +79,6 @@ def animal_session(tmp_path_factory):
     """A session with a cat and a walking dog, both without rigs."""
     folder = tmp_path_factory.mktemp("animals")
     save_mesh(animal("cat"), folder / "cat.ply")
-    save_mesh(person(0), folder / "hero.obj")
     save_clip(gait_clip("dog", "walk", seconds=0.3, fps=10.0), folder / "dog.npz")
     session = make_session([folder / "cat.ply", folder / "dog.npz"], 2**20)
     yield session, folder
@@ -89,18 +88,14 @@ def animal_session(tmp_path_factory):
 @pytest.mark.slow
 def test_the_body_is_found_or_given(animal_session):
     session, folder = animal_session
-    for body in ("auto", "quadruped"):
-        session.set_options({"body": body})
-        result = finished_outcome(session).result
-        state = describe(session)
-        assert state["identities"][0]["outcome"]["body"] == "quadruped"
-        for item, axes in (
-            (state["identities"][0], result.report["identity"]),
-            (state["driving"], result.report["driving"]),
-        ):
-            assert (item["facing"]["up"], item["facing"]["front"]) == (axes["up"], axes["front"]) == ("+y", "+z")
-        expected = animate(folder / "cat.ply", folder / "dog.npz", body=body)
-        np.testing.assert_allclose(result.clip.vertices, expected.clip.vertices, atol=1e-6)
+    result = finished_outcome(session).result
+    state = describe(session)
+    assert state["identities"][0]["outcome"]["body"] == "quadruped"
+    for item, which in ((state["identities"][0], "identity"), (state["driving"], "driving")):
+        axes = result.report[which]
+        assert (item["facing"]["up"], item["facing"]["front"]) == (axes["up"], axes["front"]) == ("+y", "+z")
+    expected = animate(folder / "cat.ply", folder / "dog.npz")
+    np.testing.assert_allclose(result.clip.vertices, expected.clip.vertices, atol=1e-6)
     number = only_item(session).number
     assert "LeftThigh" in session.joints(number).result(60)["meshes"][str(number)]["joints"]
     session.set_options({"body": "human"})
@@ -108,20 +103,6 @@ def test_the_body_is_found_or_given(animal_session):
     session.set_options({"model": "copy", "body": "quadruped"})
     assert finished_outcome(session).current, "models without bodies ignore the option"
     assert describe(session)["identities"][0]["outcome"]["body"] == ""
-    session.set_options({"model": "mime", "body": "auto"})
-
-
-@pytest.mark.slow
-def test_a_person_with_an_animal_gives_an_error_in_the_words_of_the_page(animal_session):
-    session, folder = animal_session
-    session.set_options({"body": "auto"})
-    (number,) = session.add_identities([folder / "hero.obj"])
-    item = session.item(number)
-    wait_until(lambda: item.outcome is not None and (item.outcome.current or item.outcome.error), 60)
-    assert "hero is taken for a person, and dog for a four-legged animal" in item.outcome.error
-    assert "or choose the body if" in item.outcome.error
-    assert "--" not in item.outcome.error
-    session.remove(number)
 
 
 def test_models_are_those_of_animate(session, files):
