@@ -214,30 +214,6 @@ def test_look_prints_text_and_json(files, capsys):
     assert (hero["vertices"], hero["frames"], walk["frames"]) == (8, 1, 3)
 
 
-@pytest.mark.parametrize(
-    ("flags", "output", "kind"),
-    [
-        ([], "x.png", "strip"),
-        (["--sheet"], "x.jpg", "contact sheet"),
-        (["--strip"], "x.png", "strip"),
-        (["--turntable"], "x.png", "turntable"),
-        (["--truth", "pose.ply"], "x.png", "heat map"),
-        ([], "x.webp", "movie"),
-        ([], "x.gif", "movie"),
-    ],
-)
-def test_render_draws(files, flags, output, kind, capsys, monkeypatch):
-    monkeypatch.chdir(files)
-    assert run(["render", "walk", *flags, "-o", output, "--size", "48", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"output": output, "kind": kind, "files": ["walk"]}
-    assert Path(output).stat().st_size > 100
-
-
-def test_render_draws_a_turning_movie(files, capsys):
-    assert run(["render", str(files / "hero.obj"), "--turntable", "-o", str(files / "x.gif"), "--size", "32"]) == 0
-    assert "turning movie of hero.obj" in capsys.readouterr().out
-
-
 def test_models_lists_all_models(capsys):
     from mimesh.methods.find import MODELS
 

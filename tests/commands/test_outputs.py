@@ -45,12 +45,6 @@ def test_a_folder_gets_the_usual_name(slash, files, capsys):
     assert "--output: expected a path, found an empty text" in capsys.readouterr().err
 
 
-def test_a_folder_of_frames_is_written_again(files):
-    for _ in range(2):
-        assert animate(files, "-o", files / "frames") == 0
-        assert len(names(files / "frames")) == 3
-
-
 def test_frames_are_not_written_among_other_meshes(files):
     before = names(files)
     assert animate(files, "-o", f"{files}/.") == 0  # a folder that is there gets the usual name
