@@ -184,6 +184,14 @@ def test_a_link_stays_and_its_target_is_replaced(there, tmp_path):
     assert names(tmp_path / "data") == ["big.obj"]
 
 
+def test_a_linked_frame_stays_a_link(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "0000.obj").symlink_to(tmp_path / "kept.obj")
+    save_clip(Clip.still(zoo.cube()), tmp_path / "out", suffix=".obj")
+    assert (tmp_path / "out" / "0000.obj").is_symlink()
+    assert len(load_mesh(tmp_path / "kept.obj").faces) == 12
+
+
 @posix
 def test_a_pipe_is_no_output(pair, capsys):
     os.mkfifo(pair / "out.obj")
