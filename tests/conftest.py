@@ -20,6 +20,14 @@ def no_progress_lines(monkeypatch):
     monkeypatch.setattr("mimesh.commands.terminal.LINE_SECONDS", 3600.0)
 
 
+@pytest.fixture
+def in_process(monkeypatch):
+    """Have native decoders read sound files without a child process (`support/in_process.py`)."""
+    from in_process import run_here
+
+    monkeypatch.setattr("mimesh.io.child_process._run", run_here)
+
+
 @pytest.fixture(scope="module")
 def studio():
     """A studio in this process: its address, its token and its session."""

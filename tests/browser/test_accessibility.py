@@ -16,6 +16,8 @@ from mimesh.core.mesh import Clip
 from mimesh.player.pack import Panel
 from mimesh.player.page import Download, write_player
 
+pytestmark = pytest.mark.slow
+
 FOLDER = Path(os.environ.get("MIMESH_AXE", Path(__file__).parents[2] / ".clients" / "axe"))
 WITHOUT_TOOLTIP = """() => [...document.querySelectorAll("button, select, input, a[href]")]
   .filter((control) => control.checkVisibility() && !control.closest("dialog"))
@@ -76,7 +78,6 @@ def test_a_player_that_cannot_start_is_accessible(check, watch, player):
     check(watch(player, script="delete window.DecompressionStream").page, "refused")
 
 
-@pytest.mark.slow
 def test_the_studio_is_accessible(check, studio, watch_all, tmp_path):
     save_mesh(person(0), tmp_path / "hero.glb")
     save_clip(walk(frames=3), tmp_path / "walk.npz")

@@ -10,6 +10,8 @@ import mimesh
 from mimesh.core.mesh import Mesh
 from mimesh.studio.live_page import LivePage
 
+pytestmark = pytest.mark.slow
+
 
 def test_frames_are_shown_as_they_come(watch):
     cube = zoo.cube()

@@ -93,6 +93,7 @@ def test_playing_pausing_and_seeking_give_the_right_pictures(watched):
     np.testing.assert_array_equal(early, picture_at(watched, 0.1))
 
 
+@pytest.mark.slow
 def test_playing_does_not_begin_before_the_start(watched):
     """The time of the first frame can be before that of the press."""
     times = watched.page.evaluate("""async () => {
@@ -109,6 +110,7 @@ def test_playing_does_not_begin_before_the_start(watched):
     assert times == sorted(times)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["clay", "stretch", "error"])
 def test_colours_change_the_picture(watched, what):
     before = picture_at(watched)
@@ -119,6 +121,7 @@ def test_colours_change_the_picture(watched, what):
     np.testing.assert_array_equal(before, watched.picture())
 
 
+@pytest.mark.slow
 def test_every_key_changes_the_picture(watched):
     picture_at(watched)
     before = watched.picture("body")
@@ -132,6 +135,7 @@ def test_every_key_changes_the_picture(watched):
     assert not watched.page.locator("dialog.help").is_visible()
 
 
+@pytest.mark.slow
 def test_the_camera_turns_and_is_reset(watched):
     before = picture_at(watched)
     watched.page.mouse.move(300, 250)
@@ -143,6 +147,7 @@ def test_the_camera_turns_and_is_reset(watched):
     np.testing.assert_array_equal(before, watched.picture())
 
 
+@pytest.mark.slow
 def test_speed_and_loop_are_set(watched):
     watched.page.select_option("select.speed", "0.1")
     assert watched.page.evaluate("mimesh.controls.speed") == 0.1
@@ -152,6 +157,7 @@ def test_speed_and_loop_are_set(watched):
     assert watched.page.evaluate("mimesh.stage.time === mimesh.stage.duration && !mimesh.controls.playing")
 
 
+@pytest.mark.slow
 def test_a_narrow_dark_touch_screen_is_supported(watch, address):
     size = {"width": 390, "height": 780}
     watched = watch(address, viewport=size, has_touch=True, is_mobile=True, color_scheme="dark")
@@ -165,6 +171,7 @@ def test_a_narrow_dark_touch_screen_is_supported(watch, address):
     assert all(box["width"] > 150 and box["height"] > 60 for box in boxes)
 
 
+@pytest.mark.slow
 def test_the_download_gives_the_same_bytes(watched):
     with watched.page.expect_download() as waiting:
         watched.page.click(".download")
@@ -173,6 +180,7 @@ def test_the_download_gives_the_same_bytes(watched):
         assert file.read() == CONTENT
 
 
+@pytest.mark.slow
 def test_points_and_a_single_pose_are_shown_without_a_play_bar(watch, tmp_path):
     panels = [Panel("mesh", Clip.still(zoo.point_cloud())), Panel("mesh", Clip.still(zoo.cube()))]
     watched = watch(write_player(tmp_path / "still.html", panels, title="still").as_uri())
@@ -182,6 +190,7 @@ def test_points_and_a_single_pose_are_shown_without_a_play_bar(watch, tmp_path):
     assert min(left.std(), right.std()) > 5
 
 
+@pytest.mark.slow
 def test_the_shadow_is_below_its_subject(watch, tmp_path):
     """A slab floats on the left and a small cube is on the right: the shadow on the floor is below the slab."""
     slab, small = (zoo.cube(),) * 2
@@ -202,11 +211,13 @@ def test_the_shadow_is_below_its_subject(watch, tmp_path):
     assert abs(below - middle) < 0.1 * len(dark)
 
 
+@pytest.mark.slow
 def test_every_control_has_a_label(watched):
     for button in watched.page.locator("button, select, input").all():
         assert button.get_attribute("aria-label") or button.inner_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lacking", "words"),
     [
@@ -218,6 +229,7 @@ def test_an_unsupported_browser_gets_a_message(watch, address, lacking, words):
     assert words in watch(address, script=lacking).page.locator(".refusal").inner_text()
 
 
+@pytest.mark.slow
 def test_the_policy_stops_foreign_scripts_and_requests(watch, tmp_path):
     page = tmp_path / "page.html"
     write_player(page, [Panel("result", Clip.still(textured_cube()))], title="A cube")

@@ -12,6 +12,8 @@ from mimesh import animate, load_clip, save_clip, save_mesh
 from mimesh.bodies.animals import animal
 from mimesh.motions.animal_clips import gait_clip
 
+pytestmark = pytest.mark.slow
+
 HERO = ".row[data-state='done']:has-text('hero.glb')"
 DROP = """([role, name, text]) => {
   const transfer = new DataTransfer();
@@ -153,7 +155,6 @@ def test_changing_the_model_updates_result_and_options(fresh, files):
     assert page.locator("#model select").first.input_value() == "mime", "reloading loses nothing"
 
 
-@pytest.mark.slow
 def test_animals_are_found_chosen_and_refused_with_people(fresh, files, tmp_path):
     save_mesh(animal("cat"), tmp_path / "cat.glb")
     save_clip(gait_clip("dog", "walk", seconds=0.2, fps=10.0), tmp_path / "dog.npz")
@@ -274,7 +275,6 @@ def test_keyboard_theme_and_narrow_windows_work(fresh, monkeypatch):
     page.set_viewport_size({"width": 760, "height": 480})
 
 
-@pytest.mark.slow
 def test_animals_and_other_creatures_are_chosen_and_moved(fresh, tmp_path):
     from creatures import BIRD, Boxes, flapping
 
@@ -316,7 +316,6 @@ def joint_place(page, name, panel="identity"):
     raise AssertionError(f"{name} keeps moving: {boxes[-4:]}")
 
 
-@pytest.mark.slow
 def test_joints_are_dragged_moved_by_keys_and_reset(fresh, files, studio):
     page, session = fresh.page, studio[2]
     page.select_option("#model select", "mime")

@@ -195,10 +195,7 @@ def test_the_panel_says_what_is_known(facts):
         ("joints of a skeleton", "expected a visible mesh, found none"),
         ("joints of animals", "found four-legged animals, whose joints cannot be corrected"),
         ("animal as a person", "expected a thigh and an upper arm on both sides by name"),
-        (
-            "animal by a person",
-            "for a person: expected two of a kind; give another driving, or choose the body",
-        ),
+        ("animal by a person", "for a person: expected two of a kind; give another driving, or choose the body"),
     ],
 )
 def test_refusals_say_what_to_do(facts, case, text):

@@ -126,6 +126,7 @@ def test_animations_of_driving_files_are_chosen_and_named(moves, words, names):
     assert [clip.name for clip in clips] == names
 
 
+@pytest.mark.slow
 def test_one_file_of_several_animations_becomes_one_file_of_several_clips(moves, tmp_path, capsys):
     words = ["animate", str(moves), str(moves), "-o", str(tmp_path / "a.glb"), "--json"]
     assert run([*words, "--animation", "Walk", "--animation", "Run"]) == 0
@@ -161,26 +162,6 @@ def test_an_animation_is_chosen_once_where_one_clip_is_taken(moves, tmp_path, ca
     assert capsys.readouterr().err.count("--animation: expected it once, found Walk, Run; choose one of them") == 2
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (
-            ["walk.glb", "run.npz", "-o", "x.abc"],
-            ".fbx or .vrma for 2 clips, found '.abc'",
-        ),
-        (["walk.glb", "run.npz", "--morphs"], "for 2 clips, found --morphs"),
-        (["walk.glb", "run.npz", "--save-driving-joints", "x.json"], "expected one clip with it, found 2"),
-        (["walk.glb", "--morphs", "--skinned"], "--morphs: expected it without --skinned"),
-        (["walk.glb", "--morphs", "-o", "x.abc"], "expected an output in one of .fbx .glb .gltf, found '.abc'"),
-        (["walk.glb", "run.npz", "-o", "walk.glb"], "expected an output apart from the inputs"),
-    ],
-)
-def test_what_a_file_cannot_hold_is_refused_before_the_work(files, words, expected, capsys):
-    assert animate(files, *words) == 2
-    assert expected in capsys.readouterr().err
-    assert not list(files.glob("x.*"))
-
-
 def test_a_vrma_has_bones_alone(files, tmp_path, capsys):
     path, _, _ = vrm(tmp_path / "avatar.vrm")
     words = ["animate", str(path), str(files / "pose.vrma"), "--no-preview", "--json", "-o"]
@@ -194,6 +175,7 @@ def test_a_vrma_has_bones_alone(files, tmp_path, capsys):
     assert "found .vrm, which holds none by its specification; write b.vrma" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_vrm_in_a_pose_has_a_note(files, tmp_path, capsys):
     path, _, _ = vrm(tmp_path / "avatar.vrm")
     drive(files / "pose.vrma")
@@ -207,8 +189,3 @@ def drive(path):
     """Write a VRM animation of the skeleton of a generated VRM."""
     _, rig, _ = vrm(path.with_name("skeleton.vrm"))
     vrma(path, bone_positions(rig), spread=0.1)
-
-
-def test_several_clips_need_a_model_with_joints(files, capsys):
-    assert animate(files, "walk.glb", "run.npz", "-o", "y.glb", model="copy") == 2
-    assert "expected a model with joints (mime), found copy" in capsys.readouterr().err

@@ -36,6 +36,7 @@ def test_engine_names_root_bone_rest_and_rate(files, capsys):
     assert max((entry["count"], round(entry["max"][0], 6)) for entry in times) == (13, 0.2)
 
 
+@pytest.mark.slow
 def test_no_sampling_is_noted_at_the_rate_of_the_frames_that_are_taken(files, capsys):
     assert animate(files, "--step", "2", "--output-fps", "5") == 0
     text = capsys.readouterr().out
@@ -43,25 +44,7 @@ def test_no_sampling_is_noted_at_the_rate_of_the_frames_that_are_taken(files, ca
     assert "sampled from" not in text
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--morphs", "--names", "unreal"), "expected joints in a .glb, .gltf or .fbx, found out.glb without"),
-        (("--morphs", "--root-bone"), "expected joints in a .glb, .gltf or .fbx, found out.glb without"),
-        (("--blendshapes", "3", "--rest", "T"), "expected joints in a .glb, .gltf or .fbx, found out.glb without"),
-        (("-o", "out.abc", "--output-fps", "30"), "expected joints in a .glb, .gltf or .fbx, found out.abc without"),
-        (("--names", "maya"), "--names: expected one of own, mixamo, unreal, vrm, godot, rigify"),
-        (("--rest", "sitting"), "--rest: expected one of file, T, A, found 'sitting'"),
-        (("--output-fps", "0"), "--output-fps: expected a positive frame rate, found 0"),
-    ],
-)
-def test_options_that_do_not_fit_are_refused_in_one_line(files, options, message, capsys):
-    assert animate(files, *options) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert len(error.strip().splitlines()) == 1
-
-
+@pytest.mark.slow
 def test_thighs_beside_the_hips_of_an_own_rig_are_noted_with_a_scheme(files, capsys):
     assert animate(files) == 0
     gltf = pygltflib.GLTF2().load(str(files / "out.glb"))

@@ -38,22 +38,7 @@ def test_deformation_transfer_takes_its_third_mesh_and_markers(people, marked, c
     assert "deformation-transfer" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("extra", "message"),
-    [
-        ([], "--reference"),
-        (["--reference", "gone.obj"], "gone.obj"),
-        (["--reference", "reference.obj", "--markers", "gone.txt"], "gone.txt: expected a file of markers"),
-    ],
-)
-def test_missing_files_of_deformation_transfer_are_refused(people, extra, message, capsys, monkeypatch):
-    monkeypatch.chdir(people)
-    assert run(["transfer", "identity.obj", "driving.obj", "-m", "deformation-transfer", *extra]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-
-
+@pytest.mark.slow
 def test_generate_figure_and_evaluate_print_json(tmp_path, capsys):
     network = str(write_network(tmp_path / "tiny.onnx"))
     assert run(["generate", "noise", "-o", str(tmp_path / "meshes"), "--pairs", "1", "--split", "val", "--json"]) == 0
@@ -65,20 +50,6 @@ def test_generate_figure_and_evaluate_print_json(tmp_path, capsys):
     assert run(arguments) == 0
     assert {row["split"] for row in json.loads(capsys.readouterr().out)["results"]} == {"limits", "clips"}
     assert len(list((tmp_path / "worst").glob("copy-*.png"))) == 2
-
-
-@pytest.mark.parametrize("protocol", ["cross-body", "characters"])
-def test_protocols_without_their_folder_are_refused(protocol, tmp_path, capsys):
-    assert run(["evaluate", protocol, "-m", "npt"]) == 2
-    assert "--data" in capsys.readouterr().err
-    assert run(["evaluate", protocol, "-m", "npt", "--data", str(tmp_path)]) == 2
-    assert "expected" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("arguments", [["table", "npt-9"], ["figure", "npt-1", "-o", "x.png"], ["evaluate", "mnist"]])
-def test_unknown_names_are_refused_with_the_known_ones(arguments, capsys):
-    assert run(arguments) == 2
-    assert "expected a" in capsys.readouterr().err
 
 
 def test_a_table_leaves_out_rows_without_weights_and_says_how_to_make_them(tmp_path, monkeypatch, capsys):

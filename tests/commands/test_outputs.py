@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import zoo
+from matrix import matrix
 from people import walk
 
 from mimesh.cli import run
@@ -13,18 +14,6 @@ from mimesh.core import output_size
 from mimesh.core.errors import InputError
 from mimesh.core.output_size import frames_size
 from mimesh.io import save_clip, save_mesh
-
-
-@pytest.fixture
-def files(tmp_path: Path) -> Path:
-    """A folder with hero.obj, pose.obj and walk/ (three frames), all of one topology."""
-    cube = zoo.cube()
-    save_mesh(cube, tmp_path / "hero.obj")
-    save_mesh(cube.with_vertices(cube.vertices * [1, 2, 1]), tmp_path / "pose.obj")
-    (tmp_path / "walk").mkdir()
-    for t in range(3):
-        save_mesh(cube.with_vertices(cube.vertices * [1, 1 + t / 4, 1]), tmp_path / "walk" / f"{t:03}.obj")
-    return tmp_path
 
 
 def transfer(files: Path, *options: str | Path) -> int:
@@ -54,12 +43,6 @@ def test_a_folder_gets_the_usual_name(slash, files, capsys):
     assert "expected a folder for the output, found a file" in capsys.readouterr().err
     assert transfer(files, "-o", " ") == 2
     assert "--output: expected a path, found an empty text" in capsys.readouterr().err
-
-
-def test_a_folder_of_frames_is_written_again(files):
-    for _ in range(2):
-        assert animate(files, "-o", files / "frames") == 0
-        assert len(names(files / "frames")) == 3
 
 
 def test_frames_are_not_written_among_other_meshes(files):
@@ -101,7 +84,11 @@ def test_no_clobber_heeds_the_files_beside_an_output(files, capsys):
     assert run(["render", str(files / "hero.obj"), "-o", str(files / "x.png"), "-n"]) == 2
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".gltf", ".npz", ".npy", ".pc2", ".mdd", ".usda", ".usdc", ".abc"])
+@matrix(
+    "suffix",
+    [".glb", ".gltf", ".npz", ".npy", ".pc2", ".mdd", ".usda", ".usdc", ".abc"],
+    quick=[".glb", ".npz", ".usdc"],
+)
 def test_estimated_sizes_are_near_those_of_files(suffix, tmp_path):
     if suffix.startswith(".us"):
         pytest.importorskip("pxr")

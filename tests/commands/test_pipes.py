@@ -9,6 +9,7 @@ import sys
 
 import pytest
 import zoo
+from matrix import matrix
 
 from mimesh.cli import run
 from mimesh.io import save_mesh
@@ -39,7 +40,7 @@ def deadline():
     signal.signal(signal.SIGALRM, before)
 
 
-@pytest.mark.parametrize(
+@matrix(
     "words",
     [
         *(("look", f"pipe{suffix}") for suffix in SUFFIXES),
@@ -55,6 +56,7 @@ def deadline():
         ("transfer", "a.obj", "a.obj", "-o", "b.obj", "--joints", "pipe.json"),
         ("look", "/dev/zero"),
     ],
+    quick=lambda words: words[0] != "train",  # which loads PyTorch
     ids=" ".join,
 )
 def test_a_pipe_is_refused(words, files, monkeypatch, capsys):

@@ -11,28 +11,18 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-import zoo
+from matrix import matrix
 from threadpoolctl import threadpool_info
 
 from mimesh.bodies.engine_names import SCHEMES, RestPose
 from mimesh.cli import COMMANDS, command_name, run
 from mimesh.commands import about, common, completion, terminal
 from mimesh.core.errors import did_you_mean
-from mimesh.io import save_mesh
 from mimesh.methods.find import MODELS, PAIRING_CHOICES
 from mimesh.methods.onnx_runtime import THREADS
 from mimesh.pipeline.body_choice import BODIES
 from mimesh.pipeline.prepared import ROOTS
 from mimesh.pipeline.rigs import RIGS
-
-
-@pytest.fixture
-def files(tmp_path: Path) -> Path:
-    """A folder with hero.obj and pose.obj."""
-    cube = zoo.cube()
-    save_mesh(cube, tmp_path / "hero.obj")
-    save_mesh(cube.with_vertices(cube.vertices * [1, 2, 1]), tmp_path / "pose.obj")
-    return tmp_path
 
 
 def copied(files: Path) -> list[str]:
@@ -166,7 +156,7 @@ print(*[os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREA
 """
 
 
-@pytest.mark.parametrize(
+@matrix(
     ("arguments", "given", "expected"),
     [
         (["look", "x"], {}, "1 1 None"),
@@ -174,6 +164,7 @@ print(*[os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREA
         (["look", "x"], {"OMP_NUM_THREADS": "2"}, "2 None None"),
         (["train", "x"], {}, "None None None"),
     ],
+    quick=lambda case: "--threads" in case[0],
 )
 def test_threads_before_libraries_are_loaded(arguments, given, expected):
     unset = (*common.LINEAR_ALGEBRA, THREADS)

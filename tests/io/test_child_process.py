@@ -8,6 +8,7 @@ import textwrap
 import time
 
 import pytest
+from matrix import matrix
 
 from mimesh.core.budgets import no_limits
 from mimesh.core.errors import InputError
@@ -116,7 +117,7 @@ def test_result_is_a_file_that_is_deleted_afterwards(run, tmp_path):
     assert not result.parent.exists()
 
 
-@pytest.mark.parametrize("name", ["crash", "abort"])
+@matrix("name", ["crash", "abort"], quick=["crash"])
 def test_crash_is_an_input_error(run, name):
     assert "a.xyz: expected a file that can be read, found that its decoder crashed" in message_of(run, name)
 
@@ -129,16 +130,18 @@ def test_endless_loop_is_ended_by_processor_time(run):
     assert time.monotonic() - start < 30
 
 
+@pytest.mark.slow
 def test_waiting_is_ended_by_the_clock(run):
     assert "found that its decoder does not end" in message_of(run, "sleep", Limits(LIMITS.memory, MIB, 20, 1.0))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a system without a limit on memory")
-@pytest.mark.parametrize("name", ["allocate", "native_allocate"])
+@matrix("name", ["allocate", "native_allocate"], quick=["native_allocate"])
 def test_memory_is_limited(run, name):
     assert "needs more than 1,024 MiB of memory" in message_of(run, name)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="a system without a limit on file sizes")
 def test_output_is_limited(run):
     assert "4 MiB" in message_of(run, "fill")
@@ -151,6 +154,7 @@ def test_lifted_budgets_hold_in_the_child_and_lift_its_limits(run):
         assert len(run("write", size=size)) == size > LIMITS.output
 
 
+@pytest.mark.slow
 def test_missing_result_is_an_input_error(run):
     assert "found 0 bytes" in message_of(run, "nothing")
 
@@ -203,6 +207,7 @@ def test_each_report_starts_the_limit_of_time_again(run):
     assert "does not end" in message_of(run, "count", limits, lambda done, total: None, seconds=20)
 
 
+@pytest.mark.slow
 def test_long_message_keeps_its_end_and_the_name_of_the_file(run, tmp_path):
     message = message_of(run, "babble")
     assert message.startswith(f"{tmp_path / 'a.xyz'}: expected bread")

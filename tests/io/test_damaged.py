@@ -1,25 +1,19 @@
-"""Damaged files of native libraries give a mesh, a clip or one line, within limits, and this process goes on."""
+"""Damage that native libraries do not name, or not see, is named in one line; test_damaged_at_random has more of it."""
 
 from __future__ import annotations
 
 import dataclasses
-import resource
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matrix import matrix
 from zoo import grid
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Material, Part
 from mimesh.io import load_clip, load_mesh, save_clip
-
-SUFFIXES = {".usda": "pxr", ".usdc": "pxr", ".usdz": "pxr", ".abc": "alembic3d"}
-"""Formats, and the library of each."""
-SECONDS = 10
-MEMORY = 2 * 2**30
-"""Bytes of resident memory."""
 
 
 def sound_file(path: Path) -> bytes:
@@ -31,70 +25,15 @@ def sound_file(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def mutated(content: bytes, seed: int) -> bytes:
-    """Damage a file: some bytes changed, a run of equal bytes, a part cut out, or the end cut off."""
-    rng, data = np.random.default_rng(seed), bytearray(content)
-    kind = seed % 4
-    start = int(rng.integers(len(data)))
-    length = int(rng.integers(1, 64))
-    if kind == 0:
-        for place in rng.integers(len(data), size=rng.integers(1, 9)).tolist():
-            data[place] ^= int(rng.integers(1, 256))
-    elif kind == 1:
-        data[start : start + length] = bytes([int(rng.choice([0, 0x7F, 0xFF]))]) * length
-    elif kind == 2:
-        del data[start : start + length]
-    else:
-        del data[start:]
-    return bytes(data)
-
-
-def outcome(path: Path) -> str:
-    """Read a file within the limits; returns what was found. Other exceptions than InputError fail the test."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    try:
-        clip = load_clip(path)
-        assert np.isfinite(clip.vertices).all()
-        found = "clip"
-    except InputError as error:
-        found = str(error)
-        assert "\n" not in found
-        assert str(path) in found
-        assert len(found) < 2000
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < SECONDS
-    # Of the largest child so far, which may be that of another test; a child also counts what this process had when it
-    # started the child, which can be more than MEMORY after other tests.
-    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    assert after.ru_maxrss == before.ru_maxrss or after.ru_maxrss <= max(MEMORY / 1024, own)
-    return found
-
-
-@pytest.fixture(params=SUFFIXES)
-def sound(request, tmp_path) -> tuple[Path, bytes]:
-    """A path of each format, and the bytes of a sound file."""
-    pytest.importorskip(SUFFIXES[request.param])
-    path = tmp_path / f"a{request.param}"
-    return path, sound_file(path)
-
-
-def check_mutations(path: Path, content: bytes, seeds: range) -> None:
-    assert outcome(path) == "clip"
-    found = set()
-    for seed in seeds:
-        path.write_bytes(mutated(content, seed))
-        found.add(outcome(path))
-    assert found - {"clip"}  # some of it was damage
-
-
-@pytest.mark.slow
-def test_some_mutations_are_read_or_refused(sound):
-    check_mutations(*sound, range(6))
-
-
-@pytest.mark.slow
-def test_many_mutations_are_read_or_refused(sound):
-    check_mutations(*sound, range(6, 106))
+def refusal(path: Path) -> str:
+    """Return the line that says why a clip is not read."""
+    with pytest.raises(InputError) as caught:
+        load_clip(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert str(path) in message
+    assert len(message) < 2000
+    return message
 
 
 USDA = """#usda 1.0
@@ -119,15 +58,13 @@ STAGES = {
 }
 
 
-@pytest.mark.parametrize("name", STAGES)
+@matrix("name", STAGES, quick=["no UTF-8", "huge counts"])
 def test_damage_of_usd_is_named(name, tmp_path):
     pytest.importorskip("pxr")
     values, expected = STAGES[name]
     path = tmp_path / "a.usda"
-    path.write_bytes(USDA.format(**SOUND).encode())
-    assert outcome(path) == "clip"
     path.write_bytes(USDA.format(**values).encode(errors="surrogateescape"))
-    found = outcome(path)
+    found = refusal(path)
     assert any(part in found for part in expected.split("|"))
 
 
@@ -136,7 +73,7 @@ def test_name_that_is_no_utf8_in_alembic(tmp_path):
     content = sound_file(tmp_path / "a.abc")
     assert b"red wool" in content
     (tmp_path / "a.abc").write_bytes(content.replace(b"red wool", b"red w\x80ol"))
-    assert "text that is no UTF-8" in outcome(tmp_path / "a.abc")
+    assert "text that is no UTF-8" in refusal(tmp_path / "a.abc")
 
 
 @pytest.mark.parametrize("suffix", [".usdz", ".npz"])

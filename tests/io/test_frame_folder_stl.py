@@ -77,14 +77,6 @@ def test_frame_with_another_number_of_triangles_is_named(tmp_path):
         load_clip(tmp_path)
 
 
-def test_nan_in_a_later_frame_is_named_by_its_file(tmp_path, monkeypatch):
-    monkeypatch.setattr("mimesh.io.save.check_numbers", lambda *_: None)  # so that such a file is written
-    save_mesh(zoo.cube(), tmp_path / "0.stl")
-    save_mesh(zoo.cube().with_vertices(np.where(zoo.cube().vertices == 0, np.nan, 1.0)), tmp_path / "1.stl")
-    with pytest.raises(InputError, match=r"1\.stl: expected finite coordinates, found NaN"):
-        load_clip(tmp_path)
-
-
 def test_off_frames_keep_vertices_that_touch(tmp_path):
     both = zoo.two_parts()
     frames = np.stack([both.vertices, both.vertices, single(bend(both.vertices))])

@@ -11,6 +11,7 @@ import textwrap
 
 import numpy as np
 import pytest
+from matrix import matrix
 from zoo import grid
 
 from mimesh.core.errors import InputError
@@ -132,7 +133,7 @@ def test_too_small_disk_is_named(read, tmp_path):
     assert not list((tmp_path / "tmp").iterdir())
 
 
-@pytest.mark.parametrize(("suffix", "library"), [(".usda", "pxr"), (".abc", "alembic3d")])
+@matrix(("suffix", "library"), [(".usda", "pxr"), (".abc", "alembic3d")], quick=[(".usda", "pxr")])
 def test_the_library_is_not_loaded_by_the_reading_process(suffix, library, tmp_path):
     pytest.importorskip(library)
     save_mesh(grid(), tmp_path / f"a{suffix}")

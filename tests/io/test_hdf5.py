@@ -32,8 +32,10 @@ def path(clips, tmp_path_factory):
     return write_dfaust(tmp_path_factory.mktemp("dfaust") / "registrations_f.hdf5", clips, load_body().faces)
 
 
-@pytest.mark.parametrize("options", [{}, {"compression": "gzip"}, {"chunks": (1000, 3, 1)}], ids=str)
-@pytest.mark.parametrize("choice", ["50002_chicken_wings", "50002_CHICKEN_WINGS", "0"])
+@pytest.mark.parametrize(
+    ("choice", "options"),
+    [("50002_chicken_wings", {"chunks": (1000, 3, 1)}), ("50002_CHICKEN_WINGS", {"compression": "gzip"}), ("0", {})],
+)
 def test_a_chosen_clip_is_read_exactly(choice, options, clips, tmp_path):
     path = write_dfaust(tmp_path / "registrations_m.hdf5", clips, load_body().faces.astype(np.uint32), **options)
     clip = load_clip(path, animation=choice)
@@ -80,6 +82,7 @@ def test_clips_are_converted_from_the_command_line(path, clips, tmp_path, capsys
     np.testing.assert_allclose(load_mesh(tmp_path / "pose.obj").vertices, clips[NAMES[1]][2], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_animate_takes_several_clips_of_a_file(path, model, tmp_path, capsys):
     save_mesh(person(), tmp_path / "hero.obj")
     command = ["animate", str(tmp_path / "hero.obj"), str(path), "-m", model, "--no-preview"]
@@ -181,12 +184,3 @@ def test_links_to_other_files_are_not_followed(tmp_path):
         file["faces"] = FACES
     with pytest.raises(InputError, match=r"expected datasets of shape \(V, 3, T\)"):
         load_clip(tmp_path / "b.hdf5")
-
-
-def test_without_h5py_the_extra_is_named(path, monkeypatch):
-    import importlib.util
-
-    found = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "h5py" else found(name))
-    with pytest.raises(InputError, match=r"pip install 'mimesh\[hdf5\]'"):
-        load_clip(path)

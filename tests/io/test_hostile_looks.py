@@ -110,12 +110,3 @@ def test_binary_ply_body_may_begin_with_a_line_feed(order, end, tmp_path):
     (tmp_path / "a.ply").write_bytes(data)
     mesh = load_mesh(tmp_path / "a.ply")
     assert np.array_equal(mesh.vertices, points)
-
-
-@pytest.mark.parametrize("suffix", ["obj", "ply", "off", "stl", "npz", "glb", "gltf"])
-def test_file_names_of_maximal_length_are_written(suffix, tmp_path):
-    name = "大" * 80 + f".{suffix}"  # 240 bytes and the suffix
-    save_mesh(zoo.cube(), tmp_path / name)
-    mesh = load_mesh(tmp_path / name)
-    save_mesh(mesh, tmp_path / "again" / name)
-    assert np.array_equal(load_mesh(tmp_path / "again" / name).vertices, mesh.vertices)

@@ -12,14 +12,6 @@ from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 
 
-@pytest.mark.parametrize("make", zoo.ZOO)
-def test_mesh_round_trip_is_exact(make, tmp_path):
-    save_mesh(make(), tmp_path / "a.npz")
-    reread = load_mesh(tmp_path / "a.npz")
-    np.testing.assert_array_equal(reread.vertices, make().vertices)
-    np.testing.assert_array_equal(reread.faces, make().faces)
-
-
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_clip_round_trip_is_exact(dtype, tmp_path):
     mesh = zoo.cube()

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import trimesh
-import zoo
-from nasty import bend, fan_triangles, triangle_soup
+from nasty import bend, fan_triangles
 
 from mimesh.io import load_mesh, save_mesh
 
@@ -58,17 +56,3 @@ def test_polygons_are_fans_in_memory_and_polygons_in_a_new_file(tmp_path):
 def test_vertex_normals_are_read(tmp_path):
     (tmp_path / "a.off").write_bytes(NORMALS)
     np.testing.assert_array_equal(load_mesh(tmp_path / "a.off").corner_normals, [[[0, 0, 1]] * 3])
-
-
-@pytest.mark.parametrize("make", zoo.ZOO)
-def test_new_file_of_any_mesh_reads_back_exactly(make, tmp_path):
-    mesh = make()
-    save_mesh(mesh, tmp_path / "new.off")
-    reread = load_mesh(tmp_path / "new.off")
-    np.testing.assert_array_equal(reread.vertices, mesh.vertices)
-    np.testing.assert_array_equal(reread.faces, mesh.faces)
-    if len(mesh.faces):
-        other = trimesh.load(tmp_path / "new.off", process=False)
-        np.testing.assert_array_equal(
-            triangle_soup(other.vertices, other.faces), triangle_soup(mesh.vertices, mesh.faces)
-        )

@@ -5,7 +5,6 @@ import struct
 import numpy as np
 import pytest
 
-from mimesh.core.mesh import Mesh
 from mimesh.io import load_mesh, save_mesh
 from mimesh.io.obj import write_obj
 from mimesh.io.polygons import fan_corners, polygon_corners, polygon_sizes, polygons_of
@@ -30,11 +29,6 @@ def test_polygon_sizes_are_those_of_the_file(tmp_path):
     moved = mesh.with_vertices(mesh.vertices + 1)
     save_mesh(moved, tmp_path / "moved.obj")
     assert polygon_sizes(load_mesh(tmp_path / "moved.obj")).tolist() == [4, 3, 5]
-
-
-def test_mesh_without_source_has_triangles():
-    mesh = Mesh(np.eye(3), np.array([[0, 1, 2], [2, 1, 0]]))
-    assert polygon_sizes(mesh).tolist() == [3, 3]
 
 
 MIXED = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matrix import matrix
 
 from mimesh.bodies import load_body
 from mimesh.cli import run
@@ -67,7 +68,7 @@ def test_a_registration_of_mg_is_read(tmp_path, capsys):
     np.testing.assert_allclose(load_mesh(tmp_path / "out.ply").vertices, vertices, atol=1e-5)
 
 
-@pytest.mark.parametrize("first", [0, 1])
+@matrix("first", [0, 1], quick=[1])
 def test_exported_frames_of_dfaust_are_a_clip(first, tmp_path):
     moved = [BODY.vertices + 0.1 * k for k in range(12)]
     for k, vertices in enumerate(moved):

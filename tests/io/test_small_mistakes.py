@@ -15,9 +15,8 @@ from motion_files import write_bvh
 from mimesh import cli
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
-from mimesh.core.mesh import Clip, Mesh, Part, check_clip, check_mesh
+from mimesh.core.mesh import Clip, Mesh, check_clip, check_mesh
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
-from mimesh.io.formats import MESH_WRITERS
 from mimesh.motions import load_motion, window
 from mimesh.pipeline import animate, transfer
 
@@ -93,18 +92,6 @@ def test_two_points_or_a_triangle_are_no_mesh_to_move(points, faces, tmp_path, c
     save_mesh(zoo.cube(), tmp_path / "cube.obj")
     assert cli.run(["transfer", str(tmp_path / "scrap.ply"), str(tmp_path / "cube.obj")]) == 2
     assert "expected at least 4 vertices" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("suffix", sorted(MESH_WRITERS.keys() - {".fbx"}))
-def test_names_that_are_no_text_are_written(suffix, tmp_path):
-    library = {".abc": "alembic3d", ".usd": "pxr", ".usda": "pxr", ".usdc": "pxr", ".usdz": "pxr"}.get(suffix)
-    if library:
-        pytest.importorskip(library)
-    cube = zoo.cube()
-    for name in (ODD_NAME, "\ud800"):
-        mesh = dataclasses.replace(cube, name=name, parts=(Part(name, 0, 6), Part("rest", 6, 12)))
-        save_mesh(mesh, tmp_path / f"a{suffix}")
-        assert len(load_mesh(tmp_path / f"a{suffix}").faces) == len(cube.faces)
 
 
 def test_file_with_a_name_that_is_no_text_is_converted(tmp_path):

@@ -10,7 +10,7 @@ import trimesh
 import zoo
 from nasty import rotation
 
-from mimesh.core.mesh import Mesh, permute_vertices
+from mimesh.core.mesh import Mesh
 from mimesh.io import load_mesh, save_mesh
 
 
@@ -70,21 +70,6 @@ def test_moved_triangles_keep_their_order_and_get_normals(stl, tmp_path):
     np.testing.assert_allclose(other.triangles, moved.vertices[moved.faces], atol=1e-6)
     cross = other.triangles_cross
     np.testing.assert_allclose(other.face_normals, cross / np.linalg.norm(cross, axis=1)[:, None], atol=1e-5)
-
-
-def test_file_does_not_depend_on_vertex_order(tmp_path):
-    mesh = zoo.cube()
-    save_mesh(mesh, tmp_path / "a.stl")
-    save_mesh(permute_vertices(mesh, np.random.default_rng(0).permutation(8)), tmp_path / "b.stl")
-    assert (tmp_path / "a.stl").read_bytes() == (tmp_path / "b.stl").read_bytes()
-
-
-@pytest.mark.parametrize("make", [make for make in zoo.ZOO if make is not zoo.point_cloud])
-def test_new_file_of_any_mesh_reads_back(make, tmp_path):
-    mesh = make()
-    save_mesh(mesh, tmp_path / "new.stl")
-    reread = load_mesh(tmp_path / "new.stl")
-    np.testing.assert_array_equal(reread.vertices[reread.faces], mesh.vertices[mesh.faces].astype(np.float32))
 
 
 def test_minus_zero_is_welded_with_zero(tmp_path):

@@ -45,6 +45,7 @@ def outcomes(given: dict[int, BatchTask], workers: int) -> list[dict[str, Any]]:
     return [outcome for _, outcome in sorted(found, key=lambda pair: pair[0])]
 
 
+@pytest.mark.slow
 def test_every_job_is_done_once():
     names = [str(k) for k in range(50)]
     assert [outcome["value"] for outcome in outcomes(tasks(*names, identities=7), 2)] == names
@@ -75,6 +76,7 @@ def test_a_worker_stays_with_its_identity_and_helps_others_at_the_end():
     assert not waiting
 
 
+@pytest.mark.slow
 def test_a_script_without_a_guard_runs_once(tmp_path):
     save_mesh(zoo.cube(), tmp_path / "a.obj")
     Path(tmp_path, "script.py").write_text(SCRIPT)

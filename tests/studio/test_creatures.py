@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 from creatures import BIRD, Boxes, flapping
+from matrix import matrix
 from people import person
 from starlette.testclient import TestClient
 
@@ -107,14 +108,16 @@ def test_unknown_animals_are_refused(client, demo):
     assert "expected" in response.json()["error"]
 
 
+@pytest.mark.slow
 def test_a_person_with_the_motion_of_an_animal_is_refused(client):
     client.post("/api/demo", json={"what": "both", "character": "imp", "motion": "horse gallop"})
     error = moved(client)["outcome"]["error"]
     assert "imp is taken for a person, and horse-gallop for a four-legged animal: expected two of a kind" in error
+    assert "choose the body" in error
     assert "--" not in error
 
 
-@pytest.mark.parametrize("body", ["auto", "other"])
+@matrix("body", ["auto", "other"], quick=["other"])
 def test_creatures_are_moved_as_by_animate(session, client, files, body):
     client.post("/api/options", json={"body": body})
     upload(client, "identity", files / "bird.glb")
@@ -163,6 +166,7 @@ def test_a_creature_is_exported_with_its_own_bones(client, files, tmp_path):
     assert written.skeleton.has_joints
 
 
+@pytest.mark.slow
 def test_the_same_skeleton_is_copied_as_by_animate(session, client, files):
     upload(client, "identity", files / "bird.glb")
     upload(client, "driving", files / "same.glb")
@@ -171,6 +175,7 @@ def test_the_same_skeleton_is_copied_as_by_animate(session, client, files):
     np.testing.assert_allclose(vertices(session), load_clip(files / "same.glb").vertices, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_meshes_that_do_not_correspond_are_refused_in_the_words_of_the_page(client, files):
     client.post("/api/options", json={"body": "other"})
     upload(client, "identity", files / "bird.glb")

@@ -7,7 +7,7 @@ import pygltflib
 import pytest
 from people import person, walk
 from vrm_files import vrm
-from waiting import wait_until
+from waiting import finished, wait_until
 
 from mimesh import animate, load_clip, save_clip, save_mesh
 from mimesh.bodies.engine_rig import Layout
@@ -24,9 +24,7 @@ def moved(tmp_path_factory):
     save_mesh(person(0), files[0])
     save_clip(walk(frames=3), files[1])
     session = make_session(list(files), 2**26)
-    (hero,) = session.identities.values()
-    wait_until(lambda: hero.outcome is not None and (hero.outcome.current or hero.outcome.error))
-    assert not hero.outcome.error
+    assert not finished(session).outcome.error
     yield session, files
     session.close()
 
@@ -39,6 +37,7 @@ def exported(session, suffix, skinned=True, blendshapes=None, layout=None):
     return export
 
 
+@pytest.mark.slow
 def test_bones_are_named_and_arranged_as_by_animate(moved, tmp_path):
     session, files = moved
     layout = Layout("unreal", True, "T", 20.0)
@@ -57,6 +56,7 @@ def test_bones_are_named_and_arranged_as_by_animate(moved, tmp_path):
     assert any("sampled from 3 frames" in note for note in export.notes)
 
 
+@pytest.mark.slow
 def test_vrm_animations_have_bones_alone(moved, tmp_path):
     session, files = moved
     export = exported(session, ".vrma", skinned=False)
@@ -65,13 +65,13 @@ def test_vrm_animations_have_bones_alone(moved, tmp_path):
     assert export.path.read_bytes() == expected.read_bytes()
 
 
+@pytest.mark.slow
 def test_vrm_animations_of_a_mesh_with_a_rig_have_its_bones(moved, tmp_path):
     _, (_, driving) = moved
     vrm(tmp_path / "hero.vrm", named=True)
     session = make_session([tmp_path / "hero.vrm", driving], 2**26)
     try:
-        (hero,) = session.identities.values()
-        wait_until(lambda: hero.outcome is not None and (hero.outcome.current or hero.outcome.error))
+        finished(session)
         export = exported(session, ".vrma", skinned=False)
         assert export.error == ""
         expected = animate(tmp_path / "hero.vrm", driving).save(tmp_path / "expected.vrma")

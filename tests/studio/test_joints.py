@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from people import person, walk
 from starlette.testclient import TestClient
-from waiting import wait_until
+from waiting import finished
 
 from mimesh import InputError, animate, save_clip, save_mesh
 from mimesh.core.joint_corrections import JointCorrections
@@ -28,12 +28,8 @@ def files(tmp_path_factory):
 
 def result(session):
     """Wait for the result of the only mesh; returns the item and the result."""
-    wait_until(lambda: session.identities and (o := first(session).outcome) is not None and (o.current or o.error))
-    return first(session), first(session).outcome.result
-
-
-def first(session):
-    return next(iter(session.identities.values()))
+    item = finished(session)
+    return item, item.outcome.result
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +39,7 @@ def session(files):
     session.close()
 
 
+@pytest.mark.slow
 def test_corrections_give_the_result_of_animate_and_can_be_taken_back(session, files):
     item, plain = result(session)
     found = session.joints(item.number).result(60)

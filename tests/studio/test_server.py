@@ -3,9 +3,11 @@
 import io
 import json
 import zipfile
+from itertools import cycle, product
 
 import numpy as np
 import pytest
+from matrix import matrix
 from starlette.testclient import TestClient
 from waiting import wait_until
 
@@ -115,8 +117,11 @@ def test_requests_need_the_token_and_the_own_host(session, headers, status):
     assert response.headers["x-content-type-options"] == "nosniff"
 
 
-@pytest.mark.parametrize("origin", [None, "null", "http://evil.example", f"https://{HOST}", "http://127.0.0.1:1"])
-@pytest.mark.parametrize("path", ["/api/uploads", "/api/demo", "/api/options", "/api/exports"])
+PATHS = ("/api/uploads", "/api/demo", "/api/options", "/api/exports")
+ORIGINS = (None, "null", "http://evil.example", f"https://{HOST}", "http://127.0.0.1:1")
+
+
+@matrix(("path", "origin"), product(PATHS, ORIGINS), quick=zip(cycle(PATHS), ORIGINS, strict=False))
 def test_changes_need_the_own_origin(session, client, path, origin):
     del client.headers["origin"]
     response = client.post(path, headers={} if origin is None else {"origin": origin})
@@ -322,10 +327,7 @@ def test_the_number_of_meshes_is_limited(session, client, monkeypatch):
 
 
 def test_unknown_numbers_are_refused(client):
-    for method, path in (
-        ("DELETE", "/api/meshes/99"),
-        ("POST", "/api/uploads/9/identity"),
-    ):
+    for method, path in (("DELETE", "/api/meshes/99"), ("POST", "/api/uploads/9/identity")):
         assert client.request(method, path).status_code == 422
     assert client.get("/api/exports/99").status_code == 404
     assert client.post("/api/uploads/9/unknown").status_code == 404

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matrix import matrix
 from people import person, walk
-from waiting import wait_until
+from waiting import finished, wait_until
 
 from mimesh import InputError, animate, save_clip, save_mesh, transfer
 from mimesh.bodies.animals import animal
@@ -52,10 +53,7 @@ def only_item(session):
 
 def finished_outcome(session, seconds=60.0):
     """Wait for the result of the only mesh and return its outcome."""
-    wait_until(
-        lambda: (outcome := only_item(session).outcome) is not None and (outcome.current or outcome.error), seconds
-    )
-    return only_item(session).outcome
+    return finished(session, seconds).outcome
 
 
 def test_results_are_those_of_animate(mime_session, files):
@@ -68,6 +66,7 @@ def test_results_are_those_of_animate(mime_session, files):
     np.testing.assert_allclose(pose, expected.clip.vertices[2], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_options_are_those_of_animate(mime_session, files):
     options = {"root": "drop", "refine": True, "smooth": 0.2}
     mime_session.set_options(options)
@@ -80,7 +79,6 @@ def animal_session(tmp_path_factory):
     """A session with a cat and a walking dog, both without rigs."""
     folder = tmp_path_factory.mktemp("animals")
     save_mesh(animal("cat"), folder / "cat.ply")
-    save_mesh(person(0), folder / "hero.obj")
     save_clip(gait_clip("dog", "walk", seconds=0.3, fps=10.0), folder / "dog.npz")
     session = make_session([folder / "cat.ply", folder / "dog.npz"], 2**20)
     yield session, folder
@@ -90,18 +88,14 @@ def animal_session(tmp_path_factory):
 @pytest.mark.slow
 def test_the_body_is_found_or_given(animal_session):
     session, folder = animal_session
-    for body in ("auto", "quadruped"):
-        session.set_options({"body": body})
-        result = finished_outcome(session).result
-        state = describe(session)
-        assert state["identities"][0]["outcome"]["body"] == "quadruped"
-        for item, axes in (
-            (state["identities"][0], result.report["identity"]),
-            (state["driving"], result.report["driving"]),
-        ):
-            assert (item["facing"]["up"], item["facing"]["front"]) == (axes["up"], axes["front"]) == ("+y", "+z")
-        expected = animate(folder / "cat.ply", folder / "dog.npz", body=body)
-        np.testing.assert_allclose(result.clip.vertices, expected.clip.vertices, atol=1e-6)
+    result = finished_outcome(session).result
+    state = describe(session)
+    assert state["identities"][0]["outcome"]["body"] == "quadruped"
+    for item, which in ((state["identities"][0], "identity"), (state["driving"], "driving")):
+        axes = result.report[which]
+        assert (item["facing"]["up"], item["facing"]["front"]) == (axes["up"], axes["front"]) == ("+y", "+z")
+    expected = animate(folder / "cat.ply", folder / "dog.npz")
+    np.testing.assert_allclose(result.clip.vertices, expected.clip.vertices, atol=1e-6)
     number = only_item(session).number
     assert "LeftThigh" in session.joints(number).result(60)["meshes"][str(number)]["joints"]
     session.set_options({"body": "human"})
@@ -109,20 +103,6 @@ def test_the_body_is_found_or_given(animal_session):
     session.set_options({"model": "copy", "body": "quadruped"})
     assert finished_outcome(session).current, "models without bodies ignore the option"
     assert describe(session)["identities"][0]["outcome"]["body"] == ""
-    session.set_options({"model": "mime", "body": "auto"})
-
-
-@pytest.mark.slow
-def test_a_person_with_an_animal_gives_an_error_in_the_words_of_the_page(animal_session):
-    session, folder = animal_session
-    session.set_options({"body": "auto"})
-    (number,) = session.add_identities([folder / "hero.obj"])
-    item = session.item(number)
-    wait_until(lambda: item.outcome is not None and (item.outcome.current or item.outcome.error), 60)
-    assert "hero is taken for a person, and dog for a four-legged animal" in item.outcome.error
-    assert "or choose the body if" in item.outcome.error
-    assert "--" not in item.outcome.error
-    session.remove(number)
 
 
 def test_models_are_those_of_animate(session, files):
@@ -225,7 +205,7 @@ def Mesh "m" {
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the children of a thread are listed by Linux only")
-@pytest.mark.parametrize("end", ["remove", "close"])
+@matrix("end", ["remove", "close"], quick=["remove"])
 def test_reading_in_a_child_is_stopped_at_once(end, session, tmp_path):
     pytest.importorskip("pxr")
 
@@ -247,6 +227,7 @@ def test_reading_in_a_child_is_stopped_at_once(end, session, tmp_path):
     assert session.driving is None or session.driving.content is None
 
 
+@pytest.mark.slow
 def test_damaged_files_give_an_error_and_the_studio_goes_on(session, tmp_path):
     pytest.importorskip("pxr")
     for name, text in {

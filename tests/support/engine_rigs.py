@@ -28,10 +28,7 @@ CHAINS = {
         *(
             chain.replace("@", side)
             for side in "lr"
-            for chain in (
-                "spine_05 clavicle_@ upperarm_@ lowerarm_@ hand_@",
-                "pelvis thigh_@ calf_@ foot_@ ball_@",
-            )
+            for chain in ("spine_05 clavicle_@ upperarm_@ lowerarm_@ hand_@", "pelvis thigh_@ calf_@ foot_@ ball_@")
         ),
     ],
     "vrm": [
@@ -39,10 +36,7 @@ CHAINS = {
         *(
             chain.replace("@", side)
             for side in ("left", "right")
-            for chain in (
-                "upperChest @Shoulder @UpperArm @LowerArm @Hand",
-                "hips @UpperLeg @LowerLeg @Foot @Toes",
-            )
+            for chain in ("upperChest @Shoulder @UpperArm @LowerArm @Hand", "hips @UpperLeg @LowerLeg @Foot @Toes")
         ),
     ],
     "godot": [
@@ -50,10 +44,7 @@ CHAINS = {
         *(
             chain.replace("@", side)
             for side in ("Left", "Right")
-            for chain in (
-                "UpperChest @Shoulder @UpperArm @LowerArm @Hand",
-                "Hips @UpperLeg @LowerLeg @Foot @Toes",
-            )
+            for chain in ("UpperChest @Shoulder @UpperArm @LowerArm @Hand", "Hips @UpperLeg @LowerLeg @Foot @Toes")
         ),
     ],
     "rigify": [

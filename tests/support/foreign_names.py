@@ -134,13 +134,7 @@ SCHEMES = {
         "spine spine.001 spine.002 spine.003 spine.004 spine.005 spine.006",
         "shoulder upper_arm forearm hand thigh shin foot toe",
     ),
-    "blender": (
-        "{}",
-        "{}.L",
-        "{}.R",
-        "Hips - Spine Chest Neck - Head",
-        "Shoulder Arm ForeArm Hand UpLeg Leg Foot Toe",
-    ),
+    "blender": ("{}", "{}.L", "{}.R", "Hips - Spine Chest Neck - Head", "Shoulder Arm ForeArm Hand UpLeg Leg Foot Toe"),
     "daz": (
         "{}",
         "l{}",

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-import fbx_binary
 import fbx_samples
 import gltf_samples
 import hostile
@@ -349,4 +348,4 @@ def fbx(folder: Path, binary: bool) -> None:
     plain.link(100, 200)
     plain.save(folder / "plain.fbx")
     for path in folder.glob("*.fbx") if binary else ():
-        path.write_bytes(fbx_binary.as_binary(path.read_text()))
+        path.write_bytes(fbx_samples.as_binary(path.read_text()))

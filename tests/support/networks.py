@@ -4,8 +4,45 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+Shapes = dict[str, list[int | str]]
+"""Name of an input or output -> its shape; names of axes for those of any length."""
+
+
+def _save(
+    path: Path,
+    nodes: list[tuple[Any, ...]],
+    inputs: Shapes,
+    outputs: Shapes,
+    weights: dict[str, Any],
+    card: dict | None,
+) -> Path:
+    """Write a network of nodes (kind, "names of inputs", "name of its output", attributes) with a card of metadata."""
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    infos = [
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in shapes.items()]
+        for shapes in (inputs, outputs)
+    ]
+    arrays = {name: np.asarray(array) for name, array in weights.items()}
+    graph = helper.make_graph(
+        [
+            helper.make_node(kind, names.split(), [output], **(more[0] if more else {}))
+            for kind, names, output, *more in nodes
+        ],
+        "tiny",
+        *infos,
+        [numpy_helper.from_array(a if a.dtype.kind == "i" else a.astype(np.float32), n) for n, a in arrays.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    if card is not None:
+        helper.set_model_props(model, {"mimesh": json.dumps(card)})
+    onnx.save(model, str(path))
+    return path
 
 
 def write_network(
@@ -15,9 +52,6 @@ def write_network(
 
     `facts` are added to the metadata.
     """
-    import onnx
-    from onnx import TensorProto, helper, numpy_helper
-
     rng = np.random.default_rng(0)
     weights = {
         "w1": rng.normal(size=(8, 3, 1)) / 2,
@@ -26,44 +60,28 @@ def write_network(
         "zero": np.zeros(8),
         "gate": rng.normal(size=(3, 3, 1)) / 4,
     }
-    node = helper.make_node
     nodes = [
-        node("Transpose", ["identity"], ["i"], perm=[0, 2, 1]),
-        node("Transpose", ["driving"], ["d"], perm=[0, 2, 1]),
-        node("Conv", ["d", "w1"], ["h1"]),
-        node("InstanceNormalization", ["h1", "one", "zero"], ["h2"]),
-        node("Relu", ["h2"], ["h3"]),
-        *([node("GlobalMaxPool", ["h3"], ["h4"])] if pose_code == "global_max" else [node("Identity", ["h3"], ["h4"])]),
-        node("Conv", ["h4", "w2"], ["pose"]),
-        node("Conv", ["i", "gate"], ["g"]),
-        node("Mul", ["pose", "g"], ["step"]),
-        node("Add", ["i", "step"], ["r"]),
-        node("Transpose", ["r"], ["result"], perm=[0, 2, 1]),
+        ("Transpose", "identity", "i", {"perm": [0, 2, 1]}),
+        ("Transpose", "driving", "d", {"perm": [0, 2, 1]}),
+        ("Conv", "d w1", "h1"),
+        ("InstanceNormalization", "h1 one zero", "h2"),
+        ("Relu", "h2", "h3"),
+        ("GlobalMaxPool" if pose_code == "global_max" else "Identity", "h3", "h4"),
+        ("Conv", "h4 w2", "pose"),
+        ("Conv", "i gate", "g"),
+        ("Mul", "pose g", "step"),
+        ("Add", "i step", "r"),
+        ("Transpose", "r", "result", {"perm": [0, 2, 1]}),
     ]
-    points = "V" if pose_code == "per_vertex" else "U"
-    value = helper.make_tensor_value_info
-    graph = helper.make_graph(
-        nodes,
-        "tiny",
-        [value("identity", TensorProto.FLOAT, ["B", "V", 3]), value("driving", TensorProto.FLOAT, ["B", points, 3])],
-        [value("result", TensorProto.FLOAT, ["B", "V", 3])],
-        [numpy_helper.from_array(array.astype(np.float32), name) for name, array in weights.items()],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    if metadata:
-        card = {"model": "npt", "pose_code": pose_code, "target_scale": target_scale, "config": {}, **facts}
-        helper.set_model_props(model, {"mimesh": json.dumps(card)})
-    onnx.save(model, str(path))
-    return path
+    inputs = {"identity": ["B", "V", 3], "driving": ["B", "V" if pose_code == "per_vertex" else "U", 3]}
+    card = {"model": "npt", "pose_code": pose_code, "target_scale": target_scale, "config": {}, **facts}
+    return _save(path, nodes, inputs, {"result": ["B", "V", 3]}, weights, card if metadata else None)
 
 
 def write_sequence_network(
     path: Path, frames: int = 3, head: str = "frames", target_scale: str = "identity", metadata: dict | None = None
 ) -> Path:
     """Write a tiny AniFormer: frames mixed by fixed weights, then as `write_network`; `metadata` overrides the card."""
-    import onnx
-    from onnx import TensorProto, helper, numpy_helper
-
     rng = np.random.default_rng(0)
     output_frames = 1 if head == "regression" else frames
     weights = {
@@ -71,36 +89,24 @@ def write_sequence_network(
         "w1": rng.normal(size=(3, 8)) / 2,
         "w2": rng.normal(size=(8, 3)) / 4,
         "gate": rng.normal(size=(3, 3)) / 4,
+        "axis": np.array([1]),
     }
     weights["mix"] /= weights["mix"].sum(axis=1, keepdims=True)
-    node = helper.make_node
     nodes = [
-        node("Transpose", ["driving"], ["d"], perm=[0, 2, 1, 3]),
-        node("MatMul", ["mix", "d"], ["mixed"]),
-        node("Transpose", ["mixed"], ["m"], perm=[0, 2, 1, 3]),
-        node("MatMul", ["m", "w1"], ["h1"]),
-        node("Relu", ["h1"], ["h2"]),
-        node("MatMul", ["h2", "w2"], ["pose"]),
-        node("Unsqueeze", ["identity", "axis"], ["i"]),
-        node("MatMul", ["i", "gate"], ["g"]),
-        node("Mul", ["pose", "g"], ["step"]),
-        node("Add", ["i", "step"], ["result"]),
+        ("Transpose", "driving", "d", {"perm": [0, 2, 1, 3]}),
+        ("MatMul", "mix d", "mixed"),
+        ("Transpose", "mixed", "m", {"perm": [0, 2, 1, 3]}),
+        ("MatMul", "m w1", "h1"),
+        ("Relu", "h1", "h2"),
+        ("MatMul", "h2 w2", "pose"),
+        ("Unsqueeze", "identity axis", "i"),
+        ("MatMul", "i gate", "g"),
+        ("Mul", "pose g", "step"),
+        ("Add", "i step", "result"),
     ]
-    value = helper.make_tensor_value_info
-    graph = helper.make_graph(
-        nodes,
-        "tiny",
-        [value("identity", TensorProto.FLOAT, [1, "V", 3]), value("driving", TensorProto.FLOAT, [1, frames, "V", 3])],
-        [value("result", TensorProto.FLOAT, [1, output_frames, "V", 3])],
-        [numpy_helper.from_array(array.astype(np.float32), name) for name, array in weights.items()]
-        + [numpy_helper.from_array(np.array([1]), "axis")],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    inputs = {"identity": [1, "V", 3], "driving": [1, frames, "V", 3]}
     card = {"model": "aniformer", "frames": frames, "head": head, "target_scale": target_scale, "config": {}}
-    card |= metadata or {}
-    helper.set_model_props(model, {"mimesh": json.dumps(card)})
-    onnx.save(model, str(path))
-    return path
+    return _save(path, nodes, inputs, {"result": [1, output_frames, "V", 3]}, weights, card | (metadata or {}))
 
 
 def write_mime_network(path: Path, points: int = 64) -> Path:
@@ -109,9 +115,6 @@ def write_mime_network(path: Path, points: int = 64) -> Path:
     Two joints rotate by the mean distance of the points from their centroid; the skinning scores depend on x, so the
     left joint moves the left side.
     """
-    import onnx
-    from onnx import TensorProto, helper, numpy_helper
-
     identity, cosine, sine = np.zeros((3, 1, 3, 3, 3))
     identity[0, :, 2, 2] = identity[0, 0, 0, 0] = identity[0, 0, 1, 1] = 1
     cosine[0, 1:, 0, 0] = cosine[0, 1:, 1, 1] = 1
@@ -121,45 +124,33 @@ def write_mime_network(path: Path, points: int = 64) -> Path:
         "constant": identity,
         "cosine": cosine,
         "sine": sine,
-        "offsets": np.array([[[0, 0, 0], [0.2, 0.4, 0], [-0.2, 0.4, 0]]]),
-        "sides": np.array([[0, 9, -9], [0, 2, 2], [0, 0, 0]]),
+        "offsets": np.array([[[0.0, 0, 0], [0.2, 0.4, 0], [-0.2, 0.4, 0]]]),
+        "sides": np.array([[0.0, 9, -9], [0, 2, 2], [0, 0, 0]]),
+        "none": np.zeros(()),
     }
-    node = helper.make_node
     nodes = [
-        node("ReduceMean", ["points"], ["centroid"], axes=[1], keepdims=1),
-        node("Add", ["centroid", "offsets"], ["joints"]),
-        node("Sub", ["points", "centroid"], ["centred"]),
-        node("Abs", ["centred"], ["distance"]),
-        node("ReduceMean", ["distance"], ["angle"], keepdims=0),
-        node("Cos", ["angle"], ["c"]),
-        node("Sin", ["angle"], ["s"]),
-        node("Mul", ["cosine", "c"], ["turned1"]),
-        node("Mul", ["sine", "s"], ["turned2"]),
-        node("Add", ["turned1", "turned2"], ["turned"]),
-        node("Add", ["turned", "constant"], ["rotation"]),
-        node("MatMul", ["vertices", "sides"], ["scores1"]),
+        ("ReduceMean", "points", "centroid", {"axes": [1], "keepdims": 1}),
+        ("Add", "centroid offsets", "joints"),
+        ("Sub", "points centroid", "centred"),
+        ("Abs", "centred", "distance"),
+        ("ReduceMean", "distance", "angle", {"keepdims": 0}),
+        ("Cos", "angle", "c"),
+        ("Sin", "angle", "s"),
+        ("Mul", "cosine c", "turned1"),
+        ("Mul", "sine s", "turned2"),
+        ("Add", "turned1 turned2", "turned"),
+        ("Add", "turned constant", "rotation"),
+        ("MatMul", "vertices sides", "scores1"),
         # Normals are inputs of the real network; here they count with a factor of 0 so that the graph uses them.
-        node("ReduceSum", ["normals"], ["zero1"], keepdims=0),
-        node("ReduceSum", ["vertex_normals"], ["zero2"], keepdims=0),
-        node("Mul", ["zero1", "none"], ["zero3"]),
-        node("Mul", ["zero2", "none"], ["zero4"]),
-        node("Add", ["scores1", "zero3"], ["scores2"]),
-        node("Add", ["scores2", "zero4"], ["scores"]),
+        ("ReduceSum", "normals", "zero1", {"keepdims": 0}),
+        ("ReduceSum", "vertex_normals", "zero2", {"keepdims": 0}),
+        ("Mul", "zero1 none", "zero3"),
+        ("Mul", "zero2 none", "zero4"),
+        ("Add", "scores1 zero3", "scores2"),
+        ("Add", "scores2 zero4", "scores"),
     ]
-    value = helper.make_tensor_value_info
-    inputs = {"points": points, "normals": points, "vertices": "V", "vertex_normals": "V"}
+    inputs = {name: [1, points, 3] for name in ("points", "normals")}
+    inputs |= {name: [1, "V", 3] for name in ("vertices", "vertex_normals")}
     outputs = {"rotation": [1, 3, 3, 3], "joints": [1, 3, 3], "scores": [1, "V", 3]}
-    graph = helper.make_graph(
-        nodes,
-        "tiny",
-        [value(name, TensorProto.FLOAT, [1, count, 3]) for name, count in inputs.items()],
-        [value(name, TensorProto.FLOAT, shape) for name, shape in outputs.items()],
-        [numpy_helper.from_array(np.asarray(array, np.float32), name) for name, array in weights.items()]
-        + [numpy_helper.from_array(np.float32(0).reshape(()), "none")],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     card = {"model": "mime", "points": points, "joints": ["Hips", "Left", "Right"], "parents": [-1, 0, 0], "config": {}}
-    card["legs"] = [[0, 1], [0, 2]]
-    helper.set_model_props(model, {"mimesh": json.dumps(card)})
-    onnx.save(model, str(path))
-    return path
+    return _save(path, nodes, inputs, outputs, weights, card | {"legs": [[0, 1], [0, 2]]})

@@ -12,3 +12,14 @@ def wait_until(condition: Callable[[], Any], seconds: float = 120.0) -> Any:
         assert time.monotonic() < end, "the condition did not come to hold"
         time.sleep(0.005)
     return found
+
+
+def finished(session: Any, seconds: float = 120.0) -> Any:
+    """Wait until a studio's session has the result, or the error, of its only mesh; returns the mesh."""
+
+    def item() -> Any:
+        first = next(iter(session.identities.values()), None)
+        outcome = first and first.outcome
+        return first if outcome is not None and (outcome.current or outcome.error) else None
+
+    return wait_until(item, seconds)

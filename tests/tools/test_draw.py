@@ -118,25 +118,3 @@ def test_backgrounds_labels_and_width(files, capsys):
     assert image[0, 0].tolist() == [0x20, 0x40, 0x60]
     draw(capsys, "cube.obj", "--background", "dark", "-o", "x.png")
     assert pixels("x.png")[41:].max() > 120  # captions are light on a dark background
-
-
-@pytest.mark.parametrize(
-    ("args", "message"),
-    [
-        (["-o", "x.png", "--background", "beige"], "--background: expected paper, white, dark, none or #rrggbb"),
-        (["-o", "x.jpg", "--background", "none"], "expected a .png for --background none"),
-        (["-o", "x.png", "--track"], "expected a movie of a clip with --track"),
-        (["-o", "x.gif", "--track", "--turntable"], "found --turntable; leave it out"),
-        (["-o", "x.html"], "expected no --size with a page"),
-        (["-o", "x.mp4", "--strip"], r"expected a picture \(.png or .jpg\) for --strip"),
-        (["-o", "x.png", "--strip", "--stretch", "cube.obj"], "found --strip and --stretch"),
-        (["-o", "x.png", "--truth", "other.obj"], "expected the truth to have 8 vertices, found 4"),
-        (["-o", "x.png", "--stretch", "other.obj"], "expected the reference to have 8 vertices, found 4"),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused_in_one_line(files, args, message, capsys):
-    save_mesh(zoo.tetrahedron(), files / "other.obj")
-    assert run(["render", "cube.obj", *args, "--size", "40"]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert re.search(message, error)

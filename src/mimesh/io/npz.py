@@ -113,8 +113,8 @@ def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = Non
 
 def write_npz(mesh: Mesh, path: Path) -> None:
     """Write a mesh as an archive of `vertices` and `faces`; materials and texture coordinates are omitted."""
-    with whole_file(path) as temporary:
-        np.savez_compressed(temporary, vertices=mesh.vertices, faces=mesh.faces)
+    with whole_file(path) as temporary, temporary.open("wb") as file:  # to a name with .NPZ NumPy would add .npz
+        np.savez_compressed(file, vertices=mesh.vertices, faces=mesh.faces)
 
 
 def write_npz_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:
@@ -122,7 +122,8 @@ def write_npz_clip(clip: Clip, path: Path, progress: Progress | None = None) -> 
     header = {"descr": clip.vertices.dtype.str, "fortran_order": False, "shape": clip.vertices.shape}
     with whole_file(path) as temporary:
         # NumPy can only write whole arrays: the small ones first, then the frames are appended to the archive.
-        np.savez_compressed(temporary, faces=clip.mesh.faces, fps=clip.fps)
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, faces=clip.mesh.faces, fps=clip.fps)
         with (
             zipfile.ZipFile(temporary, "a", zipfile.ZIP_DEFLATED, compresslevel=_COMPRESSION_LEVEL) as archive,
             archive.open("vertices.npy", "w", force_zip64=True) as member,

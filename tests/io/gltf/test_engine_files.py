@@ -9,6 +9,7 @@ import dataclasses
 import numpy as np
 import pytest
 from engine_rigs import ROOTS, expected_parents, moving_rig, posed
+from matrix import matrix
 
 from mimesh.bodies.engine_names import SCHEMES
 from mimesh.bodies.engine_rig import engine_rig
@@ -43,7 +44,7 @@ def frame_of(document, t):
     return read_rest(dataclasses.replace(document, gltf=gltf))[0].vertices
 
 
-@pytest.mark.parametrize(("names", "root_bone", "rest"), LAYOUTS)
+@matrix(("names", "root_bone", "rest"), LAYOUTS, quick=LAYOUTS[:: len(LAYOUTS) // len(SCHEMES) + 1])
 def test_frames_of_the_file_are_those_of_the_rig(names, root_bone, rest, tmp_path):
     rig, document = written(tmp_path, names, root_bone, rest)
     size = np.ptp(rig.mesh.vertices, axis=0).max()
@@ -53,7 +54,7 @@ def test_frames_of_the_file_are_those_of_the_rig(names, root_bone, rest, tmp_pat
         assert np.abs(frame_of(document, t) - posed(rig, t)).max() < 1.1 * KEY_LIMIT * size
 
 
-@pytest.mark.parametrize("names", [name for name in SCHEMES if name != "own"])
+@matrix("names", [name for name in SCHEMES if name != "own"], quick=["unreal", "rigify"])
 def test_nodes_have_the_documented_names_and_parents(names, tmp_path):
     _, document = written(tmp_path, names)
     joints = document.gltf["skins"][0]["joints"]
@@ -69,7 +70,7 @@ def test_nodes_have_the_documented_names_and_parents(names, tmp_path):
     assert not any("scale" in node or "matrix" in node for node in nodes)
 
 
-@pytest.mark.parametrize("names", [name for name in SCHEMES if name != "own"])
+@matrix("names", [name for name in SCHEMES if name != "own"], quick=["vrm"])
 def test_bones_have_no_rotation_at_rest(names, tmp_path):
     """Godot's profile wants no transform on the node of the skeleton, VRM 0.x bones without rotations."""
     _, document = written(tmp_path, names, rest="T")
@@ -95,7 +96,7 @@ def test_extra_bones_without_weights_are_left_out(tmp_path):
     assert {"LeftFingerBase", "RightFingerBase"} <= set(rig.names)
 
 
-@pytest.mark.parametrize("fps", [10.0, 30.0, 60.0])
+@matrix("fps", [10.0, 30.0, 60.0], quick=[60.0])
 def test_sampled_rates_keep_the_duration_and_the_frames_they_share(fps, tmp_path):
     rig = engine_rig(moving_rig(5), "unreal", True)
     sampled = rig.resampled(FPS, fps)
@@ -117,6 +118,7 @@ def test_half_way_between_frames_is_what_a_player_of_gltf_shows(tmp_path):
     assert np.allclose(sampled.root[1], (rig.root[0] + rig.root[1]) / 2)
 
 
+@pytest.mark.slow
 def test_a_result_is_saved_with_engine_names(tmp_path):
     from people import person, walk
 

@@ -27,6 +27,19 @@ def check_refused(path: Path, message: str) -> None:
     assert "\n" not in text
 
 
+def attribute(gltf: dict[str, Any], name: str, mesh: int = 0) -> dict[str, Any]:
+    """Return the accessor of an attribute of a mesh's first primitive."""
+    return gltf["accessors"][gltf["meshes"][mesh]["primitives"][0]["attributes"][name]]
+
+
+def first(gltf: dict[str, Any]) -> dict[str, Any]:
+    return gltf["meshes"][0]["primitives"][0]
+
+
+def bind(gltf: dict[str, Any]) -> dict[str, Any]:
+    return gltf["accessors"][gltf["skins"][0]["inverseBindMatrices"]]
+
+
 JSON_CHANGES: dict[str, tuple[JsonChange, str]] = {
     "gltf 1": (lambda g: g.update(asset={"version": "1.0"}), "glTF version 2.0, found 1.0"),
     "no asset": (lambda g: g.pop("asset"), "glTF version 2.0, found None"),
@@ -37,18 +50,12 @@ JSON_CHANGES: dict[str, tuple[JsonChange, str]] = {
     "negative": (lambda g: g["accessors"][0].update(count=-1), "a count in 'accessors \\[\\] count', found -1"),
     "type number": (lambda g: g["accessors"][0].update(type=3), "text in 'accessors \\[\\] type'"),
     "strange type": (lambda g: g["accessors"][0].update(type="VEC9"), "24 VEC3 in POSITION, found '24 VEC9'"),
-    "strange colours": (
-        lambda g: g["accessors"][g["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]].update(type="VEC2"),
-        "24 VEC4 in COLOR_0, found '24 VEC2'",
-    ),
+    "strange colours": (lambda g: attribute(g, "COLOR_0").update(type="VEC2"), "24 VEC4 in COLOR_0, found '24 VEC2'"),
     "strange index type": (
-        lambda g: g["accessors"][g["meshes"][0]["primitives"][0]["indices"]].update(type="VEC9"),
+        lambda g: g["accessors"][first(g)["indices"]].update(type="VEC9"),
         "unsigned indices, found '5123 VEC9'",
     ),
-    "strange matrix": (
-        lambda g: g["accessors"][g["skins"][0]["inverseBindMatrices"]].update(type="MAT9"),
-        "glTF 2.0 type in accessor .*, found 5126 MAT9",
-    ),
+    "strange matrix": (lambda g: bind(g).update(type="MAT9"), "glTF 2.0 type in accessor .*, found 5126 MAT9"),
     "strange component": (
         lambda g: g["accessors"][0].update(componentType=5130),
         "glTF 2.0 type in accessor 0, found 5130 VEC3",
@@ -57,28 +64,17 @@ JSON_CHANGES: dict[str, tuple[JsonChange, str]] = {
     "extensions": (lambda g: g["materials"][0].update(extensions=[1]), "an object in"),
     "dangling mesh": (lambda g: g["nodes"][3].update(mesh=9), "'nodes \\[\\] mesh' to be one of 2 meshes, found 9"),
     "dangling scene": (lambda g: g.update(scene=4), "'scene' to be one of 1 scenes, found 4"),
-    "dangling accessor": (
-        lambda g: g["meshes"][0]["primitives"][0]["attributes"].update(NORMAL=999),
-        "to be one of .* accessors, found 999",
-    ),
+    "dangling accessor": (lambda g: first(g)["attributes"].update(NORMAL=999), "to be one of .* accessors, found 999"),
     "dangling texture": (lambda g: g["textures"][0].update(source=7), "to be one of 2 images, found 7"),
-    "accessor past its view": (
-        lambda g: g["accessors"][g["skins"][0]["inverseBindMatrices"]].update(count=9),
-        "576 bytes for accessor 22, found 128",
-    ),
+    "accessor past its view": (lambda g: bind(g).update(count=9), "576 bytes for accessor 22, found 128"),
     "view past its buffer": (lambda g: g["bufferViews"][0].update(byteLength=10**6), "buffer view 0 inside its buffer"),
-    "attribute count": (
-        lambda g: g["accessors"][g["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]].update(count=7),
-        "24 VEC3 in NORMAL, found '7 VEC3'",
-    ),
+    "attribute count": (lambda g: attribute(g, "NORMAL").update(count=7), "24 VEC3 in NORMAL, found '7 VEC3'"),
     "position type": (
-        lambda g: g["accessors"][g["meshes"][1]["primitives"][0]["attributes"]["POSITION"]].update(type="VEC2"),
+        lambda g: attribute(g, "POSITION", 1).update(type="VEC2"),
         "12 VEC3 in POSITION, found '12 VEC2'",
     ),
     "float indices": (
-        lambda g: g["meshes"][0]["primitives"][0].update(
-            indices=g["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]
-        ),
+        lambda g: first(g).update(indices=first(g)["attributes"]["NORMAL"]),
         "unsigned indices, found '5126 VEC3'",
     ),
     "no weights": (

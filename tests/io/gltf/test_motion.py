@@ -3,11 +3,13 @@
 import base64
 import json
 import struct
+from itertools import product
 
 import numpy as np
 import pytest
 from foreign_names import renamed
 from gltf_samples import QUARTER, pack_glb
+from matrix import matrix
 from people import person
 from rigs import kept
 from scipy.spatial.transform import Rotation
@@ -121,8 +123,11 @@ def hip_path(body, motion):
     return position - position[0]
 
 
-@pytest.mark.parametrize("skin", [False, True], ids=["nodes", "skin"])
-@pytest.mark.parametrize("armature", ARMATURES)
+@matrix(
+    ("armature", "skin"),
+    product(ARMATURES, [False, True]),
+    quick=[("none", False), ("z-up, centimetres", True), ("turned by a quarter", False)],
+)
 def test_motion_gives_the_body_the_limb_directions_of_the_file(armature, skin, rigged, body, motion, tmp_path):
     path = joints_only(rigged, tmp_path / "a.glb", lambda gltf: add_armature(gltf, **ARMATURES[armature]), skin)
     played = play_on_body(path)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import struct
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rigs
 from foreign_names import renamed
+from gltf_reference import json_of
+from matrix import matrix
 from scipy.spatial.transform import Rotation
 
 from mimesh.core.mesh import cut_clip
@@ -39,11 +40,6 @@ def distance(vertices: np.ndarray, expected: np.ndarray) -> float:
 
 def truth() -> np.ndarray:
     return np.stack([rigs.posed(PERSON, frame) for frame in rigs.exercise(PERSON)])
-
-
-def json_of(path: Path) -> dict:
-    content = path.read_bytes()
-    return json.loads(content[20 : 20 + struct.unpack_from("<I", content, 12)[0]])
 
 
 def test_nodes_with_a_matrix_move_in_memory_as_in_the_written_file(model, driving, tmp_path):
@@ -77,8 +73,8 @@ def wrapped(transform: np.ndarray, inside: np.ndarray | None = None):
     def change(draft: Draft) -> None:
         gltf = draft.gltf
         roots = gltf["scenes"][0]["nodes"]
-        for matrix in (transform,) if inside is None else (inside, transform):
-            gltf["nodes"].append({"name": "wrap", "matrix": matrix.T.ravel().tolist(), "children": list(roots)})
+        for each in (transform,) if inside is None else (inside, transform):
+            gltf["nodes"].append({"name": "wrap", "matrix": each.T.ravel().tolist(), "children": list(roots)})
             roots = [len(gltf["nodes"]) - 1]
         gltf["scenes"][0]["nodes"] = roots
 
@@ -90,7 +86,7 @@ GOOD = {"tiny": (np.diag([0.01, 0.01, 0.01, 1.0]), None), "turned and back": (TU
 BAD = {"mirrored": ([-1.0, 1.0, 1.0, 1.0], "mirrored"), "stretched": ([1.0, 1.3, 1.0, 1.0], "scaled equally")}
 
 
-@pytest.mark.parametrize("frame", GOOD)
+@matrix("frame", GOOD, quick=["turned and back"])
 def test_frames_above_the_joints_that_node_transforms_can_undo(frame, model, driving, tmp_path):
     transform, inside = GOOD[frame]
     path = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"), change=wrapped(transform, inside))
@@ -117,7 +113,7 @@ def test_frames_above_the_joints_that_node_transforms_cannot_undo_give_a_note(fr
     assert distance(load_clip(tmp_path / "out.glb").vertices, result.clip.vertices) < 1e-3
 
 
-@pytest.mark.parametrize("unit", [1.0, 100.0, 0.01])
+@matrix("unit", [1.0, 100.0, 0.01], quick=[100.0])
 def test_small_differences_from_the_bind_pose_are_undone_in_any_unit(unit, model, driving, tmp_path):
     """Nodes of a limb are 4e-5 of the size beside their places in the bind pose, and turned by 4e-5 radians."""
 
@@ -169,7 +165,7 @@ def test_weights_of_a_node_without_morph_targets_are_no_motion(model, driving, t
     assert distance(load_clip(tmp_path / "out.glb").vertices, result.clip.vertices) < EXACT
 
 
-@pytest.mark.parametrize("rig", ["own", "mimesh"])
+@matrix("rig", ["own", "mimesh"], quick=["own"])
 def test_a_file_without_scenes_is_written_skinned(rig, model, driving, tmp_path):
     def change(draft: Draft) -> None:
         del draft.gltf["scenes"]
@@ -210,6 +206,7 @@ def with_keys(interpolation: str, times: np.ndarray):
     return change
 
 
+INTERPOLATIONS = ("STEP", "LINEAR", "CUBICSPLINE")
 TIMES = {
     "every frame": np.arange(12) / 24,
     "sparse": np.array([0, 3, 4, 9]) / 30,
@@ -218,8 +215,11 @@ TIMES = {
 }
 
 
-@pytest.mark.parametrize("times", TIMES)
-@pytest.mark.parametrize("interpolation", ["STEP", "LINEAR", "CUBICSPLINE"])
+@matrix(
+    ("interpolation", "times"),
+    product(INTERPOLATIONS, TIMES),
+    quick=[("STEP", "sparse"), ("LINEAR", "off the grid"), ("CUBICSPLINE", "later")],
+)
 def test_copies_between_files_of_one_skeleton_are_exact_between_frames_too(interpolation, times, model, tmp_path):
     change = with_keys(interpolation, TIMES[times])
     path, *_ = rigs.of_kind(tmp_path / "move.glb", "T-pose", change=change)
@@ -236,7 +236,7 @@ def test_copies_between_files_of_one_skeleton_are_exact_between_frames_too(inter
             assert ((channel.values[1:] * channel.values[:-1]).sum(axis=1) > 0).all()
 
 
-@pytest.mark.parametrize("cut", ["frames", "rate", "speed"])
+@matrix("cut", ["frames", "rate", "speed"], quick=["frames"])
 def test_keys_of_a_part_or_of_other_frames_are_not_copied(cut, model, tmp_path):
     path, *_ = rigs.of_kind(tmp_path / "move.glb", "T-pose", change=with_keys("STEP", TIMES["every frame"]))
     clip = load_clip(path, fps=60.0 if cut == "rate" else None)
@@ -262,8 +262,10 @@ def test_copied_quaternions_do_not_change_their_sign(model, tmp_path):
             assert ((values[1:] * values[:-1]).sum(axis=1) > 0).all()
 
 
-@pytest.mark.parametrize("options", [{}, {"root_bone": True}, {"names": "mixamo"}, {"fps": 60.0}])
-@pytest.mark.parametrize("copied", [True, False])
+OPTIONS = ({}, {"root_bone": True}, {"names": "mixamo"}, {"fps": 60.0})
+
+
+@matrix(("copied", "options"), product([True, False], OPTIONS), quick=[(True, OPTIONS[1]), (False, OPTIONS[3])])
 def test_the_deviation_of_a_written_file_is_in_the_report(copied, options, model, driving, tmp_path):
     name = str if copied else renamed("mixamo")
     result = animate(str(rigs.of_kind(tmp_path / "a.glb", "T-pose", name=name)[0]), str(driving), model)

@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pytest
 import rigs
 from foreign_names import SCHEMES, renamed
+from matrix import matrix
 
 from mimesh.io import load_clip
 from mimesh.io.gltf.document import Document, open_document
@@ -72,13 +72,13 @@ def assert_plays_itself(path: Path, model: str, output: Path) -> None:
     assert_untouched(open_document(path), open_document(output))
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@matrix("scheme", SCHEMES, quick=["mixamo"])
 def test_own_clip_through_own_rig(scheme, model, tmp_path):
     path, *_ = rigs.of_kind(tmp_path / "own.glb", "T-pose", name=renamed(scheme), change=furnish)
     assert_plays_itself(path, model, tmp_path / "out.glb")
 
 
-@pytest.mark.parametrize("kind", rigs.KINDS)
+@matrix("kind", rigs.KINDS, quick=["A-pose"])
 def test_own_clip_through_rigs_of_any_kind(kind, model, tmp_path):
     path, *_ = rigs.of_kind(tmp_path / "own.gltf", kind, change=furnish)
     assert_plays_itself(path, model, tmp_path / "out.gltf")

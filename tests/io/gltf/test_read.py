@@ -81,18 +81,6 @@ def test_parts_have_the_names_and_materials_of_primitives(tmp_path):
     assert mesh.parts[0].material is skin
 
 
-def test_shared_vertices_are_read_once_and_instances_twice(tmp_path):
-    hero, props = (read_gltf(sample.glb(tmp_path / "a.glb")) for sample in (samples.hero(), samples.props()))
-    assert len(hero.vertices) == 12 + 24  # the points of the body are not part of the mesh
-    assert len(props.vertices) == 24 + 24 + 6 + 4
-    assert [(span.node, span.start, span.stop) for span in props.source.rest.vertex_ranges] == [
-        (1, 0, 24),
-        (2, 24, 48),
-        (3, 48, 54),
-        (3, 54, 58),
-    ]
-
-
 def test_faces_of_a_mirrored_node_face_outward(tmp_path):
     mesh = read_gltf(samples.props().glb(tmp_path / "a.glb"))
     for start, stop in ((0, 12), (12, 24)):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import product
 from pathlib import Path
 
 import numpy as np
-import pytest
 import rigs
+from matrix import matrix
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies.joint_names import ancestors
@@ -134,7 +135,7 @@ def worlds(document: Document) -> dict[str, np.ndarray]:
     return dict(zip((node["name"] for node in document.gltf["nodes"]), world, strict=True))
 
 
-@pytest.mark.parametrize("kind", FILES)
+@matrix("kind", FILES, quick=["metres, y up", "three skins", "nodes in another pose", "props on a still joint"])
 def test_the_bone_is_on_the_floor_with_the_axes_of_the_world_and_in_the_skin(kind, tmp_path):
     animation = written(tmp_path / "a.glb", kind)
     old, new = animation.source.document, saved(animation, tmp_path / "b.glb", "Root")
@@ -160,7 +161,7 @@ def test_the_bone_is_on_the_floor_with_the_axes_of_the_world_and_in_the_skin(kin
     assert all(root in ancestors(parents, joint) for joint in new.gltf["skins"][0]["joints"])
 
 
-@pytest.mark.parametrize("kind", FILES)
+@matrix("kind", FILES, quick=["hips on top", "turned", "the armature moves", "unequal scale above"])
 def test_the_bone_has_the_way_of_the_hips_over_the_ground(kind, tmp_path):
     animation = written(tmp_path / "a.glb", kind)
     new = saved(animation, tmp_path / "b.glb", "Root")
@@ -174,8 +175,16 @@ def test_the_bone_has_the_way_of_the_hips_over_the_ground(kind, tmp_path):
     assert {channel.path for channel in read_channels(new, 0) if channel.node == root} == {"translation"}
 
 
-@pytest.mark.parametrize("moves", [False, True])
-@pytest.mark.parametrize("kind", FILES)
+@matrix(
+    ("kind", "moves"),
+    product(FILES, [False, True]),
+    quick=[
+        ("a joint above the hips moves", True),
+        ("a joint above the hips is still", False),
+        ("feet on roots", True),
+        ("old splines", True),
+    ],
+)
 def test_vertices_and_nodes_stay_in_all_animations(kind, moves, tmp_path):
     animation = written(tmp_path / "a.glb", kind)
     size = np.ptp(animation.source.vertices, axis=0).max()

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.core.animated_rig import AnimatedRig, RigAnimation
 from mimesh.core.errors import InputError
-from mimesh.core.mesh import Clip
 from mimesh.core.rig import Rig
 from mimesh.io import load_clip, load_mesh, save_mesh, save_rig_animations, save_skinned
 from mimesh.io.gltf.document import open_document, read_accessor
@@ -54,12 +53,6 @@ def test_skinned_weights_sum_to_1_and_quaternions_are_continuous(result, tmp_pat
         quaternions = read_accessor(document, sampler["output"])
         assert np.allclose(np.linalg.norm(quaternions, axis=1), 1, atol=1e-6)
         assert ((quaternions[1:] * quaternions[:-1]).sum(axis=1) > 0).all()
-
-
-def test_skinned_result_of_a_model_without_joints_is_refused(tmp_path):
-    result = animate(person(0), Clip.still(person(1, pose=0)), "copy")
-    with pytest.raises(InputError, match=r"^skinned: expected a model with joints \(mime\), found copy"):
-        result.save_skinned(tmp_path / "hero.glb")
 
 
 def test_skinned_result_in_another_format_is_refused(result, tmp_path):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import importlib.util
-
 import numpy as np
 import pytest
 import usd_stages as stages
@@ -15,6 +12,8 @@ from mimesh.core.errors import InputError
 from mimesh.core.geometry import face_normals
 from mimesh.core.mesh import Mesh
 from mimesh.io import load_clip, load_mesh, save_mesh
+
+pytestmark = pytest.mark.usefixtures("in_process")
 
 CUBE = zoo.cube().vertices
 
@@ -40,8 +39,16 @@ def test_polygons_become_fans_and_transforms_nest(tmp_path):
     assert [(part.name, part.start, part.stop) for part in mesh.parts] == [("cube", 0, 12)]
 
 
-@pytest.mark.parametrize("hand", ["rightHanded", "leftHanded"])
-@pytest.mark.parametrize("scale", [(1, 1, 1), (1, -1, 1), (-2, -2, -2), (-1, 1, -1)])
+@pytest.mark.parametrize(
+    ("hand", "scale"),
+    [
+        ("rightHanded", (1, -1, 1)),
+        ("rightHanded", (-2, -2, -2)),
+        ("leftHanded", (1, 1, 1)),
+        ("leftHanded", (-1, 1, -1)),
+        ("leftHanded", (-2, -2, -2)),
+    ],
+)
 def test_faces_point_outwards_under_mirroring_and_left_hand_orientation(hand, scale, tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda")
     polygons = stages.QUADS if hand == "rightHanded" else [polygon[::-1] for polygon in stages.QUADS]
@@ -214,7 +221,7 @@ def test_topology_change_in_a_later_frame_is_named(tmp_path):
         load_clip(tmp_path / "a.usda")
 
 
-def test_unreadable_stages_are_explained(tmp_path, monkeypatch):
+def test_unreadable_stages_are_explained(tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda")
     UsdGeom.Camera.Define(stage, "/world/camera")
     stage.Save()
@@ -232,9 +239,6 @@ def test_unreadable_stages_are_explained(tmp_path, monkeypatch):
     (tmp_path / "b.usda").write_text("hello")
     with pytest.raises(InputError, match=r"b\.usda: expected a USD stage, found .*not a valid usda"):
         load_mesh(tmp_path / "b.usda")
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"expected usd-core to read USD, found it not installed; pip install"):
-        load_mesh(tmp_path / "a.usda")
 
 
 def test_rewritten_file_is_read_again(tmp_path):
@@ -244,19 +248,6 @@ def test_rewritten_file_is_read_again(tmp_path):
         save_mesh(Mesh(CUBE * factor, zoo.cube().faces), path)
         open_stages.append(Usd.Stage.Open(str(path)))
         np.testing.assert_allclose(load_mesh(path).vertices, CUBE * factor)
-
-
-@pytest.mark.slow
-def test_damaged_files_raise_input_errors(tmp_path):
-    save_mesh(zoo.grid(9), tmp_path / "a.usdc")
-    content = np.frombuffer((tmp_path / "a.usdc").read_bytes(), np.uint8)
-    for seed in range(100, 140):  # some other seeds make the library allocate gigabytes before it finds the damage
-        rng = np.random.default_rng(seed)
-        damaged = content.copy()
-        damaged[rng.integers(88, len(content), 6)] = rng.integers(256, size=6)
-        (tmp_path / f"{seed}.usdc").write_bytes(damaged.tobytes())
-        with contextlib.suppress(InputError):
-            load_clip(tmp_path / f"{seed}.usdc")
 
 
 def test_hole_faces_are_left_out(tmp_path):

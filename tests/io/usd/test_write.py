@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import zipfile
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 import usd_stages as stages
 import zoo
+from matrix import matrix
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from mimesh.core.geometry import face_normals, vertex_normals
 from mimesh.core.mesh import Clip, Material, Mesh, Part
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+
+pytestmark = pytest.mark.usefixtures("in_process")
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 PNG = b"\x89PNG and so on"
@@ -39,9 +43,7 @@ def full_mesh(smooth: bool = True) -> Mesh:
     return dataclasses.replace(mesh, name="Körper 1", corner_normals=normals, corner_uv=uv, parts=parts)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", SUFFIXES)
-@pytest.mark.parametrize("smooth", [True, False])
+@matrix(("suffix", "smooth"), product(SUFFIXES, [True, False]), quick=[(".usdc", True)])
 def test_new_clip_round_trips(suffix, smooth, tmp_path):
     mesh = full_mesh(smooth)
     frames = np.stack([bend(mesh.vertices, 0.1 * k) for k in range(40)])
@@ -57,16 +59,6 @@ def test_new_clip_round_trips(suffix, smooth, tmp_path):
     assert written == {f"my clip{suffix}"} | ({"my clip_textures"} if suffix != ".usdz" else set())
     resampled = load_clip(tmp_path / f"my clip{suffix}", fps=1.0)
     np.testing.assert_allclose(resampled.vertices[1], 0.024 * frames[23] + 0.976 * frames[24], atol=1e-5)
-
-
-@pytest.mark.parametrize("make", zoo.ZOO)
-def test_new_mesh_round_trips(make, tmp_path):
-    mesh = make()
-    save_mesh(mesh, tmp_path / "a.usdc")
-    reread = load_mesh(tmp_path / "a.usdc")
-    np.testing.assert_array_equal(reread.vertices, mesh.vertices.astype(np.float32))
-    np.testing.assert_array_equal(reread.faces, mesh.faces)
-    assert len(load_clip(tmp_path / "a.usdc")) == 1
 
 
 def test_normals_rotate_and_the_extent_bounds_each_frame(tmp_path):
@@ -123,9 +115,7 @@ def character(path: Path) -> Path:
     return path
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("before", SUFFIXES)
-@pytest.mark.parametrize("after", SUFFIXES)
+@matrix(("before", "after"), product(SUFFIXES, SUFFIXES), quick=[(".usda", ".usdc")])
 def test_moved_mesh_keeps_what_was_read(before, after, tmp_path):
     path = character(tmp_path / "in" / f"a{'.usda' if before == '.usdz' else before}")
     if before == ".usdz":
