@@ -136,14 +136,6 @@ def assert_animal_bones_follow(rotation, joints, *chain):
         assert cosine > 1 - 1e-6, (first, second)
 
 
-@pytest.mark.parametrize("gait", ["walk", "gallop"])
-def test_targets_where_joints_of_an_animal_are_change_nothing(gait):
-    rotation, joints = animal_pose(gait)
-    result = animal_moved({name: joints[ANIMAL_AT[name]] for name in ANIMAL.joint_names[::3]}, rotation, joints)
-    for array, expected in zip(result, (rotation, joints), strict=True):
-        np.testing.assert_allclose(array, expected, atol=1e-9)
-
-
 @pytest.mark.parametrize("leg", [("Thigh", "Shin", "Foot"), ("UpperArm", "Forearm", "Hand")])
 def test_a_dragged_knee_or_elbow_of_an_animal_leaves_the_other_joints(leg):
     rotation, joints = animal_pose()
