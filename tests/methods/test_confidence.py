@@ -260,3 +260,12 @@ def test_a_note_says_that_a_mesh_without_surface_for_several_limbs_may_be_someth
     lacks = fitted(fit_angle=8.0, prediction_spread=40.0, unmatched_body=unmatched, unmatched_surface=0.1)
     assert lacks.expected_error < DOUBTFUL_ERROR
     assert ("may not be a person" in " ".join(lacks.notes("it"))) == doubted
+
+
+def test_note_lists_every_reason():
+    limbs = {"head": 0.0, "left arm": 0.1, "right arm": 0.0, "left leg": 0.2, "right leg": 0.2}
+    (note,) = Confidence(40.0, 2.0, limbs).notes("thing")
+    assert "40 degrees" in note
+    assert "no limb in particular" in note
+    assert "no whole head and no whole right arm" in note
+    assert Confidence(2.0, 0.5, {"head": 0.1}).notes("person") == ()

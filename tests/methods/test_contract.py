@@ -123,9 +123,8 @@ def test_moved_identity_moves_the_result(model, change):
 
 @CHANGED
 def test_moved_driving_does_not_change_the_result(model, change):
-    for trial, expected in zip(trials(model), unchanged(model), strict=True):
-        result = trial.changed(**CHANGES[change]).move(model)
-        assert np.allclose(result, expected, rtol=0, atol=2e-6 * size(IDENTITY))
+    result = trials(model)[-1].changed(**CHANGES[change]).move(model)
+    assert np.allclose(result, unchanged(model)[-1], rtol=0, atol=2e-6 * size(IDENTITY))
 
 
 def test_permuted_identity_permutes_the_result(model):

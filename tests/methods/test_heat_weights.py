@@ -196,3 +196,15 @@ def test_closest_on_segment_equals_dense_sampling():
     expected = dense[np.square(points[:, None] - dense).sum(-1).argmin(axis=1)]
     assert np.allclose(closest_on_segment(points, start, end), expected, rtol=0, atol=1e-3)
     assert np.allclose(closest_on_segment(points, start, start), start)
+
+
+def test_normals_of_one_inverted_component_are_flipped():
+    mesh = tube()
+    count = len(mesh.vertices)
+    vertices = np.concatenate([mesh.vertices, mesh.vertices + [0, 1, 0]])
+    expected = outward_normals(vertices, np.concatenate([mesh.faces, mesh.faces + count]))
+    for first, second in ((mesh.faces[:, ::-1], mesh.faces), (mesh.faces, mesh.faces[:, ::-1])):
+        normals = outward_normals(vertices, np.concatenate([first, second + count]))
+        assert np.allclose(normals, expected, rtol=0, atol=1e-12)
+    assert np.allclose(expected[:count], expected[count:], rtol=0, atol=1e-12)
+    assert np.allclose(expected[:count], outward_normals(mesh.vertices, mesh.faces), rtol=0, atol=1e-12)

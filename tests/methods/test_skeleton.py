@@ -56,6 +56,7 @@ def example():
     return moved(IDENTITY, DRIVING)
 
 
+@pytest.mark.slow
 def test_identity_as_driving_returns_the_identity():
     mesh = normalised(person(0, pose=1))
     assert np.allclose(moved(mesh, mesh), mesh.vertices, rtol=0, atol=1e-12)
@@ -111,6 +112,7 @@ def test_bones_keep_their_length_and_take_the_rotations_of_the_fits():
     assert np.allclose(lengths, expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_frames_of_a_clip_are_near_the_truth():
     identity, clip = person(0), walk(1, frames=3)
     size, frame = Normalization.fit(identity, "+y", "+z").radius, Normalization.fit(clip.mesh, "+y", "+z")

@@ -73,3 +73,8 @@ def test_nearest_rotation_is_a_rotation_and_keeps_rotations():
     assert np.allclose(np.linalg.det(found), 1)
     rotations = Rotation.random(9, random_state=4).as_matrix()
     assert np.allclose(nearest_rotation(3 * rotations), rotations)
+
+
+def test_joint_positions_are_found():
+    points, _, joints = posed(2)
+    assert np.linalg.norm(tracker(0).follow(points)[1] - joints, axis=1).mean() < 0.01
