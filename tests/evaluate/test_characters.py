@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -271,3 +272,11 @@ def test_estimates_are_not_written_as_true_results(folder, tmp_path):
         *(f"val-{kind}.heights.json" for kind in WITHIN),
     }
     assert written["files"] == 3 * (2 * 3 + 2)
+
+
+def test_packs_take_turns(protocol):
+    within = Counter(drawn(protocol, "table6", i)[0].meta.pack for i in range(12))
+    assert within == {"people": 6, "elves": 6}
+    across = Counter(tuple(c.meta.pack for c in drawn(protocol, "across-limits", i)) for i in range(12))
+    assert len(across) == 6
+    assert set(across.values()) == {2}

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from deepmimic_files import write_folder
-from held_out_files import SHORT, write_all, write_takes
+from held_out_files import SHORT, write_takes
 from matrix import matrix
 from same_pose import assert_same_pose
 
@@ -44,9 +44,8 @@ def trial_of(protocol, kind):
 
 
 @pytest.fixture(scope="module")
-def protocol(tmp_path_factory):
-    """The protocol with generated motions in the place of all files."""
-    return clips_aniformer(write_all(tmp_path_factory.mktemp("motions")))
+def protocol(motions):
+    return clips_aniformer(motions)
 
 
 def test_protocol_has_the_numbers_of_the_paper():

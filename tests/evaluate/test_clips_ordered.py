@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from held_out_files import write_all
 from matrix import matrix
 from networks import write_sequence_network
 
@@ -23,9 +22,8 @@ KINDS = CLIPS_ORDERED.kinds
 
 
 @pytest.fixture(scope="module")
-def with_files(tmp_path_factory):
-    """The protocol with generated motions in the place of all files."""
-    return clips_ordered(write_all(tmp_path_factory.mktemp("motions")))
+def with_files(motions):
+    return clips_ordered(motions)
 
 
 def test_protocol_has_the_numbers_of_the_paper():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from deepmimic_files import write_folder
 from matrix import matrix
+from networks import write_sequence_network
 from people import person
 
 from mimesh.cli import run
@@ -18,7 +19,7 @@ from mimesh.evaluate.clip_protocols import ClipPair, clips_aniformer
 from mimesh.evaluate.listed_pairs import HEIGHT, ListedClips, listed_pairs
 from mimesh.evaluate.markdown import markdown
 from mimesh.evaluate.measure import measure, measure_clip
-from mimesh.evaluate.run import evaluate_command
+from mimesh.evaluate.run import evaluate_command, measure_trial
 from mimesh.io import save_clip, save_mesh
 
 ROOT = Path(__file__).parents[2]

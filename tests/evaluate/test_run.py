@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from held_out_files import write_all
 from matrix import matrix
 from networks import write_network, write_sequence_network
 
 from mimesh.core.errors import InputError, RefusedMeshError
 from mimesh.core.normalization import Normalization, bbox_centre, radius
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
+from mimesh.evaluate.dump import dump_worst
 from mimesh.evaluate.generate import generate_command
 from mimesh.evaluate.markdown import markdown
 from mimesh.evaluate.measure import (
@@ -370,7 +370,7 @@ def test_clip_of_an_inapplicable_method_has_the_reason(trial):
 
 
 @pytest.mark.slow
-def test_evaluation_of_clips_has_clip_metrics_and_is_continued(tmp_path, monkeypatch):
+def test_evaluation_of_clips_has_clip_metrics_and_is_continued(motions, tmp_path, monkeypatch):
     out, measured = tmp_path / "figures.json", []
 
     def counted(trial, method, **options):
@@ -381,10 +381,9 @@ def test_evaluation_of_clips_has_clip_metrics_and_is_continued(tmp_path, monkeyp
 
     monkeypatch.setattr("mimesh.evaluate.run.measure_clip", counted)
     monkeypatch.setattr("mimesh.evaluate.run.commit", lambda: "abc")
-    folder = write_all(tmp_path / "motions")
     with pytest.raises(KeyboardInterrupt):
-        evaluate_command("clips-aniformer", ["copy"], out, pairs=1, data=folder)
-    report = evaluate_command("clips-aniformer", ["copy"], out, pairs=1, data=folder)
+        evaluate_command("clips-aniformer", ["copy"], out, pairs=1, data=motions)
+    report = evaluate_command("clips-aniformer", ["copy"], out, pairs=1, data=motions)
     assert report["version"] == 2
     assert re.fullmatch(r"\d+ files, sha256 [0-9a-f]{16}", report["provenance"]["config"]["data"])
     assert len(measured) == 5
@@ -435,3 +434,10 @@ def test_a_mesh_that_is_refused_is_a_failure_and_the_measurement_goes_on(monkeyp
     pair = HUMAN_NPT.pair("val", "seen", 0)
     monkeypatch.setattr("mimesh.evaluate.measure.run_on_pair", refuse)
     assert measure(pair, "copy") == {"failed": "x: expected a person, found a chair; give another"}
+
+
+def test_worst_pairs_are_drawn(tmp_path):
+    figures = [measure(HUMAN_NPT.pair("val", "seen", i), "copy") for i in range(2)]
+    paths = dump_worst(HUMAN_NPT, "val", "seen", "copy", {}, figures, tmp_path / "worst")
+    assert [path.name for path in paths] == ["copy-seen-1.png", "copy-seen-2.png"]
+    assert all(path.stat().st_size > 10_000 for path in paths)
