@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.spatial
 import zoo
+from matrix import matrix
 from people import person
 from scipy.spatial.transform import Rotation
 
@@ -265,7 +266,7 @@ def test_offset_of_components_does_not_depend_on_driving_resolution():
 
 
 @WITH_AND_WITHOUT
-@pytest.mark.parametrize("degrees", [90, 180, 270])
+@matrix("degrees", [90, 180, 270], quick=[90])
 def test_heading_of_the_reference_does_not_matter(markers, degrees):
     identity, reference, driving, _ = trio()
     turn = np.round(Rotation.from_euler("y", degrees, degrees=True).as_matrix())
