@@ -116,6 +116,7 @@ def test_postures_are_what_they_are_called():
     assert height["lie"][1] < 0.85 * height["lie"][0]
 
 
+@pytest.mark.slow
 def test_splits_have_other_poses():
     train, val, test = (quadruped_poses(BODY, split) for split in ("train", "val", "test"))
     assert train.shape == val.shape == test.shape == (len(train), len(BODY.parents), 3)

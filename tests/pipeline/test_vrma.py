@@ -209,9 +209,10 @@ def test_a_vrm_keeps_its_extensions(version, tmp_path):
         assert [node.get("name") for node in new["nodes"]] == [node.get("name") for node in old["nodes"]]
 
 
-@pytest.mark.parametrize(
+@matrix(
     ("named", "still", "copied"),
     [(True, False, False), (False, False, True), (True, True, True)],
+    quick=[(True, False, False)],
     ids=["another skeleton", "the same skeleton", "a face alone"],
 )
 def test_targets_follow_those_of_their_name(named, still, copied, tmp_path):
