@@ -53,30 +53,6 @@ def test_rotating_the_root_rotates_the_body(body):
     np.testing.assert_allclose(body.posed(shape, turned), expected, atol=1e-12)
 
 
-def test_posing_agrees_with_a_vertex_by_vertex_loop(body):
-    shape, pose = sample_shape(body, 3, 0), rotvec_to_rotmat(sample_pose(body, 3, 0, JOINT_LIMITS))
-    vertices, joints = body.shaped(shape)
-    world = []
-    for j, parent in enumerate(body.parents):
-        local = np.eye(4)
-        local[:3, :3] = pose[j]
-        local[:3, 3] = joints[j] - (joints[parent] if parent >= 0 else 0)
-        world.append(local if parent < 0 else world[parent] @ local)
-    posed = body.posed(shape, pose)
-    for v in range(0, 6890, 997):
-        point = np.zeros(3)
-        for j, transform in enumerate(world):
-            point += body.weights[v, j] * (transform[:3, :3] @ (vertices[v] - joints[j]) + transform[:3, 3])
-        np.testing.assert_allclose(posed[v], point, atol=1e-12)
-
-
-def test_a_batch_of_bodies_equals_the_single_bodies(body):
-    shapes = np.stack([sample_shape(body, 0, i) for i in range(3)])
-    poses = rotvec_to_rotmat(np.stack([sample_pose(body, 0, i) for i in range(3)]))
-    for i, posed in enumerate(body.posed(shapes, poses)):
-        np.testing.assert_allclose(posed, body.posed(shapes[i], poses[i]), atol=1e-12)
-
-
 def test_samples_depend_on_seed_and_index_only(body):
     first = [sample_pose(body, 7, i) for i in range(5)]
     np.testing.assert_array_equal(sample_pose(body, 7, 4), first[4])

@@ -6,13 +6,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from matrix import matrix
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.body_parameters import (
     BodyParameters,
-    _levels,
-    from_vector,
     posed_and_pullback,
     rotvec_pullback,
     thin_body,
@@ -22,7 +21,6 @@ from mimesh.bodies.chamfer_fit import GOOD_ERROR, chamfer, fit_points, target_cl
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.core.mesh import permute_vertices
 from mimesh.core.normalization import Normalization
-from mimesh.core.rig import descendant_matrix
 from mimesh.core.surface_points import at_barycentric, sample_surface
 
 COMPONENTS = 4
@@ -49,12 +47,6 @@ def test_points_of_parameters_are_those_of_the_posed_body():
     points = posed_and_pullback(body, to_vector(fit))[0]
     assert np.allclose(points, fit.scale * posed + fit.translation, rtol=0, atol=1e-12)
     assert np.allclose(points, fit.points(body), rtol=0, atol=1e-12)
-
-
-def test_parameters_round_trip_through_the_vector():
-    fit, again = random_fit(), from_vector(thin(), to_vector(random_fit()))
-    for field in ("scale", "translation", "shape", "rotvec"):
-        assert np.allclose(getattr(fit, field), getattr(again, field), rtol=1e-14)
 
 
 def test_joints_of_rest_parameters_are_the_scaled_and_translated_joints():
@@ -110,7 +102,7 @@ def test_distances_along_a_plane_have_the_tangential_weight():
     assert np.isclose(chamfer(cloud, grid + [0.2, 0, 0], matches)[0], 2 * 0.1 * 0.2**2)
 
 
-@pytest.mark.parametrize("pose", [0, 1])
+@matrix("pose", [0, 1], quick=[0])
 def test_a_person_is_recovered_from_shuffled_vertices(pose):
     """The shape has the free components only; the points differ from those of the thinned body."""
     body, rotvec = load_body(), sample_pose(load_body(), 11, pose)
@@ -129,6 +121,7 @@ def test_a_person_is_recovered_from_shuffled_vertices(pose):
     assert millimetres.mean() < 8
 
 
+@pytest.mark.slow
 def test_a_sitting_person_is_recovered():
     body, rotvec = thin(4000), np.zeros((len(thin().parents), 3))
     for side in ("Left", "Right"):
@@ -165,6 +158,7 @@ def test_a_frame_with_a_large_error_is_fitted_from_the_start_poses():
     assert np.isclose(fit.scale, 0.5, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_errors_that_grow_slowly_restart_the_fit_and_the_better_fit_is_returned(monkeypatch):
     body = thin(100)
     restarted = dataclasses.replace(random_fit(), error=np.inf, restart_error=7.0)
@@ -184,17 +178,6 @@ def test_errors_that_grow_slowly_restart_the_fit_and_the_better_fit_is_returned(
     restarted = dataclasses.replace(restarted, error=0.0)  # now every restarted fit is better
     assert fit_points(body, clip[0], rest).error == errors[0]
     assert fit_points(body, clip[-1], fits[-2]) is restarted
-
-
-def test_cached_arrays_of_the_tree_are_read_only():
-    parents = load_body().parents
-    for cached in (descendant_matrix(parents), *itertools.chain(*_levels(parents))):
-        with pytest.raises(ValueError, match="read-only"):
-            cached[...] = 0
-
-
-def test_a_fit_to_a_single_point_is_finite():
-    assert np.isfinite(to_vector(fit_points(thin(), np.array([[0.1, 0.2, 0.3]])))).all()
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])

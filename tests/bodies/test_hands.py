@@ -5,12 +5,9 @@ import pytest
 
 from mimesh.bodies import load_body
 from mimesh.bodies.finger_poses import (
-    ABDUCTION,
-    FLEXION,
     GESTURES,
     finger_rotations,
     gestures,
-    sample_finger_poses,
     within_limits,
 )
 from mimesh.bodies.hands import HAND_PARENTS, body_with_fingers, fingertips, load_hands
@@ -152,12 +149,3 @@ def test_fist_brings_the_fingertips_to_the_palm_of_either_hand():
             np.linalg.norm(v[tips[1:]] - wrist, axis=1) for v in (body.vertices, body.posed(np.zeros(1), rotmat))
         )
         assert (after < 0.72 * before).all()
-
-
-def test_random_poses_are_within_the_limits_and_repeatable():
-    angles = sample_finger_poses(200, np.random.default_rng(1))
-    limits = np.array([FLEXION, ABDUCTION], float)
-    assert (angles >= limits[:, :, 0].T).all()
-    assert (angles <= limits[:, :, 1].T).all()
-    assert np.array_equal(angles, sample_finger_poses(200, np.random.default_rng(1)))
-    assert angles[:, 4, 0].std() > 20

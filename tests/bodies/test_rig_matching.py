@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from creatures import BIRD, SPIDER, Boxes, pairs, snake
+from matrix import matrix
 
 from mimesh.bodies.rig_matching import Creature, chain_shares, match_rigs, named_front
 
@@ -16,7 +17,7 @@ def matched(mine: Boxes, theirs: Boxes) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("table", [BIRD, SPIDER, snake(6)], ids=["bird", "spider", "snake"])
-@pytest.mark.parametrize("seed", range(3))
+@matrix("seed", range(3), quick=[0])
 def test_each_joint_of_a_renamed_copy_is_found(table, seed):
     """The copy has another order of joints and no names, so each joint must be where it was."""
     mine = Boxes.of(table)

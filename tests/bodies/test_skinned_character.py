@@ -34,17 +34,6 @@ def test_a_character_at_rest_is_the_mesh_of_the_file(frames, tmp_path):
     np.testing.assert_array_equal(rig.mesh.faces, mesh.faces)
 
 
-def test_a_character_of_the_body_is_posed_as_the_body(body):
-    count = len(body.vertices)
-    joints = np.tile(np.eye(4), (len(body.parents), 1, 1))
-    joints[:, :3, 3] = body.joints
-    all_joints = np.tile(np.arange(len(body.parents)), (count, 1))
-    points = np.repeat(body.vertices[:, None], len(body.parents), axis=1)
-    rig = SkinnedCharacter(body.mesh(), body.joint_names, body.parents, joints, all_joints, body.weights, points)
-    root = np.array([0.1, -0.2, 0.3])
-    np.testing.assert_allclose(rig.posed(pose(body), root), body.posed(np.zeros(1), pose(body), root), atol=1e-12)
-
-
 @pytest.mark.parametrize("frames", [0, 1])
 def test_a_file_of_the_body_is_posed_as_the_body(body, frames, tmp_path):
     """For any joint axes, scale and up axis; two sets of influences are read."""
@@ -68,28 +57,8 @@ def test_posing_equals_moving_the_nodes_of_the_file(body, tmp_path):
     np.testing.assert_allclose(bent.posed(local, root), shown.vertices, atol=5e-6)
 
 
-def test_rotating_the_root_rotates_the_character(body, tmp_path):
-    rig = read_skin(rigs.character(tmp_path / "a.glb"))
-    local = pose(body)[[body.joint(name) for name in rig.joint_names]]
-    turn, turned = rotvec_to_rotmat(np.array([0.3, -1.0, 0.2])), local.copy()
-    turned[0] = turn @ local[0]
-    expected = (rig.posed(local) - rig.joints[0]) @ turn.T + rig.joints[0]
-    np.testing.assert_allclose(rig.posed(turned), expected, atol=1e-12)
-
-
 def test_vertices_weighted_to_the_world_do_not_move(tmp_path):
     rig = read_skin(rigs.character(tmp_path / "a.glb"))
     free = SkinnedCharacter(**{**vars(rig), "joint_of": np.full_like(rig.joint_of, len(rig.parents))})
     turned = np.tile(rotvec_to_rotmat(np.array([0.0, 1.0, 0.0])), (len(rig.parents), 1, 1))
     np.testing.assert_allclose(free.posed(turned, np.ones(3)), rig.mesh.vertices, atol=1e-12)
-
-
-def test_names_and_parents_identify_equal_skeletons(tmp_path):
-    first, second = (
-        read_skin(rigs.character(tmp_path / "a.glb")),
-        read_skin(rigs.character(tmp_path / "b.glb", shape=3)),
-    )
-    other_parent = read_skin(rigs.character(tmp_path / "c.glb", hold={"Head": "Spine1"}))
-    renamed = read_skin(rigs.character(tmp_path / "d.glb", name=str.upper))
-    assert first.skeleton == second.skeleton
-    assert len({first.skeleton, other_parent.skeleton, renamed.skeleton}) == 3

@@ -24,7 +24,7 @@ def posed(model, betas, rotvec, trans):
     return model.posed(betas, rotvec_to_rotmat(rotvec), trans)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_posed_vertices_are_those_of_plain_loops(seed, tmp_path):
     rng = np.random.default_rng(seed)
     arrays = small_arrays(joints=3 + 2 * seed, seed=seed)
@@ -65,7 +65,7 @@ REGRESSORS = {
 
 @pytest.mark.filterwarnings("ignore:the matrix subclass")
 @pytest.mark.parametrize("kind", REGRESSORS)
-@pytest.mark.parametrize("protocol", [0, 2, 4, 5])
+@pytest.mark.parametrize("protocol", [0, 5])
 def test_pickles_give_the_model_of_the_archive(kind, protocol, tmp_path):
     arrays = small_arrays()
     true = load_smpl_model(write_model(tmp_path / "m.npz", arrays))

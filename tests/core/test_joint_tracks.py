@@ -70,6 +70,7 @@ def centroids(result):
     return result.clip.vertices.mean(axis=1)
 
 
+@pytest.mark.slow
 def test_options_of_animate_change_path_contacts_and_noise():
     identity, clip = person(0), walk(faces=600)
     scaled, kept, dropped = (centroids(animate(identity, clip, root=root)) for root in ("scale", "keep", "drop"))

@@ -305,7 +305,7 @@ def test_sparse_matrices_that_do_not_fit_together_are_refused(entries, tmp_path)
 @pytest.mark.parametrize("protocol", [0, 2, 4, 5])
 def test_a_pickle_cut_short_anywhere_is_refused(protocol, tmp_path):
     data = pickletools.optimize(pickle.dumps({"a": DENSE, "b": ENTRIES["csc"]}, protocol))
-    for end in range(0, len(data) - 1, 7):
+    for end in range(0, len(data) - 1, 13):
         error_of(data[:end], tmp_path)
 
 
@@ -314,7 +314,7 @@ def test_a_pickle_cut_short_anywhere_is_refused(protocol, tmp_path):
 def test_changed_bytes_give_an_error_or_other_numbers(tmp_path):
     data = pickle.dumps({"a": DENSE, "b": ENTRIES["csc"]}, 2)
     rng = np.random.default_rng(1)
-    for _ in range(400):
+    for _ in range(200):
         changed = bytearray(data)
         changed[rng.integers(len(data))] = rng.integers(256)
         path = write(tmp_path / "a.pkl", bytes(changed))

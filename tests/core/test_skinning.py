@@ -145,6 +145,9 @@ def test_torch_bodies_are_the_numpy_bodies():
     )
     # Gradients need a rotation formula of their own.
     assert_equal(learn_bodies.rotvec_to_rotmat(torch.from_numpy(ROTVEC)).numpy(), ROTMAT)
+    assert_equal(learn_bodies.rotvec_to_rotmat(torch.zeros(3)).numpy(), np.eye(3))
+    single = learn_bodies.TorchBody(BODY).posed(shape.float(), rotmat.float())[0].numpy()
+    np.testing.assert_allclose(single, expected, rtol=0, atol=5e-6)
 
 
 def test_torch_skinning_from_any_pose_is_that_of_a_packed_mesh():

@@ -116,7 +116,8 @@ def test_texts_are_written_alike_on_all_systems():
         (path.name, node)
         for path in source.rglob("*.py")
         if path.name != "blender_export.py"  # runs in Blender
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if ".write_text" in (text := path.read_text(encoding="utf-8"))
+        for node in ast.walk(ast.parse(text))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "write_text"
     ]
     assert len(calls) > 5

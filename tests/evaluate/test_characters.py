@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 from foreign_names import renamed
+from matrix import matrix
 from pools import BLOCKS, blocks, write_character
 
 from mimesh.bodies import load_body
-from mimesh.bodies.character_pool import Limb, PoolCharacter, read_character, read_pool, transferred_transforms
+from mimesh.bodies.character_pool import Limb, PoolCharacter, read_pool, transferred_transforms
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
 from mimesh.evaluate.character_poses import body_pose, find_character_landmarks, pose_character
@@ -23,8 +23,6 @@ from mimesh.evaluate.measure import Output, measure, measure_characters
 from mimesh.evaluate.run import evaluate_command, find_protocol
 from mimesh.evaluate.summary import summary
 
-POOL = os.environ.get("MIMESH_CHARACTERS", "")
-"""Folder of a real pool, which is not part of the project."""
 WITHIN = ("table6", "limits", "clips")
 ACROSS = tuple(f"across-{kind}" for kind in WITHIN)
 HANDS = [name for name in load_body().joint_names if "Hand" in name or "Finger" in name or "Thumb" in name]
@@ -98,7 +96,7 @@ def test_body_takes_back_the_pose_of_a_character(folder):
         assert max(limb_degrees(character, transforms, character, again).values()) < 1e-3
 
 
-@pytest.mark.parametrize("kind", WITHIN)
+@matrix("kind", WITHIN, quick=["clips"])
 def test_truth_is_the_identity_under_the_bone_rotations_of_the_driving(kind, protocol):
     """Checked against another pose, which must be far from the truth."""
     for i in range(4):
@@ -135,7 +133,7 @@ def bone_rotations_of(posed) -> np.ndarray:
     return bone_rotations(posed.transforms @ rest_frames(posed), posed)
 
 
-@pytest.mark.parametrize("kind", ACROSS)
+@matrix("kind", ACROSS, quick=["across-limits"])
 def test_limbs_of_another_skeleton_stand_as_in_the_driving_mesh(kind, protocol):
     """The estimate is measured like a result: by the rotation of a limb's vertices."""
     for i in range(6):
@@ -174,7 +172,7 @@ def test_weights_are_shuffled_with_the_vertices(kind, protocol):
         np.testing.assert_array_equal(posed.rig.mesh.faces, mesh.faces)
 
 
-@pytest.mark.parametrize("kind", [*WITHIN, *ACROSS])
+@matrix("kind", [*WITHIN, *ACROSS], quick=["table6", "across-clips"])
 def test_pairs_are_a_pure_function_of_split_kind_and_number(kind, protocol, folder):
     one, again, other = (
         p.pair("val", kind, i) for p, i in ((protocol, 2), (characters(folder), 2), (protocol, 2 + 6))
@@ -186,19 +184,6 @@ def test_pairs_are_a_pure_function_of_split_kind_and_number(kind, protocol, fold
     )
 
 
-def test_packs_take_turns(protocol):
-    within = Counter(drawn(protocol, "table6", i)[0].meta.pack for i in range(12))
-    assert within == {"people": 6, "elves": 6}
-    across = Counter(tuple(c.meta.pack for c in drawn(protocol, "across-limits", i)) for i in range(12))
-    assert len(across) == 6
-    assert set(across.values()) == {2}
-
-
-def test_clips_of_the_file_are_preferred_to_captures(protocol, folder):
-    labels = {protocol.pair("val", "clips", i).driving.name.split("_")[-1][:5] for i in range(24)}
-    assert labels == {"dance", "clips"}
-
-
 def test_landmarks_of_characters_are_those_of_the_body(folder):
     """The head's top and the soles' fronts are the extremes of the mesh."""
     for character in read_pool(folder, "val").characters:
@@ -207,12 +192,6 @@ def test_landmarks_of_characters_are_those_of_the_body(folder):
         assert len(found) == 13
         assert vertices[found[0], 1] > vertices[:, 1].max() - 0.12 * np.ptp(vertices[:, 1])
         assert vertices[found[5], 0] > 0 > vertices[found[6], 0]
-
-
-def test_deformation_transfer_is_near_the_truth(protocol):
-    """Twins of another size: all that deformation transfer needs is in the pair."""
-    metrics = measure(protocol.pair("val", "table6", 1), "deformation-transfer-13")
-    assert metrics["pmd_e4"] < 60
 
 
 def test_refused_files_are_counted(protocol):
@@ -252,6 +231,7 @@ def test_characters_are_evaluated(folder, tmp_path):
     assert "Not applicable: `copy`" in text
 
 
+@pytest.mark.slow
 def test_characters_of_the_test_split_are_not_drawn(folder, tmp_path):
     for i in range(2):
         write_character(tmp_path, f"man{i}", i, split="test", pack="people")
@@ -283,10 +263,7 @@ def test_truth_has_no_error_and_the_unmoved_identity_has_one(protocol, monkeypat
     assert metrics["end_effector"] < 0.1
 
 
-def test_characters_of_one_file_are_read_alone(folder):
-    assert read_character(folder / "man1.npz").meta.pack == "people"
-
-
+@pytest.mark.slow
 def test_estimates_are_not_written_as_true_results(folder, tmp_path):
     written = generate_command("characters", tmp_path, "val", pairs=2, data=folder)
     assert {path.name for path in tmp_path.iterdir()} == {
@@ -297,15 +274,9 @@ def test_estimates_are_not_written_as_true_results(folder, tmp_path):
     assert written["files"] == 3 * (2 * 3 + 2)
 
 
-@pytest.mark.skipif(not POOL, reason="MIMESH_CHARACTERS names no pool of characters")
-@pytest.mark.parametrize("split", ["train", "val", "test"])
-def test_pairs_of_a_real_pool(split):
-    """Of `test` nothing is looked at but that pairs exist."""
-    protocol = characters(POOL)
-    protocol.check(split)
-    for kind in protocol.kinds:
-        for i in range(0, 36, 5):
-            pair = protocol.pair(split, kind, i)
-            assert np.isfinite(pair.truth).all()
-            assert pair.truth_known == (kind in WITHIN)
-            np.testing.assert_allclose(pair.driving_character.vertices, pair.driving.vertices, atol=1e-9)
+def test_packs_take_turns(protocol):
+    within = Counter(drawn(protocol, "table6", i)[0].meta.pack for i in range(12))
+    assert within == {"people": 6, "elves": 6}
+    across = Counter(tuple(c.meta.pack for c in drawn(protocol, "across-limits", i)) for i in range(12))
+    assert len(across) == 6
+    assert set(across.values()) == {2}

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import rigs
 from foreign_names import renamed
+from matrix import matrix
 
 from mimesh.bodies import load_body
 from mimesh.bodies.body_model import landmarks
@@ -64,7 +65,7 @@ def unit(vector: np.ndarray) -> np.ndarray:
     return vector / np.linalg.norm(vector)
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@matrix("scheme", SCHEMES, quick=("mixamo", "kaykit"))
 def test_shipped_body_with_other_joint_names_takes_its_own_poses(scheme, body, tmp_path):
     """The vertices are equal; joints that a naming scheme lacks follow their parent."""
     rig = check_character(read_skin(rigs.character(tmp_path / "a.glb", shape=None, name=renamed(scheme))), "a")
@@ -103,17 +104,7 @@ def test_legs_that_are_children_of_the_root_follow_the_hips(body, tmp_path):
     np.testing.assert_allclose(rig.posed(pose_on_rig(rig, body, tilted)), expected, atol=3e-6)
 
 
-def test_characters_of_one_skeleton_get_the_same_rotations(body, characters):
-    first, second = cross_body(characters).character_pairs("test")[0]
-    rest = [np.stack(list(joints_in(rig, pose_at_rest(rig, body), body).values())) for rig in (first, second)]
-    assert np.abs(rest[0] - rest[1]).max() > 0.005  # two different characters
-    for i in range(3):
-        a, b = (pose_on_rig(rig, body, pose(body, i)) for rig in (first, second))
-        trunk = [first.joint_names.index(name) for name in ("Hips", "Spine", "Spine1", "Head", "LeftShoulder")]
-        np.testing.assert_allclose(a[trunk], b[trunk], atol=1e-12)
-
-
-@pytest.mark.parametrize("scheme", ["cmu", "quaternius"])
+@matrix("scheme", ["cmu", "quaternius"], quick=["quaternius"])
 def test_landmarks_are_those_of_the_shipped_body(scheme, body, tmp_path):
     """In an A-pose, with and without toes; on a decimated body within 5 cm."""
     lowered = rotvec_to_rotmat(0.6 * lowered_arms(body))
@@ -143,7 +134,7 @@ def test_two_characters_of_a_skeleton_belong_to_test_only(characters, tmp_path):
         protocol.character_pairs("val")
 
 
-@pytest.mark.parametrize("split", ["val", "test"])
+@matrix("split", ["val", "test"], quick=["val"])
 def test_truth_is_the_identity_in_the_driving_pose(body, characters, split):
     protocol = cross_body(characters)
     in_rest_pose = set()
@@ -176,6 +167,7 @@ def test_truth_is_the_identity_in_the_driving_pose(body, characters, split):
     assert in_rest_pose == {True, False}
 
 
+@pytest.mark.slow
 def test_copy_exists_for_characters_with_the_same_triangles(characters):
     """man2 and the women have the same decimated body; man1 has another one."""
     protocol = cross_body(characters)
@@ -186,6 +178,7 @@ def test_copy_exists_for_characters_with_the_same_triangles(characters):
         assert pmd_aligned(copied, pair.truth) < 60e-4 < 100e-4 < pmd_aligned(pair.identity.vertices, pair.truth)
 
 
+@pytest.mark.slow
 def test_pairs_are_a_pure_function_of_split_kind_and_number(characters):
     protocol = cross_body(characters)
     for kind in protocol.kinds:
@@ -210,29 +203,22 @@ def test_folders_without_characters_are_refused(characters, tmp_path):
         cross_body(characters).character_pairs("train")
 
 
-def refused(path: Path, message: str) -> None:
+MISSING = r"found none for LeftUpLeg, LeftLeg, LeftArm, LeftForeArm, LeftFoot, LeftHand among Hips, .*; rename"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"name": lambda name: name.replace("Left", "Port")}, MISSING),
+        ({"hold": {"LeftFoot": "Hips"}}, "LeftFoot below LeftLeg, found it elsewhere"),
+        ({"turn": np.diag([-1.0, 1.0, -1.0])}, r"stands y up and faces \+z, found the left hip at \[-0\."),
+        ({"turn": np.diag([1.0, -1.0, -1.0])}, r"stands y up and faces \+z"),
+    ],
+    ids=["names", "feet", "back", "lying"],
+)
+def test_characters_that_cannot_take_the_poses_are_refused(options, message, tmp_path):
+    path = rigs.character(tmp_path / "a.glb", **options)
     with pytest.raises(InputError, match=message) as caught:
         check_character(read_skin(path), path)
     assert str(caught.value).startswith(f"{path}: expected ")
     assert "\n" not in str(caught.value)
-
-
-def test_characters_that_cannot_take_the_poses_are_refused(body, tmp_path):
-    unknown_names = rigs.character(tmp_path / "a.glb", name=lambda name: name.replace("Left", "Port"))
-    refused(
-        unknown_names,
-        r"found none for LeftUpLeg, LeftLeg, LeftArm, LeftForeArm, LeftFoot, LeftHand among Hips, .*; rename",
-    )
-    feet = rigs.character(tmp_path / "b.glb", hold={"LeftFoot": "Hips"})
-    refused(feet, "LeftFoot below LeftLeg, found it elsewhere")
-    back = rigs.character(tmp_path / "c.glb", turn=rotvec_to_rotmat(np.array([0.0, np.pi, 0.0])))
-    refused(back, r"stands y up and faces \+z, found the left hip at \[-0\.")
-    lying = rigs.character(tmp_path / "d.glb", turn=rotvec_to_rotmat(np.array([np.pi, 0.0, 0.0])))
-    refused(lying, r"stands y up and faces \+z")
-
-
-def test_unusable_character_of_a_shared_skeleton_is_refused(tmp_path):
-    for name in "ab":
-        rigs.character(tmp_path / f"{name}.glb", hold={"LeftFoot": "Hips"})
-    with pytest.raises(InputError, match=r"a\.glb: expected LeftFoot below LeftLeg"):
-        cross_body(tmp_path)

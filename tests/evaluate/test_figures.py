@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matrix import matrix
 from networks import write_network, write_sequence_network
 from PIL import Image
 
@@ -14,8 +15,6 @@ from mimesh.evaluate.figures import (
     figure_command,
     influence_rows,
     one_clip_rows,
-    vertex_index_colors,
-    vertex_order_rows,
 )
 from mimesh.io import save_mesh
 
@@ -32,7 +31,7 @@ def people(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", ["npt-6", "npt-8", "npt-10", "npt-11", "npt-12", "npt-14"])
+@matrix("name", ["npt-6", "npt-8", "npt-10", "npt-11", "npt-12", "npt-14"], quick=["npt-8", "npt-10"])
 def test_figure_is_drawn_with_one_row(name, network, people, tmp_path):
     out = tmp_path / "figure.png"
     assert figure_command(name, out, (network,), 1, people) == 1
@@ -49,6 +48,7 @@ def test_figure_of_a_clip_has_rows_of_frames(name, people, tmp_path):
     assert np.asarray(Image.open(tmp_path / "figure.png")).shape[1] >= 6 * 300
 
 
+@pytest.mark.slow
 def test_figure_of_a_clip_of_animals_has_the_truth_below(tmp_path):
     network = str(write_sequence_network(tmp_path / "tiny.onnx", metadata={"body": "quadruped"}))
     driving, result, truth = animal_clip_rows((network,), 1, None)
@@ -76,6 +76,7 @@ def test_figures_whose_networks_are_missing_say_how_to_make_them(tmp_path, monke
     assert not (tmp_path / "figure.png").exists()
 
 
+@pytest.mark.slow
 def test_a_figure_leaves_out_models_without_weights_and_names_them(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run(["figure", "npt-12", "--rows", "1", "-o", str(tmp_path / "figure.png")]) == 0
@@ -84,20 +85,13 @@ def test_a_figure_leaves_out_models_without_weights_and_names_them(tmp_path, mon
     assert run(["figure", "npt-12", "-m", "npt-full", "-o", str(tmp_path / "other.png")]) == 2
 
 
+@pytest.mark.slow
 def test_figures_without_results_or_of_several_identities_are_drawn(tmp_path):
     assert [len(row) for row in influence_rows((), 3, None)] == [4, 4, 4]
     network = str(write_sequence_network(tmp_path / "tiny.onnx", metadata={"pairing": "order"}))
     driving, *results = one_clip_rows((network,), 2, None)
     assert [len(row) for row in (driving, *results)] == [6, 6, 6]
     assert not np.allclose(results[0][0].mesh.vertices, results[1][0].mesh.vertices)
-
-
-def test_colours_follow_the_vertices_of_a_shuffled_pair(network):
-    first, second = vertex_order_rows((network,), 2, None)
-    for tile in first + second:
-        assert np.array_equal(tile.colors, vertex_index_colors(len(tile.mesh.vertices)))
-    assert not np.array_equal(first[0].mesh.vertices, second[0].mesh.vertices)
-    assert np.allclose(*(np.sort(row[0].mesh.vertices, axis=0) for row in (first, second)))
 
 
 def test_unknown_figures_and_missing_data_are_reported(tmp_path, network):

@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matrix import matrix
 from pools import write_character
 
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import nearest_rotation
 from mimesh.evaluate.fingers import LEAST_VERTICES, finger_metrics, fingered_characters, fingers
-from mimesh.evaluate.run import evaluate_command, find_protocol
+from mimesh.evaluate.run import find_protocol
 
 PROTOCOL = fingers()
 
@@ -25,7 +26,7 @@ def pool(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("kind", PROTOCOL.kinds)
+@matrix("kind", PROTOCOL.kinds, quick=["gesture"])
 def test_the_truth_has_no_error_wherever_it_stands(kind):
     pair = PROTOCOL.pair("val", kind, 0)
     turn = nearest_rotation(np.random.default_rng(0).normal(size=(3, 3)))
@@ -48,10 +49,6 @@ def test_pairs_are_shuffled_with_what_belongs_to_the_vertices():
     plain, pair = PROTOCOL.unshuffled_pair("val", "rest", 2, rng), PROTOCOL.pair("val", "rest", 2)
     assert np.allclose(plain.identity.vertices[plain.tips], pair.identity.vertices[pair.tips])
     assert np.allclose(plain.truth[plain.part == 5].mean(axis=0), pair.truth[pair.part == 5].mean(axis=0))
-
-
-def test_the_protocol_is_found_by_name():
-    assert find_protocol("fingers").kinds == ("rest", "gesture", "still")
 
 
 def test_pairs_of_characters_have_palms_and_fingers(pool):
@@ -78,14 +75,6 @@ def test_fingers_with_few_vertices_have_no_rotations():
 def test_a_split_without_two_fingered_characters_is_an_error(pool):
     with pytest.raises(InputError, match="expected two characters with fifteen joints a hand in the split train"):
         find_protocol("fingers", pool).check("train")
-
-
-def test_characters_of_the_test_split_are_not_drawn(tmp_path):
-    for i in range(2):
-        write_character(tmp_path, f"man{i}", i, split="test", fingers=True)
-    with pytest.raises(InputError, match="--split val"):
-        evaluate_command("fingers", ["identity"], pairs=1, data=tmp_path, dump=tmp_path / "pictures")
-    assert not (tmp_path / "pictures").exists()
 
 
 def test_joints_below_a_hand_count_as_their_nearest_ancestor(pool):

@@ -2,10 +2,12 @@
 
 import dataclasses
 import os
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matrix import matrix
 
 from mimesh.evaluate.characters import characters
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, clips_aniformer
@@ -44,19 +46,32 @@ FOLDERS = {
 """Environment variables that name folders of files, and the protocols that read them."""
 
 
+@cache
+def checksum(key, i):
+    name, split, kind = key
+    return pair_checksum(WITHOUT_FILES[name].pair(split, kind, i))
+
+
+@matrix("key", GENERATED, quick=[key for key in GENERATED if key[1] == "test"], ids="/".join)
+def test_the_first_pair_of_a_generated_set_is_the_frozen_one(key):
+    """Results of two installations are comparable only if both generate the same meshes with any library versions."""
+    (name, split, kind), stored = key, STORED[key]
+    protocol = WITHOUT_FILES[name]
+    assert stored.version == protocol.version
+    assert stored.pairs == protocol.count(kind, 0, split)
+    assert stored.compare([checksum(key, 0)]) == ("same" if stored.pairs == 1 else "part")
+    assert stored.compare(["00000000"]) == stored.compare([]) == "other"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("key", GENERATED, ids="/".join)
 def test_generated_sets_are_the_frozen_ones(key):
-    name, split, kind = key
-    protocol, stored = WITHOUT_FILES[name], STORED[key]
-    assert stored.version == protocol.version
-    assert stored.pairs == protocol.count(kind, 0, split)
-    count = stored.pairs if stored.pairs <= MOST_IN_FULL and name != "clips-aniformer" else FIRST
-    checksums = [pair_checksum(protocol.pair(split, kind, i)) for i in range(count)]
+    stored = STORED[key]
+    count = stored.pairs if stored.pairs <= MOST_IN_FULL and key[0] != "clips-aniformer" else FIRST
+    checksums = [checksum(key, i) for i in range(count)]
     assert stored.compare(checksums) == ("same" if count == stored.pairs else "part")
     assert stored.compare([*checksums[:-1], "00000000"]) == "other"
     assert stored.compare([*checksums, *["00000000"] * stored.pairs]) == "other"
-    assert stored.compare([]) == "other"
 
 
 @pytest.mark.parametrize("name", FOLDERS)

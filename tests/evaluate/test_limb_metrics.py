@@ -10,8 +10,7 @@ from mimesh.bodies import load_body
 from mimesh.bodies.character_limbs import Limb
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
 from mimesh.bodies.skinned_character import SkinnedCharacter
-from mimesh.core.geometry import face_vectors
-from mimesh.core.mesh import Mesh, permute_vertices
+from mimesh.core.mesh import Mesh
 from mimesh.evaluate.limb_calibration import LimbedCharacter, calibration_report
 from mimesh.evaluate.limb_metrics import PosedLimbs, limb_metrics
 from mimesh.evaluate.self_penetration import LimbSamples
@@ -112,30 +111,6 @@ def pose(i: int) -> np.ndarray:
     return rotvec_to_rotmat(sample_pose(body, 5, i, JOINT_LIMITS))
 
 
-def with_mesh(figure: LimbedCharacter, mesh: Mesh, gather: np.ndarray, weights: np.ndarray) -> LimbedCharacter:
-    """Replace the mesh of a character: row n of `weights` (dense) mixes the old vertices `gather[n]`."""
-    rig = figure.character
-    dense = np.zeros((len(rig.weights), len(rig.parents)))
-    np.add.at(dense, (np.arange(len(dense))[:, None], rig.joint_of), rig.weights)
-    mixed = (dense[gather] * weights[..., None]).sum(axis=1)
-    new = character(mesh.vertices, mesh.faces, rig.joint_names, rig.parents, rig.joints, mixed)
-    return LimbedCharacter(new, figure.limbs)
-
-
-def with_finer_front(figure: LimbedCharacter, vertices: np.ndarray) -> tuple[LimbedCharacter, np.ndarray]:
-    """Split each triangle of the front into four at the middles of its edges; some vertices of the character follow."""
-    faces, count = figure.character.mesh.faces, len(vertices)
-    front = face_vectors(figure.rest, faces)[:, 2] > 0
-    split = faces[front]
-    pairs = np.sort(split[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
-    pairs, index = np.unique(pairs, axis=0, return_inverse=True)
-    middle = count + index.reshape(-1, 3)
-    corners = [np.stack([split[:, k], middle[:, k], middle[:, k - 1]], axis=1) for k in range(3)]
-    gather = np.concatenate([np.tile(np.arange(count)[:, None], 2), pairs])
-    mesh = Mesh(figure.rest[gather].mean(axis=1), np.concatenate([faces[~front], *corners, middle]))
-    return with_mesh(figure, mesh, gather, np.full(gather.shape, 0.5)), vertices[gather].mean(axis=1)
-
-
 def scaled(figure: LimbedCharacter, size: float) -> LimbedCharacter:
     rig = figure.character
     transforms = rig.T_world_joint.copy()
@@ -146,14 +121,12 @@ def scaled(figure: LimbedCharacter, size: float) -> LimbedCharacter:
     return LimbedCharacter(rig, limbs)
 
 
-@pytest.mark.parametrize("i", range(3))
-def test_the_same_character_in_the_same_pose_has_no_error(i):
-    figure = human(i)
-    posed = figure.character.posed(pose(i))
+def test_the_same_character_in_the_same_pose_has_no_error():
+    figure = human(0)
+    posed = figure.character.posed(pose(0))
     metrics = limb_metrics(figure, figure, posed + [1.0, 2.0, 3.0], posed)
     assert [metrics[name] for name in FIGURES] == pytest.approx([0] * 5, abs=1e-6)
-    assert metrics["touching"] == 1
-    assert metrics["limbs_left_out"] == 0
+    assert (metrics["touching"], metrics["limbs_left_out"]) == (1, 0)
     assert set(figure.limbs) == {name.removeprefix("limb_deg ") for name in metrics if name.startswith("limb_deg ")}
 
 
@@ -166,21 +139,13 @@ def test_a_turned_limb_has_its_angle_as_error(name):
     assert metrics["limb_deg"] == pytest.approx(2)
 
 
-@pytest.mark.parametrize("name", ENDS)
-def test_a_turned_limb_of_the_body_has_its_angle_as_error(name):
-    body, figure = load_body(), human()
-    rotvec = np.zeros((len(body.parents), 3))
-    rotvec[body.joint(name), 2 if "Arm" in name else 0] = np.radians(20)
-    metrics = limb_metrics(figure, figure, figure.character.posed(rotvec_to_rotmat(rotvec)), figure.rest)
-    assert metrics[f"limb_deg {name}"] == pytest.approx(20, abs=1.5)
-
-
 def test_twist_of_a_limb_does_not_count():
     figure = prisms()
     metrics = limb_metrics(figure, figure, turned(figure, LeftForeArm=(70, 0, 0)), figure.rest)
     assert metrics["limb_deg"] == pytest.approx(0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_two_people_in_one_pose_are_near():
     """Not 0: shapes turn the axes of their surfaces (thighs most), and bones have other proportions."""
     near, rest = [], []
@@ -201,12 +166,6 @@ def test_two_people_in_one_pose_are_near():
     )
 
 
-def test_shape_hardly_turns_the_thigh():
-    """Fat above the thigh is shared with the trunk; counted like the rest, it turns the axis by 5 degrees."""
-    axes = np.array([human(i).cuts["LeftUpLeg"].axis for i in range(24)])
-    assert np.median(np.degrees(np.arccos((axes[:12] * axes[12:]).sum(axis=1)))) < 4.4
-
-
 def test_figures_do_not_depend_on_scale_and_translation():
     identity, driving = human(0), human(1)
     result, posed = identity.character.posed(pose(0)), driving.character.posed(pose(1))
@@ -215,41 +174,6 @@ def test_figures_do_not_depend_on_scale_and_translation():
     second = limb_metrics(large, small, 7 * result + [5.0, -3.0, 1.0], 0.01 * posed - 4.0)
     assert first["limb_deg"] > 5
     assert second == {name: pytest.approx(value, rel=1e-6, abs=1e-9) for name, value in first.items()}
-
-
-def test_a_result_of_another_size_is_an_error_of_ends_but_not_of_directions():
-    figure = human(0)
-    metrics = limb_metrics(figure, figure, 1.1 * figure.rest, figure.rest)
-    assert metrics["limb_deg"] == pytest.approx(0, abs=1e-6)
-    assert metrics["joint_pct"] > 1
-
-
-def test_figures_do_not_depend_on_the_order_of_vertices():
-    identity, driving = human(0), human(1)
-    result, posed = identity.character.posed(pose(0)), driving.character.posed(pose(1))
-    order = np.random.default_rng(0).permutation(len(result))
-    shuffled = with_mesh(
-        identity, permute_vertices(identity.character.mesh, order), order[:, None], np.ones((len(order), 1))
-    )
-    first, second = (limb_metrics(a, driving, v, posed) for a, v in ((identity, result), (shuffled, result[order])))
-    assert second == {name: pytest.approx(value, abs=1e-6) for name, value in first.items()}
-
-
-def test_figures_hardly_depend_on_the_triangulation():
-    """Every triangle of the front becomes sixteen: four, twice."""
-    identity, driving = human(0), human(1)
-    result, posed = identity.character.posed(pose(0)), driving.character.posed(pose(1))
-    fine, fine_result = identity, result
-    for _ in range(2):
-        fine, fine_result = with_finer_front(fine, fine_result)
-    first = limb_metrics(identity, driving, result, posed)
-    second = limb_metrics(fine, driving, fine_result, posed)
-    angles = [name for name in first if name.startswith("limb_deg")]
-    assert [second[name] for name in angles] == pytest.approx([first[name] for name in angles], abs=0.05)
-    assert second["end_effector"] == pytest.approx(first["end_effector"], abs=0.003)
-    assert second["joint_pct"] == pytest.approx(first["joint_pct"], abs=0.1)
-    assert second["sole_height"] == pytest.approx(first["sole_height"], abs=1e-3)
-    assert second["penetration"] == pytest.approx(first["penetration"], abs=0.2)
 
 
 def test_joints_beside_the_middle_of_a_limb_do_not_turn_its_axis():
@@ -285,14 +209,6 @@ def test_calibration_shows_the_pose_of_the_file(degrees):
     np.testing.assert_allclose(straight, 0, atol=1e-5)
 
 
-def test_calibration_of_the_body_shows_its_t_pose():
-    report = calibration_report(human().character, human().limbs)
-    assert max(abs(value) for name, value in report.items() if name.startswith("below")) < 10
-    assert max(value for name, value in report.items() if name.startswith("down")) < 10
-    assert max(value for name, value in report.items() if name.startswith("mirror")) < 1
-    assert max(value for name, value in report.items() if name.startswith("joint L")) < 8
-
-
 def test_an_arm_of_one_joint_is_compared_as_a_whole():
     whole, parts = prisms(without=("LeftForeArm", "RightForeArm")), prisms()
     bent = turned(parts, LeftForeArm=(0, 0, 90))  # from the shoulder: 0.3 to the side, then 0.3 up
@@ -302,59 +218,26 @@ def test_an_arm_of_one_joint_is_compared_as_a_whole():
     assert limb_metrics(parts, whole, bent, whole.rest)["limb_deg LeftArm"] == pytest.approx(45)
 
 
-def test_end_effectors_are_in_lengths_of_the_limb():
-    """A wrist at 90 degrees is one forearm up and one less to the side: half an arm each."""
+def test_end_effectors_are_in_lengths_of_the_limb_and_joints_in_percent_of_the_height():
+    """A wrist at 90 degrees is half an arm up and to the side; at 60, one of 20 ends moves by 0.3 of 1.8."""
     figure = prisms()
-    metrics = limb_metrics(figure, figure, turned(figure, LeftForeArm=(0, 0, 90)), figure.rest)
-    assert metrics["end_effector"] == pytest.approx(0.5 * np.sqrt(2) / 4)
+    right, less = (
+        limb_metrics(figure, figure, turned(figure, LeftForeArm=(0, 0, degrees)), figure.rest) for degrees in (90, 60)
+    )
+    assert right["end_effector"] == pytest.approx(0.5 * np.sqrt(2) / 4)
+    assert less["joint_pct"] == pytest.approx(100 * 0.3 / 1.8 / 20)
 
 
-def test_end_effectors_of_other_proportions_differ_by_the_documented_amount():
-    first, second = prisms(), prisms(arms=1.2)
-    elbows = {"LeftForeArm": (0, 0, 90), "RightForeArm": (0, 0, -90)}
-    metrics = limb_metrics(first, second, turned(first, **elbows), turned(second, **elbows))
-    assert metrics["limb_deg"] == pytest.approx(0, abs=1e-6)
-    assert metrics["end_effector"] == pytest.approx(0.1 * np.sqrt(2) / 2)
-
-
-def test_joint_error_is_in_percent_of_the_height():
-    """One of 20 ends moves by a forearm, which is 0.3 of 1.8 high."""
-    figure = prisms()
-    metrics = limb_metrics(figure, figure, turned(figure, LeftForeArm=(0, 0, 60)), figure.rest)
-    assert metrics["joint_pct"] == pytest.approx(100 * 0.3 / 1.8 / 20)
-
-
-def test_a_lifted_foot_changes_the_sole():
+def test_a_lifted_foot_changes_the_sole_and_a_knee_is_none():
     figure = prisms()
     lifted = turned(figure, LeftLeg=(90, 0, 0))  # the shin points back
     metrics = limb_metrics(figure, figure, lifted, figure.rest)
     assert metrics["sole_height"] == pytest.approx((0.5 - 0.06) / 2, abs=1e-6)  # the leg is 1 long, its radius 0.06
     assert metrics["touching"] == 0.5
     assert limb_metrics(figure, figure, lifted, lifted)["touching"] == 1
-
-
-def test_a_knee_is_no_sole():
-    figure = prisms()
     metrics = limb_metrics(figure, figure, turned(figure, LeftLeg=(120, 0, 0)), figure.rest)
     foot = 0.5 + 0.5 * np.sin(np.pi / 6) - 0.06 * np.sin(np.pi / 3)  # the knee is at 0.5, the foot above it
     assert metrics["sole_height"] == pytest.approx(foot / 2, abs=1e-6)
-
-
-def test_cloth_between_limbs_does_not_turn_them():
-    """A strip of cloth from the forearm to the trunk follows each by a half."""
-    figure = prisms()
-    rig, forearm = figure.character, figure.limbs["LeftForeArm"]
-    strip = np.array([[x, y, 0] for x in (0.5, 0.8) for y in (1.45, 1.37)])
-    mesh = Mesh(
-        np.concatenate([figure.rest, strip]),
-        np.concatenate([rig.mesh.faces, len(figure.rest) + np.array([[0, 1, 2], [2, 1, 3]])]),
-    )
-    weights = np.concatenate([rig.weights, np.zeros((4, len(rig.parents)))])
-    weights[-4:, [forearm.joint, 0]] = 0.5
-    names, parents = rig.joint_names, rig.parents
-    cloth = LimbedCharacter(character(mesh.vertices, mesh.faces, names, parents, rig.joints, weights), figure.limbs)
-    metrics = limb_metrics(cloth, figure, turned(cloth, LeftForeArm=(0, 0, 60)), turned(figure, LeftForeArm=(0, 0, 60)))
-    assert metrics["limb_deg LeftForeArm"] < 3
 
 
 def test_a_shield_does_not_turn_the_arm():
@@ -401,25 +284,6 @@ def test_a_point_is_inside_below_a_surface_only(point, expected):
     assert samples.inside(vertices)[-1] == expected
 
 
-def test_a_hand_in_the_chest_penetrates():
-    figure, free = human(), human().character
-    body = load_body()
-    rotvec = np.zeros((len(body.parents), 3))
-    rotvec[body.joint("LeftArm"), 1], rotvec[body.joint("LeftForeArm"), 1] = np.radians([-60, -170])
-    crossed = free.posed(rotvec_to_rotmat(rotvec))
-    metrics = limb_metrics(figure, figure, crossed, figure.rest)
-    assert metrics["penetration"] > 1
-
-
-def test_less_penetration_than_the_driving_mesh_does_not_count():
-    """Negative figures would cancel the penetration of other pairs in a mean."""
-    figure = prisms()
-    inside = figure.rest.copy()
-    inside[figure.weights[:, list(figure.limbs).index("LeftForeArm")] > 0.5] += [-0.75, -0.2, 0.0]
-    assert PosedLimbs(figure, inside).penetration > 1
-    assert limb_metrics(figure, figure, figure.rest, inside)["penetration"] == 0
-
-
 @pytest.mark.parametrize("lower", ["ForeArm", "Leg"])
 def test_penetration_is_compared_only_if_both_figures_have_the_same_chains(lower):
     """An arm of one joint is next to the trunk as a whole, so its forearm is not tested against it."""
@@ -437,11 +301,8 @@ def test_penetration_is_the_share_of_the_surface_inside():
     figure = prisms()
     moved = figure.rest.copy()
     forearm = figure.weights[:, list(figure.limbs).index("LeftForeArm")] > 0.5
-    moved[forearm] = moved[forearm] * [-1, 1, 1] + [
-        0.8,
-        -0.2,
-        0.0,
-    ]  # from x = 0.3 to 0: half is in the trunk of radius 0.15
+    # From x = 0.3 to 0: half is in the trunk of radius 0.15.
+    moved[forearm] = moved[forearm] * [-1, 1, 1] + [0.8, -0.2, 0.0]
     # The mirrored prism keeps its area; its normals do not matter, only those of the trunk.
     area = 0.04 * 16 * np.sin(np.pi / 8) * 0.15
     total = sum(16 * r * np.sin(np.pi / 8) * np.linalg.norm(np.subtract(b, a)) + 2 * 4 * r**2 * np.sin(np.pi / 4)
@@ -450,46 +311,12 @@ def test_penetration_is_the_share_of_the_surface_inside():
     assert PosedLimbs(figure, moved).penetration == pytest.approx(expected, rel=0.35)
 
 
-def test_limbs_inside_each_other_at_rest_do_not_penetrate():
-    figure = prisms()
-    moved = figure.rest.copy()
-    forearm = figure.weights[:, list(figure.limbs).index("LeftForeArm")] > 0.5
-    moved[forearm] += [-0.75, -0.2, 0.0]
-    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(figure.character.mesh, vertices=moved))
-    inside = LimbedCharacter(
-        rig, {**figure.limbs, "LeftForeArm": Limb(3, np.array([-0.25, 1.25, 0]), np.array([0.05, 1.25, 0]))}
-    )
-    assert inside.inside_at_rest.mean() > 0.01
-    assert PosedLimbs(inside, moved).penetration == 0
-    assert PosedLimbs(figure, moved).penetration > 1
-
-
-def test_an_open_mesh_in_parts_does_not_penetrate_by_being_open():
-    """A fifth of the triangles are missing, and the chest has no back; arms hang beside it in the second pose."""
-    figure = human()
-    mesh = figure.character.mesh
-    kept = np.random.default_rng(0).random(len(mesh.faces)) > 0.2
-    trunk = figure.weights[:, list(figure.limbs).index("Trunk")] > 0.5
-    back = trunk[mesh.faces].all(axis=1) & (mesh.vertices[mesh.faces].mean(axis=1)[:, 2] < -0.05)
-    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(mesh, faces=mesh.faces[kept & ~back]))
-    opened = LimbedCharacter(rig, figure.limbs)
-    lowered = np.zeros((len(figure.character.parents), 3))
-    for side, sign in (("Left", -1), ("Right", 1)):
-        lowered[figure.limbs[f"{side}Arm"].joint, 2] = sign * np.radians(70)
-    for rotmat, tolerance in ((pose(1), 0.1), (rotvec_to_rotmat(lowered), 0.1), (pose(2), 1.0)):
-        posed = figure.character.posed(rotmat)
-        assert PosedLimbs(opened, posed).penetration == pytest.approx(
-            PosedLimbs(figure, posed).penetration, abs=tolerance
-        )
-
-
-@pytest.mark.parametrize("triangles", [0, 1])
-def test_limbs_with_too_little_surface_are_left_out(triangles):
-    """Nothing is left of the forearm, or a triangle, which does not say how the limb is turned about it."""
+def test_limbs_with_too_little_surface_are_left_out():
+    """Of the forearm a triangle is left, which does not say how the limb is turned about it."""
     figure = prisms()
     forearm = figure.weights[:, list(figure.limbs).index("LeftForeArm")] > 0.5
     mesh = figure.character.mesh
-    removed = np.flatnonzero(forearm[mesh.faces].all(axis=1))[triangles:]
+    removed = np.flatnonzero(forearm[mesh.faces].all(axis=1))[1:]
     rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(mesh, faces=np.delete(mesh.faces, removed, 0)))
     bare = LimbedCharacter(rig, figure.limbs)
     metrics = limb_metrics(bare, figure, bare.rest, figure.rest)
@@ -499,14 +326,43 @@ def test_limbs_with_too_little_surface_are_left_out(triangles):
     assert metrics["limb_deg"] == pytest.approx(0, abs=1e-6)
 
 
-def test_a_character_without_measurable_limbs_has_no_figures():
+def test_a_character_without_measurable_limbs_has_no_figures_and_a_result_at_one_point_has():
     figure = prisms()
     empty = LimbedCharacter(figure.character, {})
     metrics = limb_metrics(empty, figure, figure.rest, figure.rest)
     assert [metrics[name] for name in (*FIGURES[:4], "touching")] == [None] * 5
+    at_a_point = limb_metrics(figure, figure, np.zeros_like(figure.rest), turned(figure, LeftArm=(0, 0, 90)))
+    assert at_a_point["limb_deg"] > 5
 
 
-def test_a_result_at_one_point_is_no_error_of_the_program():
+@pytest.mark.slow
+def test_shape_hardly_turns_the_thigh():
+    """Fat above the thigh is shared with the trunk; counted like the rest, it turns the axis by 5 degrees."""
+    axes = np.array([human(i).cuts["LeftUpLeg"].axis for i in range(24)])
+    assert np.median(np.degrees(np.arccos((axes[:12] * axes[12:]).sum(axis=1)))) < 4.4
+
+
+def test_cloth_between_limbs_does_not_turn_them():
+    """A strip of cloth from the forearm to the trunk follows each by a half."""
     figure = prisms()
-    metrics = limb_metrics(figure, figure, np.zeros_like(figure.rest), turned(figure, LeftArm=(0, 0, 90)))
-    assert metrics["limb_deg"] > 5
+    rig, forearm = figure.character, figure.limbs["LeftForeArm"]
+    strip = np.array([[x, y, 0] for x in (0.5, 0.8) for y in (1.45, 1.37)])
+    mesh = Mesh(
+        np.concatenate([figure.rest, strip]),
+        np.concatenate([rig.mesh.faces, len(figure.rest) + np.array([[0, 1, 2], [2, 1, 3]])]),
+    )
+    weights = np.concatenate([rig.weights, np.zeros((4, len(rig.parents)))])
+    weights[-4:, [forearm.joint, 0]] = 0.5
+    names, parents = rig.joint_names, rig.parents
+    cloth = LimbedCharacter(character(mesh.vertices, mesh.faces, names, parents, rig.joints, weights), figure.limbs)
+    metrics = limb_metrics(cloth, figure, turned(cloth, LeftForeArm=(0, 0, 60)), turned(figure, LeftForeArm=(0, 0, 60)))
+    assert metrics["limb_deg LeftForeArm"] < 3
+
+
+def test_less_penetration_than_the_driving_mesh_does_not_count():
+    """Negative figures would cancel the penetration of other pairs in a mean."""
+    figure = prisms()
+    inside = figure.rest.copy()
+    inside[figure.weights[:, list(figure.limbs).index("LeftForeArm")] > 0.5] += [-0.75, -0.2, 0.0]
+    assert PosedLimbs(figure, inside).penetration > 1
+    assert limb_metrics(figure, figure, figure.rest, inside)["penetration"] == 0

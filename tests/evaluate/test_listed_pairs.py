@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from deepmimic_files import write_folder
-from networks import write_network, write_sequence_network
+from matrix import matrix
+from networks import write_sequence_network
 from people import person
 
 from mimesh.cli import run
@@ -57,25 +58,7 @@ def motions(tmp_path_factory):
     return write_folder(tmp_path_factory.mktemp("motions"))
 
 
-@pytest.mark.slow
-def test_generated_clips_have_the_figures_of_their_protocol(motions, tmp_path, capsys):
-    """In kind `seen`, driving people and identities are both counted from 0, and have motions of one name."""
-    clips = tmp_path / "clips"
-    given = ["generate", "clips-aniformer", "--split", "val", "--data", str(motions), "--pairs", "1"]
-    assert run([*given, "-o", str(clips), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["files"] == sum(path.is_file() for path in clips.rglob("*"))
-    out, network = tmp_path / "figures.json", str(write_sequence_network(tmp_path / "tiny.onnx"))
-    assert run(["evaluate", str(clips / "val-seen.txt"), "-m", f"copy,{network}", "-o", str(out), "-q"]) == 0
-    protocol, options = clips_aniformer(motions), {"ensemble": 1, "refine": False}
-    report = json.loads(out.read_text())
-    for row in report["results"]:
-        expected = measure_trial(protocol, protocol.pair("val", "seen", 0), row["method"], options)
-        assert_same_figures(row, [expected])
-    assert {"path_mm", "jitter", "liveliness", "still_mm", "pmd_e4_p90", "mm_median"} <= row.keys()
-    assert "jitter, m/s²" in markdown(report)
-
-
-@pytest.mark.parametrize("frames_as", [None, "obj"])
+@matrix("frames_as", [None, "obj"], quick=[None])
 def test_generated_clips_are_those_of_the_protocol(motions, tmp_path, monkeypatch, frames_as):
     protocol = dataclasses.replace(clips_aniformer(motions), kinds=("seen",))
     monkeypatch.setattr("mimesh.evaluate.generate.find_protocol", lambda *_: protocol)
@@ -140,15 +123,15 @@ def test_report_has_every_pair_and_where_the_files_come_from(folder, tmp_path, c
     assert evaluate_command(str(folder / "seen.txt"), ["copy"], pairs=50)["results"][0]["pairs"] == 3
 
 
-@pytest.mark.parametrize(
-    ("turned", "found"),
-    [
-        ("", None),
-        ("identity", "identity +z, driving +y, truth +y"),
-        ("driving truth", "identity +y, driving +z, truth +z"),
-        ("identity driving truth", "identity +z, driving +z, truth +z"),
-    ],
-)
+UPS = [
+    ("", None),
+    ("identity", "identity +z, driving +y, truth +y"),
+    ("driving truth", "identity +y, driving +z, truth +z"),
+    ("identity driving truth", "identity +z, driving +z, truth +z"),
+]
+
+
+@matrix(("turned", "found"), UPS, quick=[UPS[0], UPS[2]])
 def test_files_with_z_up_get_a_note(turned, found, tmp_path, capsys):
     for k in range(3):
         for role, mesh in (("identity", person(k)), ("driving", person(k + 1, k)), ("truth", person(k, k))):
@@ -196,12 +179,6 @@ def test_interrupted_list_is_continued_until_a_file_changes(folder, tmp_path, mo
     evaluate_command(str(folder / "seen.txt"), ["copy", "identity"], out)
     assert measured[5:] == ["id0_1", "id0_2", "id0_3"] * 2
     assert out.with_name("figures.json.partial.old").exists()
-
-
-def test_worst_pairs_of_a_list_are_drawn(folder, tmp_path):
-    dump = tmp_path / "worst"
-    assert run(["evaluate", str(folder / "seen.txt"), "-m", "copy", "--dump", str(dump), "--pairs", "1", "-q"]) == 0
-    assert [path.name for path in dump.iterdir()] == ["copy-seen-1.png"]
 
 
 def test_methods_get_shuffled_vertices_and_the_truth_follows_the_identity(folder):
@@ -396,8 +373,19 @@ def test_a_network_of_a_template_is_not_applicable_to_clips_of_other_bodies(clip
     assert measure_clip(listed_pairs(clips / "own.txt").pair("", "own", 0), "copy").keys() == {"why"}
 
 
-def test_a_network_is_measured_on_a_list(folder, tmp_path):
-    network = str(write_network(tmp_path / "tiny.onnx"))
-    row = evaluate_command(str(folder / "seen.txt"), [network])["results"][0]
-    assert row["pairs"] == 3
-    assert row["pmd_e4"] > 0
+@pytest.mark.slow
+def test_generated_clips_have_the_figures_of_their_protocol(motions, tmp_path, capsys):
+    """In kind `seen`, driving people and identities are both counted from 0, and have motions of one name."""
+    clips = tmp_path / "clips"
+    given = ["generate", "clips-aniformer", "--split", "val", "--data", str(motions), "--pairs", "1"]
+    assert run([*given, "-o", str(clips), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["files"] == sum(path.is_file() for path in clips.rglob("*"))
+    out, network = tmp_path / "figures.json", str(write_sequence_network(tmp_path / "tiny.onnx"))
+    assert run(["evaluate", str(clips / "val-seen.txt"), "-m", f"copy,{network}", "-o", str(out), "-q"]) == 0
+    protocol, options = clips_aniformer(motions), {"ensemble": 1, "refine": False}
+    report = json.loads(out.read_text())
+    for row in report["results"]:
+        expected = measure_trial(protocol, protocol.pair("val", "seen", 0), row["method"], options)
+        assert_same_figures(row, [expected])
+    assert {"path_mm", "jitter", "liveliness", "still_mm", "pmd_e4_p90", "mm_median"} <= row.keys()
+    assert "jitter, m/s²" in markdown(report)

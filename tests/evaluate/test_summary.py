@@ -19,28 +19,18 @@ def row(errors, **more):
 
 
 def test_a_report_has_the_figures_of_every_pair_and_their_statistics():
-    result = evaluate_command("human-npt", ["copy", "identity"], split="val", pairs=4)
+    result = evaluate_command("human-npt", ["copy", "identity"], split="val", pairs=2)
     for line in result["results"]:
         each = line["each"]
-        assert {len(column) for column in each.values()} == {4}
+        assert {len(column) for column in each.values()} == {2}
         for name in ("pmd_e4", "pmd_public_e4", "mm"):
             np.testing.assert_allclose(line[name], np.mean(each[name]), rtol=1e-2)
             np.testing.assert_allclose(line[f"{name}_median"], np.median(each[name]), rtol=1e-2)
             np.testing.assert_allclose(line[f"{name}_p90"], np.quantile(each[name], 0.9), rtol=1e-2)
     copy, identity = (line for line in result["results"] if line["split"] == "seen")
     assert copy["each"]["pair"] == identity["each"]["pair"], "both methods got the same pairs"
-    assert len(set(copy["each"]["pair"])) == 4
+    assert len(set(copy["each"]["pair"])) == 2
     assert win_share(copy, identity) == 1.0, "the driving person's vertices are nearer than the identity at rest"
-
-
-@pytest.mark.slow
-def test_people_are_named_in_reports():
-    """Fourteen people in human-npt; pairs of another protocol have people of their own."""
-    seen = evaluate_command("human-npt", ["identity"], split="val", pairs=30)["results"][0]["each"]
-    assert len({*seen["identity"], *seen["driving"]}) <= 14
-    assert all(a != b for a, b in zip(seen["identity"], seen["driving"], strict=True))
-    wide = evaluate_command("human-wide", ["identity"], split="val", pairs=3)["results"][0]["each"]
-    assert len({*wide["identity"], *wide["driving"]}) == 6
 
 
 def test_interval_without_shared_people_is_that_of_independent_pairs():

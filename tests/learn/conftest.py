@@ -1,6 +1,80 @@
-"""Learning tests need the [train] extra and one thread."""
+"""Learning tests need the [train] extra and one thread; trainings and networks that several files look at."""
+
+import dataclasses
+from functools import cache
 
 import pytest
 
 torch = pytest.importorskip("torch")
 torch.set_num_threads(1)
+
+from pools import BLOCKS, blocks, write_character  # noqa: E402
+from trainings import TINY, losses  # noqa: E402
+
+ANIFORMER = {
+    "network": "aniformer",
+    "model": {"encoder": [16, 16, 32], "layers": [32, 32, 16, 16], "attention": "frames"},
+    "data": {"kind": "clips80", "vertices": 16},
+    "batch": 2,
+    "precision": "fp32",
+    "learning_rate": 1e-3,
+}
+MIME = {
+    "network": "mime",
+    "model": {"width": 16, "heads": 2, "latents": 4, "blocks": 2, "near": 4, "local": 8, "skinning": 8},
+    "data": {"kind": "wide", "vertices": 32, "target_scale": "identity", "body": "quadruped"},
+    "batch": 2,
+    "precision": "fp32",
+}
+METRICS = {"seen": 1.0, "unseen": 2.0, "fresh": 3.0, "val": 2.5}
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory):
+    """The folder of a whole training of TINY, which told its pace; nobody writes into it."""
+    from mimesh.learn import log
+    from mimesh.learn.loop import train
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(log, "FIRST_SECONDS", 0.0)
+        return train(TINY, tmp_path_factory.mktemp("trained") / "run")
+
+
+@pytest.fixture(scope="session")
+def exported(tmp_path_factory):
+    """Train a network for two steps and export it, once for each network and bits: the checkpoint and the .onnx."""
+    from mimesh.learn import checkpoint
+    from mimesh.learn.config import config_from
+    from mimesh.learn.export import export_command
+    from mimesh.learn.loop import TrainingRun
+    from mimesh.learn.npt import NPTConfig
+
+    configs = {
+        "npt": dataclasses.replace(TINY, model=NPTConfig((16, 32, 32), (35, 16, 16)), precision="fp32"),
+        "aniformer": config_from(ANIFORMER, "test"),
+        "mime": config_from(MIME, "test"),
+    }
+
+    @cache
+    def export(network, bits):
+        folder = tmp_path_factory.mktemp(f"{network}-{bits}")
+        run = TrainingRun.start(configs[network], folder / "none")
+        losses(run, 2)
+        run.metrics = METRICS
+        run.save(folder / "last.safetensors")
+        export_command(folder / "last.safetensors", folder / "net.onnx", bits)
+        return checkpoint.load_model(folder / "last.safetensors"), folder / "net.onnx"
+
+    return export
+
+
+@pytest.fixture(scope="session")
+def pool(tmp_path_factory):
+    """A pool of two training characters: a whole person, and one of blocks with few joints."""
+    from mimesh.bodies import load_body
+
+    folder = tmp_path_factory.mktemp("pool")
+    write_character(folder, "whole", split="train", pack="people")
+    missing = [name for name in load_body().joint_names if name not in BLOCKS]
+    write_character(folder, "blocks", shape=1, split="train", pack="toys", without=missing, spell=blocks)
+    return folder

@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 import torch
+from matrix import matrix
 from trainings import assert_steps_are_pure
 
 from mimesh.core.errors import InputError
@@ -33,7 +34,11 @@ TINY = AniFormerTrainConfig(
 )
 
 
-@pytest.fixture(scope="module", params=CASES, ids=lambda c: f"{c.kind}-{c.vertices or 'all'}")
+@pytest.fixture(
+    scope="module",
+    params=matrix("source", CASES, quick=CASES[1:2]).args[1],
+    ids=lambda c: f"{c.kind}-{c.vertices or 'all'}",
+)
 def source(request):
     return WindowSource(request.param, shipped_body(), torch.device("cpu"), 3, 3)
 
@@ -118,16 +123,6 @@ def test_a_step_is_a_pure_function(source):
     assert_steps_are_pure(source)
 
 
-def test_resuming_continues_exactly(tmp_path):
-    whole = TrainingRun.start(TINY, tmp_path / "none")
-    expected = [float(whole.advance()) for _ in range(4)]
-    first = TrainingRun.start(TINY, tmp_path / "none")
-    begun = [float(first.advance()) for _ in range(2)]
-    first.save(tmp_path / "last.safetensors")
-    second = TrainingRun.start(TINY, tmp_path)
-    assert begun + [float(second.advance()) for _ in range(2)] == expected
-
-
 @pytest.mark.slow
 def test_a_training_validates_on_clips(tmp_path):
     folder = train(TINY, tmp_path / "run")
@@ -137,19 +132,13 @@ def test_a_training_validates_on_clips(tmp_path):
     assert (folder / "best.safetensors").exists()
 
 
+@pytest.mark.slow
 def test_the_regression_head_trains_on_the_middle_frame(tmp_path):
     model = dataclasses.replace(TINY.model, head="regression")
     config = dataclasses.replace(TINY, model=model, losses=ClipLossConfig(motion="off"))
     assert TrainingRun.start(config, tmp_path).advance().isfinite()
     with pytest.raises(InputError, match=r"losses\.motion"):
         load_config("table", "aniformer", ["model.head=regression"])
-
-
-@pytest.mark.parametrize("name", ["paper", "small", "table"])
-def test_shipped_configurations_load(name):
-    config = load_config(name, "aniformer")
-    assert isinstance(config.model, AniFormerConfig)
-    assert config.data.kind.startswith("clips")
 
 
 def test_weights_of_a_vertex_are_trained_where_that_vertex_is_drawn(tmp_path):

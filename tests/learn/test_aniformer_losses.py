@@ -96,8 +96,9 @@ def test_motion_of_a_still_driving_is_finite_and_least_at_rest(clips):
     assert trembling < 1e-3, "rounding in a still clip weighs nothing"
 
 
-def test_motion_as_printed_rewards_a_leap_at_the_end_without_bound(clips):
-    result, g, *_ = clips
+def test_as_printed_motion_rewards_a_leap_at_the_end_without_bound_and_appearance_a_collapse(clips):
+    """Why the printed signs cannot be meant."""
+    result, g, n, pairs = clips
     values = []
     for leap in (0.0, 10.0, 1000.0):
         leaping = result.clone()
@@ -105,15 +106,9 @@ def test_motion_as_printed_rewards_a_leap_at_the_end_without_bound(clips):
         values.append(motion_signed(leaping, g).item())
     assert values[2] < 1e3 * values[1] < 0
     assert motion_signed(g, g) == 0.0
-    middle = result.clone()
-    middle[:, 1:3] += 5.0
-    torch.testing.assert_close(motion_signed(middle[:, :4], g), _first_less_last(middle, g))
-
-
-def _first_less_last(m, g):
-    steps = [c.diff(dim=1).square().sum(dim=(2, 3)) for c in (m, g)]
-    ratio = steps[0] / steps[1]
-    return ((ratio[:, 0] - ratio[:, -1]) / (FRAMES - 2)).mean()
+    collapsed = torch.zeros_like(result)
+    assert appearance_signed(collapsed, n, pairs) < 0 < appearance_paper(collapsed, n, pairs)
+    assert appearance_signed(collapsed, n, pairs) < appearance_signed(result, n, pairs)
 
 
 def test_velocity_is_zero_for_the_truth_wherever_it_stands(clips):
@@ -132,13 +127,6 @@ def test_appearance_is_zero_for_the_identity_turned_and_moved(clips):
     assert appearance_paper(turned, n, pairs) < 1e-12
     assert appearance_ratio(turned, turned * 1.0, pairs) == 0.0
     assert appearance_ratio(2 * turned, turned, pairs) == pytest.approx(1.0)
-
-
-def test_appearance_as_printed_rewards_a_collapse(clips):
-    result, _, n, pairs = clips
-    collapsed = torch.zeros_like(result)
-    assert appearance_signed(collapsed, n, pairs) < 0 < appearance_paper(collapsed, n, pairs)
-    assert appearance_signed(collapsed, n, pairs) < appearance_signed(result, n, pairs)
 
 
 def test_values_at_the_truth_of_a_skinned_body(walking):
@@ -166,15 +154,6 @@ RECORDED = {  # reconstruction, motion, velocity; appearance: paper, as printed,
 }
 
 
-def test_the_printed_sum_is_lower_for_nonsense_than_for_the_truth(walking):
-    """Why the signs cannot be meant: with them a leap, and a collapse, beat the truth."""
-    identity, driving, truth, pairs = walking
-    leap = truth.clone()
-    leap[:, -1] *= 3.0
-    assert motion_signed(leap, driving) < motion_signed(truth, driving)
-    assert appearance_signed(0.0 * truth, identity, pairs) < appearance_signed(truth, identity, pairs)
-
-
 @pytest.mark.parametrize("motion", ["paper", "velocity", "off"])
 @pytest.mark.parametrize("appearance", ["paper", "ratio", "off"])
 def test_the_whole_is_the_weighted_sum_of_its_parts(clips, motion, appearance):
@@ -188,20 +167,3 @@ def test_the_whole_is_the_weighted_sum_of_its_parts(clips, motion, appearance):
     found = aniformer_loss(result, truth, n, truth, pairs, None, motion, 0.3, appearance, 0.7)
     rest = 0.3 * parts.get(("motion", motion), 0.0) + 0.7 * parts.get(("appearance", appearance), 0.0)
     torch.testing.assert_close(found, reconstruction(result, truth) / 6 + rest)
-
-
-def test_one_frame_is_compared_with_the_middle_one_of_the_truth(clips):
-    result, truth, n, pairs = clips
-    result = result[:, :1]
-    found = aniformer_loss(result, truth, n, truth, pairs, motion="off", appearance="off")
-    torch.testing.assert_close(found, reconstruction(result, truth[:, FRAMES // 2, None]) / 6)
-
-
-def test_a_sample_of_edges_gives_the_loss_of_all():
-    torch.manual_seed(0)
-    result, truth = torch.rand(2, 1, 3, 200, 3, dtype=torch.float64)
-    pairs = torch.randint(200, (1, 4000, 2))
-    given = (result, truth, truth[:, 0], truth)
-    whole = aniformer_loss(*given, pairs, appearance_weight=1.0)
-    sample = aniformer_loss(*given, pairs[:, :2000], appearance_weight=1.0, edges_of_mesh=2.0)
-    torch.testing.assert_close(whole, sample, rtol=0.05, atol=0)

@@ -2,9 +2,6 @@
 
 import numpy as np
 import pytest
-
-pytest.importorskip("torch")
-
 import rigs
 from motion_files import write_bvh
 from pools import write_character

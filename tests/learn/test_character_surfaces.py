@@ -2,9 +2,6 @@
 
 import numpy as np
 import pytest
-
-pytest.importorskip("torch")
-
 from pools import BLOCKS, blocks, write_character
 
 from mimesh.bodies import load_body

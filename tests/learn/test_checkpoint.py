@@ -1,4 +1,4 @@
-"""Checkpoints: compact copies, and weights under former names."""
+"""Checkpoints: compact copies, averages, and the one that is tracked."""
 
 import dataclasses
 import json
@@ -20,66 +20,62 @@ from mimesh.methods.onnx_runtime import import_onnxruntime
 
 ROOT = Path(__file__).parents[2]
 ZOO = ROOT / "src" / "mimesh" / "zoo"
+CONFIG = dataclasses.replace(TINY, optimizer="muon", precision="fp32")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("optimizer", ["adam", "muon"])
-def test_a_compact_checkpoint_is_half_as_large_and_continues(tmp_path, optimizer):
-    config = dataclasses.replace(TINY, optimizer=optimizer, precision="fp32")
-    run = TrainingRun.start(config, tmp_path / "none")
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A training of three steps and its checkpoint."""
+    run = TrainingRun.start(CONFIG, tmp_path_factory.mktemp("none"))
     losses(run, 3)
-    run.save(tmp_path / "last.safetensors")
-    folder = tmp_path / "compact"
-    folder.mkdir()
-    checkpoint.save_compact(tmp_path / "last.safetensors", folder / "last.safetensors")
-    whole, compact = (checkpoint.load(where / "last.safetensors") for where in (tmp_path, folder))
-    size, small = (sum(f.stat().st_size for f in where.glob("last.*")) for where in (tmp_path, folder))
+    path = tmp_path_factory.mktemp("saved") / "last.safetensors"
+    run.save(path)
+    return run, path
+
+
+def test_a_compact_checkpoint_is_half_as_large_and_continues(saved, tmp_path):
+    _, path = saved
+    checkpoint.save_compact(path, tmp_path / "last.safetensors")
+    whole, compact = (checkpoint.load(where / "last.safetensors") for where in (path.parent, tmp_path))
+    size, small = (sum(f.stat().st_size for f in where.glob("last.*")) for where in (path.parent, tmp_path))
     numbers = sum(value.numel() for value in whole.tensors.values() if value.ndim)
     assert size - small > 1.9 * numbers  # two of four bytes each
     assert dataclasses.replace(compact, tensors={}) == dataclasses.replace(whole, tensors={})
-    assert checkpoint.read_header(folder / "last.safetensors") == checkpoint.read_header(tmp_path / "last.safetensors")
+    assert checkpoint.read_header(tmp_path / "last.safetensors") == checkpoint.read_header(path)
     for name, value in whole.tensors.items():
         assert compact.tensors[name].dtype == value.dtype
         torch.testing.assert_close(compact.tensors[name], value, rtol=4e-3 if "optimizer" in name else 1e-3, atol=1e-6)
-    again = TrainingRun.start(config, folder)
+    again, run = TrainingRun.start(CONFIG, tmp_path), TrainingRun.start(CONFIG, path.parent)
     assert again.step == 3
     assert losses(again, 2) == pytest.approx(losses(run, 2), rel=0.05)
-    model, _ = checkpoint.load_model(folder / "last.safetensors")
+    model, _ = checkpoint.load_model(tmp_path / "last.safetensors")
     assert {p.dtype for p in model.parameters()} == {torch.float32}
 
 
-def test_weights_alone_are_a_start_for_another_training(tmp_path):
-    run = TrainingRun.start(dataclasses.replace(TINY, precision="fp32"), tmp_path / "none")
-    losses(run, 2)
-    run.save(tmp_path / "last.safetensors")
-    checkpoint.save_compact(tmp_path / "last.safetensors", tmp_path / "weights.safetensors", weights_only=True)
-    alone = checkpoint.load(tmp_path / "weights.safetensors").tensors
-    whole = checkpoint.load(tmp_path / "last.safetensors").tensors
+def test_weights_alone_are_a_start_for_another_training(saved, tmp_path):
+    _, path = saved
+    checkpoint.save_compact(path, tmp_path / "weights.safetensors", weights_only=True)
+    alone, whole = (checkpoint.load(file).tensors for file in (tmp_path / "weights.safetensors", path))
     assert set(alone) == {name for name in whole if name.startswith("model.")}
     model, _ = checkpoint.load_model(tmp_path / "weights.safetensors")
     for name, value in model.state_dict().items():
         torch.testing.assert_close(value, whole[f"ema.{name}"], rtol=1e-3, atol=1e-6)
 
 
-def test_a_compact_checkpoint_without_the_average_begins_a_new_one(tmp_path):
-    run = TrainingRun.start(TINY, tmp_path / "none")
-    losses(run, 3)
-    run.save(tmp_path / "whole.safetensors")
-    checkpoint.save_compact(tmp_path / "whole.safetensors", tmp_path / "last.safetensors", average=False)
-    again = TrainingRun.start(TINY, tmp_path)
+def test_a_compact_checkpoint_without_the_average_begins_a_new_one(saved, tmp_path):
+    run, path = saved
+    checkpoint.save_compact(path, tmp_path / "last.safetensors", average=False)
+    again = TrainingRun.start(CONFIG, tmp_path)
     for name, value in again.model.state_dict().items():
         torch.testing.assert_close(again.ema[name], value, rtol=0, atol=0)
         torch.testing.assert_close(value, run.model.state_dict()[name], rtol=1e-3, atol=1e-6)
-    assert losses(again, 2) == pytest.approx(losses(run, 2), rel=0.05)
 
 
-def test_average_of_checkpoints_is_that_of_their_networks(tmp_path):
-    states = []
-    for seed in (1, 2):
-        run = TrainingRun.start(dataclasses.replace(TINY, seed=seed, precision="fp32"), tmp_path / "none")
-        losses(run, seed)
-        run.save(tmp_path / f"{seed}.safetensors")
-        states.append(checkpoint.load(tmp_path / f"{seed}.safetensors"))
+def test_average_of_checkpoints_is_that_of_their_networks_and_needs_one_network(saved, tmp_path):
+    other = TrainingRun.start(dataclasses.replace(CONFIG, seed=2), tmp_path / "none")
+    losses(other, 1)
+    other.save(tmp_path / "other.safetensors")
+    states = [checkpoint.load(saved[1]), checkpoint.load(tmp_path / "other.safetensors")]
     average = checkpoint.average(states, [3.0, 1.0])
     for name, value in average.weights().items():
         torch.testing.assert_close(value, 0.75 * states[0].weights()[name] + 0.25 * states[1].weights()[name])
@@ -95,19 +91,10 @@ def test_average_of_checkpoints_is_that_of_their_networks(tmp_path):
     alone = checkpoint.average(states[:1], [0.3])
     for name, value in alone.weights().items():
         torch.testing.assert_close(value, states[0].weights()[name])
-
-
-def test_other_networks_are_not_averaged(tmp_path):
-    runs = [TrainingRun.start(config, tmp_path / "none") for config in (TINY, dataclasses.replace(TINY, seed=3))]
-    runs[0].save(tmp_path / "first.safetensors")
-    runs[1].save(tmp_path / "second.safetensors")
-    first, second = (checkpoint.load(tmp_path / f"{name}.safetensors") for name in ("first", "second"))
-    model = dataclasses.replace(second.config.model, encoder=(8, 16, 24))
-    other = dataclasses.replace(second, config=dataclasses.replace(second.config, model=model))
-    with pytest.raises(
-        InputError, match=r"one network.*number 2.*model\.encoder \[8, 16, 24\] here, \[8, 16, 16\] there"
-    ):
-        checkpoint.average([first, other], [1.0, 1.0])
+    wider = dataclasses.replace(CONFIG, model=dataclasses.replace(CONFIG.model, encoder=(8, 16, 24)))
+    message = r"one network.*number 2.*model\.encoder \[8, 16, 24\] here, \[8, 16, 16\] there"
+    with pytest.raises(InputError, match=message):
+        checkpoint.average([states[0], dataclasses.replace(states[1], config=wider)], [1.0, 1.0])
 
 
 @torch.no_grad()

@@ -1,13 +1,18 @@
 """Training configurations: shipped ones load, changes apply, and what does not belong is refused."""
 
 import re
+from importlib import resources
 
 import pytest
+import torch
 
 from mimesh.core.errors import InputError
 from mimesh.learn.aniformer import AniFormerConfig, AniFormerTrainConfig
 from mimesh.learn.config import config_differences, load_config
+from mimesh.learn.models import NETWORKS, find_task
 from mimesh.learn.npt import NPTConfig
+
+SHIPPED = sorted(path.name.removesuffix(".yaml") for path in (resources.files("mimesh.learn") / "configs").iterdir())
 
 
 def test_configurations_take_changes():
@@ -31,11 +36,16 @@ def test_paper_configuration_is_the_papers():
     assert (config.edge, config.edge_weight) == ("paper", 5e-4)
 
 
-@pytest.mark.parametrize("name", ["small", "base", "table"])
-def test_configurations_of_mime_load(name):
-    config = load_config(name, "mime")
-    assert config.data.target_scale == "identity"
-    assert config.data.vertices >= config.model.near
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_configurations_load(name):
+    """Those of a network have its name before theirs."""
+    network, _, config = name.partition("-")
+    loaded = load_config(config, network)
+    assert loaded.network == network
+    assert loaded.pairs > 0
+    if network == "mime":
+        assert loaded.data.target_scale == "identity"
+        assert loaded.data.vertices >= loaded.model.near
 
 
 @pytest.mark.parametrize(
@@ -59,11 +69,6 @@ def test_characters_have_a_share_of_joint_limits_of_their_own(given, found):
     assert (config.data.character_limits, type(config.data.character_limits)) == (found, type(found))
 
 
-@pytest.mark.parametrize("name", ["paper", "small", "maxpool-small", "table", "full"])
-def test_shipped_configurations_load(name):
-    assert load_config(name).pairs > 0
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -84,7 +89,8 @@ def test_shipped_configurations_load(name):
         ("data: {kind: wide, recombine: 0.5}", "expected data.recombine 0 with wide, found 0.5"),
         ("data: {recombine: 2}", "recombine from 0 to 1, found 2"),
         ("data: {reflect: 2}", "reflect from 0 to 1, found 2"),
-        ("{network: mime, data: {kind: wide, reflect: 0.5}}", "found reflect; remove it"),
+        ("data: {tremble: 0.5}", "found tremble; remove it"),
+        ("network: mime", "expected a configuration of npt, found one of mime; train mime"),
     ],
 )
 def test_configurations_are_checked(tmp_path, text, message):
@@ -129,3 +135,21 @@ def test_differences_are_named_by_their_keys_and_at_most_a_few():
     other = config_differences(full, load_config("full", "aniformer"), ("network", "model"))
     assert "network npt here, aniformer there" in other
     assert "none" in config_differences(load_config("table", "limp"), full, ("model",))
+
+
+@pytest.mark.parametrize("network", NETWORKS)
+def test_a_task_makes_the_network_of_its_configuration(network):
+    config = load_config("small" if network == "hands" else "table", network)
+    kind = find_task(network)
+    assert isinstance(config, kind.config_type)
+    task = kind(config, torch.device("cpu"))
+    model = task.make_model()
+    assert model.config == config.model
+    assert task.flops_per_pair(model) > 1e6
+    assert task.onnx_facts(model)["model"] == network
+
+
+def test_an_unknown_network_is_refused_with_those_there_are():
+    message = r"gpt: expected a model that can be trained \(npt, aniformer, limp, mime, hands\)"
+    with pytest.raises(InputError, match=message):
+        find_task("gpt")

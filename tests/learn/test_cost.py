@@ -32,6 +32,7 @@ def test_copies_of_weights_in_16_bits_are_not_counted_for_every_pair():
     assert half < full
 
 
+@pytest.mark.slow
 def test_operations_add_up_over_changes_and_earlier_trainings(tmp_path):
     """Meshes of more vertices towards the end count as such; so do the pairs of a training that this one began with."""
     short = dataclasses.replace(TINY, pairs=4)
@@ -46,6 +47,7 @@ def test_operations_add_up_over_changes_and_earlier_trainings(tmp_path):
     assert operations_spent(follower) == pytest.approx(3 * first + 7.0)
 
 
+@pytest.mark.slow
 def test_a_training_from_an_older_checkpoint_counts_with_the_configuration_of_that(tmp_path):
     """Which may have had fewer vertices; it does not say what it has spent."""
     old = dataclasses.replace(TINY, pairs=4)
@@ -59,21 +61,14 @@ def test_a_training_from_an_older_checkpoint_counts_with_the_configuration_of_th
     assert operations_spent(state) == pytest.approx(3 * first)
 
 
-def test_the_log_says_what_a_training_takes(tmp_path):
-    run = TrainingRun.start(TINY, tmp_path)
-    said = described_cost(run)
-    assert "a step of 2 pairs is" in said
-    assert "PFLOP in all" in said
-    assert "GiB for its gradient" in said
-    assert '"kind": "cost"' in (train(TINY, tmp_path / "run") / "log.jsonl").read_text()
-
-
 def test_doublings_count_with_their_vertices(tmp_path):
     """8 pairs of 64 vertices, 4 of 128, 4 of 256; what the log says before is what is spent."""
     config = dataclasses.replace(TINY, batch=4, doublings=(0.5, 0.75))
     task = NPTTask(config, torch.device("cpu"))
     expected = training_operations(task, task.make_model(), 8 + 2 * 4 + 4 * 4)
     run = TrainingRun.start(config, tmp_path)
-    assert f"{expected / 1e15:.3g} PFLOP in all" in described_cost(run)
+    said = described_cost(run)
+    for words in ("a step of 4 pairs is", f"{expected / 1e15:.3g} PFLOP in all", "GiB for its gradient"):
+        assert words in said
     state = checkpoint.load(train(config, tmp_path) / "last.safetensors")
     assert state.operations == pytest.approx(expected)

@@ -1,60 +1,20 @@
 """Networks read back from `.onnx` files: the same weights, a start for another training, and what is refused."""
 
-import dataclasses
 import json
 import shutil
-from functools import cache
 from pathlib import Path
 
 import onnx
 import pytest
 import torch
-from trainings import TINY, losses
 
+from mimesh.bodies import load_body
+from mimesh.bodies.anatomy import QUADRUPED
 from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
-from mimesh.learn.config import config_from
 from mimesh.learn.export import INT8_STEPS, export_command, load_exported, load_start
-from mimesh.learn.loop import TrainingRun
-from mimesh.learn.npt import NPTConfig
 from mimesh.learn.start import train_command
-
-NARROW_ANIFORMER = {
-    "network": "aniformer",
-    "model": {"encoder": [16, 16, 32], "layers": [32, 32, 16, 16], "attention": "frames"},
-    "data": {"kind": "clips80", "vertices": 16},
-    "batch": 2,
-    "precision": "fp32",
-    "learning_rate": 1e-3,
-}
-NARROW_MIME = {
-    "network": "mime",
-    "model": {"width": 16, "heads": 2, "latents": 4, "blocks": 2, "near": 4, "local": 8, "skinning": 8},
-    "data": {"kind": "wide", "vertices": 32, "target_scale": "identity", "body": "quadruped"},
-    "batch": 2,
-    "precision": "fp32",
-}
-CONFIGS = {
-    "npt": dataclasses.replace(TINY, model=NPTConfig((16, 32, 32), (35, 16, 16)), precision="fp32"),
-    "aniformer": config_from(NARROW_ANIFORMER, "test"),
-    "mime": config_from(NARROW_MIME, "test"),
-}
-
-
-@pytest.fixture(scope="module")
-def exported(tmp_path_factory):
-    """Train for two steps and export, once for each network and bits: the checkpoint and the exported file."""
-
-    @cache
-    def export(network, bits):
-        folder = tmp_path_factory.mktemp(f"{network}-{bits}")
-        run = TrainingRun.start(CONFIGS[network], folder / "none")
-        losses(run, 2)
-        run.save(folder / "last.safetensors")
-        export_command(folder / "last.safetensors", folder / "net.onnx", bits)
-        return checkpoint.load_model(folder / "last.safetensors"), folder / "net.onnx"
-
-    return export
+from mimesh.methods.find import find_method
 
 
 @pytest.mark.slow
@@ -81,6 +41,7 @@ def test_an_exported_network_exported_again_is_the_same(exported, tmp_path):
         torch.testing.assert_close(second.state_dict()[name], value, rtol=1e-3, atol=1e-7, msg=name)
 
 
+@pytest.mark.slow
 def test_a_training_begins_with_an_exported_network(exported, tmp_path):
     """And its card has the pairs and the arithmetic of both."""
     (_, trained), path = exported("npt", 16)
@@ -109,3 +70,14 @@ def test_what_is_no_start_is_refused(exported, tmp_path):
     (tmp_path / "less.onnx").write_bytes(b"\x00not a network")
     with pytest.raises(InputError, match="expected a file of `mimesh export`"):
         load_start(tmp_path / "less.onnx")
+
+
+@pytest.mark.slow
+def test_an_exported_network_of_animals_says_so(exported):
+    _, path = exported("mime", 16)
+    card = json.loads({entry.key: entry.value for entry in onnx.load(str(path)).metadata_props}["mimesh"])
+    body = load_body("quadruped")
+    assert card["body"] == "quadruped"
+    assert tuple(card["joints"]) == body.joint_names
+    assert [[body.joint_names[j] for j in leg] for leg in card["legs"]] == [list(leg) for leg in QUADRUPED.legs]
+    assert find_method(str(path)).body == "quadruped"

@@ -4,23 +4,21 @@ import dataclasses
 import json
 
 import pytest
+import torch
+from motion_files import write_bvh
+from pools import write_character
 
-torch = pytest.importorskip("torch")
-
-from motion_files import write_bvh  # noqa: E402
-from pools import BLOCKS, blocks, write_character  # noqa: E402
-
-from mimesh.core.errors import InputError  # noqa: E402
-from mimesh.learn import checkpoint  # noqa: E402
-from mimesh.learn.config import load_config  # noqa: E402
-from mimesh.learn.data.bodies import posed_joints, skinned  # noqa: E402
-from mimesh.learn.data.characters import TrainingCharacters  # noqa: E402
-from mimesh.learn.data.figures import FigureSampler  # noqa: E402
-from mimesh.learn.data.surfaces import repeat_visible, scanned  # noqa: E402
-from mimesh.learn.mime import MimeData, SurfaceSource, mime_loss  # noqa: E402
-from mimesh.learn.start import train_command  # noqa: E402
-from mimesh.learn.task import shipped_body  # noqa: E402
-from mimesh.motions import walk_motion  # noqa: E402
+from mimesh.core.errors import InputError
+from mimesh.learn import checkpoint
+from mimesh.learn.config import load_config
+from mimesh.learn.data.bodies import posed_joints, skinned
+from mimesh.learn.data.characters import TrainingCharacters
+from mimesh.learn.data.figures import FigureSampler
+from mimesh.learn.data.surfaces import repeat_visible, scanned
+from mimesh.learn.mime import MimeData, SurfaceSource, mime_loss
+from mimesh.learn.start import train_command
+from mimesh.learn.task import shipped_body
+from mimesh.motions import walk_motion
 
 BODY = shipped_body()
 CPU = torch.device("cpu")
@@ -29,20 +27,12 @@ TINY += ["compile=false", "data.vertices=32", "model.width=32", "precision=fp32"
 
 
 @pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("pool")
-    write_character(folder, "whole", split="train", pack="people")
-    missing = [name for name in BODY.joint_names if name not in BLOCKS]
-    write_character(folder, "blocks", shape=1, split="train", pack="toys", without=missing, spell=blocks)
-    return folder
-
-
-@pytest.fixture(scope="module")
 def source(pool):
     config = MimeData("wide", 200, "identity", heading=180.0, characters=1.0)
     return SurfaceSource(config, BODY, CPU, 0, TrainingCharacters.read(pool, BODY))
 
 
+@pytest.mark.slow
 def test_an_identity_at_rest_is_moved_to_the_truth_exactly(source, monkeypatch):
     """By linear blend skinning with its own joints and weights, whatever its proportions, props and missing joints."""
     monkeypatch.setattr("mimesh.learn.data.figures.OWN_REST", 1.0)
@@ -53,12 +43,6 @@ def test_an_identity_at_rest_is_moved_to_the_truth_exactly(source, monkeypatch):
         moved = skinned(own.points, own.weights, own.rotation, own.joints, driving.rotation, joints)
         assert (moved - truth.points).norm(dim=-1).max() < 1e-5
         assert torch.allclose(own.weights.sum(-1), torch.ones(12, 200), atol=1e-5)
-
-
-def test_batches_repeat_and_differ_from_step_to_step(source):
-    first, again, other = source.batch(4, 5), source.batch(4, 5), source.batch(4, 6)
-    assert torch.equal(first.identity.points, again.identity.points)
-    assert not torch.equal(first.identity.points, other.identity.points)
 
 
 def test_joints_that_are_not_known_have_no_loss(source):
@@ -101,27 +85,25 @@ def test_large_heads_have_more_of_the_points(source):
     for scale in (one, large):
         some = dataclasses.replace(figures, length=scale, girth=scale, lacking=torch.zeros_like(figures.lacking))
         index = source.figures.bank.choose(some, 200, torch.Generator().manual_seed(2), 0.0)
-        rotation = source.figures.bank.alignment[figures.which]
-        share.append(
-            source.figures.bank.posed(some, source.figures.bank.shaped(some, index), rotation).weights[..., head].mean()
-        )
+        share.append(posed(source, some, index).weights[..., head].mean())
     assert share[1] > 1.5 * share[0]
+
+
+def posed(source, figures, index):
+    """Points of figures at rest."""
+    bank = source.figures.bank
+    return bank.posed(figures, bank.shaped(figures, index), bank.alignment[figures.which])
 
 
 def test_missing_hands_have_no_points(source):
     figures = source.figures.figures.draw(32, torch.Generator().manual_seed(1))
     ends = source.figures.figures.ends[0]
-    lacking = ends.expand(32, -1)
-    some = dataclasses.replace(
-        figures, lacking=lacking, props=dataclasses.replace(figures.props, there=torch.zeros_like(figures.props.there))
-    )
+    bare = dataclasses.replace(figures.props, there=torch.zeros_like(figures.props.there))
+    some = dataclasses.replace(figures, lacking=ends.expand(32, -1), props=bare)
     index = source.figures.bank.choose(some, 200, torch.Generator().manual_seed(2), 0.0)
-    posed = source.figures.bank.posed(
-        some, source.figures.bank.shaped(some, index), source.figures.bank.alignment[figures.which]
-    )
-    strongest = posed.weights.argmax(-1)
-    assert not ends[strongest].any()
-    assert not posed.turning[:, ends].any()
+    found = posed(source, some, index)
+    assert not ends[found.weights.argmax(-1)].any()
+    assert not found.turning[:, ends].any()
 
 
 def test_props_are_moved_by_one_joint(source, monkeypatch):
@@ -129,33 +111,8 @@ def test_props_are_moved_by_one_joint(source, monkeypatch):
     figures = source.figures.figures.draw(16, torch.Generator().manual_seed(3))
     total = source.figures.bank.points.shape[1]
     index = torch.arange(total, total + figures.props.there.shape[1]).expand(16, -1)
-    posed = source.figures.bank.posed(
-        figures, source.figures.bank.shaped(figures, index), source.figures.bank.alignment[figures.which]
-    )
-    assert ((posed.weights == 1).sum(-1) == 1).all()
+    assert ((posed(source, figures, index).weights == 1).sum(-1) == 1).all()
     assert figures.props.there.float().mean(1).min() > 0
-
-
-@pytest.mark.slow
-def test_a_training_on_characters_says_whose_they_are_and_resumes_with_the_same(pool, tmp_path):
-    changes = ["data.characters=0.5", "pairs=32", "batch=8", "validate_every=1000", "validation_pairs=1"]
-    changes += ["compile=false", "data.vertices=32", "model.width=32", "precision=fp32"]
-    out = tmp_path / "run"
-    train_command("mime", "small", out, None, 0.001, changes, None, pool)
-    lines = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
-    told = next(line["text"] for line in lines if line["kind"] == "characters")
-    assert told.startswith("1 of we: people (CC0-1.0), 1 of we: toys (CC0-1.0); 6 poses of their clips")
-    saved = checkpoint.load(out / "last.safetensors")
-    assert saved.characters["makers"] == {"we: people (CC0-1.0)": 1, "we: toys (CC0-1.0)": 1}
-    with pytest.raises(InputError, match=r"--characters: expected a folder with data.characters 0.5, found none"):
-        train_command("mime", "small", None, out, 0.001)
-    other = tmp_path / "other"
-    other.mkdir()
-    write_character(other, "one", split="train")
-    with pytest.raises(InputError, match="expected the characters of the training so far"):
-        train_command("mime", "small", None, out, 0.001, [], None, other)
-    train_command("mime", "small", None, out, 0.001, [], None, pool)
-    assert checkpoint.load(out / "last.safetensors").step > saved.step
 
 
 def test_characters_are_for_some_networks_and_wide_data_only(pool):
@@ -163,13 +120,6 @@ def test_characters_are_for_some_networks_and_wide_data_only(pool):
         load_config("table", "mime", ["data.characters=0.5"])
     with pytest.raises(InputError, match=r"--characters: expected a model that is trained on them, found aniformer"):
         train_command("aniformer", "small", None, None, None, [], None, pool)
-
-
-def test_a_folder_alone_gives_characters_half_of_every_batch(pool, tmp_path):
-    changes = ["pairs=16", "batch=8", "validate_every=1000", "validation_pairs=1", "compile=false"]
-    changes += ["data.vertices=32", "model.width=32", "precision=fp32"]
-    out = train_command("mime", "small", tmp_path / "run", None, 0.001, changes, None, pool)
-    assert checkpoint.load(out / "last.safetensors").config.data.characters == 0.5
 
 
 @pytest.fixture(scope="module")
@@ -180,42 +130,56 @@ def clips(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_augmentations_and_clips_may_begin_where_a_training_is_resumed(pool, clips, tmp_path):
-    out = train_command("mime", "small", tmp_path / "run", None, 0.001, TINY, None, pool)
+def test_a_training_on_characters_says_whose_they_are_and_resumes_with_the_same(pool, clips, tmp_path):
+    """Augmentations and clips may begin where it is resumed."""
+    out, other = tmp_path / "run", tmp_path / "other"
+    train_command("mime", "small", out, None, 0.001, TINY, None, pool)
+    lines = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    told = next(line["text"] for line in lines if line["kind"] == "characters")
+    assert told.startswith("1 of we: people (CC0-1.0), 1 of we: toys (CC0-1.0); 6 poses of their clips")
     before = checkpoint.load(out / "last.safetensors")
-    train_command("mime", "small", None, out, 0.001, [], None, pool)
-    assert checkpoint.load(out / "last.safetensors").config == before.config
-    assert checkpoint.load(out / "last.safetensors").changes == ()
-    changes = ["data.low_poly=0.5", "data.scans=0.25"]
-    train_command("mime", "small", None, out, 0.001, changes, None, pool, clips)
-    state = checkpoint.load(out / "last.safetensors")
+    assert before.characters["makers"] == {"we: people (CC0-1.0)": 1, "we: toys (CC0-1.0)": 1}
+
+    def resume(changes=(), *brought):
+        train_command("mime", "small", None, out, 0.001, list(changes), None, *brought)
+        return checkpoint.load(out / "last.safetensors")
+
+    with pytest.raises(InputError, match=r"--characters: expected a folder with data.characters 0.5, found none"):
+        resume()
+    other.mkdir()
+    write_character(other, "one", split="train")
+    with pytest.raises(InputError, match="expected the characters of the training so far"):
+        resume((), other)
+    same = resume((), pool)
+    assert (same.config, same.changes) == (before.config, ())
+    assert same.step > before.step
+    state = resume(["data.low_poly=0.5", "data.scans=0.25"], pool, clips)
     assert (state.config.data.low_poly, state.config.data.scans) == (0.5, 0.25)
     assert [set(change) for change in state.changes] == [{"after_pairs", "data.low_poly", "data.scans", "clips", "was"}]
     assert state.characters["sha256"] == before.characters["sha256"]
     assert list(state.characters["clips"]["makers"].values()) == [1]
-    with pytest.raises(InputError, match="expected the characters and clips of the training so far"):
-        train_command("mime", "small", None, out, 0.001, [], None, pool)
-    train_command("mime", "small", None, out, 0.001, [], None, pool, clips)
-    assert checkpoint.load(out / "last.safetensors").changes == state.changes
-    with pytest.raises(InputError, match=r"--set batch=4: expected no changes with --resume but --set seed, pairs"):
-        train_command("mime", "small", None, out, 0.001, ["batch=4"], None, pool, clips)
-    with pytest.raises(InputError, match=r"--leave-out toys: expected no changes with --resume"):
-        train_command("mime", "small", None, out, 0.001, [], None, pool, clips, ["toys"])
+    for changes, brought, message in (
+        ((), (pool,), "expected the characters and clips of the training so far"),
+        (["batch=4"], (pool, clips), r"--set batch=4: expected no changes with --resume but --set seed, pairs"),
+        ((), (pool, clips, ["toys"]), r"--leave-out toys: expected no changes with --resume"),
+    ):
+        with pytest.raises(InputError, match=message):
+            resume(changes, *brought)
 
 
 def test_a_pack_is_left_out_by_one_option(pool, tmp_path, monkeypatch):
+    """A folder alone gives characters half of every batch."""
     monkeypatch.chdir(tmp_path)
     out = train_command("mime", "small", None, None, 0.001, TINY[1:], None, pool, None, ["toys"])
     assert out.name.endswith("-without-toys")
     state = checkpoint.load(out / "last.safetensors")
-    assert state.config.data.characters == 0.5
-    assert state.config.data.leave_out == ("toys",)
+    assert (state.config.data.characters, state.config.data.leave_out) == (0.5, ("toys",))
     assert state.characters["left_out"] == {"toys": 1}
-    train_command("mime", "small", None, out, 0.001, [], None, pool)
     with pytest.raises(InputError, match=r"--leave-out toys: expected it with --characters"):
         train_command("mime", "small", tmp_path / "other", None, 0.001, TINY[1:], None, None, None, ["toys"])
 
 
+@pytest.mark.slow
 def test_clips_alone_join_the_poses_of_people(clips, tmp_path):
     out = train_command("mime", "small", tmp_path / "run", None, 0.001, TINY[1:], None, None, clips)
     state = checkpoint.load(out / "last.safetensors")

@@ -7,12 +7,11 @@ from importlib import resources
 from typing import Any
 
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-
-from mimesh.learn.config import load_config  # noqa: E402
-from mimesh.learn.models import find_task  # noqa: E402
-from mimesh.learn.optimizers import make_optimizers  # noqa: E402
+from mimesh.learn.config import load_config
+from mimesh.learn.models import find_task
+from mimesh.learn.optimizers import make_optimizers
 
 pytestmark = pytest.mark.gpu
 CONFIGS = sorted(path.name.removesuffix(".yaml") for path in (resources.files("mimesh.learn") / "configs").iterdir())

@@ -4,19 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
+import torch
 from pools import write_character
 
-torch = pytest.importorskip("torch")
-
-from mimesh.bodies import load_body  # noqa: E402
-from mimesh.bodies.character_pool import read_pool  # noqa: E402
-from mimesh.bodies.finger_poses import finger_rotations, sample_finger_poses  # noqa: E402
-from mimesh.bodies.hands import HAND_PARENTS  # noqa: E402
-from mimesh.core.errors import InputError  # noqa: E402
-from mimesh.core.skinning import skinning_transforms  # noqa: E402
-from mimesh.learn.config import load_config  # noqa: E402
-from mimesh.learn.data.hands import (  # noqa: E402
-    FINGERLESS,
+from mimesh.bodies import load_body
+from mimesh.bodies.character_pool import read_pool
+from mimesh.bodies.hands import HAND_PARENTS
+from mimesh.core.errors import InputError
+from mimesh.core.skinning import skinning_transforms
+from mimesh.learn.config import load_config
+from mimesh.learn.data.hands import (
     HAND_COLUMN,
     HUMAN,
     HandMesh,
@@ -27,12 +24,11 @@ from mimesh.learn.data.hands import (  # noqa: E402
     posed_hand,
     stumps,
 )
-from mimesh.learn.hands import (  # noqa: E402  # noqa: E402
+from mimesh.learn.hands import (
     HAND_POINTS,
     QUERIES,
     HandSource,
     HandsTask,
-    group_shares,
     hands_loss,
 )
 
@@ -144,21 +140,8 @@ def test_network_of_hands_learns_and_its_rotations_are_rotations(source):
         assert np.isfinite(task.batch_error(model, batch))
 
 
-def test_shares_of_groups_sum_to_one():
-    groups = [HUMAN, "a", "b", FINGERLESS, FINGERLESS]
-    assert sum(group_shares(groups, 0.5)) == pytest.approx(1.0)
-    assert sum(group_shares([HUMAN, FINGERLESS], 0.0)) == pytest.approx(1.0)
-
-
 def test_data_of_another_kind_is_refused():
     with pytest.raises(InputError, match=r"kind: expected hands"):
         load_config("small", "hands", ["data.kind=wide"])
     with pytest.raises(InputError, match=r"data\.characters"):
         load_config("small", "hands", ["data.characters=0.9"])
-
-
-def test_gestures_of_both_hands_are_mirror_images():
-    angles = sample_finger_poses(3, np.random.default_rng(0))
-    mirror = np.array([-1.0, 1.0, 1.0])
-    left, right = finger_rotations(angles, left=True), finger_rotations(angles, left=False)
-    assert np.allclose(left * mirror[:, None] * mirror, right, atol=1e-5)

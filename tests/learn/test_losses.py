@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from mimesh.learn.layers import edge_ratio, match_frames, mean_squared_distance, reconstruction
+from mimesh.learn.npt import edge_paper
 
 
 @pytest.fixture
@@ -36,3 +37,11 @@ def test_a_single_frame_is_compared_with_the_middle_one():
     truth = torch.arange(6.0).view(1, 3, 2, 1).expand(1, 3, 2, 3)
     assert torch.equal(match_frames(truth, 1), truth[:, 1:2])
     assert match_frames(truth, 3) is truth
+
+
+def test_npt_s_edge_loss_is_equation_6(meshes):
+    result, _, _, pairs = meshes
+    neighbours = {0: [1], 1: [0, 2], 2: [1], 4: [5], 5: [4]}
+    ends = [(p, v) for p in neighbours for v in neighbours[p]]
+    naive = sum(((result[b, p] - result[b, v]) ** 2).sum() for b in range(2) for p, v in ends) / 2
+    torch.testing.assert_close(edge_paper(result, pairs), naive)

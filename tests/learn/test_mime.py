@@ -3,11 +3,10 @@
 import math
 
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-
-from mimesh.learn.mime import MimeData, SurfaceSource  # noqa: E402
-from mimesh.learn.task import shipped_body  # noqa: E402
+from mimesh.learn.mime import MimeData, SurfaceSource
+from mimesh.learn.task import shipped_body
 
 BODY = shipped_body()
 CPU = torch.device("cpu")

@@ -1,11 +1,10 @@
 """The network of mime: invariance to order, place and size; joint frames; exact skinning; older weights."""
 
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-
-from mimesh.learn.data.bodies import posed_joints, skinned  # noqa: E402
-from mimesh.learn.mime import (  # noqa: E402
+from mimesh.learn.data.bodies import posed_joints, skinned
+from mimesh.learn.mime import (
     JointFrames,
     MimeConfig,
     MimeData,
@@ -16,7 +15,7 @@ from mimesh.learn.mime import (  # noqa: E402
     reconstruction,
     rotation_from_6d,
 )
-from mimesh.learn.task import shipped_body  # noqa: E402
+from mimesh.learn.task import shipped_body
 
 BODY = shipped_body()
 SMALL = MimeConfig(width=16, heads=2, latents=4, blocks=2, refinements=2, near=8, local=8, skinning=8)

@@ -2,17 +2,22 @@
 
 import pytest
 import torch
+from matrix import matrix
 from trainings import assert_steps_are_pure
 
 from mimesh.core.geometry import edges
 from mimesh.evaluate.protocols import HUMAN_NPT
-from mimesh.learn.npt import NPTData, PairSource, edge_paper, npt_loss
+from mimesh.learn.npt import NPTData, PairSource, npt_loss
 from mimesh.learn.task import shipped_body
 
 CASES = [NPTData("table6"), NPTData("table6", 64), NPTData("wide"), NPTData("wide", 64, "identity")]
 
 
-@pytest.fixture(scope="module", params=CASES, ids=lambda c: f"{c.kind}-{c.vertices or 'all'}")
+@pytest.fixture(
+    scope="module",
+    params=matrix("source", CASES, quick=CASES[1::2]).args[1],
+    ids=lambda c: f"{c.kind}-{c.vertices or 'all'}",
+)
 def source(request):
     return PairSource(request.param, shipped_body(), torch.device("cpu"), seed=3)
 
@@ -69,6 +74,7 @@ def test_reflection_mirrors_both_meshes_and_the_truth_of_a_share_of_the_pairs(ki
     assert torch.equal(mirrored.edges, plain.edges)
 
 
+@pytest.mark.slow
 def test_a_share_of_less_than_one_pair_is_mirrored_in_the_mean():
     plain, mirrored = (
         PairSource(NPTData("table6", 8, reflect=share), shipped_body(), torch.device("cpu"), seed=3)
@@ -76,22 +82,6 @@ def test_a_share_of_less_than_one_pair_is_mirrored_in_the_mean():
     )
     turned = [not torch.equal(mirrored.batch(1, i).truth, plain.batch(1, i).truth) for i in range(40)]
     assert 10 <= sum(turned) <= 30
-
-
-@pytest.fixture
-def meshes():
-    torch.manual_seed(0)
-    result, truth, identity = torch.rand(3, 2, 6, 3, dtype=torch.float64)
-    return result, truth, identity, torch.tensor([[[0, 1], [1, 2], [4, 5]]] * 2)
-
-
-def test_edge_loss_is_equation_6(meshes):
-    result, _, _, pairs = meshes
-    neighbours = {0: [1], 1: [0, 2], 2: [1], 4: [5], 5: [4]}
-    naive = (
-        sum(((result[b, p] - result[b, v]) ** 2).sum() for b in range(2) for p in neighbours for v in neighbours[p]) / 2
-    )
-    torch.testing.assert_close(edge_paper(result, pairs), naive)
 
 
 def test_the_loss_is_least_near_the_truth():

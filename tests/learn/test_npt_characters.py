@@ -4,33 +4,22 @@ import dataclasses
 import json
 
 import pytest
+import torch
+from trainings import TINY, assert_steps_are_pure
 
-torch = pytest.importorskip("torch")
-
-from pools import BLOCKS, blocks, write_character  # noqa: E402
-from trainings import TINY, assert_steps_are_pure  # noqa: E402
-
-from mimesh.cli import run  # noqa: E402
-from mimesh.core.errors import InputError  # noqa: E402
-from mimesh.learn import checkpoint  # noqa: E402
-from mimesh.learn.data.characters import TrainingCharacters  # noqa: E402
-from mimesh.learn.data.figures import CharacterPairSource  # noqa: E402
-from mimesh.learn.npt import NPTData, PairSource  # noqa: E402
-from mimesh.learn.start import train_command  # noqa: E402
-from mimesh.learn.task import shipped_body  # noqa: E402
+from mimesh.cli import run
+from mimesh.core.errors import InputError
+from mimesh.learn import checkpoint
+from mimesh.learn.data.characters import TrainingCharacters
+from mimesh.learn.data.figures import CharacterPairSource
+from mimesh.learn.export import described_data
+from mimesh.learn.npt import NPTData, PairSource
+from mimesh.learn.start import train_command
+from mimesh.learn.task import shipped_body
 
 BODY = shipped_body()
 CPU = torch.device("cpu")
 CONFIG = NPTData("wide", 256, "identity", heading=180.0, characters=1.0)
-
-
-@pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("pool")
-    write_character(folder, "whole", split="train", pack="people")
-    missing = [name for name in BODY.joint_names if name not in BLOCKS]
-    write_character(folder, "blocks", shape=1, split="train", pack="toys", without=missing, spell=blocks)
-    return folder
 
 
 def source(pool, **changes):
@@ -105,14 +94,8 @@ def test_train_npt_on_characters_by_the_command_line(pool, tmp_path, capsys):
     assert state.characters["makers"] == {"we: people (CC0-1.0)": 1, "we: toys (CC0-1.0)": 1}
     assert run(["train", "npt", "--resume", str(out), "--characters", str(pool), "--set", "pairs=12"]) == 0
     assert checkpoint.load(out / "last.safetensors").step == 3
-    other = tmp_path / "other"
-    other.mkdir()
-    write_character(other, "one", split="train")
-    with pytest.raises(InputError, match="expected the characters of the training so far"):
-        train_command("npt", "small", None, out, 0.001, [], None, other)
-    assert run(["export", str(out / "last.safetensors"), "-o", str(tmp_path / "mine.onnx")]) == 0
-    card = json.loads((tmp_path / "mine.json").read_text())
-    assert card["data"].endswith("characters of others (`characters`) in these poses and those of their clips")
+    words = "characters of others (`characters`) in these poses and those of their clips"
+    assert described_data(state.config.data).endswith(words)
 
 
 def test_tables_and_whole_meshes_take_no_characters(pool):

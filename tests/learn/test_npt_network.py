@@ -2,7 +2,6 @@
 
 import inspect
 
-import numpy as np
 import pytest
 import torch
 
@@ -73,13 +72,6 @@ def test_without_any_norm_the_vertices_of_the_decoder_are_independent(blocks):
         assert (moved > 1e-6) == mixed
 
 
-@torch.no_grad()
-def test_samples_of_a_batch_are_independent():
-    model = tiny()
-    identity, driving = torch.rand(2, 3, 40, 3)
-    torch.testing.assert_close(model(identity, driving)[1:2], model(identity[1:2], driving[1:2]), atol=1e-5, rtol=1e-5)
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_instance_norm_is_equations_1_and_2(dtype):
     h = torch.randn(5, 2, 30, dtype=dtype)
@@ -104,14 +96,6 @@ def test_every_weight_has_a_gradient():
         silent = [n for n, p in model.named_parameters() if p.grad is None or not p.grad.abs().any()]
         # A bias before InstanceNorm cannot matter; everything else must.
         assert all(name.endswith("bias") for name in silent), silent
-
-
-def test_output_range_is_that_of_the_activation():
-    for output, bound in (("tanh", 1.0), ("2tanh", 2.0)):
-        model = tiny(output=output)
-        with torch.no_grad():
-            model.head.bias.fill_(50.0)
-            np.testing.assert_allclose(model(*torch.rand(2, 1, 6, 3)).numpy(), bound, rtol=1e-3)
 
 
 @pytest.mark.slow

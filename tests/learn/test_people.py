@@ -1,10 +1,8 @@
 """People, poses and vertices for training: normalisation of subsets, even coverage of the body."""
 
-import numpy as np
 import torch
 
 from mimesh.learn.data import endless
-from mimesh.learn.data.bodies import extreme_vertices
 from mimesh.learn.data.people import BodySampler
 from mimesh.learn.npt import NPTData, PairSource
 from mimesh.learn.task import STEPS_AHEAD, BatchesAhead, shipped_body
@@ -40,12 +38,6 @@ def test_wide_meshes_may_be_as_dense_as_their_area():
     hands = torch.from_numpy(body.weights[:, of_hands].sum(1) > 0.5)
     share = hands[drawn].float().mean(dim=1)
     assert share.quantile(0.9) > 1.5 * share.quantile(0.1) > 0
-
-
-def test_extreme_vertices_are_few():
-    found = extreme_vertices(shipped_body(), poses=20)
-    assert 20 < len(found) < 600
-    np.testing.assert_array_equal(found, np.unique(found))
 
 
 def test_tumbling_rotates_a_share_of_driving_meshes_and_changes_nothing_else():

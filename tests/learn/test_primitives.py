@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
-
 from mimesh.bodies import load_body
 from mimesh.learn.data.primitives import SHAPES, primitive_person, sample_primitive
 
@@ -35,14 +33,7 @@ def test_points_fill_the_box_and_lie_on_the_surface(shape):
         assert (points * normals).sum(axis=1).min() > -1e-9
 
 
-def test_a_box_has_points_by_area():
-    points, _ = sample_primitive("box", HALF, 20_000, np.random.default_rng(0))
-    share = (np.abs(points[:, 1]) > 2 - 1e-9).mean()
-    areas = np.array([HALF[1] * HALF[2], HALF[0] * HALF[2], HALF[0] * HALF[1]])
-    assert abs(share - areas[1] / areas.sum()) < 0.01
-
-
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_people_have_weights_of_their_own_joints_only(seed):
     person = primitive_person(BODY, np.random.default_rng(seed))
     np.testing.assert_allclose(person.weights.sum(axis=1), 1)
@@ -57,13 +48,6 @@ def test_people_have_weights_of_their_own_joints_only(seed):
             bone = person.joints[[BODY.joint(side + name), BODY.joint(side + tail)]]
             assert sign * (own[:, 0].mean() - person.joints[0, 0]) > 0
             assert np.linalg.norm(np.median(own, axis=0) - bone.mean(axis=0)) < 0.3
-
-
-def test_people_differ():
-    one, other = (primitive_person(BODY, np.random.default_rng(seed)) for seed in (0, 1))
-    assert not np.allclose(one.points, other.points)
-    again = primitive_person(BODY, np.random.default_rng(0))
-    np.testing.assert_array_equal(one.points, again.points)
 
 
 def test_figures_of_blocks_are_boxes_with_short_limbs():

@@ -63,28 +63,14 @@ def test_more_processes_than_devices_are_refused(monkeypatch):
         pass
 
 
-def launch(folder, config, *more, count=2):
-    """Train by torchrun, as the docs say."""
-    (folder / "tiny.yaml").write_text(json.dumps(dataclasses.asdict(config)))
-    command = [
-        sys.executable,
-        "-m",
-        "torch.distributed.run",
-        "--standalone",
-        f"--nproc-per-node={count}",
-        "-m",
-        "mimesh",
-    ]
-    command += ["train", "npt", "--config", str(folder / "tiny.yaml"), "-o", str(folder / "shared"), *more]
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("optimizer", ["adam", "muon"])
-def test_two_processes_take_the_steps_of_one(tmp_path, optimizer):
-    config = dataclasses.replace(PARTS, optimizer=optimizer)
-    done = launch(tmp_path, dataclasses.replace(config, accumulate=1))
+def test_two_processes_take_the_steps_of_one(tmp_path):
+    config = dataclasses.replace(PARTS, optimizer="muon")  # which leaves some weights to Adam
+    (tmp_path / "tiny.yaml").write_text(json.dumps(dataclasses.asdict(dataclasses.replace(config, accumulate=1))))
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "-m", "mimesh"]
+    command += ["train", "npt", "--config", str(tmp_path / "tiny.yaml"), "-o", str(tmp_path / "shared")]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     shared, alone = tmp_path / "shared", train(config, tmp_path / "alone")
     states = [checkpoint.load(folder / "last.safetensors") for folder in (shared, alone)]
@@ -98,13 +84,6 @@ def test_two_processes_take_the_steps_of_one(tmp_path, optimizer):
     assert done.stdout.count("last.safetensors") == 1
 
 
-@pytest.mark.slow
-def test_a_batch_that_two_processes_cannot_share_is_refused(tmp_path):
-    done = launch(tmp_path, dataclasses.replace(PARTS, accumulate=4))
-    assert done.returncode != 0
-    assert "batch: expected a multiple of 8 (most parts of a batch x processes), found 4" in done.stderr
-
-
 def test_accumulation_may_begin_where_a_training_is_resumed(tmp_path):
     whole = TrainingRun.start(dataclasses.replace(PARTS, accumulate=1), tmp_path)
     whole.advance()
@@ -114,7 +93,9 @@ def test_accumulation_may_begin_where_a_training_is_resumed(tmp_path):
         "accumulate": 2,
         "was": {"accumulate": 1},
     }
-    with pytest.raises(InputError, match="expected a multiple of 3"):
+    with pytest.raises(
+        InputError, match=r"batch: expected a multiple of 3 \(most parts of a batch x processes\), found 4"
+    ):
         TrainingRun.start(dataclasses.replace(PARTS, accumulate=3), tmp_path)
 
 

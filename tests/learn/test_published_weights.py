@@ -76,26 +76,13 @@ def test_imported_network_moves_meshes(imported, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_card_says_what_was_imported(imported, weights):
+def test_card_and_json_say_which_network_was_imported(imported):
     card = json.loads(imported.with_suffix(".json").read_text())
-    assert card["imported"]["kind"] == "npt"
-    assert card["imported"]["file"] == "original_169.model"
-    assert card["parameters"] == NPT_PARAMETERS
-    assert card["config"]["model"]["output"] == "2tanh"
+    assert (card["imported"]["kind"], card["imported"]["file"]) == ("npt", "original_169.model")
+    assert (card["parameters"], card["config"]["model"]["output"]) == (NPT_PARAMETERS, "2tanh")
     assert len(card["imported"]["sha256"]) == 64
-
-
-@pytest.mark.slow
-def test_json_says_which_network_it_is(imported):
-    printed = json.loads(imported.with_name("printed.json").read_text())
-    assert printed == {
-        "output": str(imported),
-        "vertices": 0,
-        "bytes": imported.stat().st_size,
-        "kind": "npt",
-        "parameters": NPT_PARAMETERS,
-        "unused": [],
-    }
+    facts = {"vertices": 0, "bytes": imported.stat().st_size, "kind": "npt", "parameters": NPT_PARAMETERS, "unused": []}
+    assert json.loads(imported.with_name("printed.json").read_text()) == {"output": str(imported), **facts}
 
 
 @pytest.mark.slow
@@ -191,7 +178,7 @@ def test_damaged_weights_are_refused_or_read(tmp_path):
     for new in (True, False):
         torch.save({"a.weight": torch.rand(3, 2), "b": torch.rand(4)}, path, _use_new_zipfile_serialization=new)
         whole = np.frombuffer(path.read_bytes(), np.uint8)
-        for k in range(150):
+        for k in range(60):
             damaged = whole[: rng.integers(len(whole))].copy() if k % 4 == 0 else whole.copy()
             if len(damaged):
                 damaged[rng.integers(min(len(damaged), 900), size=3)] = rng.integers(256, size=3)
@@ -200,7 +187,7 @@ def test_damaged_weights_are_refused_or_read(tmp_path):
                 read_state(path)
             except InputError:
                 refused += 1
-    assert refused > 150
+    assert refused > 60
 
 
 @pytest.mark.parametrize(

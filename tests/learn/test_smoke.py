@@ -1,4 +1,4 @@
-"""Overfitting one pair: the error falls a hundredfold in seconds, or something is broken."""
+"""Overfitting one pair: the error falls thirtyfold in seconds, or something is broken."""
 
 import torch
 
@@ -13,26 +13,26 @@ def test_npt_overfits_one_pair():
     model = NPT(NPTConfig(encoder=(32, 64, 128), decoder=(131, 64, 32)))
     optimizer = torch.optim.Adam(model.parameters(), lr=3e-3)
     errors = []
-    for _ in range(250):
+    for _ in range(150):
         optimizer.zero_grad()
         result = model(batch.identity, batch.driving)
         npt_loss(result, batch.truth, batch.edges, edges_of_mesh=batch.edges_of_mesh).backward()
         optimizer.step()
         errors.append(float((result - batch.truth).detach().square().sum(-1).mean()))
-    assert errors[-1] < errors[0] / 100
+    assert errors[-1] < errors[0] / 30
 
 
 def test_mime_overfits_one_pair():
     body = shipped_body()
-    batch = SurfaceSource(MimeData("wide", 128, "identity"), body, torch.device("cpu"), seed=0).batch(1, 0)
+    batch = SurfaceSource(MimeData("wide", 64, "identity"), body, torch.device("cpu"), seed=0).batch(1, 0)
     torch.manual_seed(0)
     model = MimeNetwork(MimeConfig(width=32, latents=8, blocks=2, near=16, local=16, skinning=16), body)
     optimizer = torch.optim.Adam(model.parameters(), lr=5e-3)
     losses = []
-    for _ in range(200):
+    for _ in range(90):
         optimizer.zero_grad()
         loss = mime_loss(model, batch, MimeLossConfig(weights=0.0))
         loss.backward()
         optimizer.step()
         losses.append(float(loss.detach()))
-    assert losses[-1] < losses[0] / 100
+    assert losses[-1] < losses[0] / 30

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matrix import matrix
 
 from mimesh.bodies import load_body
 from mimesh.core.mesh import Mesh
@@ -61,38 +62,27 @@ def test_whole_person_has_no_note():
     assert notes(BODY.mesh()) == ""
 
 
-@pytest.mark.parametrize(
-    ("mesh", "reason"),
-    [
-        (
-            part_of_body(BODY.vertices[:, 1] > np.median(BODY.vertices[:, 1])),
-            "no whole left leg and no whole right leg",
-        ),
-        (part_of_body(~limb("Neck1")), "no whole head"),
-        (part_of_body(~limb("LeftShoulder")), "no whole left arm"),
-    ],
-    ids=["upper half", "headless", "one arm"],
-)
-def test_note_names_the_reason(mesh, reason):
-    note = notes(mesh)
+REASONS = {
+    "upper half": (BODY.vertices[:, 1] > np.median(BODY.vertices[:, 1]), "no whole left leg and no whole right leg"),
+    "headless": (~limb("Neck1"), "no whole head"),
+    "one arm": (~limb("LeftShoulder"), "no whole left arm"),
+}
+
+
+@matrix("name", REASONS, quick=["one arm"])
+def test_note_names_the_reason(name):
+    kept, reason = REASONS[name]
+    note = notes(part_of_body(kept))
     # The upper half is as near to no person at all as to an incomplete one (1.15, limit 1.1): rounding decides.
     assert "limbs were not found with certainty" in note or "does not look like a person" in note
     assert reason in note
 
 
+@pytest.mark.slow
 def test_a_chair_does_not_look_like_a_person():
     note = notes(chair())
     assert "chair does not look like a person, as far as can be told" in note
     assert "belongs to no limb in particular" in note
-
-
-def test_note_lists_every_reason():
-    limbs = {"head": 0.0, "left arm": 0.1, "right arm": 0.0, "left leg": 0.2, "right leg": 0.2}
-    (note,) = Confidence(40.0, 2.0, limbs).notes("thing")
-    assert "40 degrees" in note
-    assert "no limb in particular" in note
-    assert "no whole head and no whole right arm" in note
-    assert Confidence(2.0, 0.5, {"head": 0.1}).notes("person") == ()
 
 
 def fitted(**figures):
@@ -175,6 +165,7 @@ def test_confidence_is_a_half_at_the_threshold_of_the_note():
     assert not all(noted)
 
 
+@pytest.mark.slow
 def test_missing_forearms_are_noted_and_holes_are_not():
     noise = PROTOCOLS["noise"]
     for kind, expected in (("holes", ()), ("half", ()), ("cropped", ("certainty",))):
@@ -184,6 +175,7 @@ def test_missing_forearms_are_noted_and_holes_are_not():
         assert bool(expected) == ("certainty" in notes)
 
 
+@pytest.mark.slow
 def test_sparse_point_cloud_of_a_person_has_no_note():
     points = np.random.default_rng(0).permutation(BODY.vertices)[:300]
     notes = " ".join(transfer(BODY.mesh(), Mesh(points, np.zeros((0, 3), int), name="cloud"), **AXES).notes)
@@ -268,3 +260,12 @@ def test_a_note_says_that_a_mesh_without_surface_for_several_limbs_may_be_someth
     lacks = fitted(fit_angle=8.0, prediction_spread=40.0, unmatched_body=unmatched, unmatched_surface=0.1)
     assert lacks.expected_error < DOUBTFUL_ERROR
     assert ("may not be a person" in " ".join(lacks.notes("it"))) == doubted
+
+
+def test_note_lists_every_reason():
+    limbs = {"head": 0.0, "left arm": 0.1, "right arm": 0.0, "left leg": 0.2, "right leg": 0.2}
+    (note,) = Confidence(40.0, 2.0, limbs).notes("thing")
+    assert "40 degrees" in note
+    assert "no limb in particular" in note
+    assert "no whole head and no whole right arm" in note
+    assert Confidence(2.0, 0.5, {"head": 0.1}).notes("person") == ()

@@ -7,20 +7,21 @@ import functools
 
 import numpy as np
 import pytest
+from matrix import matrix
 from networks import write_mime_network, write_network, write_sequence_network
 from people import person, walk
 
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
-from mimesh.core.normalization import ROTATIONS
+from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.methods.aniformer import OVERLAP
-from mimesh.methods.find import MODELS, find_method
+from mimesh.methods.find import find_method
 from mimesh.pipeline import animate, transfer
 
 IDENTITY = person(0)
 SAME_COUNT = person(1, pose=0)
 FEWER, MORE = person(1, pose=1, faces=600), person(2, pose=2, faces=1500)
 SLOW = ("skeleton", "deformation-transfer")
-"""Methods that take seconds a mesh: tested with some of the changes; test_skeleton.py has more for `skeleton`."""
+"""Methods that take seconds a mesh."""
 WINDOW = 3
 """Frames in a window of the sequence network, which it reads before it yields the first result."""
 
@@ -89,13 +90,18 @@ def changed(mesh: Mesh, rotation=ROTATIONS[0], scale=1.0, shift=(0.0, 0.0, 0.0))
     return dataclasses.replace(mesh, vertices=mesh.vertices @ rotation.T * scale + shift)
 
 
-CHANGES = [dict(shift=(3.0, -7.0, 0.1)), dict(scale=4.0), dict(scale=0.01), dict(scale=3.7, shift=(100.0, 2.0, -5.0))]
-CHANGES += [dict(rotation=rotation) for rotation in ROTATIONS]
-
-
-def skip_most_if_slow(model, number):
-    if model in SLOW and number not in (3, 17):
-        pytest.skip("takes seconds a mesh: tested with two changes only")
+CHANGES = {f"{up}{front}": dict(rotation=turn) for (up, front), turn in zip(ORIENTATIONS, ROTATIONS, strict=True)}
+CHANGES |= {"far": dict(shift=(3.0, -7.0, 0.1)), "large": dict(scale=4.0), "small": dict(scale=0.01)}
+CHANGES["moved"] = dict(scale=3.7, shift=(100.0, 2.0, -5.0))
+SAMPLE = ("moved", "+y-x", "+z-y", "-x+z")
+"""A turn about the vertical, one of files with z up, and one that lies: all methods share the code that undoes them,
+which tests/core/test_normalization.py and test_heading.py prove; one method is tested with all changes."""
+CASES = [(model, change) for model in FAST for change in (CHANGES if model == "per_vertex" else SAMPLE)]
+CASES += [(model, change) for model in SLOW for change in SAMPLE[:2]]
+QUICK = [(model, change) for model, change in CASES if change in SAMPLE and model != "skeleton"]
+CHANGED = pytest.mark.parametrize(
+    ("model", "change"), matrix(("model", "change"), CASES, quick=QUICK).args[1], indirect=["model"]
+)
 
 
 def skip_copy(model):
@@ -107,21 +113,18 @@ def size(mesh: Mesh) -> float:
     return float(np.ptp(mesh.vertices, axis=0).max())
 
 
-@pytest.mark.parametrize("number", range(len(CHANGES)))
-def test_moved_identity_moves_the_result(model, number):
-    skip_most_if_slow(model, number)
-    expected = changed(dataclasses.replace(IDENTITY, vertices=unchanged(model)[0]), **CHANGES[number])
-    identity = changed(IDENTITY, **CHANGES[number])
+@CHANGED
+def test_moved_identity_moves_the_result(model, change):
+    expected = changed(dataclasses.replace(IDENTITY, vertices=unchanged(model)[0]), **CHANGES[change])
+    identity = changed(IDENTITY, **CHANGES[change])
     result = trials(model)[0].move(model, identity)
     assert np.allclose(result, expected.vertices, rtol=0, atol=2e-6 * size(identity))
 
 
-@pytest.mark.parametrize("number", range(len(CHANGES)))
-def test_moved_driving_does_not_change_the_result(model, number):
-    skip_most_if_slow(model, number)
-    for trial, expected in zip(trials(model), unchanged(model), strict=True):
-        result = trial.changed(**CHANGES[number]).move(model)
-        assert np.allclose(result, expected, rtol=0, atol=2e-6 * size(IDENTITY))
+@CHANGED
+def test_moved_driving_does_not_change_the_result(model, change):
+    result = trials(model)[-1].changed(**CHANGES[change]).move(model)
+    assert np.allclose(result, unchanged(model)[-1], rtol=0, atol=2e-6 * size(IDENTITY))
 
 
 def test_permuted_identity_permutes_the_result(model):
@@ -185,7 +188,3 @@ def test_frames_are_read_one_at_a_time(model):
     for t, vertices in enumerate(drive(frames())):
         assert len(read) <= t + 1 + ahead
         assert vertices.shape == IDENTITY.vertices.shape
-
-
-def test_copy_is_among_the_models():
-    assert "copy" in MODELS

@@ -23,7 +23,6 @@ from mimesh.methods.correspondence import (
     quarter_turn,
     register,
     registration_terms,
-    scale_onto,
     vertex_pairs,
     well_shaped_faces,
 )
@@ -58,27 +57,12 @@ def test_registration_terms_are_the_papers_energies(make):
     assert np.isclose(np.square(smoothness @ x).sum(), expected)
 
 
-@pytest.mark.parametrize("make", SURFACES)
-def test_one_affine_map_has_no_smoothness_energy(make):
-    mesh, affine = make(), np.random.default_rng(1).normal(size=(3, 3))
-    smoothness, identity_maps = registration_terms(mesh.vertices, mesh.faces)
-    normals = face_normals(mesh.vertices, mesh.faces)
-    x = unknowns(mesh, mesh.vertices @ affine.T + 5, normals @ affine.T)
-    assert np.allclose(smoothness @ x, 0, atol=1e-12)
-    assert np.allclose((identity_maps @ x).reshape(-1, 3, 3), affine.T)
-
-
 @pytest.mark.parametrize("make", [zoo.tetrahedron, zoo.cube, zoo.grid, zoo.two_parts])
 def test_faces_at_edges_are_those_that_share_two_vertices(make):
     faces = make().faces
     found = {tuple(sorted(pair)) for pair in faces_at_edges(faces).tolist()}
     naive = {(i, j) for i in range(len(faces)) for j in range(i + 1, len(faces)) if len({*faces[i]} & {*faces[j]}) == 2}
     assert found == naive
-
-
-def test_three_faces_at_one_edge_give_two_pairs():
-    faces = np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]])
-    assert faces_at_edges(faces).tolist() == [[0, 1], [1, 2]]
 
 
 def test_solve_with_markers_is_the_dense_least_squares(monkeypatch):
@@ -209,14 +193,6 @@ def test_quarter_turn_is_found_exactly(degrees):
     assert np.array_equal(quarter_turn((other.vertices @ turn.T)[order], mesh.vertices[order]), found)
 
 
-def test_smallest_of_equally_good_turns_is_taken():
-    ring = np.array([[1, 0, 0], [0, 0, 1], [-1, 0, 0], [0, 0, -1.0]])
-    for points in (ring * [0, 1, 0], ring * [1, 1, 0] + [0, 1, 0]):
-        assert np.array_equal(quarter_turn(points, ring[[0, 0, 2, 2]] * [0, 1, 0]), np.eye(3))
-    middle = ring + ring[[1, 2, 3, 0]]  # as near to the ring as it stands and a quarter further
-    assert np.array_equal(quarter_turn(middle, ring), np.eye(3))
-
-
 def test_component_with_slivers_and_no_marker_stays(monkeypatch):
     monkeypatch.setattr(correspondence, "CLOSEST_WEIGHTS", ())
     sheet, small = zoo.grid(5), zoo.grid(4)
@@ -245,11 +221,6 @@ def test_matches_by_index_are_the_faces_themselves():
     assert 1 <= np.sum((identity_corners != reference_corners).any(axis=1)) < 10
 
 
-def test_scale_onto_undoes_scaling_and_shift():
-    cube = zoo.cube().vertices
-    assert np.allclose(scale_onto(cube * 7 + [1, 2, 3], cube[:4] * 7 + [1, 2, 3], cube[:4]), cube)
-
-
 def test_canonical_faces_do_not_depend_on_order_or_first_corner():
     mesh, rng = zoo.cube(), np.random.default_rng(0)
     rank = rng.permutation(8)
@@ -257,11 +228,6 @@ def test_canonical_faces_do_not_depend_on_order_or_first_corner():
     expected = canonical_faces(mesh.faces, rank)
     assert np.array_equal(canonical_faces(turned, rank), expected)
     assert (rank[expected].argmin(axis=1) == 0).all()
-
-
-def test_later_rank_breaks_ties_of_canonical_faces():
-    faces, doubled = np.array([[3, 4, 5], [0, 1, 2]]), np.array([0, 1, 2, 0, 1, 2])
-    assert canonical_faces(faces, doubled, np.arange(6)).tolist() == [[0, 1, 2], [3, 4, 5]]
 
 
 def test_thin_faces_are_left_out():
@@ -284,3 +250,11 @@ def test_unusable_markers_are_refused(markers, message):
     cube = zoo.cube()
     with pytest.raises(InputError, match=message):
         vertex_pairs(cube, cube, np.array(markers))
+
+
+def test_smallest_of_equally_good_turns_is_taken():
+    ring = np.array([[1, 0, 0], [0, 0, 1], [-1, 0, 0], [0, 0, -1.0]])
+    for points in (ring * [0, 1, 0], ring * [1, 1, 0] + [0, 1, 0]):
+        assert np.array_equal(quarter_turn(points, ring[[0, 0, 2, 2]] * [0, 1, 0]), np.eye(3))
+    middle = ring + ring[[1, 2, 3, 0]]  # as near to the ring as it stands and a quarter further
+    assert np.array_equal(quarter_turn(middle, ring), np.eye(3))

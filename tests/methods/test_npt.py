@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matrix import matrix
 from networks import write_network, write_sequence_network
 from people import person, split_everywhere, walk
 from zoo import point_cloud, two_parts
@@ -19,7 +20,7 @@ from mimesh.core.surface_points import padded_vertices
 from mimesh.evaluate.measure import placed_shapes
 from mimesh.evaluate.run import evaluate_command
 from mimesh.methods.find import SHIPPED_NETWORKS, find_method
-from mimesh.methods.npt import POOLED_POINTS, PatchDistances
+from mimesh.methods.npt import PatchDistances
 from mimesh.methods.onnx_models import load_network
 from mimesh.pipeline import animate, transfer
 
@@ -35,12 +36,6 @@ def test_seams_stay_closed_and_do_not_matter(network):
     whole, split = person(0), split_everywhere(person(0))
     expected = transfer(whole, person(1, 0), network).vertices[whole.faces.ravel()]
     assert np.allclose(transfer(split, person(1, 0), network).vertices, expected, atol=1e-6)
-
-
-def test_split_driving_vertices_do_not_matter(network):
-    driving = person(1, 0, faces=600)
-    expected = transfer(person(0), driving, network).vertices
-    assert np.allclose(transfer(person(0), split_everywhere(driving), network).vertices, expected, atol=1e-6)
 
 
 def test_pooled_pose_hardly_depends_on_the_driving_triangulation(tmp_path):
@@ -118,12 +113,6 @@ def test_point_clouds_and_several_components_are_moved(tmp_path, pose_code):
         assert np.isfinite(result.vertices).all()
 
 
-def test_dense_driving_is_subsampled_for_a_pooling_network(tmp_path):
-    network = str(write_network(tmp_path / "n.onnx", "global_max"))
-    dense = Mesh(np.random.default_rng(0).normal(size=(POOLED_POINTS + 500, 3)), np.zeros((0, 3), int))
-    assert transfer(person(0), dense, network).vertices.shape == person(0).vertices.shape
-
-
 def test_order_of_coincident_driving_vertices_does_not_matter():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [1, 0, 0]], float)
     later = np.array([[0, 0, 0], [1, 0.1, 0], [1, 0.2, 0], [1, 0.7, 0]])
@@ -148,20 +137,12 @@ def test_collapsed_frame_is_refused(network):
         animate(person(0), Clip(clip.mesh, vertices, clip.fps), network)
 
 
-def test_missing_file_is_refused(tmp_path):
-    with pytest.raises(InputError, match="found no file"):
-        find_method(str(tmp_path / "none.onnx"))
-
-
-def test_file_that_is_no_network_is_refused(tmp_path):
+def test_files_that_are_no_networks_of_ours_are_refused(tmp_path):
     (tmp_path / "text.onnx").write_text("hello")
-    with pytest.raises(InputError, match="ONNX format"):
-        find_method(str(tmp_path / "text.onnx"))
-
-
-def test_network_without_metadata_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no such metadata"):
-        find_method(str(write_network(tmp_path / "other.onnx", metadata=False)))
+    write_network(tmp_path / "other.onnx", metadata=False)
+    for name, message in (("none", "found no file"), ("text", "ONNX format"), ("other", "no such metadata")):
+        with pytest.raises(InputError, match=message):
+            find_method(str(tmp_path / f"{name}.onnx"))
 
 
 @pytest.mark.parametrize("key", ["pose_code", "target_scale"])
@@ -174,7 +155,7 @@ def test_unknown_metadata_is_refused(tmp_path, key):
         find_method(str(tmp_path / "odd.onnx"))
 
 
-@pytest.mark.parametrize("name", sorted(SHIPPED_NETWORKS))
+@matrix("name", sorted(SHIPPED_NETWORKS), quick=["npt"])
 def test_axes_unit_and_position_of_the_driving_do_not_matter(name):
     identity, driving = person(0, faces=400), person(1, 0, faces=300)
     turned = Mesh(driving.vertices @ ROTATIONS[5].T * 3 + 1, driving.faces)
@@ -183,12 +164,9 @@ def test_axes_unit_and_position_of_the_driving_do_not_matter(name):
     assert np.allclose(transfer(identity, turned, name).vertices, expected, atol=1e-4)
 
 
-def test_unknown_model_lists_the_known_ones():
+def test_unknown_models_and_ensembles_below_one_are_refused():
     with pytest.raises(InputError, match=r"copy, .*npt, npt-maxpool"):
         find_method("mimic")
-
-
-def test_ensemble_below_one_is_refused():
     with pytest.raises(InputError, match="--ensemble"):
         find_method("copy", ensemble=0)
 

@@ -166,6 +166,7 @@ def test_body_pairs_are_near_the_true_places_on_meshes_of_other_faces_and_on_poi
         assert error.mean() < 0.1 * np.linalg.norm(points[::-1] - true.vertices, axis=1).mean()
 
 
+@pytest.mark.slow
 def test_body_pairs_do_not_depend_on_the_order_of_either_mesh(ordered):
     identity, driving = person(0), person(1, 0, faces=600)
     expected = moved(identity, driving, ordered, pairing="body")
@@ -177,6 +178,7 @@ def test_body_pairs_do_not_depend_on_the_order_of_either_mesh(ordered):
     assert np.array_equal(result, expected[order])
 
 
+@pytest.mark.slow
 def test_body_pairs_do_not_depend_on_the_axes_of_the_files(ordered):
     identity, driving = person(0), person(1, 0, faces=600)
     expected = moved(identity, driving, ordered, pairing="body")
@@ -186,6 +188,7 @@ def test_body_pairs_do_not_depend_on_the_axes_of_the_files(ordered):
     assert np.allclose(transfer(identity, turned, ordered, **axes, pairing="body").vertices, expected, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_body_pairs_keep_seams_closed(ordered):
     whole, driving = person(0), person(1, 0, faces=600)
     expected = moved(whole, driving, ordered, pairing="body")[whole.faces.ravel()]
@@ -193,6 +196,7 @@ def test_body_pairs_keep_seams_closed(ordered):
     assert np.allclose(result, expected, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_body_pairs_of_a_clip_are_those_of_its_first_frame(ordered):
     clip, identity = walk(frames=4, faces=600), person(0)
     result = animate(identity, clip, ordered, **AXES, pairing="body")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matrix import matrix
 from motion_files import OURS, PARENTS, Z_UP, write_amass
 
 from mimesh.bodies import load_body
@@ -40,7 +41,7 @@ def test_joints_and_parents_are_those_of_the_format():
 
 
 @pytest.mark.parametrize("axes", [Z_UP, np.eye(3)], ids=["z-up", "y-up"])
-@pytest.mark.parametrize("joints", [22, 24, 52, 55])
+@matrix("joints", [22, 24, 52, 55], quick=[22, 55])
 def test_limbs_have_the_directions_of_the_rotated_bones_of_a_t_pose(axes, joints, body, motion, tmp_path):
     path = write_amass(tmp_path / "a.npz", body, motion, axes, joints, mocap_framerate=120.0, betas=np.ones(16))
     loaded, world = motion_of_file(path), joint_tracks(body, motion)[0]

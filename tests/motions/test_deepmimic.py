@@ -14,7 +14,7 @@ from mimesh.motions.retarget import BONES
 
 AXES = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
 """Rotation from x front, y up, z right (the files) to x left, y up, z front."""
-ROOT, CHEST, LEFT_SHOULDER, LEFT_KNEE, LEFT_ELBOW = 4, 8, 39, 34, 43
+ROOT, LEFT_SHOULDER, LEFT_KNEE, LEFT_ELBOW = 4, 39, 34, 43
 
 
 @pytest.fixture(scope="module")
@@ -85,21 +85,6 @@ def test_limb_directions_and_trunk_rotations_are_kept(body, tmp_path):
         np.testing.assert_allclose(world[:, body.joint(joint)], expected, atol=1e-9)
 
 
-def test_world_rotations_agree_with_products_of_the_quaternions(tmp_path):
-    """The upper spine has the whole rotation of the chest, and the arm's rotation follows it."""
-    from scipy.spatial.transform import Rotation
-
-    rows = swaying_rows(3, frames=5)
-    source = read_deepmimic(write_rows(tmp_path / "a.txt", rows))
-    world = source.world()[0]
-    root, chest, shoulder = (
-        Rotation.from_quat(rows[:, [k + 1, k + 2, k + 3, k]]) for k in (ROOT, CHEST, LEFT_SHOULDER)
-    )
-    elbow = Rotation.from_rotvec(rows[:, [LEFT_ELBOW]] * [0.0, 0.0, 1.0])
-    expected = (root * chest * shoulder * elbow).as_matrix()
-    np.testing.assert_allclose(world[:, source.joint_names.index("LeftForeArm")], expected, atol=1e-9)
-
-
 def test_frames_of_unequal_duration_are_resampled_at_one_rate(tmp_path):
     rows = swaying_rows(1, frames=20)
     gap = np.delete(rows, 7, axis=0)
@@ -110,12 +95,6 @@ def test_frames_of_unequal_duration_are_resampled_at_one_rate(tmp_path):
     np.testing.assert_allclose(np.delete(filled.rotmat, 7, 0), np.delete(whole.rotmat, 7, 0), atol=1e-9)
     np.testing.assert_allclose(filled.root, whole.root, atol=1e-12)
     np.testing.assert_allclose(filled.rotmat[7], whole.rotmat[7], atol=0.02)
-
-
-def test_the_last_frame_may_have_no_duration(tmp_path):
-    rows = still_rows()
-    rows[-1, 0] = 0.0
-    assert read_deepmimic(write_rows(tmp_path / "a.txt", rows)).fps == pytest.approx(30)
 
 
 def damaged_rows(column: int | slice, value: float):
@@ -170,3 +149,9 @@ def test_the_folder_is_the_given_one_or_that_of_pybullet(tmp_path, monkeypatch):
     (package / "__init__.py").write_text("raise RuntimeError('nobody imports it')")
     monkeypatch.syspath_prepend(tmp_path / "site")
     assert deepmimic_folder() == package / "data" / "motions"
+
+
+def test_the_last_frame_may_have_no_duration(tmp_path):
+    rows = still_rows()
+    rows[-1, 0] = 0.0
+    assert read_deepmimic(write_rows(tmp_path / "a.txt", rows)).fps == pytest.approx(30)

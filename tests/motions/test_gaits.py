@@ -3,13 +3,16 @@
 import numpy as np
 import pytest
 from animals import BODY
+from matrix import matrix
 
 from mimesh.bodies.quadruped import LIMITS
 from mimesh.bodies.sampling import limits_rotvec
 from mimesh.motions.gaits import GAITS, LEGS, POSTURES, gait_motion, posture_motion, quadruped_poses, swing
 from mimesh.motions.motion import Motion, rotmat_to_rotvec
 
+QUICK = ("walk", "bound", "sit")
 MADE = [(gait_motion, name) for name in GAITS] + [(posture_motion, name) for name in POSTURES]
+EACH = matrix(("make", "name"), MADE, quick=lambda case: case[1] in QUICK)
 LAST = {"Hind": "Toes", "Front": "Fingers"}
 NEAR = 0.03
 """Height (metres) below which a foot is on the ground: it rolls, and the spine moves the hips up and down."""
@@ -29,7 +32,7 @@ def foot_heights(motion: Motion) -> dict[str, np.ndarray]:
     return heights
 
 
-@pytest.mark.parametrize(("make", "name"), MADE)
+@EACH
 def test_motions_are_pure_functions_of_seed_and_number(make, name):
     one, again = make(BODY, name, 1, 3), make(BODY, name, 1, 3)
     np.testing.assert_array_equal(one.rotmat, again.rotmat)
@@ -38,17 +41,8 @@ def test_motions_are_pure_functions_of_seed_and_number(make, name):
         assert np.abs(other.rotmat - one.rotmat).max() > 0.01
 
 
-@pytest.mark.parametrize(("make", "name"), MADE)
-def test_motions_are_finite_rotations_of_the_length_asked_for(make, name):
-    motion = make(BODY, name, 0, 0, seconds=1.5, fps=20.0)
-    assert motion.rotmat.shape == (30, len(BODY.parents), 3, 3)
-    assert motion.joint_names == BODY.joint_names
-    assert np.isfinite(motion.root).all()
-    assert np.abs(motion.rotmat @ motion.rotmat.swapaxes(-1, -2) - np.eye(3)).max() < 1e-9
-
-
-@pytest.mark.parametrize(("make", "name"), MADE)
-@pytest.mark.parametrize("i", range(2))
+@EACH
+@matrix("i", range(2), quick=[0])
 def test_poses_are_roughly_within_the_limits_of_the_joints(make, name, i):
     """Postures have random turns of 3 degrees in all joints."""
     low, high = np.degrees(limits_rotvec(BODY, LIMITS))
@@ -57,12 +51,12 @@ def test_poses_are_roughly_within_the_limits_of_the_joints(make, name, i):
     assert beyond.max() < (1 if make is gait_motion else 15)
 
 
-@pytest.mark.parametrize(("make", "name"), MADE)
+@EACH
 def test_the_lowest_point_is_on_the_ground_in_every_frame(make, name):
     np.testing.assert_allclose(all_poses(make(BODY, name, 0, 1))[..., 1].min(axis=1), 0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", GAITS)
+@matrix("name", list(GAITS), quick=["trot"])
 @pytest.mark.parametrize("i", range(2))
 def test_every_foot_stands_for_its_share_of_the_cycle_and_lifts(name, i):
     for leg, height in foot_heights(gait_motion(BODY, name, 0, i, seconds=4.0)).items():
@@ -102,7 +96,7 @@ def test_a_leg_goes_back_on_the_ground_and_forward_in_the_air_without_jumps(duty
     assert (place.min(), place.max()) == pytest.approx((-1, 1), abs=0.01)
 
 
-@pytest.mark.parametrize("name", ["walk", "pace", "trot", "canter", "bound"])
+@matrix("name", ["walk", "pace", "trot", "canter", "bound"], quick=["canter"])
 def test_gaits_go_forward(name):
     for i in range(3):
         path = gait_motion(BODY, name, 0, i).root
@@ -122,6 +116,7 @@ def test_postures_are_what_they_are_called():
     assert height["lie"][1] < 0.85 * height["lie"][0]
 
 
+@pytest.mark.slow
 def test_splits_have_other_poses():
     train, val, test = (quadruped_poses(BODY, split) for split in ("train", "val", "test"))
     assert train.shape == val.shape == test.shape == (len(train), len(BODY.parents), 3)

@@ -5,18 +5,18 @@ import dataclasses
 import numpy as np
 import pytest
 from foreign_names import SCHEMES, renamed
+from matrix import matrix
 from motion_files import X_FRONT, Z_UP, rest_pose, write_bvh
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
-from mimesh.core import frame_buffer
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import cut_clip
 from mimesh.core.skinning import SkinnedMesh
 from mimesh.io import load_clip, load_mesh
 from mimesh.motions import load_bvh, load_motion, motion_clip, resample, window
 from mimesh.motions.motion import joint_tracks, lowest
-from mimesh.motions.on_body import is_motion_file, motion_file_clip, motion_of_file
+from mimesh.motions.on_body import is_motion_file, motion_of_file
 from mimesh.motions.retarget import BONES, rests_standing
 from mimesh.pipeline import driving_axes
 from mimesh.tools.inspect import inspect_file
@@ -48,7 +48,7 @@ def rotation_error(body, found, expected, joint):
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
-@pytest.mark.parametrize("rest", STANDING)
+@matrix("rest", STANDING, quick=["a"])
 @pytest.mark.parametrize("axes", [None, Z_UP, X_FRONT], ids=["ours", "z-up", "x-front"])
 @pytest.mark.parametrize("scheme", ["cmu", "lafan1"])
 def test_joint_positions_do_not_depend_on_a_standing_rest_pose(rest, axes, scheme, body, motion, tmp_path):
@@ -66,7 +66,7 @@ def test_joint_positions_do_not_depend_on_a_standing_rest_pose(rest, axes, schem
     )  # the body's thigh is 5 degrees off the frontal plane
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@matrix("scheme", SCHEMES, quick=["mixamo", "lafan1"])
 def test_joint_positions_do_not_depend_on_the_names(scheme, body, motion, tmp_path):
     loaded = motion_of_file(write_bvh(tmp_path / "a.bvh", body, motion, rest="a", name=renamed(scheme), order="YXZ"))
     ends = [body.joint(joint) for joint in (*BONES, *BONES.values())]
@@ -77,7 +77,7 @@ def test_joint_positions_do_not_depend_on_the_names(scheme, body, motion, tmp_pa
     assert rotation_error(body, loaded, motion, "Head").max() < 1e-3
 
 
-@pytest.mark.parametrize("rest", ["up", "along-x"])
+@matrix("rest", ["up", "along-x"], quick=["up"])
 @pytest.mark.parametrize("axes", [None, Z_UP], ids=["ours", "z-up"])
 def test_joints_of_other_rest_poses_are_calibrated(rest, axes, body, tmp_path):
     """Limb directions are exact, rolls of limbs and the tilt of the hips correct to some degrees."""
@@ -140,13 +140,6 @@ def test_rounded_frame_times_give_whole_rates(written, rate, body, motion, tmp_p
     path = write_bvh(tmp_path / "a.bvh", body, window(motion, 0.0, 0.1))
     path.write_text(path.read_text().replace("0.0333333", written))
     assert load_bvh(path).fps == rate
-
-
-def test_frames_of_long_takes_are_stored_on_disk(body, motion, tmp_path, monkeypatch):
-    monkeypatch.setattr(frame_buffer, "LARGE", 2**20)
-    clip = motion_file_clip(write_bvh(tmp_path / "a.bvh", body, motion))
-    assert isinstance(clip.vertices, np.memmap)
-    assert clip.vertices.dtype == np.float32
 
 
 def test_frames_of_a_cut_capture_are_those_of_the_whole(body, motion, tmp_path):

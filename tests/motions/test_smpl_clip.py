@@ -7,6 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
+from matrix import matrix
 from motion_files import Z_UP
 from scipy.spatial.transform import Rotation
 from smpl_files import Ch, chumpy_modules, loop_vertices, small_arrays, smpl_arrays, write_model
@@ -220,8 +221,9 @@ def test_other_files_take_no_body_model(tmp_path, capsys):
     model = write_model(tmp_path / "m.npz", small_arrays(24, 30))
     np.savez(tmp_path / "mesh.npz", vertices=np.eye(3), faces=[[0, 1, 2]])
     (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    for name in ("mesh.npz", "mesh.obj"):
-        assert run(["convert", str(tmp_path / name), str(tmp_path / "out.npz"), "--body-model", str(model)]) == 2
+    obj, given = str(tmp_path / "mesh.obj"), ["--body-model", str(model)]
+    for words in (["convert", str(tmp_path / "mesh.npz")], ["convert", obj], ["transfer", obj, obj, "-o"]):
+        assert run([*words, str(tmp_path / "out.obj"), *given]) == 2
         assert "expected an AMASS archive" in capsys.readouterr().err
     take = write_take(tmp_path / "a.npz", **recording(24))
     assert run(["convert", str(take), str(tmp_path / "out.npz"), "--body-model", str(tmp_path / "none.pkl")]) == 2
@@ -230,7 +232,7 @@ def test_other_files_take_no_body_model(tmp_path, capsys):
     assert "expected an output apart from the inputs" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("suffix", [".pkl", ".npz"])
+@matrix("suffix", [".pkl", ".npz"], quick=[".pkl"])
 def test_a_body_model_is_a_mesh_at_rest(suffix, tmp_path, capsys):
     arrays = smpl_arrays()
     path = write_model(tmp_path / f"SMPL{suffix}", arrays)
@@ -253,6 +255,7 @@ def test_a_registration_beside_its_frames_is_no_frame(tmp_path):
     assert len(load_clip(tmp_path)) == 3
 
 
+@pytest.mark.slow
 def test_animate_drives_with_the_recorded_surface(tmp_path, capsys):
     """`copy` gives the driving's own vertices back: all distances are those of the surface, up to one scale."""
     arrays, take = smpl_arrays(), recording(24)
@@ -271,31 +274,23 @@ def test_animate_drives_with_the_recorded_surface(tmp_path, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("source", ["take.npz", "registration.pkl"])
-def test_transfer_takes_the_pose_of_the_first_recorded_frame(source, tmp_path, capsys):
+def test_transfer_takes_the_pose_of_a_registration(tmp_path, capsys):
     """`copy` gives the driving's own vertices back, in the place and size of the identity."""
     arrays, take = smpl_arrays(), recording(24)
-    model = write_model(tmp_path / "m.pkl", arrays)
-    true = surface(arrays, take, 24)[0]
-    if source == "take.npz":
-        write_take(tmp_path / source, **take)
-    else:
-        turn = Rotation.from_matrix(Z_UP).inv()
-        pose = take["poses"][0].copy()
-        pose[:3] = (turn * Rotation.from_rotvec(pose[:3])).as_rotvec()
-        entries = {"pose": pose, "betas": take["betas"], "trans": np.zeros(3)}
-        (tmp_path / source).write_bytes(pickle.dumps(entries))
+    model, source = write_model(tmp_path / "m.pkl", arrays), tmp_path / "registration.pkl"
+    pose = take["poses"][0].copy()
+    pose[:3] = (Rotation.from_matrix(Z_UP).inv() * Rotation.from_rotvec(pose[:3])).as_rotvec()
+    source.write_bytes(pickle.dumps({"pose": pose, "betas": take["betas"], "trans": np.zeros(3)}))
     assert run(["convert", str(model), str(tmp_path / "hero.obj")]) == 0
-    command = ["transfer", str(tmp_path / "hero.obj"), str(tmp_path / source), "-m", "copy", "--no-preview"]
+    command = ["transfer", str(tmp_path / "hero.obj"), str(source), "-m", "copy", "--no-preview"]
     capsys.readouterr()
     assert run([*command, "-o", str(tmp_path / "out.obj"), "--body-model", str(model), "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert any("the first 10 of 16 betas" in note for note in facts["report"]["notes"])
-    moved = load_mesh(tmp_path / "out.obj").vertices
+    notes = json.loads(capsys.readouterr().out)["report"]["notes"]
+    assert any("the first 10 of 16 betas" in note for note in notes)
+    moved, true = load_mesh(tmp_path / "out.obj").vertices, surface(arrays, take, 24)[0]
     lengths, true_lengths = (np.linalg.norm(v[1:] - v[:-1], axis=1) for v in (moved, true))
     np.testing.assert_allclose(lengths, lengths.sum() / true_lengths.sum() * true_lengths, atol=1e-4)
-    again = [*command, "-o", str(model), "--body-model", str(model)]
-    assert run(again) == 2
+    assert run([*command, "-o", str(model), "--body-model", str(model)]) == 2
     assert "expected an output apart from the inputs" in capsys.readouterr().err
 
 
@@ -310,24 +305,17 @@ def test_the_first_frame_alone_is_that_of_the_clip(tmp_path):
     assert (mesh.up, notes) == (clip.mesh.up, of_clip)
 
 
-def test_other_driving_meshes_take_no_body_model(tmp_path, capsys):
-    model = write_model(tmp_path / "m.npz", small_arrays(24, 30))
-    for name in ("hero.obj", "pose.obj"):
-        (tmp_path / name).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    words = [str(tmp_path / "hero.obj"), str(tmp_path / "pose.obj"), "--body-model", str(model)]
-    assert run(["transfer", *words, "-o", str(tmp_path / "out.obj")]) == 2
-    assert "expected an AMASS archive" in capsys.readouterr().err
+MADE_WITH = [
+    ({}, "female", "16", "120 per second"),
+    ({"gender": np.array(b"male"), "betas": np.ones((FRAMES, 10))}, "male", "10", "120 per second"),
+    ({"gender": None, "betas": None, "mocap_framerate": None}, *["not in the file"] * 3),
+    ({"gender": np.array([{}]), "betas": np.array([{}, 1])}, *["not in the file"] * 2, "120 per second"),
+    ({"gender": np.array(b"m\xff\x1b[2J")}, "m\ufffd[2J", "16", "120 per second"),
+]
 
 
-@pytest.mark.parametrize(
-    ("changes", "gender", "betas", "rate"),
-    [
-        ({}, "female", "16", "120 per second"),
-        ({"gender": np.array(b"male"), "betas": np.ones((FRAMES, 10))}, "male", "10", "120 per second"),
-        ({"gender": None, "betas": None, "mocap_framerate": None}, *["not in the file"] * 3),
-        ({"gender": np.array([{}]), "betas": np.array([{}, 1])}, *["not in the file"] * 2, "120 per second"),
-        ({"gender": np.array(b"m\xff\x1b[2J")}, "m\ufffd[2J", "16", "120 per second"),
-    ],
+@matrix(
+    ("changes", "gender", "betas", "rate"), MADE_WITH, quick=lambda case: not case[0] or "mocap_framerate" in case[0]
 )
 def test_look_shows_what_a_recording_was_made_with(changes, gender, betas, rate, tmp_path, capsys):
     arrays = {name: array for name, array in (recording(24) | changes).items() if array is not None}
@@ -373,12 +361,6 @@ def test_betas_that_are_none_are_refused(betas, message, tmp_path, monkeypatch):
     np.savez("bare.npz", trans=np.zeros((2, 3)))
     with pytest.raises(InputError, match=message):
         parse_betas(betas)
-
-
-def test_betas_without_a_body_model_are_refused(tmp_path):
-    write_take(tmp_path / "take.npz", **recording(24))
-    with pytest.raises(InputError, match="--betas 1: expected it with --body-model"):
-        convert(tmp_path / "take.npz", tmp_path / "out.npz", betas="1")
 
 
 def test_evenly_spread_frames_of_a_take_and_of_any_clip(tmp_path):

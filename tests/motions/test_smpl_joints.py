@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+from matrix import matrix
 from motion_files import OURS, PARENTS, Z_UP, write_amass
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
@@ -67,7 +68,7 @@ def distance(moved: np.ndarray, true: np.ndarray) -> float:
     return float(np.linalg.norm(moved @ turn.T - true, axis=-1).mean())
 
 
-@pytest.mark.parametrize("joints", [24, 52, 55])
+@matrix("joints", [24, 52, 55], quick=[52])
 def test_recorded_joints_are_those_of_the_motion(joints, walk, tmp_path):
     body = load_body()
     model = write_model(tmp_path / "model.npz", model_arrays(joints))
@@ -89,6 +90,7 @@ def test_recorded_joints_are_those_of_the_motion(joints, walk, tmp_path):
     np.testing.assert_allclose(cut.positions, person.positions[START:])
 
 
+@pytest.mark.slow
 def test_animate_takes_the_joints_of_the_recording(files, tmp_path, capsys):
     """The error that is left is that of the identity's joints, which are found on its surface."""
     model, take, hero = files

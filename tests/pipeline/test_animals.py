@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from animals import BODY, FEET, Animal, animal, bones, coefficients, random_turns
+from matrix import matrix
 from rigs import of_kind
 
 import mimesh
@@ -56,21 +57,21 @@ def errors(result, identity: Animal, motion, size: float = 1.0) -> np.ndarray:
     return np.linalg.norm(sideways(result.clip.vertices) - sideways(truth), axis=-1) / height
 
 
-@pytest.mark.parametrize(
-    ("identity", "driving"),
-    [
-        (other(), animal()),
-        (animal(), other()),
-        (other(detached=FEET), animal()),
-        (animal(), other(detached=FEET)),
-        (other(bones(4, ("Hips", "Head"))), animal()),
-        (animal(4, bones(2)), animal(4, bones(2))),
-        (other(bones(1)), animal(None, bones(1))),
-    ],
-    ids=["small", "large", "feet of identity", "feet of driving", "no trunk", "two bones", "one bone"],
-)
-def test_the_result_is_the_identity_in_the_pose_of_the_driving(identity, driving, tmp_path):
+PAIRS = {
+    "small": lambda: (other(), animal()),
+    "large": lambda: (animal(), other()),
+    "feet of identity": lambda: (other(detached=FEET), animal()),
+    "feet of driving": lambda: (animal(), other(detached=FEET)),
+    "no trunk": lambda: (other(bones(4, ("Hips", "Head"))), animal()),
+    "two bones": lambda: (animal(4, bones(2)), animal(4, bones(2))),
+    "one bone": lambda: (other(bones(1)), animal(None, bones(1))),
+}
+
+
+@matrix("pair", PAIRS, quick=["small", "feet of driving", "two bones"])
+def test_the_result_is_the_identity_in_the_pose_of_the_driving(pair, tmp_path):
     """Measured: up to 3e-7 of the height. The still identity is 0.2 away."""
+    identity, driving = PAIRS[pair]()
     motion = dance(set(identity.order) & set(driving.order))
     one = identity.write(tmp_path / "identity.glb")
     two = driving.write(tmp_path / "driving.glb", {"dance": motion}, spell=str)
@@ -82,7 +83,10 @@ def test_the_result_is_the_identity_in_the_pose_of_the_driving(identity, driving
     assert np.linalg.norm(still, axis=-1).mean() > 0.05 * np.ptp(identity.mesh.vertices[:, 1])
 
 
-@pytest.mark.parametrize(("count", "mean", "most"), [(3, 0.01, 0.05), (2, 0.06, 0.2), (1, 0.06, 0.2)])
+LEGS = [(3, 0.01, 0.05), (2, 0.06, 0.2), (1, 0.06, 0.2)]
+
+
+@matrix(("count", "mean", "most"), LEGS, quick=LEGS[1:2])
 def test_legs_of_fewer_bones_follow_those_of_more(count, mean, most, tmp_path):
     """Measured: 0.004, 0.034 and 0.038 of the height on average, 0.02, 0.11 and 0.09 at most.
 
@@ -97,10 +101,10 @@ def test_legs_of_fewer_bones_follow_those_of_more(count, mean, most, tmp_path):
     assert found.max() < most
 
 
-@pytest.mark.parametrize("pair", [(0, 1), (2, 3)])
-def test_bones_of_legs_and_neck_have_the_directions_of_the_driving(pair, tmp_path):
+@matrix("seeds", ["01", "23"], quick=["01"])
+def test_bones_of_legs_and_neck_have_the_directions_of_the_driving(seeds, tmp_path):
     """Of other shapes too."""
-    identity, driving = (animal(seed) for seed in pair)
+    identity, driving = (animal(int(seed)) for seed in seeds)
     motion = dance(driving.order)
     one = identity.write(tmp_path / "identity.glb", spell=str)
     two = driving.write(tmp_path / "driving.glb", {"dance": motion}, spell=str)
@@ -140,6 +144,7 @@ def test_legs_and_tail_turn_from_how_they_are_at_rest(tmp_path):
     assert errors(mimesh.animate(str(one), str(two), ground=False), identity, motion).max() < 1e-5
 
 
+@pytest.mark.slow
 def test_other_sizes_orders_of_vertices_and_axes_give_the_same_result(tmp_path):
     from scipy.spatial.transform import Rotation
 
@@ -228,15 +233,6 @@ def test_files_with_one_skeleton_are_copied(tmp_path):
     assert errors(result, made, motion).max() < 1e-3
 
 
-def test_a_single_pose_is_transferred(tmp_path):
-    identity, driving = other(), animal()
-    motion = dance(identity.order, 1) * 2
-    one = identity.write(tmp_path / "identity.glb")
-    two = driving.write(tmp_path / "driving.glb", {"pose": motion}, spell=str)
-    result = mimesh.transfer(str(one), str(two))
-    assert result.report["rig"] == "own"
-
-
 def test_a_person_and_an_animal_are_refused_with_both_names(tmp_path):
     cow = animal(0).write(tmp_path / "cow.glb", {"dance": dance(bones())})
     man = of_kind(tmp_path / "man.glb", "T-pose")[0]
@@ -250,6 +246,7 @@ def test_a_person_and_an_animal_are_refused_with_both_names(tmp_path):
         assert "--" not in str(raised.value)
 
 
+@pytest.mark.slow
 def test_animals_taken_for_people_have_no_rig_of_a_person(tmp_path):
     one = animal(0).write(tmp_path / "cow.glb")
     two = animal(1).write(tmp_path / "goat.glb", {"dance": dance(bones())}, spell=str)
@@ -281,7 +278,7 @@ def surfaces(i: int) -> Pair:
     return QUADRUPED.pair("val", "gaits", i)
 
 
-@pytest.mark.parametrize("i", range(3))
+@matrix("i", range(3), quick=[0])
 def test_animals_without_rigs_are_taken_for_animals_and_moved(i):
     """Nearer to the truth than the identity as it is, in the driving's pose and not on its head."""
     pair = surfaces(i)
@@ -289,6 +286,7 @@ def test_animals_without_rigs_are_taken_for_animals_and_moved(i):
     assert pmd_aligned(result.mesh.vertices, pair.truth) < 0.5 * pmd_aligned(pair.identity.vertices, pair.truth)
 
 
+@pytest.mark.slow
 def test_animals_without_axes_are_found_upright():
     pair = surfaces(0)
     lying = dataclasses.replace(pair.identity, vertices=pair.identity.vertices[:, [0, 2, 1]] * [1, -1, 1], up=None)
@@ -296,6 +294,7 @@ def test_animals_without_axes_are_found_upright():
     assert result.report["identity"]["up"] == "+z"
 
 
+@pytest.mark.slow
 def test_a_person_and_an_animal_without_rigs_are_refused():
     person = PROTOCOLS["human-npt"].pair("val", "seen", 0).identity
     with pytest.raises(InputError, match=r"taken for a person.*four-legged animal"):
@@ -315,6 +314,7 @@ def test_an_animal_in_a_bvh_is_refused_with_the_format_that_works(tmp_path, caps
     assert "give an animal or another creature as .glb, with its mesh" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_facing_of_an_animal_without_a_rig_is_noted_only_where_up_is_not_known():
     driving = gait_clip("dog", "walk", seconds=0.2, fps=10.0)
     known = mimesh.animate(dataclasses.replace(shipped_animal("cat"), up="+y"), driving, driving_up="+y")

@@ -10,6 +10,7 @@ import pytest
 import rigs
 from animals import FEET, Animal, animal, bones, nothing_said, random_turns
 from foreign_names import SCHEMES, renamed
+from matrix import matrix
 from motion_files import write_bvh
 from networks import write_network
 
@@ -60,7 +61,7 @@ def deviation(found: np.ndarray, expected: np.ndarray) -> float:
     return np.abs(found - expected).max() / np.ptp(expected[0], axis=0).max()
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@matrix("scheme", SCHEMES, quick=["unreal"])
 def test_bones_of_an_identity_move_as_those_of_its_file(scheme, model, driving, tmp_path):
     path = rigs.character(tmp_path / "own.glb", name=renamed(scheme), frames=3)
     expected = animate(str(path), str(driving), model)
@@ -76,7 +77,7 @@ def test_bones_of_an_identity_move_as_those_of_its_file(scheme, model, driving, 
     )
 
 
-@pytest.mark.parametrize("kind", ["feet on roots", "twists", "no toes", "A-pose"])
+@matrix("kind", ["feet on roots", "twists", "no toes", "A-pose"], quick=["feet on roots"])
 def test_bones_of_rigs_of_any_kind(kind, model, driving, tmp_path):
     path = rigs.of_kind(tmp_path / "own.glb", kind, moving=False)[0]
     expected = animate(str(path), str(driving), model)
@@ -120,7 +121,7 @@ def skeleton_of(path: Path, axes: np.ndarray, scale: float = 1.0) -> tuple[Bones
     return Bones("capture", bvh.joint_names, bvh.parents, axes @ rest), axes @ world
 
 
-@pytest.mark.parametrize("scale", [1.0, 37.0])
+@matrix("scale", [1.0, 37.0], quick=[37.0])
 def test_a_skeleton_without_a_mesh_moves_as_its_motion_file(scale, model, capture, tmp_path):
     path = rigs.of_kind(tmp_path / "own.glb", "T-pose", moving=False)[0]
     expected = animate(str(path), str(capture), model)
@@ -135,6 +136,7 @@ def test_a_skeleton_without_a_mesh_moves_as_its_motion_file(scale, model, captur
     np.testing.assert_allclose(distances[0], distances[1], atol=1e-4 * scale)
 
 
+@pytest.mark.slow
 def test_front_of_a_skeleton_without_a_mesh_can_be_given(model, capture, tmp_path):
     path = rigs.of_kind(tmp_path / "own.glb", "T-pose", moving=False)[0]
     bones, world = skeleton_of(capture, Z_UP)
@@ -199,8 +201,9 @@ def gallop(made: Animal, frames: int = 4) -> list[tuple[dict[str, np.ndarray], n
     return [(random_turns(t, made.order), np.array([0.0, 0.0, 0.05 * t])) for t in range(frames)]
 
 
-@pytest.mark.parametrize("detached", [(), FEET], ids=["whole", "feet on roots"])
-def test_bones_of_animals_move_as_those_of_their_files(detached, tmp_path):
+@matrix("name", ["whole", "feet on roots"], quick=["feet on roots"])
+def test_bones_of_animals_move_as_those_of_their_files(name, tmp_path):
+    detached = FEET if name == "feet on roots" else ()
     identity, driving = animal(0, bones(), detached), animal(1)
     motion = gallop(driving)
     own, other = identity.write(tmp_path / "own.glb"), driving.write(tmp_path / "driving.glb", {"gallop": motion})

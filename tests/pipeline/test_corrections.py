@@ -50,6 +50,7 @@ def test_corrected_joints_are_where_they_were_put(plain):
     assert 0 < np.abs(result.vertices - plain.vertices).max() < 0.2
 
 
+@pytest.mark.slow
 def test_corrections_are_in_the_axes_and_unit_of_the_file(plain):
     turn = np.array([[0.0, 0, 100], [100, 0, 0], [0, 100, 0]])  # z up, facing x, in centimetres
     shift = np.array([5.0, 300, -20])
@@ -62,6 +63,7 @@ def test_corrections_are_in_the_axes_and_unit_of_the_file(plain):
     np.testing.assert_allclose((result.vertices - shift) @ turn / 1e4, expected.vertices, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_truly_wrong_legs_are_mended():
     """The knees of a prediction are swapped by swapping the corrections; true ones bring the result back."""
     plain = transfer(PERSON, posed(1), **AXES)
@@ -73,6 +75,7 @@ def test_truly_wrong_legs_are_mended():
     assert errors[1] < 0.004 < 0.01 < errors[0]
 
 
+@pytest.mark.slow
 def test_a_file_names_the_frame_of_the_whole_clip(tmp_path):
     frames = np.stack([posed(seed).vertices for seed in range(3)])
     clip = Clip(dataclasses.replace(PERSON, vertices=frames[0], name="clip"), frames, 30.0)
@@ -89,6 +92,7 @@ def test_a_file_names_the_frame_of_the_whole_clip(tmp_path):
         animate(PERSON, clip, **AXES, driving_joints=JointCorrections({"Head": elbow}, 3))
 
 
+@pytest.mark.slow
 def test_no_corrections_change_nothing(plain):
     for joints in (None, {}):
         again = transfer(PERSON, posed(0), **AXES, joints=joints, driving_joints=joints)
@@ -117,6 +121,7 @@ def animals():
     return cat, dog, transfer(cat, dog, front="+z", driving_front="+z")
 
 
+@pytest.mark.slow
 def test_joints_of_animals_are_corrected_too(animals):
     cat, dog, plain = animals
     assert tuple(plain.joints) == tuple(plain.driving_joints) == load_body("quadruped").joint_names
@@ -131,6 +136,7 @@ def test_joints_of_animals_are_corrected_too(animals):
     assert 0 < np.abs(result.vertices - plain.vertices).max() < 0.1
 
 
+@pytest.mark.slow
 def test_truly_wrong_legs_of_an_animal_are_mended(animals):
     """The hind legs of a prediction are swapped by swapping the corrections; true ones bring the result back."""
     cat, dog, plain = animals
@@ -160,6 +166,7 @@ def test_joints_of_an_animal_are_refused_for_people_and_for_other_creatures():
         transfer(PERSON, posed(0), **AXES, body="other", joints=joints)
 
 
+@pytest.mark.slow
 def test_the_command_line_writes_and_reads_joints_of_animals(animals, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     cat, dog, plain = animals

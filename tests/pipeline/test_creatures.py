@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import rigs
 from creatures import BIRD, SPIDER, Boxes, flapping, snake
+from matrix import matrix
 from scipy.spatial.transform import Rotation
 
 from mimesh import animate, transfer
@@ -20,6 +21,7 @@ from mimesh.io.gltf.own_animation import OwnAnimation, write_own_animations
 WAY = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.2], [0.2, 0.3, 0.4], [0.3, 0.0, 0.6]])
 
 
+TABLES = {"bird": BIRD, "spider": SPIDER, "snake": snake(6)}
 BEAK = {"Beak": ("Head", (0, 0.2, 0.7), (0, 0.2, 0.85))}
 """One joint more than other birds have: animations of an equal skeleton would be copied."""
 
@@ -29,9 +31,9 @@ def error(moved: np.ndarray, truth: np.ndarray) -> float:
     return float(np.linalg.norm(moved - truth, axis=-1).max() / np.ptp(truth[0], axis=0).max())
 
 
-@pytest.mark.parametrize("table", [BIRD, SPIDER, snake(6)], ids=["bird", "spider", "snake"])
-def test_a_creature_gets_its_own_motion_back_from_a_renamed_copy(table, tmp_path):
-    mine = Boxes.of(table)
+@matrix("name", TABLES, quick=["spider"])
+def test_a_creature_gets_its_own_motion_back_from_a_renamed_copy(name, tmp_path):
+    mine = Boxes.of(TABLES[name])
     frames = flapping(mine.names)
     path = mine.write(tmp_path / "mine.glb", frames, WAY)
     copy = mine.renamed(1)
@@ -45,6 +47,7 @@ def test_a_creature_gets_its_own_motion_back_from_a_renamed_copy(table, tmp_path
     assert error(result.clip.vertices, np.repeat(mine.mesh.vertices[None], 4, axis=0)) > 0.1
 
 
+@pytest.mark.slow
 def test_a_bird_moves_as_a_larger_one_that_faces_elsewhere(tmp_path):
     """The truth is the identity under the same turns about its own axes, and the way at its own size."""
     small, turn = Boxes.of(BIRD | BEAK), Rotation.from_euler("y", 90, degrees=True).as_matrix()
@@ -177,6 +180,7 @@ def test_a_pose_is_transferred_and_the_rig_kept(tmp_path):
     assert posed.report["match"]["confidence"] > 0.8
 
 
+@pytest.mark.slow
 def test_rigs_say_by_themselves_that_they_are_of_creatures(tmp_path, capsys):
     """Through the command line, without --body: neither names nor surfaces are those of a person."""
     small = {
@@ -192,6 +196,7 @@ def test_rigs_say_by_themselves_that_they_are_of_creatures(tmp_path, capsys):
     np.testing.assert_allclose(load_clip(out).vertices[0], load_mesh(one).vertices, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_what_does_not_correspond_is_refused(tmp_path, capsys):
     one = Boxes.of(SPIDER).write(tmp_path / "spider.glb")
     two = Boxes.of(snake(5)).write(tmp_path / "snake.glb", flapping(("Tail1", "Tail2")))
@@ -203,6 +208,7 @@ def test_what_does_not_correspond_is_refused(tmp_path, capsys):
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_a_person_with_a_creature_is_refused(tmp_path):
     person = rigs.character(tmp_path / "person.glb", clips={"move": rigs.exercise(rigs.figure())})
     bird = Boxes.of(BIRD).write(tmp_path / "bird.glb", flapping(tuple(BIRD)))

@@ -11,6 +11,7 @@ import pytest
 import rigs
 from foreign_names import renamed
 from gltf_samples import props
+from matrix import matrix
 from scipy.spatial.transform import Rotation
 
 from mimesh.core.errors import InputError
@@ -116,7 +117,10 @@ DAMAGES = {
 }
 
 
-@pytest.mark.parametrize("damage", DAMAGES)
+QUICK = ("cycle", "half with NaN weights", "a sheared joint", "duplicate names")
+
+
+@matrix("damage", DAMAGES, quick=QUICK)
 def test_a_damaged_rig_gives_a_note_and_the_surface(damage, model, driving, tmp_path):
     change, message = DAMAGES[damage]
     path = rigs.character(tmp_path / "a.glb", change=change, name=renamed("mixamo"))
@@ -130,7 +134,7 @@ def test_a_damaged_rig_gives_a_note_and_the_surface(damage, model, driving, tmp_
     assert np.isfinite(result.clip.vertices).all()
 
 
-@pytest.mark.parametrize("damage", DAMAGES)
+@matrix("damage", DAMAGES, quick=QUICK[:2])
 def test_a_damaged_rig_of_the_driving_gives_a_note_and_the_surface(damage, model, tmp_path):
     path, *_ = rigs.of_kind(tmp_path / "a.glb", "T-pose")
     damaged = rigs.character(tmp_path / "b.glb", change=DAMAGES[damage][0], name=renamed("mixamo"))
@@ -222,14 +226,15 @@ def all_fours(lean: float) -> np.ndarray:
     return rest
 
 
-@pytest.mark.parametrize("turn", [np.eye(3), np.diag([-1.0, 1, -1])])
-@pytest.mark.parametrize("lean", [90.0, 40.0])
-def test_animals_with_the_names_of_a_persons_joints_are_no_person(lean, turn, model, driving, tmp_path):
+@matrix(("lean", "side"), [(90.0, 1), (90.0, -1), (40.0, 1), (40.0, -1)], quick=[(90.0, 1), (40.0, -1)])
+def test_animals_with_the_names_of_a_persons_joints_are_no_person(lean, side, model, driving, tmp_path):
     """Nor are they where another orientation of the bind pose sets them on their hind legs."""
     person = rigs.figure()
     if lean < 60:  # a giraffe: front legs that reach the ground from high shoulders
         person = longer_arms(person)
-    path = rigs.character(tmp_path / "a.glb", person=person, rest=all_fours(lean), turn=turn, name=renamed("mixamo"))
+    path = rigs.character(
+        tmp_path / "a.glb", person=person, rest=all_fours(lean), turn=np.diag([side, 1.0, side]), name=renamed("mixamo")
+    )
     result = animate(str(path), str(driving), model)
     assert result.own is None
     assert any("stands upright" in note for note in result.notes)
@@ -254,7 +259,7 @@ STRANGE_CHANNELS = {
 }
 
 
-@pytest.mark.parametrize("channels", [*STRANGE_CHANNELS, "no list"])
+@matrix("channels", [*STRANGE_CHANNELS, "no list"], quick=["a node after the last", "no list"])
 def test_damaged_animations_beside_the_new_one_stay_as_they_are(channels, model, driving, tmp_path):
     def change(draft: Draft) -> None:
         wrong = None if channels == "no list" else [STRANGE_CHANNELS[channels]]

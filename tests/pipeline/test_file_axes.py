@@ -5,11 +5,12 @@ import json
 
 import numpy as np
 import pytest
+from matrix import matrix
 from people import boxes_person, person, walk
 
 from mimesh import animate, transfer
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
-from mimesh.core.normalization import ORIENTATIONS, ROTATIONS, Normalization
+from mimesh.core.normalization import ROTATIONS, Normalization
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.methods.confidence import Confidence
 from mimesh.methods.find import find_method
@@ -31,7 +32,7 @@ def saved(mesh: Mesh, path) -> Mesh:
     return load_mesh(path)
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".gltf", ".usda", ".usdc", ".usdz"])
+@matrix("suffix", [".glb", ".gltf", ".usda", ".usdc", ".usdz"], quick=[".glb"])
 @pytest.mark.parametrize("mesh", [boxes_person(0.5), turned(person(0), UPSIDE_DOWN)], ids=["large head", "headstand"])
 def test_the_up_axis_of_a_file_is_believed(mesh, suffix, tmp_path):
     if suffix.startswith(".usd"):
@@ -40,7 +41,7 @@ def test_the_up_axis_of_a_file_is_believed(mesh, suffix, tmp_path):
     assert (norm.up, norm.up_from, norm.detected) == ("+y", "file", True)
 
 
-@pytest.mark.parametrize("suffix", [".obj", ".ply", ".stl", ".off", ".npz"])
+@matrix("suffix", [".obj", ".ply", ".stl", ".off", ".npz"], quick=[".obj", ".npz"])
 def test_formats_without_an_up_axis_leave_it_to_the_shape(suffix, tmp_path):
     mesh = saved(turned(person(0), UPSIDE_DOWN), tmp_path / f"a{suffix}")
     norm = Normalization.fit(mesh)
@@ -48,7 +49,7 @@ def test_formats_without_an_up_axis_leave_it_to_the_shape(suffix, tmp_path):
     assert (norm.up, norm.up_from) == ("-y", "shape")
 
 
-@pytest.mark.parametrize(("authored", "up"), [("Y", "+y"), ("Z", "+z"), (None, None)])
+@matrix(("authored", "up"), [("Y", "+y"), ("Z", "+z"), (None, None)], quick=[("Z", "+z")])
 def test_usd_says_up_where_the_stage_does(authored, up, tmp_path):
     pytest.importorskip("pxr")
     from pxr import Usd
@@ -130,14 +131,7 @@ def test_the_up_axis_stays_with_a_mesh(tmp_path):
     assert mesh.with_vertices(mesh.vertices * 2).up == permute_vertices(mesh, order).up == "+y"
 
 
-@pytest.mark.parametrize("rotation", ROTATIONS[::5], ids=["".join(names) for names in ORIENTATIONS[::5]])
-def test_axis_rotations_of_an_obj_give_the_same_normalised_mesh(rotation, tmp_path):
-    mesh = saved(person(0), tmp_path / "a.obj")
-    other = saved(turned(mesh, rotation), tmp_path / "b.obj")
-    expected = Normalization.fit(mesh).apply(mesh.vertices)
-    np.testing.assert_allclose(Normalization.fit(other).apply(other.vertices), expected, atol=1e-6)
-
-
+@pytest.mark.slow
 def test_a_mesh_that_is_not_recognised_keeps_the_up_axis_of_its_file(monkeypatch):
     mesh = dataclasses.replace(person(0, pose=3), up="+z")
     norm = Normalization.fit(mesh)

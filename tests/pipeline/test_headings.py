@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matrix import matrix
 from people import person
 
 import mimesh
@@ -31,18 +32,19 @@ def plain():
     return mimesh.transfer(IDENTITY, DRIVING).mesh.vertices
 
 
-@pytest.mark.parametrize("degrees", [0.01, 20, -40])
+@matrix("degrees", [0.01, 20, -40], quick=[20])
 def test_the_heading_of_the_identity_moves_nothing(plain, degrees):
     result = mimesh.transfer(headed(IDENTITY, degrees), DRIVING)
     assert largest_move(result.mesh.vertices, plain) < LARGEST
 
 
-@pytest.mark.parametrize("degrees", [0.01, 20, -40])
+@matrix("degrees", [0.01, 20, -40], quick=[20])
 def test_the_result_turns_with_the_driving(plain, degrees):
     result = mimesh.transfer(IDENTITY, headed(DRIVING, degrees))
     assert largest_move(result.mesh.vertices, plain @ turn(np.radians(degrees)).T) < LARGEST
 
 
+@pytest.mark.slow
 def test_fronts_between_the_axes_are_found(plain):
     """At 70 degrees the nearest axis is x: the result has the heading from there, -20 degrees."""
     result = mimesh.transfer(IDENTITY, headed(DRIVING, 70))
@@ -50,6 +52,7 @@ def test_fronts_between_the_axes_are_found(plain):
     assert largest_move(result.mesh.vertices, plain @ turn(np.radians(-20)).T) < LARGEST
 
 
+@pytest.mark.slow
 def test_joints_and_movement_over_the_ground_turn_with_the_driving():
     steps = np.linspace(0, 0.5, 5)[:, None, None] * np.array([0.3, 0, 1.0])
     clip = Clip(DRIVING, DRIVING.vertices + steps, 30.0)
@@ -73,6 +76,7 @@ def test_animals_too():
         assert largest_move(result, plain @ turn(np.radians(angle)).T) < LARGEST
 
 
+@pytest.mark.slow
 def test_on_the_command_line(tmp_path, plain):
     for name, mesh in (("hero", headed(IDENTITY, 30)), ("pose", DRIVING)):
         save_mesh(mesh, tmp_path / f"{name}.obj")

@@ -7,6 +7,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from matrix import matrix
 from networks import write_mime_network, write_network
 from people import decimation, person, walk
 from rigs import of_kind
@@ -49,13 +50,14 @@ def session(driving) -> LiveSession:
     return mimesh.prepare(person(0), driving)
 
 
+@pytest.mark.slow
 def test_a_person_moves_as_in_a_clip(driving, session):
     result = mimesh.animate(person(0), driving, ground=False)
     assert differences(session, driving, result.clip) < CLOSE
     assert session.report["driving"] == result.report["driving"]
 
 
-@pytest.mark.parametrize("root", ["scale", "keep", "drop"])
+@matrix("root", ["scale", "keep", "drop"], quick=["keep"])
 def test_displacement_is_that_of_a_clip(driving, tmp_path, root):
     """The person walks 0.8 m. A tiny network finds wrong joints, in both cases the same."""
     model, other = str(write_mime_network(tmp_path / "tiny.onnx")), in_other_axes(driving)
@@ -65,6 +67,7 @@ def test_displacement_is_that_of_a_clip(driving, tmp_path, root):
     assert {"scale": 0.4 < travelled < 2, "keep": travelled > 20, "drop": travelled < 0.4}[root], travelled
 
 
+@pytest.mark.slow
 def test_an_animal_moves_as_in_a_clip():
     remaining, faces = decimation(1500, "quadruped")
     clip = gait_clip("dog", "trot", seconds=0.4, fps=10.0)
@@ -78,6 +81,7 @@ def test_an_animal_moves_as_in_a_clip():
     assert differences(session, clip, result.clip) < CLOSE
 
 
+@pytest.mark.slow
 def test_an_identity_with_a_rig_moves_on_its_own_bones(driving, tmp_path):
     path = of_kind(tmp_path / "a.glb", "T-pose", moving=False)[0]
     result = mimesh.animate(path, driving, ground=False)
@@ -85,6 +89,7 @@ def test_an_identity_with_a_rig_moves_on_its_own_bones(driving, tmp_path):
     assert differences(mimesh.prepare(path, driving), driving, result.clip) < CLOSE
 
 
+@pytest.mark.slow
 def test_another_shape_of_one_mesh_moves_by_its_vertices():
     """What is neither a person nor an animal, where a known frame has about its pose: deformation transfer."""
     frames = np.stack([bent_strip(bend) for bend in (0.6, 0.0, -0.5)])
@@ -128,6 +133,7 @@ def test_a_model_of_windows_of_frames_is_refused(driving):
         mimesh.prepare(person(0), driving, "aniformer")
 
 
+@pytest.mark.slow
 def test_the_first_frame_is_enough(driving, session):
     alone = mimesh.prepare(person(0), dataclasses.replace(driving.mesh, vertices=driving.vertices[0]))
     for t in (0, 4):
@@ -158,13 +164,6 @@ def test_frames_have_no_influence_on_each_other(driving, session):
     assert np.abs(session.pose(driving.vertices[1].astype(np.float32)) - kept).max() < 1e-5
     mesh = Mesh(driving.vertices[1], driving.mesh.faces.copy())
     assert np.array_equal(session.pose(mesh), kept)
-
-
-def test_the_first_frame_has_the_identitys_place(driving, session):
-    """The middle of its bounding box on the floor, as results of `animate`."""
-    posed, rest = session.pose(driving.vertices[0]), person(0).vertices
-    assert np.allclose(posed.min(axis=0)[1], rest.min(axis=0)[1])
-    assert np.allclose((posed.min(axis=0) + posed.max(axis=0))[[0, 2]], (rest.min(axis=0) + rest.max(axis=0))[[0, 2]])
 
 
 def damaged(vertices: np.ndarray, value: float) -> np.ndarray:
@@ -210,20 +209,29 @@ def test_other_triangles_are_refused(driving, session):
     assert len(session.pose(driving.vertices[1])) == len(person(0).vertices)
 
 
+class Own:
+    """A method that gives the driving's vertices back, and calls a function before each frame."""
+
+    name, rough, body = "own", False, "human"
+
+    def __init__(self, before):
+        self.before = before
+
+    def prepare(self, identity, driving):
+        def drive(frames):
+            for vertices in frames:
+                self.before(vertices)
+                yield vertices
+
+        return drive
+
+
 def test_a_model_that_fails_in_a_frame_goes_on(driving):
-    class Failing:
-        name, rough, body = "failing", False, "human"
+    def fail(vertices):
+        if vertices[0, 0] > 1e6:
+            raise ArithmeticError("too far")
 
-        def prepare(self, identity, driving):
-            def drive(frames):
-                for vertices in frames:
-                    if vertices[0, 0] > 1e6:
-                        raise ArithmeticError("too far")
-                    yield vertices
-
-            return drive
-
-    session = mimesh.prepare(person(0), driving, Failing())
+    session = mimesh.prepare(person(0), driving, Own(fail))
     before = session.pose(driving.vertices[1])
     with pytest.raises(ArithmeticError):
         session.pose(driving.vertices[1] + [1e8, 0, 0])
@@ -249,25 +257,14 @@ def test_threads_of_linear_algebra_are_limited_during_a_frame_only(driving):
         return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
 
     seen = []
-
-    class Watching:
-        name, rough, body = "watching", False, "human"
-
-        def prepare(self, identity, driving):
-            def drive(frames):
-                for vertices in frames:
-                    seen.append(threads())
-                    yield vertices
-
-            return drive
-
+    method = Own(lambda vertices: seen.append(threads()))
     with threadpool_limits(2, user_api="blas"):
         before = threads()
-        session = mimesh.prepare(person(0), driving, Watching())
+        session = mimesh.prepare(person(0), driving, method)
         session.pose(driving.vertices[1])
         assert seen == [{1}, {1}, {1}]
         assert threads() == before
-        mimesh.prepare(person(0), driving, Watching(), threads=None).pose(driving.vertices[1])
+        mimesh.prepare(person(0), driving, method, threads=None).pose(driving.vertices[1])
         assert seen[3:] == 3 * [before]
 
 

@@ -11,7 +11,7 @@ from mimesh.core.canonical_order import canonical_order
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.rig import Rig
 from mimesh.core.skinning import SkinnedMesh
-from mimesh.methods.base import Method, SkinnedDrive, SkinnedMethod
+from mimesh.methods.base import SkinnedDrive
 from mimesh.pipeline import animate, transfer
 
 PARENTS = (-1, 0)
@@ -43,11 +43,6 @@ def lean(vertices):
     turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     centre = vertices.mean(axis=0)
     return np.stack([np.eye(3), turn]), np.stack([centre, centre])
-
-
-def test_it_is_a_skinned_method():
-    assert isinstance(TwoJoints(), Method)
-    assert isinstance(TwoJoints(), SkinnedMethod)
 
 
 @dataclass(frozen=True)

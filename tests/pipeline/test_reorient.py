@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-import pytest
+from matrix import matrix
 from people import person
 
 from mimesh.core.normalization import Normalization
@@ -13,6 +13,7 @@ from mimesh.pipeline.orientation import reorient
 
 MESH = person(0, pose=3)
 MIME = find_method("mime")
+AXES = [("-y", "+z"), ("-y", "+x"), ("+z", "+y"), ("+x", "-z")]
 NOT_RECOGNISED = Confidence(40.0, 2.0, {})
 
 
@@ -20,9 +21,9 @@ def detected_norm(mesh, up, front):
     return dataclasses.replace(Normalization.fit(mesh, up, front), detected=True)
 
 
-@pytest.mark.parametrize("axes", [("-y", "+z"), ("-y", "+x"), ("+z", "+y"), ("+x", "-z")])
-def test_wrong_axes_are_corrected(axes):
-    corrected = reorient(MIME, MESH, detected_norm(MESH, *axes), (None, None), NOT_RECOGNISED)
+@matrix(("up", "front"), AXES, quick=AXES[:1])
+def test_wrong_axes_are_corrected(up, front):
+    corrected = reorient(MIME, MESH, detected_norm(MESH, up, front), (None, None), NOT_RECOGNISED)
     assert (corrected.up, corrected.front) == ("+y", "+z")
     assert corrected.unsure
 

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 import rigs
+from matrix import matrix
 from networks import write_mime_network
 from scipy.spatial.transform import Rotation
 
@@ -36,7 +37,7 @@ def resting(person: rigs.Figure, angle: float) -> np.ndarray:
     return rest
 
 
-@pytest.mark.parametrize("angle", [0.0, 20.0])
+@matrix("angle", [0.0, 20.0], quick=[20.0])
 def test_finger_bones_point_where_the_drivings_do(angle, tmp_path):
     pytest.importorskip("onnx")
     person = rigs.figure(None, fingers=True)

@@ -73,6 +73,7 @@ def test_the_same_shape_gives_the_clip_back():
     assert np.abs(centred(result.clip.vertices) - centred(driving.vertices)).max() < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "turn", [np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])]
 )
@@ -86,6 +87,7 @@ def test_other_axes_of_the_driving(turn):
     assert np.abs(centred(other) - centred(plain) @ heading.T).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_through_the_command_line_and_by_itself(tmp_path, capsys):
     """A folder of .obj, a tube is neither a person nor an animal: no --body is needed."""
     save_mesh(tube(thick=0.1), tmp_path / "thin.obj")
@@ -109,6 +111,7 @@ def test_through_the_command_line_and_by_itself(tmp_path, capsys):
     assert len(load_clip(out)) == len(BENDS)
 
 
+@pytest.mark.slow
 def test_a_person_is_still_taken_for_one(tmp_path):
     """Two shapes of the shipped body have one mesh too, but the network of people moves them."""
     person = load_mesh(rigs.character(tmp_path / "a.glb", 1, faces=3000))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import rigs
 from foreign_names import renamed
+from matrix import matrix
 from networks import write_mime_network
 from scipy.spatial.transform import Rotation
 
@@ -36,7 +37,7 @@ def named(driving, tmp_path_factory) -> np.ndarray:
     return animate(str(path), driving).clip.vertices
 
 
-@pytest.mark.parametrize("quarters", [0, 1, 2])
+@matrix("quarters", [0, 1, 2], quick=[1])
 def test_an_identity_moves_as_if_its_joints_had_names(quarters, driving, named, tmp_path):
     turn = Rotation.from_euler("y", 90 * quarters, degrees=True).as_matrix()
     path = rigs.character(tmp_path / "a.glb", faces=FACES, name=nameless, turn=turn)
@@ -48,6 +49,7 @@ def test_an_identity_moves_as_if_its_joints_had_names(quarters, driving, named, 
     assert np.abs(result.clip.vertices - expected - shift).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_the_joints_of_a_driving_are_used_without_names(driving, tmp_path):
     clips = {"move": rigs.exercise(rigs.figure(1))}
     path = rigs.character(tmp_path / "b.glb", 1, faces=FACES, clips=clips, name=nameless)
@@ -57,6 +59,7 @@ def test_the_joints_of_a_driving_are_used_without_names(driving, tmp_path):
     assert np.abs(second.clip.vertices - first.clip.vertices).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_what_is_no_person_is_refused_or_left_to_the_surface(driving, tmp_path):
     person = rigs.figure()
     flat = dataclasses.replace(person, vertices=person.vertices * [1, 0.05, 1], joints=person.joints * [1, 0.05, 1])
@@ -66,6 +69,7 @@ def test_what_is_no_person_is_refused_or_left_to_the_surface(driving, tmp_path):
     assert animate(path, driving, rig="mimesh", body="human").own is None
 
 
+@pytest.mark.slow
 def test_a_network_with_other_joints_finds_none(driving, tmp_path):
     pytest.importorskip("onnx")
     model = str(write_mime_network(tmp_path / "mime.onnx"))

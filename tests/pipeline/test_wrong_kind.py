@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from matrix import matrix
 
 from mimesh.bodies import load_body
 from mimesh.bodies.animals import animal
@@ -15,7 +16,6 @@ from mimesh.io import save_mesh
 from mimesh.methods.find import INDEX_PAIRED, find_method
 from mimesh.pipeline.second_look import second_look
 
-PERSON = load_body().mesh()
 UP = ("+y", None)
 
 
@@ -30,13 +30,15 @@ def ring() -> Mesh:
     return Mesh(vertices.reshape(-1, 3), np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]), name="ring")
 
 
+MESHES = {"man": load_body().mesh(), "cow": animal("cow"), "ring": ring()}
+
+
 @pytest.fixture
 def files(tmp_path):
     """A person, a cow and a ring as .obj, which says neither axes nor joints."""
-    meshes = {"man": PERSON, "cow": animal("cow"), "ring": ring()}
-    for name, mesh in meshes.items():
+    for name, mesh in MESHES.items():
         save_mesh(Mesh(mesh.vertices, mesh.faces, name=name), tmp_path / f"{name}.obj")
-    return {name: str(tmp_path / f"{name}.obj") for name in meshes}
+    return {name: str(tmp_path / f"{name}.obj") for name in MESHES}
 
 
 def report_of(words, capsys) -> dict:
@@ -45,14 +47,20 @@ def report_of(words, capsys) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
-def test_a_fit_finds_the_body_that_a_mesh_has():
-    mime = find_method("mime")
-    assert second_look(mime, "human", PERSON, UP) == "human"
-    assert second_look(mime, "quadruped", PERSON, UP) == "human"
-    assert second_look(mime, "human", animal("cow"), UP) == "quadruped"
-    assert second_look(mime, "human", ring(), UP) is None
+FITS = [
+    ("human", "man", "human"),
+    ("quadruped", "man", "human"),
+    ("human", "cow", "quadruped"),
+    ("human", "ring", None),
+]
 
 
+@matrix(("taken", "name", "found"), FITS, quick=FITS[2:3])
+def test_a_fit_finds_the_body_that_a_mesh_has(taken, name, found):
+    assert second_look(find_method("mime"), taken, MESHES[name], UP) == found
+
+
+@pytest.mark.slow
 def test_a_thing_moved_as_a_person_is_noted_with_a_large_error(files, tmp_path, capsys):
     """Whoever says that it is a person gets a result, and the note."""
     words = ["transfer", files["ring"], files["man"], "--body", "human", "-o", str(tmp_path / "out.obj")]
@@ -62,6 +70,7 @@ def test_a_thing_moved_as_a_person_is_noted_with_a_large_error(files, tmp_path, 
     assert not any("man does not look" in note for note in found["report"]["notes"])
 
 
+@pytest.mark.slow
 def test_a_thing_beside_a_person_is_never_moved_without_a_word(files, tmp_path, capsys):
     """It is refused where it is taken for an animal, else noted; the person is not blamed."""
     code = run(["transfer", files["ring"], files["man"], "-o", str(tmp_path / "out.obj")])
@@ -85,6 +94,7 @@ def test_networks_of_people_say_that_an_animal_is_none(model, files, tmp_path, c
     )
 
 
+@pytest.mark.slow
 def test_networks_of_people_say_nothing_about_people(files, tmp_path, capsys):
     words = ["transfer", files["man"], files["man"], "-m", "npt", "-o", str(tmp_path / "out.obj")]
     assert not any("trained on people" in note for note in report_of(words, capsys)["report"]["notes"])

@@ -1,7 +1,7 @@
 """Cases of a parametrization of which `make test` runs a sample and `make test-all` all.
 
     @matrix("suffix", SUFFIXES, quick=[".obj", ".glb"])
-    @matrix(("first", "second"), product(A, B), quick=zip(A, cycle(B)))
+    @matrix(("first", "second"), product(A, B), quick=spanning(A, B))
     @pytest.fixture(params=sampled(FILES, quick=lambda file: file.end == "LF"))
 
 A sample is to span: every value of every argument is in one case at least, so that each piece of code is run.
@@ -9,7 +9,8 @@ A sample is to span: every value of every argument is in one case at least, so t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from itertools import zip_longest
 from typing import Any
 
 import pytest
@@ -39,3 +40,10 @@ def sampled(cases: Iterable[Any], quick: Quick = (), several: bool = False) -> l
         quick = chosen.__contains__
     marks = [() if quick(case) else pytest.mark.slow for case in cases]
     return [pytest.param(*(case if several else [case]), marks=mark) for case, mark in zip(cases, marks, strict=True)]
+
+
+def spanning(*values: Sequence[Any]) -> list[tuple[Any, ...]]:
+    """Pair up the values of several arguments, so that each comes once; of a shorter list the last one repeats."""
+    return [
+        tuple(values[k][-1] if value is None else value for k, value in enumerate(row)) for row in zip_longest(*values)
+    ]

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from matrix import matrix
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
@@ -12,7 +13,6 @@ from mimesh.bodies.joint_ranges import joint_ranges
 from mimesh.bodies.quadruped import LIMITS
 from mimesh.bodies.sampling import sample_pose, sample_shape
 from mimesh.core.geometry import face_normals
-from mimesh.core.mesh import permute_vertices
 from mimesh.core.rig import Rig, descendants
 from mimesh.core.surface_points import at_barycentric, sample_surface
 from mimesh.evaluate.measure import AXES
@@ -53,7 +53,7 @@ def errors(pose, true):
     return degrees, np.linalg.norm(joints - true[1], axis=1).mean()
 
 
-@pytest.mark.parametrize("seed", range(4))
+@matrix("seed", range(4), quick=[0])
 def test_joints_are_found(seed):
     surface, *true = person(seed)
     prediction = predicted(*true, seed)
@@ -105,6 +105,7 @@ def test_inverted_normals_are_flipped():
     assert np.array_equal(inverted.joints, fit_body(surface, *prediction).joints)
 
 
+@pytest.mark.slow
 def test_joints_are_found_in_a_one_sided_scan():
     surface, *true = person()
     front = surface.normals[:, 2] > 0
@@ -114,6 +115,7 @@ def test_joints_are_found_in_a_one_sided_scan():
     assert metres < 0.015
 
 
+@pytest.mark.slow
 def test_unit_position_and_heading_do_not_matter():
     surface, *true = person()
     rotation, joints = predicted(*true)
@@ -128,6 +130,7 @@ def test_unit_position_and_heading_do_not_matter():
     assert moved_fit.unmatched_body == fit.unmatched_body
 
 
+@pytest.mark.slow
 def test_missing_arm_stays_near_its_prediction():
     surface, *true = person()
     hand, spine = BODY.joint("LeftHand"), BODY.joint("Spine1")
@@ -165,7 +168,7 @@ def animal(seed=0, noise=0.3):
     return surface, Rig(turns @ rotation, places, np.zeros((0, len(joints)))), rotation
 
 
-@pytest.mark.parametrize("seed", range(3))
+@matrix("seed", range(3), quick=[0])
 def test_fits_to_the_shipped_animal_go_on_from_rough_predictions(seed, monkeypatch):
     surface, rough, true = animal(seed)
     fit = fit_predictions(surface, rough, (), "quadruped")
@@ -194,6 +197,7 @@ def test_a_leg_that_is_off_the_surface_is_searched():
     assert mean_angle(searched.rotation, true) < 0.7 * mean_angle(alone.rotation, true)
 
 
+@pytest.mark.slow
 def test_another_prediction_is_taken_where_it_fits_better(monkeypatch):
     monkeypatch.setattr(limb_search, "SEARCHES", 0)
     surface, good, true = animal(1, noise=0.05)
@@ -203,6 +207,7 @@ def test_another_prediction_is_taken_where_it_fits_better(monkeypatch):
     assert mean_angle(best.rotation, true) < 0.7 * mean_angle(one.rotation, true)
 
 
+@pytest.mark.slow
 def test_joints_of_animals_stay_within_their_ranges():
     surface, good, _ = animal(1, noise=0.05)
     twisted, hand = good.rotation.copy(), ANIMAL.joint("LeftHand")
@@ -235,6 +240,7 @@ def test_a_good_fit_asks_no_other_prediction(fits):
     assert len(fits) == 1
 
 
+@pytest.mark.slow
 def test_fits_to_other_shapes_stay_near_their_prediction(monkeypatch, fits):
     surface, rough, _ = animal(noise=0.1)
     wavy = SurfaceSample(surface.points + 0.015 * np.sin(25 * surface.points[:, [1, 2, 0]]), surface.normals)
@@ -250,6 +256,7 @@ def pair():
     return PROTOCOLS["human-npt"].pair("val", "unseen", 1)
 
 
+@pytest.mark.slow
 def test_fit_improves_on_the_network_alone():
     trial = pair()
     with_fit, network_alone = (
@@ -257,11 +264,3 @@ def test_fit_improves_on_the_network_alone():
         for model in ("mime", "mime-network")
     )
     assert with_fit < 0.5e-4 < network_alone
-
-
-def test_permuted_vertices_permute_the_result():
-    trial, rng = pair(), np.random.default_rng(5)
-    expected = transfer(trial.identity, trial.driving, "mime", **AXES).vertices
-    order = rng.permutation(len(trial.identity.vertices))
-    meshes = permute_vertices(trial.identity, order), permute_vertices(trial.driving, rng.permutation(len(order)))
-    assert np.array_equal(transfer(*meshes, "mime", **AXES).vertices, expected[order])

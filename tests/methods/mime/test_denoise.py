@@ -28,13 +28,6 @@ def test_noisy_surfaces_come_near_to_the_clean_ones(noise):
     assert denoiser.folded_share(denoiser.ranked.merge(denoised)) < NOISY
 
 
-def test_vertex_order_does_not_matter():
-    noisy = BODY.vertices + 0.02 * np.random.default_rng(1).normal(size=BODY.vertices.shape)
-    order = np.random.default_rng(2).permutation(len(noisy))
-    mixed = Mesh(BODY.vertices[order], np.argsort(order)[BODY.faces])
-    assert np.array_equal(Denoiser.of(mixed)(noisy[order]), Denoiser.of(BODY)(noisy)[order])
-
-
 @pytest.mark.parametrize("make", zoo.ZOO, ids=lambda make: make.__name__)
 def test_denoised_vertices_of_any_mesh_are_finite(make):
     mesh = make()

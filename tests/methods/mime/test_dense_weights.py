@@ -53,6 +53,7 @@ def test_nothing_is_carried_across_a_gap(monkeypatch):
     assert (carried[3600:] == 1).all()
 
 
+@pytest.mark.slow
 def test_results_are_near_and_do_not_depend_on_the_order(monkeypatch):
     identity, driving = divided(person(0)), person(2, 1)
     plain = transfer(identity, driving).vertices

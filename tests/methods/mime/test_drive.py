@@ -13,7 +13,6 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.rig import leg_length
 from mimesh.core.surface_points import SurfacePoints
-from mimesh.methods.base import Method
 from mimesh.methods.find import find_method
 from mimesh.methods.mime.denoise import Denoiser
 from mimesh.pipeline import animate, transfer
@@ -35,10 +34,6 @@ def method(path):
 def moved(method, frames, mesh=DRIVING):
     drive = method.prepare(IDENTITY, Clip(mesh, np.stack(frames)[:1]))
     return list(drive(iter(frames)))
-
-
-def test_mime_is_a_method(method):
-    assert isinstance(method, Method)
 
 
 def test_still_driving_gives_a_still_result(method):
@@ -152,16 +147,10 @@ def test_file_without_a_skeleton_is_refused(path, tmp_path, key):
         find_method(str(tmp_path / "odd.onnx"))
 
 
+@pytest.mark.slow
 def test_coarse_people_are_recognised():
     """Confidence does not depend on the resolution of a mesh."""
     for faces in (600, 1000):
         result = transfer(person(0, faces=faces), person(1, pose=1, faces=faces))
         assert result.notes == ()
         assert result.report["identity"]["margin"] > 0.9
-
-
-def test_progress_reaches_the_end(path):
-    calls = []
-    clip = walk(faces=600)
-    animate(IDENTITY, clip, path, progress=lambda done, count: calls.append((done, count)))
-    assert calls == [(done, len(clip)) for done in range(1, len(clip) + 1)]

@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-import pytest
+from matrix import matrix
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies.animals import animal
@@ -26,8 +26,7 @@ def points_of(turn: np.ndarray):
     return sampled_points(mesh, vertices, ranked, ENSEMBLE * METHOD.points, generator(0, 1)), vertices
 
 
-@pytest.mark.parametrize("axis", ["x", "z"])
-@pytest.mark.parametrize("angle", [-90, 100])
+@matrix(("angle", "axis"), [(-90, "x"), (-90, "z"), (100, "x"), (100, "z")], quick=[(-90, "z")])
 def test_a_mesh_that_lies_is_turned_to_stand(axis, angle):
     turn = Rotation.from_euler(axis, angle, degrees=True).as_matrix()
     found = METHOD.ensemble.turn_to_stand(*points_of(turn))

@@ -1,7 +1,10 @@
 """Fingers in `mime`: gestures on another person's hand, symmetries, clips, and hands that show no fingers."""
 
+from functools import cache
+
 import numpy as np
 import pytest
+from matrix import matrix
 
 import mimesh
 from mimesh.bodies import load_body
@@ -50,30 +53,35 @@ def tip_error(vertices: np.ndarray, truth: np.ndarray) -> float:
     return finger_metrics(vertices, pair)["fingertip_mm"]
 
 
-@pytest.mark.parametrize("gesture", ["fist", "point", "thumb up"])
+@cache
+def moved(identity: int, driving: int, gesture: str | None = None, model: str = "mime"):
+    return mimesh.transfer(mesh(identity), mesh(driving, gesture), model, **AXES)
+
+
+@matrix("gesture", ["fist", "point", "thumb up"], quick=["fist"])
 def test_a_gesture_comes_to_another_persons_hand(gesture):
     truth = BODY.posed(person(1), pose(gesture))
-    new = mimesh.transfer(mesh(1), mesh(2, gesture), **AXES)
-    rigid = mimesh.transfer(mesh(1), mesh(2, gesture), "mime-rigid-fingers", **AXES)
+    new, rigid = (moved(1, 2, gesture, model) for model in ("mime", "mime-rigid-fingers"))
     assert new.report["fingers"] == ["left", "right"]
     assert rigid.report["fingers"] == []
     assert tip_error(new.vertices, truth) < max(0.5 * tip_error(rigid.vertices, truth), 8.0)
 
 
+@pytest.mark.slow
 def test_hands_that_are_bent_alike_keep_their_joints():
     """Errors of the predictions must not bend fingers that the driving does not bend."""
-    result = mimesh.transfer(mesh(3), mesh(4), **AXES)
-    assert result.report["fingers"] == []
-    assert np.array_equal(result.vertices, mimesh.transfer(mesh(3), mesh(4), "mime-rigid-fingers", **AXES).vertices)
+    assert moved(3, 4).report["fingers"] == []
+    assert np.array_equal(moved(3, 4).vertices, moved(3, 4, None, "mime-rigid-fingers").vertices)
 
 
+@pytest.mark.slow
 def test_size_of_the_meshes_does_not_matter():
-    identity, driving = mesh(1), mesh(2, "fist")
-    result = mimesh.transfer(identity, driving, **AXES).vertices
+    driving = mesh(2, "fist")
     large = Mesh(7.0 * driving.vertices + 3.0, driving.faces, name="large")
-    assert np.abs(mimesh.transfer(identity, large, **AXES).vertices - result).max() < 1e-3
+    assert np.abs(mimesh.transfer(mesh(1), large, **AXES).vertices - moved(1, 2, "fist").vertices).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_hands_may_point_anywhere():
     """The driving person turned about the vertical and with bent arms has the same fingers."""
     rotmat = pose("fist")
@@ -86,6 +94,7 @@ def test_hands_may_point_anywhere():
     assert tip_error(result.vertices, BODY.posed(person(1), rotmat)) < 25
 
 
+@pytest.mark.slow
 def test_mirrored_meshes_give_the_mirrored_fingers():
     left_only = np.tile(np.eye(3), (55, 1, 1))
     left_only[25:40] = pose("fist")[25:40]
@@ -96,6 +105,7 @@ def test_mirrored_meshes_give_the_mirrored_fingers():
     assert np.linalg.norm(result - mirrored, axis=1).mean() * PERSON_HEIGHT_MM / np.ptp(result[:, 1]) < 6
 
 
+@pytest.mark.slow
 def test_stumps_change_nothing_to_the_last_bit():
     """An identity without fingers is moved as without the network of hands, whatever the driving's fingers do."""
     whole = mesh(5)
@@ -110,16 +120,18 @@ def test_stumps_change_nothing_to_the_last_bit():
     assert np.array_equal(moved.vertices, rigid.vertices)
 
 
+@pytest.mark.slow
 def test_fingers_with_holes_follow_their_hand():
     """A scan with a hole in a finger says little about its bend."""
     driving = mesh(6, "fist")
     tip = np.argmax(driving.vertices[:, 0])
     near = np.linalg.norm(driving.vertices - driving.vertices[tip], axis=1) < 0.03
     pierced = Mesh(driving.vertices, driving.faces[~near[driving.faces].any(axis=1)], name="pierced")
-    assert mimesh.transfer(mesh(5), driving, **AXES).report["fingers"] == ["left", "right"]
+    assert moved(5, 6, "fist").report["fingers"] == ["left", "right"]
     assert mimesh.transfer(mesh(5), pierced, **AXES).report["fingers"] == ["right"]
 
 
+@pytest.mark.slow
 def test_fingers_are_followed_through_a_clip():
     """From a flat hand to a fist and back: fingers move with the driving's, and end where they began."""
     angles = within_limits(gestures(np.array([GESTURES.index("fist")]), np.random.default_rng(0)))[0]
@@ -166,9 +178,10 @@ def test_small_differences_of_bends_are_settled_and_large_ones_stay():
     assert np.allclose(settled_bends(far, driving), far)
 
 
+@pytest.mark.slow
 def test_corrected_joints_stay_where_they_are_put_and_the_others_can_be_passed_back():
     identity, driving = mesh(1), mesh(2, "fist")
-    plain = mimesh.transfer(identity, driving, **AXES)
+    plain = moved(1, 2, "fist")
     assert plain.joints is not None
     assert plain.driving_joints is not None
     known = [{name: found[name] + [0.0, 0.02, 0.01] for name in ("LeftHand", "RightForeArm", "LeftFingerBase")}
@@ -184,6 +197,7 @@ def test_corrected_joints_stay_where_they_are_put_and_the_others_can_be_passed_b
     assert np.abs(again.vertices - plain.vertices).max() < 0.05
 
 
+@pytest.mark.slow
 def test_planted_feet_are_those_without_fingers():
     """Soles and the correction of the legs are the same to rounding, whether fingers move or not."""
     left = np.tile(np.eye(3), (55, 1, 1))
@@ -203,9 +217,10 @@ def test_planted_feet_are_those_without_fingers():
     assert np.abs(apart - apart[0, 0]).max() < 1e-5
 
 
+@pytest.mark.slow
 def test_hands_of_any_number_of_vertices_take_bounded_memory(monkeypatch):
     """The network gets a few queries at a time, which changes no weight but for rounding."""
-    whole = mimesh.transfer(mesh(1), mesh(2, "fist"), **AXES)
+    whole = moved(1, 2, "fist")
     monkeypatch.setattr("mimesh.methods.mime.hand_network.CHUNK", 300)
     parts = mimesh.transfer(mesh(1), mesh(2, "fist"), **AXES)
     assert parts.report["fingers"] == ["left", "right"]
@@ -221,6 +236,7 @@ def test_bodies_without_forearms_or_without_the_network_of_hands_have_no_fingers
     assert load_hand_finder(joints) is None
 
 
+@pytest.mark.slow
 def test_a_fist_between_two_keyframes_moves_the_fingers():
     method, frames = find_method("mime"), np.repeat(mesh(2).vertices[None], 200, axis=0)
     assert not {95, 96, 97, 98} & set(np.linspace(0, 199, KEYFRAMES).round().astype(int))

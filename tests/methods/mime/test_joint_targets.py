@@ -1,5 +1,7 @@
 """Predicted joints are moved to corrected positions, others with them, and the rotations follow."""
 
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -11,8 +13,43 @@ from mimesh.bodies.sampling import sample_pose
 from mimesh.methods.mime.joint_targets import JointTargets, two_bone_middle
 from mimesh.motions.gaits import gait_rotations
 
-BODY = load_body()
-AT = {name: j for j, name in enumerate(BODY.joint_names)}
+
+@dataclass(frozen=True)
+class Skeleton:
+    """The joints of a shipped body in a pose, and targets for them."""
+
+    kind: str
+
+    @cached_property
+    def body(self):
+        return load_body(self.kind)
+
+    @cached_property
+    def at(self):
+        return {name: j for j, name in enumerate(self.body.joint_names)}
+
+    def posed(self, local):
+        """World rotations and positions of the joints."""
+        rotation, offset = self.body.skinning_transforms(self.body.joints, local)
+        return rotation, offset + (rotation @ self.body.joints[..., None])[..., 0]
+
+    def moved(self, positions, rotation, joints):
+        index = [self.at[name] for name in positions]
+        return JointTargets(index, np.array(list(positions.values())), self.kind).move(rotation, joints)
+
+    def bone(self, joints, first, second):
+        return joints[self.at[second]] - joints[self.at[first]]
+
+    def assert_bones_follow(self, rotation, joints, bones):
+        for first, second in bones:
+            predicted = rotation[self.at[first]] @ self.bone(self.body.joints, first, second)
+            found = self.bone(joints, first, second)
+            cosine = predicted @ found / np.linalg.norm(predicted) / np.linalg.norm(found)
+            assert cosine > 1 - 1e-6, (first, second)
+
+
+PERSON, ANIMAL = Skeleton("human"), Skeleton("quadruped")
+AT, ANIMAL_AT, moved, animal_moved, bone = PERSON.at, ANIMAL.at, PERSON.moved, ANIMAL.moved, ANIMAL.bone
 LIMBS = [(f"{side}{a}", f"{side}{b}") for side in ("Left", "Right") for a, b in (("UpLeg", "Leg"), ("Leg", "Foot"),
          ("Arm", "ForeArm"), ("ForeArm", "Hand"))]  # fmt: skip
 FRONT = np.array([0.0, 0, 1])
@@ -20,22 +57,11 @@ FRONT = np.array([0.0, 0, 1])
 
 def pose(seed=0):
     """World rotations and positions of the joints in a pose of Table 6."""
-    local = Rotation.from_rotvec(sample_pose(BODY, seed, 0)).as_matrix()
-    rotation, offset = BODY.skinning_transforms(BODY.joints, local)
-    return rotation, offset + (rotation @ BODY.joints[..., None])[..., 0]
+    return PERSON.posed(Rotation.from_rotvec(sample_pose(PERSON.body, seed, 0)).as_matrix())
 
 
-def moved(positions, rotation, joints):
-    index = [AT[name] for name in positions]
-    return JointTargets(index, np.array(list(positions.values()))).move(rotation, joints)
-
-
-def assert_bones_follow(rotation, joints, limbs=LIMBS):
-    for first, second in limbs:
-        predicted = rotation[AT[first]] @ (BODY.joints[AT[second]] - BODY.joints[AT[first]])
-        bone = joints[AT[second]] - joints[AT[first]]
-        cosine = predicted @ bone / np.linalg.norm(predicted) / np.linalg.norm(bone)
-        assert cosine > 1 - 1e-6, (first, second)
+def animal_pose():
+    return ANIMAL.posed(gait_rotations(ANIMAL.body, "walk", 0, 0, 1.0, 10.0)[3])
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -53,7 +79,7 @@ def test_a_dragged_knee_or_elbow_turns_both_bones_and_leaves_the_end(name):
     np.testing.assert_array_equal(positions[AT[name]], joints[AT[name]] + [0.05, 0.02, 0.04])
     others = [j for j in range(31) if j != AT[name]]
     np.testing.assert_allclose(positions[others], joints[others], atol=1e-9)
-    assert_bones_follow(result, positions)
+    PERSON.assert_bones_follow(result, positions, LIMBS)
     np.testing.assert_allclose(np.linalg.det(result), 1)
     np.testing.assert_allclose(result @ result.swapaxes(1, 2), np.tile(np.eye(3), (31, 1, 1)), atol=1e-9)
 
@@ -65,7 +91,7 @@ def test_a_dragged_foot_bends_the_knee_and_takes_the_toes_along():
     for first, second in (("LeftUpLeg", "LeftLeg"), ("LeftLeg", "LeftFoot"), ("LeftFoot", "LeftToeBase")):
         before, after = (np.linalg.norm(p[AT[second]] - p[AT[first]]) for p in (joints, positions))
         assert after == pytest.approx(before)
-    assert_bones_follow(result, positions)
+    PERSON.assert_bones_follow(result, positions, LIMBS)
     untouched = [AT[name] for name in ("Head", "RightFoot", "LeftHand", "Hips")]
     np.testing.assert_array_equal(positions[untouched], joints[untouched])
 
@@ -108,42 +134,6 @@ def test_straight_limbs_bend_to_the_front():
     np.testing.assert_allclose(middle, [0, -np.sqrt(0.5), np.sqrt(0.5)], atol=1e-9)
 
 
-ANIMAL = load_body("quadruped")
-ANIMAL_AT = {name: j for j, name in enumerate(ANIMAL.joint_names)}
-
-
-def animal_pose(gait="walk", t=3):
-    """World rotations and positions of the joints of an animal in a gait."""
-    local = gait_rotations(ANIMAL, gait, 0, 0, 1.0, 10.0)[t]
-    rotation, offset = ANIMAL.skinning_transforms(ANIMAL.joints, local)
-    return rotation, offset + (rotation @ ANIMAL.joints[..., None])[..., 0]
-
-
-def animal_moved(positions, rotation, joints):
-    index = [ANIMAL_AT[name] for name in positions]
-    return JointTargets(index, np.array(list(positions.values())), "quadruped").move(rotation, joints)
-
-
-def bone(joints, first, second):
-    return joints[ANIMAL_AT[second]] - joints[ANIMAL_AT[first]]
-
-
-def assert_animal_bones_follow(rotation, joints, *chain):
-    for first, second in pairwise(chain):
-        predicted = rotation[ANIMAL_AT[first]] @ bone(ANIMAL.joints, first, second)
-        found = bone(joints, first, second)
-        cosine = predicted @ found / np.linalg.norm(predicted) / np.linalg.norm(found)
-        assert cosine > 1 - 1e-6, (first, second)
-
-
-@pytest.mark.parametrize("gait", ["walk", "gallop"])
-def test_targets_where_joints_of_an_animal_are_change_nothing(gait):
-    rotation, joints = animal_pose(gait)
-    result = animal_moved({name: joints[ANIMAL_AT[name]] for name in ANIMAL.joint_names[::3]}, rotation, joints)
-    for array, expected in zip(result, (rotation, joints), strict=True):
-        np.testing.assert_allclose(array, expected, atol=1e-9)
-
-
 @pytest.mark.parametrize("leg", [("Thigh", "Shin", "Foot"), ("UpperArm", "Forearm", "Hand")])
 def test_a_dragged_knee_or_elbow_of_an_animal_leaves_the_other_joints(leg):
     rotation, joints = animal_pose()
@@ -153,7 +143,7 @@ def test_a_dragged_knee_or_elbow_of_an_animal_leaves_the_other_joints(leg):
     np.testing.assert_array_equal(positions[ANIMAL_AT[names[1]]], target)
     others = np.arange(37) != ANIMAL_AT[names[1]]
     np.testing.assert_allclose(positions[others], joints[others], atol=1e-9)
-    assert_animal_bones_follow(result, positions, *names)
+    ANIMAL.assert_bones_follow(result, positions, pairwise(names))
     np.testing.assert_allclose(np.linalg.det(result), 1)
 
 
@@ -164,7 +154,7 @@ def test_dragged_toes_of_an_animal_take_the_hock_along_and_bend_the_knee(leg):
     step = np.array([0.02, 0.06, 0.03])
     result, positions = animal_moved({toes: joints[ANIMAL_AT[toes]] + step}, rotation, joints)
     np.testing.assert_allclose(positions[ANIMAL_AT[end]], joints[ANIMAL_AT[end]] + step)
-    assert_animal_bones_follow(result, positions, upper, middle, end, toes)
+    ANIMAL.assert_bones_follow(result, positions, pairwise((upper, middle, end, toes)))
     before, after = (bone(of, upper, end) for of in (joints, positions))
     assert np.linalg.norm(after) < np.linalg.norm(before)
     sides = [np.cross(bone(of, upper, middle), bone(of, middle, end)) for of in (joints, positions)]
@@ -188,8 +178,8 @@ def test_a_dragged_end_of_the_tail_bends_the_whole_tail():
     np.testing.assert_array_equal(positions[ANIMAL_AT["Tail1"]], joints[ANIMAL_AT["Tail1"]])
     heights = [positions[ANIMAL_AT[f"Tail{k}"]][1] - joints[ANIMAL_AT[f"Tail{k}"]][1] for k in range(1, 7)]
     assert all(a < b for a, b in pairwise(heights))
-    assert_animal_bones_follow(result, positions, *(f"Tail{k}" for k in range(1, 7)))
-    kept = np.array(["Tail" not in name for name in ANIMAL.joint_names])
+    ANIMAL.assert_bones_follow(result, positions, pairwise(f"Tail{k}" for k in range(1, 7)))
+    kept = np.array(["Tail" not in name for name in ANIMAL.body.joint_names])
     np.testing.assert_allclose(positions[kept], joints[kept], atol=1e-9)
 
 

@@ -26,15 +26,6 @@ def corrupted(share=1.0):
     return weights
 
 
-def test_bone_distances_are_counted_along_the_skeleton():
-    apart = bone_distances(BODY.parents)
-    assert np.array_equal(apart, apart.T)
-    assert (np.diag(apart) == 0).all()
-    assert apart[BODY.joint("LeftArm"), ELBOW] == 1
-    assert apart[BODY.joint("LeftUpLeg"), BODY.joint("RightUpLeg")] == 4
-    assert apart[ELBOW, KNEE] >= MAX_BONES
-
-
 def test_bones_of_an_animals_trunk_are_not_counted():
     """Forelegs border on hips where one joint moves the trunk; counted, their bones would be cut apart."""
     body = load_body("quadruped")
@@ -56,13 +47,6 @@ def test_weights_of_a_hand_on_a_knee_are_cleaned(share):
     arm = [BODY.joint(name) for name in ("LeftForeArm", "LeftHand", "LThumb", "LeftFingerBase", "LeftHandFinger1")]
     assert found[HAND][:, arm].sum(axis=1).min() > 0.9
     assert np.abs(found - BODY.weights)[~HAND].max() < 0.05
-
-
-def test_influences_of_far_joints_are_removed():
-    weights = BODY.weights.copy()
-    weights[HAND] = 0.6 * weights[HAND]
-    weights[HAND, KNEE] += 0.4
-    assert cleaned(weights)[HAND, KNEE].max() == 0
 
 
 def test_weights_of_a_separate_surface_stay():
