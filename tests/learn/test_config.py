@@ -89,7 +89,7 @@ def test_characters_have_a_share_of_joint_limits_of_their_own(given, found):
         ("data: {kind: wide, recombine: 0.5}", "expected data.recombine 0 with wide, found 0.5"),
         ("data: {recombine: 2}", "recombine from 0 to 1, found 2"),
         ("data: {reflect: 2}", "reflect from 0 to 1, found 2"),
-        ("data: {tremble: 0.5}", "found tremble; remove it"),
+        ("data: {colour: 0.5}", "found colour; remove it"),
         ("network: mime", "expected a configuration of npt, found one of mime; train mime"),
     ],
 )
