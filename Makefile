@@ -15,7 +15,7 @@ AXE := .clients/axe/node_modules/axe-core/axe.min.js
 CODE := src tests scripts research benchmarks blender docs examples
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 
-.PHONY: demo test test-all lint check smoke bench setup blender web gallery clients docs release clean axe
+.PHONY: demo test test-all lint check smoke bench setup blender web clients docs release clean axe
 
 # The development install can run the demo, too; a plain install must not replace it.
 demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
@@ -52,10 +52,6 @@ blender: | $(BIN)/python
 web:
 	cd web && npm ci --no-audit --no-fund && node build.mjs
 
-# Runs every command of docs/gallery.md and draws what comes out; some minutes.
-gallery: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
-	$(BIN)/python scripts/build_gallery.py
-
 # Checks the pages with axe-core, which tests of tests/browser skip without.
 axe: $(VENV)/.dev $(AXE)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -rs $(TYPED) -m '' tests/browser/test_accessibility.py
@@ -71,14 +67,13 @@ clients: $(VENV)/.dev
 	-test -d .clients/puppeteer || npm install --silent --prefix .clients/puppeteer puppeteer-core@24.43.1
 	-test -x $(BPY) || { $(BLENDER_PYTHON) -m venv .clients/bpy && $(BPY) -m pip install --quiet bpy==4.5.15; }
 	OMP_NUM_THREADS=1 MIMESH_FORMATS=docs/formats.json $(BIN)/python -m pytest -q -rs $(TYPED) -m client tests/clients
-	$(BIN)/python scripts/write_formats.py
 
 # The site, in docs/_build; then the links that lead out of it, which nothing here follows.
 docs: $(VENV)/.dev
 	PYTHONPATH=src $(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
 	$(BIN)/python docs/_ext/links.py docs/_build
 
-# Archives, checks, licences, SBOM and tag message in dist/release; see docs/releasing.md.
+# Archives, checks, licences, SBOM and tag message in dist/release; see docs/contributing.md.
 release: $(VENV)/.dev
 	$(BIN)/python scripts/release.py
 
@@ -95,4 +90,4 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python
 	touch $@
 
 clean:
-	rm -rf $(VENV) mimesh-demo gallery build dist docs/_build
+	rm -rf $(VENV) mimesh-demo build dist docs/_build

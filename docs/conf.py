@@ -21,9 +21,9 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "inser
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build", "results"]
 
-myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist"]
+myst_enable_extensions = ["attrs_block", "attrs_inline", "deflist"]
 myst_heading_anchors = 4
-# RESULTS.md repeats the headings of its tables' notes; LOG.md is a diary.
+# Pages may leave out a level of headings.
 suppress_warnings = ["myst.header"]
 
 # They would make one dash of the two of an option.

@@ -3,7 +3,7 @@
 python examples/08_batch.py                             # three shipped characters x two shipped motions
 python examples/08_batch.py characters/ motions/ -o out # your own folders; repeat the command to continue
 
-The command `mimesh batch` does the same; docs/batch.md describes both.
+The command `mimesh batch` does the same; docs/api.md describes both.
 """
 
 import argparse

@@ -5,7 +5,7 @@ coefficients of `mimesh.methods.confidence.EXPECTED_ERROR` and says how well the
 
 The error of a pair is modelled as the sum of the contributions of its two meshes, each exp(constant + coefficients *
 features). Coefficients are found by least squares on the logarithm of the sum. A forest of regression trees on all
-figures of both meshes was no better (docs/LOG.md, "Confidence").
+figures of both meshes was no better (docs/log/mime.md, "Confidence").
 
     python research/fit_confidence.py collect pairs.json --characters POOL --people FOLDER
     python research/fit_confidence.py fit pairs.json

@@ -1,28 +1,23 @@
-"""Make the pictures of the documentation, and the notes and transcripts that its pages quote.
+"""Make the pictures in docs/images that need more than one command of mimesh: first, models, inside, body_fit.
 
     python scripts/draw_docs.py [NAME ...]
 
-Names are those of the pictures in docs/images, or `transcripts`; without a name, all are made, which takes some
-minutes. Pictures are not retouched.
+Without a name, all are made, which takes some minutes. Pictures are not retouched.
 """
 
 from __future__ import annotations
 
 import argparse
 import colorsys
-import json
-from collections.abc import Mapping
+import dataclasses
 from pathlib import Path
-from typing import Any
 
-import doc_transcripts
 import numpy as np
-from draw_growth import growth_chart
 from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
-from trouble_cases import BODY, CASES, DRIVING_PERSON, IDENTITY_PERSON, Case, hero, step
 
 from mimesh import Clip, Mesh, Result, animate, transfer
+from mimesh.bodies import load_body
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.core.surface_points import SurfacePoints
 from mimesh.io.atomic import whole_file
@@ -31,9 +26,20 @@ from mimesh.render.heat import heat_colors
 from mimesh.render.movie import clip_frames
 from mimesh.render.raster import render, render_mesh
 from mimesh.render.sheet import DRIVING_TINT, INK, page
+from mimesh.tools.demo import DRIVING_SHAPE, IDENTITY_SHAPE
 
-DOCS = Path(__file__).parents[1] / "docs"
-IMAGES, NOTES = DOCS / "images", DOCS / "trouble.json"
+IMAGES = Path(__file__).parents[1] / "docs" / "images"
+BODY = load_body()
+IDENTITY_PERSON, DRIVING_PERSON = np.array(IDENTITY_SHAPE), np.array(DRIVING_SHAPE)
+"""Shape coefficients."""
+STEP = {
+    "LeftArm": (0, 0, -60),
+    "RightArm": (0, 0, 50),
+    "LeftForeArm": (0, -70, 0),
+    "RightUpLeg": (-40, 0, 0),
+    "RightLeg": (50, 0, 0),
+}
+"""Joint -> its rotation vector in degrees, of a person who takes a step."""
 SIZE, TILE, FONT_SIZE = (420, 480), (300, 343), 20
 """Pixels: of a picture as rendered, of a picture on the page without its caption, and of the caption's font."""
 POINTS = 320
@@ -50,43 +56,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME")
     selected = parser.parse_args().names
-    notes = json.loads(NOTES.read_text()) if NOTES.exists() else {}
-    for make in CASES:
-        if not selected or make.__name__ in selected:
-            notes[make.__name__] = draw_case(make(), make.__name__)
     for draw in (first, models, inside, body_fit):
         if not selected or draw.__name__ in selected:
             save(draw(), draw.__name__)
-    if not selected or "growth" in selected:
-        report = json.loads((DOCS.parent / "benchmarks" / "large.json").read_text())
-        with whole_file(IMAGES / "growth.svg") as temporary:
-            temporary.write_text(growth_chart(report), encoding="utf-8")
-    write(NOTES, {make.__name__: notes[make.__name__] for make in CASES})
-    if not selected or "transcripts" in selected:
-        write(DOCS / "transcripts.json", doc_transcripts.transcripts())
 
 
-def draw_case(case: Case, name: str) -> list[str]:
-    """Draw the inputs and the results without and with the remedy, and return the notes of the first result."""
-    before = transfer(case.identity, case.driving, **case.options)
-    tiles = [*_inputs(case, before), _tile(before.mesh, "result", before.report["identity"])]
-    if case.remedy is not None:
-        after = transfer(*(case.remedy_inputs or (case.identity, case.driving)), **case.remedy)
-        tiles.append(_tile(after.mesh, case.remedy_label, after.report["identity"]))
-    save(page(tiles, len(tiles)), f"trouble-{name.replace('_', '-')}")
-    return list(before.notes)
+def hero() -> Mesh:
+    """Return the identity: a person at rest."""
+    return dataclasses.replace(BODY.mesh(BODY.shaped(IDENTITY_PERSON)[0]), name="hero")
 
 
-def _inputs(case: Case, result: Result) -> list[Image.Image]:
-    """Draw identity and driving mesh, upright according to the axes of the report."""
-    identity_axes, driving_axes = result.report["identity"], result.report["driving"]
-    identity = _tile(case.identity, "identity", identity_axes)
-    return [identity, _tile(case.driving, "driving", driving_axes, DRIVING_TINT)]
+def step() -> Mesh:
+    """Return the driving mesh: a person taking a step."""
+    rotvec = np.zeros((len(BODY.joint_names), 3))
+    for joint, rotation in STEP.items():
+        rotvec[BODY.joint(joint)] = np.radians(rotation)
+    return dataclasses.replace(BODY.mesh(BODY.posed(DRIVING_PERSON, rotvec_to_rotmat(rotvec))), name="pose")
 
 
-def _tile(mesh: Mesh, label: str, axes: Mapping[str, Any] | None = None, tint=None) -> Image.Image:
-    axes = {} if axes is None else {"up": axes["up"], "front": axes["front"]}
-    picture = next(clip_frames([("", Clip.still(mesh))], SIZE, tints=[tint], **axes))
+def _tile(mesh: Mesh, label: str, tint=None) -> Image.Image:
+    picture = next(clip_frames([("", Clip.still(mesh))], SIZE, tints=[tint]))
     return captioned(picture.crop((0, 0, *SIZE)), label)
 
 
@@ -190,12 +179,6 @@ def save(image: Image.Image, name: str) -> None:
     with whole_file(path) as temporary:
         image.save(temporary, format="WEBP", quality=82, method=6)
     print(f"{path}: {path.stat().st_size / 1024:.0f} KiB")
-
-
-def write(path: Path, value: object) -> None:
-    """Write JSON."""
-    with whole_file(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Measure all methods on all test sets, write docs/results and docs/RESULTS.md. Resumable; hours on two cores.
+"""Measure all methods on all test sets, write docs/results and the tables of the docs. Resumable; hours on two cores.
 
     python scripts/measure_all.py [--characters DIR] [--people DIR] [--clips DIR] [--garments DIR] [PROTOCOL ...]
 

@@ -3,7 +3,7 @@
     python scripts/release.py [-o dist/release] [--revision HEAD] [--blender]
 
 The wheel is built from the source archive. A new environment gets it as a stranger would, with the newest releases of
-what it needs, and runs the demo. docs/releasing.md says what the files are for and what is left to do by hand.
+what it needs, and runs the demo. docs/contributing.md says what the files are for and what is left to do by hand.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def to_do(metadata: dict[str, list[str]]) -> list[str]:
     """Return what an upload still lacks."""
     missing = []
     if "Project-URL" not in metadata:
-        missing.append("pyproject.toml has no address of the repository: see 'The address' in docs/releasing.md")
+        missing.append("pyproject.toml has no address of the repository: see 'The address' in docs/contributing.md")
     return missing
 
 

@@ -40,14 +40,17 @@ def count() -> dict:
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     files = [path for name in listed.split("\0") if name and (path := ROOT / name).is_file()]
     python = {part: [p for p in files if p.suffix == ".py" and p.is_relative_to(ROOT / part)] for part in PARTS}
-    pages = [p for p in files if p.suffix == ".md" and p.parent in (ROOT, ROOT / "docs")]
-    words = {p: len(p.read_text(encoding="utf-8").split()) for p in pages}
-    apart = {"README": ROOT / "README.md", "the log": ROOT / "docs" / "LOG.md", "results": ROOT / "docs" / "RESULTS.md"}
-    rest = sum(number for page, number in words.items() if page not in apart.values())
+    log = ROOT / "docs" / "log"
+    pages = [p for p in files if p.suffix == ".md" and p.parent in (ROOT, ROOT / "docs", log)]
+    of_part = {ROOT / "README.md": "README", ROOT / "docs" / "results.md": "results", log: "the log"}
+    words = dict.fromkeys([*of_part.values(), "other pages"], 0)
+    for page in pages:
+        part = of_part.get(page) or of_part.get(page.parent, "other pages")
+        words[part] += len(page.read_text(encoding="utf-8").split())
     arrows = sorted(package_imports())
     return {
         "python": {part: (len(paths), sum(map(lines_of, paths))) for part, paths in python.items()},
-        "words": {**{name: words[page] for name, page in apart.items()}, f"{len(pages) - len(apart)} others": rest},
+        "words": words,
         "arrows": arrows,
         "packages": len({name for arrow in arrows for name in arrow}),
         "tracked_mib": round(sum(path.stat().st_size for path in files) / 2**20, 1),

@@ -1,4 +1,4 @@
-"""Write docs/RESULTS.md and the table of README.md from the reports in docs/results.
+"""Write the tables of docs/results.md and README.md, and docs/results/rows.csv, from the reports in docs/results.
 
 python scripts/write_results.py
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mimesh.evaluate.results import readme_table, results_page, with_readme_table
+from mimesh.evaluate.results import page_tables, readme_table, rows_csv, with_tables
 from mimesh.io.atomic import whole_file
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -15,13 +15,16 @@ RESULTS = DOCS / "results"
 
 
 def main() -> None:
-    """Write the page and the table."""
-    readme = DOCS.parent / "README.md"
-    pages = {DOCS / "RESULTS.md": results_page(RESULTS)}
-    pages[readme] = with_readme_table(readme.read_text(), readme_table(RESULTS))
-    for path, text in pages.items():
+    """Write the tables between their marks, and the CSV file."""
+    page, readme = DOCS / "results.md", DOCS.parent / "README.md"
+    texts = {
+        page: with_tables(page.read_text(encoding="utf-8"), page_tables(RESULTS)),
+        readme: with_tables(readme.read_text(encoding="utf-8"), {"results": readme_table(RESULTS)}),
+        RESULTS / "rows.csv": rows_csv(RESULTS),
+    }
+    for path, text in texts.items():
         with whole_file(path) as temporary:
-            temporary.write_text(text)
+            temporary.write_text(text, encoding="utf-8", newline="\n")
         print(f"{path}: written")
 
 

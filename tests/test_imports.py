@@ -31,6 +31,11 @@ def test_the_package_imports_nothing_and_no_modules_import_each_other_in_a_circl
     assert sorted(waiting) == []
 
 
+def test_the_package_lists_its_public_names():
+    """Modules are loaded when a name is asked for, so without `__dir__` nothing would be listed."""
+    assert {*mimesh.__all__, "__version__"} <= set(dir(mimesh))
+
+
 def test_no_public_class_name_is_defined_twice():
     names = Counter(
         node.name

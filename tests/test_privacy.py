@@ -1,4 +1,4 @@
-"""Nothing leaves the machine: no telemetry, no connection, no file but those that docs/privacy.md names."""
+"""Nothing leaves the machine: no telemetry, no connection, no file but those that docs/systems.md names."""
 
 from __future__ import annotations
 

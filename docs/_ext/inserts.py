@@ -1,7 +1,7 @@
-"""Fills marks in the pages with tables, measured figures and transcripts.
+"""Fills marks in the pages with tables and measured figures, while the site is built.
 
-`<!-- insert: WHAT [NAME] -->` in a page is followed by Markdown up to `<!-- end of insert -->`.
-`scripts/write_inserts.py` writes it for those who read the pages in a clone, and a test compares; the site has it anew.
+`<!-- insert: WHAT [NAME] -->` may be followed by text up to `<!-- end of insert -->`: what those read who have the page
+and no site. The site has the table in its place.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 
 from commands import command_reference
+from formats import FORMATS
 
 from mimesh.commands.about import DESCRIPTIONS
 from mimesh.evaluate.markdown import markdown_table
@@ -47,15 +48,6 @@ def filled(text: str) -> str:
     return MARK.sub(_content, text)
 
 
-def written(text: str) -> str:
-    """Return a page with the content of its marks below them.
-
-    Raises:
-        KeyError: a mark has an unknown name.
-    """
-    return MARK.sub(lambda mark: f"{mark[1]}\n\n{_content(mark).strip()}\n\n<!-- end of insert -->", text)
-
-
 def _content(mark: re.Match[str]) -> str:
     return INSERTS[mark[2]](*filter(None, [mark[3]]))
 
@@ -70,7 +62,9 @@ def models() -> str:
     for name in MODELS:
         row = _report_row(name, "unseen")
         pmd = f"{_figure(row.get('pmd_e4'))}\N{NO-BREAK SPACE}({_figure(row.get('pmd_e4_median'))})"
-        rows.append([f"[`{name}`](#{name})", DESCRIPTIONS[name], pmd, f"{_figure(row.get('mm'))}\N{NO-BREAK SPACE}mm"])
+        about, distance = " ".join(DESCRIPTIONS[name].split()), row.get("mm")
+        pmd = "" if distance is None else pmd
+        rows.append([f"[`{name}`](#{name})", about, pmd, "" if distance is None else f"{_figure(distance)} mm"])
     return markdown_table(["`-m`", "what it is", "PMD ×1e-4: mean (median)", "distance"], rows)
 
 
@@ -115,12 +109,15 @@ def card(name: str) -> str:
         ["trained on", facts["data"]],
         ["training", f"{minutes:.0f} minutes, {facts['hardware']}; {pairs:,} pairs{stages}"],
         ["commit", f"`{facts['commit']}`{dirty}, seed {facts['seed']}"],
-        [f"PMD ×1e-4 on new people, {sets}", _both(seen.get("pmd_e4"), unseen.get("pmd_e4"))],
-        ["its median", _both(seen.get("pmd_e4_median"), unseen.get("pmd_e4_median"))],
-        ["distance, for a person of 1.7 m", f"{_both(seen.get('mm'), unseen.get('mm'))} mm"],
-        ["PMD of `copy` on the same", _both(*(row.get("pmd_e4") for row in copies))],
-        ["file", f"`{facts['file']}`, {facts['bytes'] / 2**20:.1f} MiB"],
     ]
+    if seen or unseen:
+        rows += [
+            [f"PMD ×1e-4 on new people, {sets}", _both(seen.get("pmd_e4"), unseen.get("pmd_e4"))],
+            ["its median", _both(seen.get("pmd_e4_median"), unseen.get("pmd_e4_median"))],
+            ["distance, for a person of 1.7 m", f"{_both(seen.get('mm'), unseen.get('mm'))} mm"],
+            ["PMD of `copy` on the same", _both(*(row.get("pmd_e4") for row in copies))],
+        ]
+    rows.append(["file", f"`{facts['file']}`, {facts['bytes'] / 2**20:.1f} MiB"])
     return markdown_table(["card", ""], rows)
 
 
@@ -309,27 +306,9 @@ def _figure(value: float | None) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
-def transcript(name: str) -> str:
-    """Return commands and their output as a console block, from docs/transcripts.json."""
-    commands = json.loads((DOCS / "transcripts.json").read_text())[name]
-    lines = "\n\n".join(f"$ {command}\n{output}" for command, output in commands)
-    return f"```console\n{lines}\n```"
-
-
-def notes(name: str) -> str:
-    """Return the notes that mimesh printed for a picture of the troubleshooting page, from docs/trouble.json."""
-    printed = json.loads((DOCS / "trouble.json").read_text())[name]
-    return "\n".join(f"> note: {note}" for note in printed) or "> mimesh prints no note here."
-
-
-def minute() -> str:
-    """Return a sentence with the time from `git clone` to the demo in the browser."""
-    report = json.loads((DOCS.parent / "benchmarks" / "first_minute.json").read_text(encoding="utf-8"))
-    return (
-        f"From `git clone` to the animation in {report['browser'].split()[0]}: {report['seconds']['all']:.0f} s on two "
-        f"cores with all downloads, of which the installation takes {report['seconds']['install']:.0f} s "
-        "(`benchmarks/first_minute.py`)."
-    )
+def formats(part: str) -> str:
+    """Return a table of the page of formats."""
+    return FORMATS[part]()
 
 
 def pythons() -> str:
@@ -414,7 +393,7 @@ INSERTS = {
     "plan": batch_plan,
     "large": large,
     "live": live,
-    "minute": minute,
+    "formats": formats,
     "pythons": pythons,
     "models": models,
     "card": card,
@@ -423,8 +402,6 @@ INSERTS = {
     "rigs": rigs,
     "ownclips": own_clips,
     "unnamed": unnamed_rigs,
-    "transcript": transcript,
-    "notes": notes,
     "commands": command_reference,
 }
 """WHAT of a mark -> function that returns its Markdown."""

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from animals import BODY, FEET, LEGS, animal, bones
+from creatures import SPIDER, Boxes
 from matrix import matrix
 from rigs import figure
 
@@ -108,6 +109,11 @@ def test_size_place_and_order_of_vertices_do_not_matter():
 def test_a_person_is_refused():
     with pytest.raises(InputError, match=r"a\.glb: expected .*(feet|legs|person)"):
         name_animal_joints(person(), "a.glb")
+
+
+def test_a_spider_is_refused():
+    with pytest.raises(InputError, match=r"expected four legs, found .* of the feet on other joints"):
+        name_animal_joints(Boxes.of(SPIDER).character, "a.glb")
 
 
 def test_an_animal_with_three_rigged_legs_is_refused():

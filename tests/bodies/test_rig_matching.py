@@ -67,6 +67,13 @@ def test_the_front_is_where_names_say(degrees, front):
     assert named_front(Boxes.of(BIRD, turn=turn).renamed(0).character) is None
 
 
+@pytest.mark.parametrize(("length", "front"), [(1.0, "+z"), (9.0, None)])
+def test_a_head_that_is_most_of_the_creature_says_no_front(length, front):
+    """A blob whose one joint is called a head has it everywhere."""
+    table = {"Body": ("", (0, 0, 0), (0, 0, -1)), "Head": ("Body", (0, 0, 0.3), (0, 0, 0.3 + length))}
+    assert named_front(Boxes.of(table).character) == front
+
+
 def test_names_decide_between_limbs_at_one_place():
     """Two pairs of wings whose places are exchanged in the other creature."""
     table = pairs(

@@ -1,4 +1,4 @@
-"""The table of bone names in docs/engines.md is that of the code."""
+"""The table of bone names in docs/characters.md is that of the code."""
 
 from pathlib import Path
 
@@ -6,10 +6,10 @@ import pytest
 
 from mimesh.bodies.engine_names import SCHEMES
 
-PAGE = Path(__file__).parents[2] / "docs" / "engines.md"
+PAGE = Path(__file__).parents[2] / "docs" / "characters.md"
 ROWS = [
     [cell.strip() for cell in line.strip("|").split("|")]
-    for line in PAGE.read_text().split("## What is written")[1].splitlines()
+    for line in PAGE.read_text().split("### What is written")[1].split("\n###")[0].splitlines()
     if line.startswith("|") and "---" not in line
 ]
 COLUMNS = [column.strip("`") for column in ROWS[0]]

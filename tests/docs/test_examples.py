@@ -1,4 +1,4 @@
-"""Every example runs on small inputs, writes the files that it names, and is on the page of examples."""
+"""Every example runs on small inputs, writes the files that it names, and is on the page of first steps."""
 
 from __future__ import annotations
 
@@ -227,6 +227,5 @@ def test_live_frames_of_another_mesh_are_left_out(tmp_path, capsys, content):
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_example_is_short_and_on_the_page(path):
-    assert 30 <= len(path.read_text().splitlines()) <= 100
-    assert f"`{path.name}`" in (ROOT / "docs" / "examples.md").read_text()
+def test_example_is_on_the_page(path):
+    assert f"`{path.name}`" in (ROOT / "docs" / "first-steps.md").read_text()

@@ -2,9 +2,11 @@
 
 import json
 import runpy
-import xml.etree.ElementTree
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zoo
 
@@ -28,6 +30,12 @@ def test_a_subdivided_surface_has_the_wanted_vertices_and_the_same_area(script, 
     assert face_areas(vertices, faces).min() > 0
 
 
+def test_frames_go_forwards_and_backwards(script):
+    cube = zoo.cube()
+    clip = script["frames_of"](cube, np.arange(4.0)[:, None, None] + cube.vertices, 9)
+    assert (clip.vertices[:, 0, 0] - cube.vertices[0, 0]).tolist() == [0, 1, 2, 3, 2, 1, 0, 1, 2]
+
+
 def test_exponents_are_slopes(script):
     rows = {str(size): {"seconds": {"all": 3e-4 * size**1.5, "read": 0.0}, "peak_mib": 100} for size in (10, 100, 1000)}
     assert script["exponents"]({"mime": rows, "parts": {"500": rows["10"]}}) == {"mime": {"all": 1.5, "peak_mib": 0.0}}
@@ -48,11 +56,18 @@ def test_growth_tells_whether_time_is_linear_and_memory_flat(script, power, line
     assert found["animate"]["exponent"] < found["animate"]["exponent_largest"] <= 1
 
 
-def test_the_drawing_shows_the_figures_that_are_stored(monkeypatch):
-    monkeypatch.syspath_prepend(str(SCRIPT.parent))
-    from draw_growth import growth_chart
-
-    root = SCRIPT.parents[1]
-    drawn = growth_chart(json.loads((root / "benchmarks" / "large.json").read_text()))
-    assert drawn == (root / "docs" / "images" / "growth.svg").read_text(), "run python scripts/draw_docs.py growth"
-    xml.etree.ElementTree.fromstring(drawn)
+@pytest.mark.slow
+def test_a_case_is_measured_in_a_process_of_its_own(tmp_path):
+    output = tmp_path / "large.json"
+    command = [sys.executable, str(SCRIPT), "-o", str(output), "--cases", "copy", "--vertices", "7000", "8000"]
+    subprocess.run(command, check=True, capture_output=True)
+    report = json.loads(output.read_text())
+    figures = report["cases"]["copy"]["8000"]
+    assert figures["vertices"] == 8000
+    seconds = figures["seconds"]
+    parts = sum(seconds[step] for step in ("read", "moved", "write", "preview"))
+    assert seconds["all"] == pytest.approx(parts, abs=0.03)
+    assert parts > 0
+    assert 50 < figures["peak_mib"] < 4000
+    assert 10 < figures["own_mib"] <= figures["peak_mib"]
+    assert set(report["exponents"]["copy"]) >= {"all", "moved", "peak_mib"}

@@ -1,5 +1,7 @@
-"""The page of results: all its numbers come from the reports."""
+"""The tables of results: all their numbers come from the reports."""
 
+import csv
+import io
 import json
 import zlib
 from pathlib import Path
@@ -8,7 +10,7 @@ import pytest
 
 from mimesh.core.errors import InputError
 from mimesh.evaluate.metrics import VERSION
-from mimesh.evaluate.results import README_MARKS, readme_table, results_page, with_readme_table
+from mimesh.evaluate.results import TABLES, page_tables, readme_table, rows_csv, with_tables
 from mimesh.evaluate.run import fingerprint
 from mimesh.methods.find import is_table_model, weights_path
 
@@ -33,123 +35,114 @@ def row(method, split, *errors, given="nothing", **more):
     return {"method": method, "split": split, "given": given, "trained": "none", **figures, "each": each}
 
 
+def impossible(method, split):
+    return {"method": method, "split": split, "given": "-", "pairs": 0, "not_applicable": 2, "why": "no marks"}
+
+
 def written(folder, *reports):
     for k, content in enumerate(reports):
         (folder / f"{content['protocol']}-{k}.json").write_text(json.dumps(content))
     return folder
 
 
-def table_after(page, heading):
-    """The cells of the first table after a heading, by method."""
-    lines = page[page.index(heading) :].split("\n\n| ")[1].split("\n\n")[0].splitlines()
-    head = [cell.strip() for cell in lines[0].strip("| ").split(" | ")]
-    cells = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in lines[2:]]
-    return {line[0]: dict(zip(head, line, strict=True)) for line in cells}
+def lines_of(table):
+    """The cells of a table by set and method."""
+    head, _, *lines = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in table.splitlines()]
+    return {(line[0], line[1]): dict(zip(head, line, strict=True)) for line in lines}
 
 
 def test_wins_are_counted_over_the_reports(tmp_path):
     """The same pairs in two files."""
     ours = report("noise", [row("npt", "holes", 1.0, 5.0, 2.0, 1.0)])
-    page = results_page(written(tmp_path, ours, report("noise", [row("copy", "holes", 2.0, 2.0, 3.0, 4.0)])))
-    cells = table_after(page, "### holes")
-    assert cells["`npt`"]["better than `copy`"] == "75 %"
-    assert cells["`copy`"]["better than `copy`"] == "-"
+    folder = written(tmp_path, ours, report("noise", [row("copy", "holes", 2.0, 2.0, 3.0, 4.0)]))
+    cells = lines_of(page_tables(folder)["disturbed"])
+    assert cells["holes (development)", "`npt`"]["better than `copy`"] == "75 %"
+    assert cells["holes (development)", "`copy`"]["better than `copy`"] == "-"
 
 
-def test_rows_of_the_papers_tables_stand_apart_from_what_users_get(tmp_path):
-    rows = [row("npt-full", "seen", 7.0), row("npt", "seen", 12.0), row("mime-table-network", "seen", 3.0)]
-    fits = row("mime", "seen", 0.3, given="trained on our body, which it fits")
-    page = results_page(written(tmp_path, report("human-npt", [*rows, fits])))
-    ours, papers = page.split("## The papers' tables")
-    assert "`npt-full`" not in ours
-    assert "`mime-table-network`" not in ours
-    assert set(table_after(ours, "### Table 6, the papers' training poses")) == {"`npt`"}
-    assert set(table_after(ours, "With the shipped body's model:")) == {"`mime`"}
-    assert "| NPT, full width | 1.1 / 9.3 | 7 |" in papers
+def test_table_has_the_chosen_methods_that_were_possible(tmp_path):
+    rows = [row("npt", "seen", 12.0), row("npt-concat1", "seen", 9.0), impossible("deformation-transfer-13", "seen")]
+    tables = page_tables(written(tmp_path, report("human-npt", rows)))
+    assert list(lines_of(tables["papers"])) == [("random pairs, seen", "`npt`")]
+    assert tables["animals"] == "Not measured."
 
 
-def test_mirror_images_stand_beside_their_pairs(tmp_path):
-    rows = [row(method, kind, 4.0) for method in ("npt", "copy") for kind in ("seen", "unseen")]
-    mirrored = [row("npt", "seen, mirrored", 90.0), row("npt", "unseen, mirrored", 80.0)]
-    plain = results_page(written(tmp_path, report("human-npt", rows)))
-    assert "### Mirror images" not in plain
-    page = results_page(written(tmp_path, report("human-npt", rows), report("human-npt", mirrored)))
-    assert "| `npt` | 4 | 90 | 4 | 80 |" in page.split("### Mirror images")[1]
-    assert page.split("### Table 6, the papers' training poses")[1].split("###")[0].count("| `npt` |") == 1
+def test_failures_are_counted_beside_the_pairs(tmp_path):
+    table = page_tables(written(tmp_path, report("characters", [row("mime", "table6", 4.0) | {"failures": 2}])))
+    assert lines_of(table["characters"])["Table 6", "`mime`"]["pairs"] == "1, 2 failed"
 
 
-def test_warnings_have_their_share_and_curve(tmp_path):
+def test_pairs_of_two_skeletons_have_angles(tmp_path):
+    angles = {"limb_deg": 12.0, "limb_deg_median": 11.0}
+    rows = [{"method": "mime", "split": "across-clips", "given": "-", "pairs": 1, **angles}]
+    table = page_tables(written(tmp_path, report("characters", rows)))["skeletons"]
+    assert table == "frames of clips: `mime` 11."
+
+
+def test_warnings_of_test_sets_and_others_are_not_pooled(tmp_path):
     figures = {"uncertainty": [0.1, 2.5, 1.2], "warned": [False, True, True]}
-    page = results_page(written(tmp_path, report("noise", [row("mime", "holes", 60.0, 80.0, 5.0, **figures)])))
-    cells = table_after(page, "## Warnings")
-    development = "all development and stress sets"
-    assert list(cells[development].values()) == [development, "3", "2", "1 (50 %)", "1", "1 (100 %)"]
-    assert "all test sets" not in cells, "sets of different roles are not pooled"
-    assert set(table_after(page, "All development and stress sets:")) == {"0 to 0.25", "1 to 1.5", "2 to inf"}
+    rows = [row("mime", "holes", 60.0, 80.0, 5.0, **figures)]
+    text = page_tables(written(tmp_path, report("noise", rows)))["warnings"]
+    assert text == "Other sets, 3 pairs: 1 of 2 bad results had a warning, and 1 of 1 good ones."
+
+
+def test_csv_has_every_row_with_its_figures_and_origin(tmp_path):
+    rows = [row("npt", "holes", 1.0, 2.0), impossible("copy", "holes")]
+    found = list(csv.DictReader(io.StringIO(rows_csv(written(tmp_path, report("noise", rows))))))
+    assert [line["method"] for line in found] == ["npt", "copy"]
+    assert found[0].items() >= {"kind": "holes", "role": "development", "pmd_e4": "1.5", "commit": "01234567"}.items()
+    assert (found[1]["why"], found[1]["pmd_e4"]) == ("no marks", "")
+    assert "each" not in found[0]
 
 
 def test_reports_of_other_pairs_and_rows_that_recur_are_refused(tmp_path):
     ours = report("noise", [row("npt", "holes", 1.0)])
     with pytest.raises(InputError, match=r"noise-1\.json.*noise holes npt in noise-0\.json"):
-        results_page(written(tmp_path, ours, ours))
+        page_tables(written(tmp_path, ours, ours))
     part = ours | {"sets": {"holes": {"role": "development", "frozen": "part"}}}
     (tmp_path / "noise-1.json").unlink()
     with pytest.raises(InputError, match="all pairs of the frozen set noise holes"):
-        results_page(written(tmp_path, part))
-
-
-def test_errors_on_characters_are_shown_by_maker(tmp_path):
-    names = {"identity": ["We: ours: a", "We: ours: b", "They: others: c"]}
-    page = results_page(written(tmp_path, report("characters", [row("mime", "table6", 4.0, 8.0, 20.0, **names)])))
-    cells = table_after(page, "### By maker")
-    assert cells["We, ours"] == {"maker, pack": "We, ours", "table6, PMD": "6 / 6 (2)"}
-    assert cells["They, others"]["table6, PMD"] == "20 / 20 (1)"
-
-
-def test_readme_tells_what_is_not_possible_from_what_was_not_measured(tmp_path):
-    impossible = {**row("copy", "table6", 1.0), "pairs": 0, "not_applicable": 2, "why": "no correspondence"}
-    table = readme_table(written(tmp_path, report("characters", [impossible])))
-    lines = {line.split(" | ")[0]: line for line in table.splitlines()}
-    assert "| not possible | not measured |" in next(line for name, line in lines.items() if "`copy`" in name)
-    assert "| not measured | not measured |" in next(line for name, line in lines.items() if "`npt`" in name)
-
-
-def test_table_of_the_readme_is_replaced_between_its_marks(tmp_path):
-    rows = [row("mime", "unseen", 0.28), row("copy", "unseen", 15.0)]
-    table = readme_table(written(tmp_path, report("human-npt", rows)))
-    assert "| not measured | not measured | not measured | 5 mm, 0.28 (0.28) |" in table
-    text = f"before {README_MARKS[0]} old {README_MARKS[1]} after"
-    assert with_readme_table(text, table) == f"before {README_MARKS[0]}\n\n{table}\n\n{README_MARKS[1]} after"
-
-
-def test_page_has_reasons_and_provenance(tmp_path):
-    why = {**row("deformation-transfer-13", "points", 0), "pairs": 0, "why": "no faces", "not_applicable": 2}
-    del why["pmd_e4"], why["each"]
-    (tmp_path / "cross-topology.json").write_text(json.dumps(report("cross-topology", [why])))
-    page = results_page(tmp_path)
-    assert "`deformation-transfer-13`, 2 of 2 pairs of points (no faces)" in page
-    assert "01234567, a box, 2026-11-21" in page
-    assert "| DT, 13 control points | 7.7 / 6.7 | not measured |" in page
+        page_tables(written(tmp_path, part))
 
 
 def test_reports_of_another_split_are_refused(tmp_path):
     (tmp_path / "noise.json").write_text(json.dumps(report("noise", [row("npt", "holes", 1.0)], "val")))
     with pytest.raises(InputError, match="split test"):
-        results_page(tmp_path)
+        page_tables(tmp_path)
 
 
 def test_reports_of_an_earlier_version_of_the_metrics_are_refused(tmp_path):
     old = report("noise", [row("npt", "holes", 1.0)])
     del old["metrics"]
     with pytest.raises(InputError, match=r"noise-0\.json: expected figures of version 2 .*, found version 1"):
-        results_page(written(tmp_path, old))
+        page_tables(written(tmp_path, old))
 
 
-@pytest.mark.skipif(not (DOCS / "RESULTS.md").exists(), reason="a package without its docs")
-def test_page_in_the_docs_is_the_generated_one():
-    assert (DOCS / "RESULTS.md").read_text() == results_page(DOCS / "results")
-    readme = (DOCS.parent / "README.md").read_text()
-    assert with_readme_table(readme, readme_table(DOCS / "results")) == readme
+def test_readme_says_what_was_not_measured(tmp_path):
+    table = readme_table(written(tmp_path, report("noise", [row("copy", "holes", 2.0)])))
+    _, _, *lines = table.splitlines()
+    assert lines
+    assert all("not measured" in line for line in lines)
+
+
+def test_tables_are_replaced_between_their_marks():
+    table = "| a | b |"
+    text = "before <!-- results:begin --> old <!-- results:end --> after"
+    page = with_tables(text, {"results": table})
+    assert page == f"before <!-- results:begin -->\n\n{table}\n\n<!-- results:end --> after"
+    assert with_tables(page, {"results": table}) == page
+    with pytest.raises(ValueError, match=r"papers:begin.* once, found 0 and 0"):
+        with_tables(text, {"papers": table})
+
+
+@pytest.mark.skipif(not (DOCS / "results").exists(), reason="a package without its docs")
+def test_tables_in_the_docs_are_the_generated_ones():
+    page, readme = ((DOCS.parent / name).read_text(encoding="utf-8") for name in ("docs/results.md", "README.md"))
+    tables = page_tables(DOCS / "results")
+    assert set(TABLES) < set(tables)
+    assert with_tables(page, tables) == page
+    assert with_tables(readme, {"results": readme_table(DOCS / "results")}) == readme
+    assert (DOCS / "results" / "rows.csv").read_text(encoding="utf-8") == rows_csv(DOCS / "results")
 
 
 @pytest.mark.skipif(not (DOCS / "results").exists(), reason="a package without its docs")
@@ -165,15 +158,3 @@ def test_reports_in_the_docs_are_of_the_current_weights(path, monkeypatch):
         # Reports from before there was a network of hands have the checksum of the model's file alone.
         alone = zlib.crc32(weights.read_bytes()) if weights.suffix == ".onnx" else 0
         assert row_of_report["weights"] == alone or row_of_report["weights"] == fingerprint(method)
-
-
-def test_fingers_have_a_section_with_columns_of_their_own(tmp_path):
-    figures = {"fingertip_mm": 9.0, "fingertip_mm_median": 8.0, "finger_deg": 12.0}
-    given = "trained on our body, which it fits"
-    rows = [{**row("identity", "rest", 3.0), **figures}, {**row("mime", "rest", 1.0, given=given), **figures}]
-    page = results_page(written(tmp_path, report("fingers", rows)))
-    section = page[page.index("## Fingers") : page.index("## Four-legged animals")]
-    assert section.count("Not measured.") == 3
-    for table in (section, section[section.index("With the shipped body's model:") :]):
-        cells = next(iter(table_after(table, table[:9]).values()))
-        assert (cells["fingertips, mm"], cells["finger joints, degrees"]) == ("9", "12")

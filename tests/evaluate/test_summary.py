@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mimesh.evaluate.run import evaluate_command, report_text
-from mimesh.evaluate.summary import calibration, half_interval, summary, warnings_count, win_share
+from mimesh.evaluate.summary import half_interval, summary, warnings_count, win_share
 
 
 def figures(pmd, pair="", identity="a", driving="b", **more):
@@ -73,9 +73,6 @@ def test_warnings_are_counted_for_bad_and_for_good_results():
     rows = [summary("copy", "seen", seen), summary("copy", "unseen", unseen)]
     assert warnings_count(rows) == {"pairs": 4, "bad": 2, "bad_warned": 1, "good": 1, "good_warned": 1}
     assert warnings_count([row([1.0, 2.0])]) is None
-    lines = calibration(rows)
-    assert [line["pairs"] for line in lines] == [1, 1, 2]
-    assert [line["bad"] for line in lines] == [1.0, 0.0, 0.5]
 
 
 def test_lists_of_a_report_are_on_one_line_and_unchanged():

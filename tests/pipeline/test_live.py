@@ -185,6 +185,7 @@ def test_a_frame_whose_first_and_last_vertex_coincide_is_used(driving, session):
     [
         (lambda vertices: vertices[:-1], "expected vertices of shape"),
         (lambda vertices: vertices[None], "expected vertices of shape"),
+        (lambda vertices: vertices.T, "expected vertices of shape .*give frame.T"),
         (lambda vertices: vertices.ravel(), "expected vertices of shape"),
         (lambda vertices: damaged(vertices, np.nan), "in 1 of [0-9]+ vertices of a frame .first: vertex 7.; leave"),
         (lambda vertices: damaged(vertices, np.inf), "first: vertex 7"),

@@ -33,7 +33,7 @@ PELVIS = ("Hips", "LHipJoint", "RHipJoint")
 """Joints of the shipped body that move together with the hips."""
 MATCH, NEARNESS = 0.3, 1.5
 """Score of a pair of joints: MATCH, plus their overlap, minus NEARNESS times their distance over the limb's length;
-pairs below 0 are none. Chosen on characters whose names are known (docs/LOG.md)."""
+pairs below 0 are none. Chosen on characters whose names are known (docs/log/rigs.md)."""
 BLOCK = 4096
 """Vertices whose weights are compared at once; bounds the memory."""
 

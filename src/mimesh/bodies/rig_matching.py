@@ -20,7 +20,7 @@ from .joint_names import name_words
 from .skinned_character import SkinnedCharacter
 
 # Lengths are in units of half the diagonal of the bounding box. All figures were chosen by eye on creatures of the
-# split `train` of a pool (docs/LOG.md, "Creatures").
+# split `train` of a pool (docs/log/animals.md).
 BESIDE = 0.08
 """A chain is one of a side, not of the middle, from this distance of its mean from the plane between the sides on."""
 LOOSE = 0.35

@@ -13,7 +13,7 @@ from .terminal import Json, print_json, print_next, progress, require
 
 def train(
     model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, hands, npt, aniformer or limp.")],
-    config: Annotated[str, typer.Option(help="small, paper, or the path of a YAML file.")] = "small",
+    config: Annotated[str, typer.Option(help="small, table, gpu, full or paper, if MODEL has it, or the path of a YAML file.")] = "small",
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder for checkpoints and logs.")] = None,
     resume: Annotated[Path | None, typer.Option(help="Folder of a training to continue exactly.")] = None,
     max_minutes: Annotated[float | None, typer.Option(help="Stop after so long, ready to be resumed.", min=0)] = None,

@@ -43,7 +43,7 @@ CLOSED, TINY = 1e6, 1e-9
 
 @dataclass(frozen=True)
 class Stiffness:
-    """How far corrections are small and smooth, against the equations of standing soles (docs/LOG.md, "Feet")."""
+    """How far corrections are small and smooth, against the equations of standing soles (docs/log/rigs.md)."""
 
     leg_size: float
     """Seconds: slides that last longer than this are left to the root."""

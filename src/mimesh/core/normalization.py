@@ -23,7 +23,7 @@ AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 UNSURE = 0.9
 """Margin (difference of probabilities) below which a detected facing gets a note.
 
-Chosen on people of the shipped body and on characters of the split `val`, see docs/LOG.md.
+Chosen on people of the shipped body and on characters of the split `val`, see docs/log/mime.md.
 """
 CONTRARY = 0.95
 """Margin from which a detected up that is not the file's gets a note."""

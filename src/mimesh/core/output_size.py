@@ -13,9 +13,9 @@ TOLD_OUTPUT = 25e6
 """Bytes from which on the expected size is told before the work."""
 _limited: ContextVar[bool] = ContextVar("mimesh outputs limited", default=False)
 FRAME_BYTES = {".glb": 24, ".gltf": 32, ".fbx": 24, ".npz": 11, ".usda": 37, ".ply": 38, ".obj": 93}
-"""Suffix -> bytes of a vertex in a frame of a clip, measured on 20 and 40 frames of the shipped body (docs/LOG.md,
-2026-11-25): .glb has normals, .gltf is text in base 64, .ply and .obj have the triangles in every frame. That of .fbx
-was not measured."""
+"""Suffix -> bytes of a vertex in a frame of a clip, measured on 20 and 40 frames of the shipped body
+(docs/log/formats.md): .glb has normals, .gltf is text in base 64, .ply and .obj have the triangles in every frame. That
+of .fbx was not measured."""
 POINT_BYTES = 12
 """The same of formats that store the points alone, in single precision: .npy .pc2 .mdd .usdc .usdz .abc."""
 

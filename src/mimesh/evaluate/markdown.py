@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .summary import calibration, warnings_count, win_share
+from .summary import win_share
 
 BASELINES = ("copy", "deformation-transfer-13")
 """Methods against which wins are counted."""
@@ -113,28 +113,6 @@ def makers_table(rows: list[dict[str, Any]]) -> str:
     return markdown_table(["maker, pack", *heads], lines)
 
 
-def warnings_table(rows_of: dict[str, list[dict[str, Any]]]) -> str:
-    """Format how many bad and good results came with a warning, for each set of rows by its name."""
-    head = ["set", "pairs", "bad (PMD above 50)", "bad and warned of", "good (PMD below 10)", "good and warned of"]
-    lines = []
-    for name, rows in rows_of.items():
-        if (counts := warnings_count(rows)) is not None:
-            shares = [_share(counts[f"{kind}_warned"], counts[kind]) for kind in ("bad", "good")]
-            lines.append([name, str(counts["pairs"]), str(counts["bad"]), shares[0], str(counts["good"]), shares[1]])
-    return markdown_table(head, lines)
-
-
-def calibration_table(rows: list[dict[str, Any]]) -> str:
-    """Format the calibration curve: what the uncertainty of the report says about the error."""
-    head = ["uncertainty", "pairs", "median PMD", "90 %", "PMD above 50"]
-    lines = [
-        [f"{line['from']:g} to {line['to']:g}", str(line["pairs"]), _number(line["median"]), _number(line["p90"]),
-         f"{100 * line['bad']:.0f} %"]
-        for line in calibration(rows)
-    ]  # fmt: skip
-    return markdown_table(head, lines)
-
-
 def not_applicable(rows: list[dict[str, Any]]) -> list[str]:
     """Format one line for each method that could not be applied to some pairs, with the reason."""
     kinds: dict[tuple[str, str], list[str]] = {}
@@ -153,8 +131,8 @@ def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def with_interval(row: dict[str, Any] | None, name: str) -> str:
     """Format a mean and half of its 95 % interval."""
-    text = cell(row, name)
-    return f"{text} ± {row[f'{name}_ci95']:.2g}" if row is not None and f"{name}_ci95" in row else text
+    text, half = cell(row, name), (row or {}).get(f"{name}_ci95")
+    return text if half is None else f"{text} ± {half:.2g}" if half < 99.5 else f"{text} ± {half:.0f}"
 
 
 def cell(row: dict[str, Any] | None, name: str) -> str:
@@ -185,7 +163,3 @@ def _pairs(row: dict[str, Any]) -> str:
 def _wins(row: dict[str, Any], baseline: dict[str, Any]) -> str:
     share = None if row["method"] == baseline["method"] else win_share(row, baseline)
     return "-" if share is None else f"{100 * share:.0f} %"
-
-
-def _share(part: int, whole: int) -> str:
-    return f"{part} ({100 * part / whole:.0f} %)" if whole else "-"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -27,8 +26,6 @@ DIGITS = 6
 """Significant digits of the figures of single pairs."""
 BAD_E4, GOOD_E4 = 50.0, 10.0
 """PMD x1e4 above which a result is bad, and below which it is good, where warnings are measured."""
-UNCERTAINTY_BINS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, np.inf)
-"""Borders of the uncertainty in the calibration table; above 1 the user is warned."""
 
 
 def summary(method: str, kind: str, figures: list[dict[str, Any]], body: str = "human") -> dict[str, Any]:
@@ -134,18 +131,6 @@ def warnings_count(rows: list[dict[str, Any]]) -> dict[str, int] | None:
     counts = {"pairs": len(figures), "bad": bad.sum(), "bad_warned": (bad & (warned > 0)).sum()}
     counts |= {"good": good.sum(), "good_warned": (good & (warned > 0)).sum()}
     return {name: int(count) for name, count in counts.items()}
-
-
-def calibration(rows: list[dict[str, Any]]) -> list[dict[str, float]]:
-    """Return what the uncertainty says about the error: for each of its bins the PMD and the share of bad results."""
-    figures = confidence_figures(rows)
-    lines = []
-    for low, high in pairwise(UNCERTAINTY_BINS):
-        error = figures[(figures[:, 1] >= low) & (figures[:, 1] < high), 0]
-        if len(error):
-            quantiles = {"median": np.median(error), "p90": np.quantile(error, 0.9), "bad": (error > BAD_E4).mean()}
-            lines.append({"from": low, "to": high, "pairs": len(error), **{k: float(v) for k, v in quantiles.items()}})
-    return lines
 
 
 def confidence_figures(rows: list[dict[str, Any]]) -> Float[np.ndarray, "N 3"]:

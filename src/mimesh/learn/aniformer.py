@@ -96,7 +96,7 @@ class AniFormerData(PeopleOptions, MeshOptions):
 
 @dataclass(frozen=True)
 class ClipLossConfig:
-    """Terms of Eq. 6 beside the reconstruction; the largest weights that cost nothing on `val` (docs/LOG.md)."""
+    """Terms of Eq. 6 beside the reconstruction; the largest weights that cost nothing on `val` (docs/log/papers.md)."""
 
     motion: Literal["paper", "velocity", "off"] = "paper"
     motion_weight: float = 1e-3

@@ -26,7 +26,7 @@ def load_config(name_or_path: str, model: str = "npt", changes: Sequence[str] = 
     """Load a shipped configuration by name (`paper`, `small`, ...) or a YAML file by path, with "key=value" changes.
 
     Raises:
-        InputError: no such configuration, or a key or value that does not belong.
+        InputError: no such configuration, one of another model, or a key or value that does not belong.
     """
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
@@ -38,7 +38,9 @@ def load_config(name_or_path: str, model: str = "npt", changes: Sequence[str] = 
             + did_you_mean(name_or_path, shipped)
         )
     refuse_pipe(path)
-    values = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    values = {"network": model, **(yaml.safe_load(path.read_text(encoding="utf-8")) or {})}
+    if (network := values["network"]) in NETWORKS and network != model:
+        raise InputError(f"{path}: expected a configuration of {model}, found one of {network}; train {network}")
     for change in changes:
         _change(values, change)
     return config_from(values, str(path))

@@ -27,7 +27,7 @@ SAVE_SECONDS = 60.0
 """Wall-clock time between checkpoints."""
 FULL_RATE = "full-rate.safetensors"
 """Checkpoint of the last step before the learning rate falls. A longer training goes on from there (`--weights`): a
-rate that has fallen to zero and rises again undoes more than a short training brings back (docs/LOG.md)."""
+rate that has fallen to zero and rises again undoes more than a short training brings back (docs/log/papers.md)."""
 
 
 def train(

@@ -118,7 +118,7 @@ class MimeData(PeopleOptions, CharacterOptions):
     pairing: Literal["random"] = "random"
     character_limits: float | None = share(None)
     """As `limits`, of driving characters and figures of primitives; None: that of `limits`. One network that saw many
-    took odd shapes for odd poses (docs/LOG.md, "Animals of the shipped body in any pose")."""
+    took odd shapes for odd poses (docs/log/animals.md)."""
     low_poly: float = share()
     """`wide`: share of meshes that are low-poly, as points with the normals of 200 to 1,200 flat triangles."""
     scans: float = share()

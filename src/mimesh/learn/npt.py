@@ -55,7 +55,7 @@ class NPTData(PairOptions, MeshOptions):
     """What NPT is trained on: the paper's table, endless people, frames of clips, characters, or registered meshes."""
 
     kind: Literal["table6", "wide", "clips80", "clips", "meshes"] = "table6"
-    """`table6`: NPT's 16 people x 400 poses of its Table 6. `wide`: endless people; rest, Table 6, joint limits, frames
+    """`table6`: the 16 people x 400 poses of `evaluate.protocols.HUMAN_NPT`, whatever the seed. `wide`: endless people; rest, Table 6, joint limits, frames
     of motions. `clips80`: frames of AniFormer's 16 people x 80 motions. `clips`: as `wide`, validated on clips.
     `meshes`: registered meshes of a folder."""
     animal_kinds: ClassVar[tuple[str, ...]] = ("wide", "meshes")
@@ -149,10 +149,11 @@ def npt_loss(
     """Compute Eq. 4 divided by the number of vertices: the same optimum, and a size that does not depend on V.
 
     Args:
-        edge: `paper` (Eq. 6), `ratio` (as the public code) or `off`. That code compares lengths with the identity's, in
-            metres; here the truth has another unit than the identity, and skinning keeps most lengths, so with its own.
+        edge: `paper` (Eq. 6), `ratio` (as the public code) or `off`. The public code compares edge lengths with those
+            of the identity, in metres. Here they are compared with the truth's: its unit is not the identity's, and
+            skinning keeps most lengths.
         edge_weight: lambda of Eq. 4.
-        edges_of_mesh: edges a vertex that the whole mesh has, over those given here, when `edges` is a sample.
+        edges_of_mesh: edges per vertex of the whole mesh over those given here, where `edges` is a sample.
     """
     count = result.shape[1]
     loss = reconstruction(result, truth) / count
@@ -164,7 +165,7 @@ def npt_loss(
 
 
 class PairSource(BodySampler):
-    """Makes batches of pairs of people."""
+    """Makes batches of pairs of people: `BodySampler.pairs` draws, skins, shuffles and normalises them."""
 
     def batch(self, size: int, step: int) -> PairBatch:
         """Make the pairs of a step."""

@@ -67,6 +67,9 @@ def train_command(
             fixed = [f"--weights {weights}"] * bool(weights) + [f"--leave-out {pack}" for pack in leave_out]
             fixed += [f"--pattern {pattern}"] * bool(pattern)
             settings, folder = resumed_config(resume, changes, fixed), resume
+            if settings.network != model:
+                found = f"{resume}: expected a training of {model}, found one of {settings.network}"
+                raise InputError(f"{found}; train {settings.network}")
         else:
             settings, folder = new_config(model, config, out, changes, folders, leave_out)
         pool = read_user_data(settings, folders, bar)

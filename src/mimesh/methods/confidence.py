@@ -16,7 +16,7 @@ from ..bodies.anatomy import HUMAN, QUADRUPED, Anatomy, anatomy_of_joints
 from ..core.geometry import angles_between
 from ..core.rig import descendants
 
-# Thresholds, tuned on meshes of whole people and of other things (docs/LOG.md).
+# Thresholds, tuned on meshes of whole people and of other things (docs/log/mime.md).
 MAX_SPREAD = 15.0
 """Largest spread (degrees) of the predictions for a whole person."""
 MAX_ENTROPY = 0.81
@@ -31,7 +31,7 @@ the surface is far from the body. Holes in a mesh exceed only the first, clothes
 """
 FOLDED = 150.0
 """Flexion (degrees) of an elbow or knee from which on the lower limb would be inside the upper one. Limbs that are cut
-off in the middle are often taken for folded ones: 6 % of bad results have one, no good one does (docs/LOG.md)."""
+off in the middle are often taken for folded ones: 6 % of bad results have one, no good one does (docs/log/mime.md)."""
 MISSING_LIMB = 0.4
 """A limb is missing if more than this share of it is far from the surface, whatever the rest. One-sided scans: 0.3."""
 
@@ -44,9 +44,9 @@ EXPECTED_ERROR = {
     "incomplete": 1.7338,
 }
 """Logarithm of what a mesh adds to the mean error of a result (heights of the identity): constant, and coefficients of
-`Confidence.features`. Fitted by `research/fit_confidence.py` (docs/LOG.md, "Confidence")."""
+`Confidence.features`. Fitted by `research/fit_confidence.py` (docs/log/mime.md, "Confidence")."""
 MAX_ERROR = 0.0165
-"""Largest expected error of a mesh without a note: about 2 % of good results have one (docs/LOG.md, "Confidence")."""
+"""Largest expected error of a mesh without a note: about 2 % of good results have one (docs/log/mime.md)."""
 OTHER_KIND = {"constant": -8.3, "entropy": 3.64, "fit_distance": 3.07}
 """Logarithm of the odds that a mesh shows something else than the body that was fitted to it, where both are as likely
 beforehand: constant, and coefficients of `Confidence.features`. Fitted by `research/measure_wrong_kind.py`, which also

@@ -1,4 +1,4 @@
-"""Clips of shipped animals in gaits and postures, for demos, the gallery and the studio: feet stand, or are in the air.
+"""Clips of shipped animals in gaits and postures, for demos and the studio: feet stand, or are in the air.
 
 The poses of a gait are made as in `gaits.py`, which networks are trained and measured on and which stays as it is. Here
 the order of the feet and the shares of a cycle that they stand are those of running animals, the root goes straight on

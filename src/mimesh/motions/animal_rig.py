@@ -34,7 +34,7 @@ class AnimalRig(HumanoidRig):
     body_name: ClassVar[str] = "quadruped"
     stands: ClassVar[frozenset[str]] = frozenset(itertools.chain(*CHAINS, TAIL))
     """Animals rest on their feet, and how their bones lie in their legs differs from rig to rig. Tails hang in ways of
-    their own, too: with them PMD from the rotations of the bones by name fell from 68 to 60 (docs/LOG.md, 2026-11-26).
+    their own, too: with them PMD from the rotations of the bones by name fell from 68 to 60 (docs/log/animals.md).
     Necks are not among them: 135, as heads then miss the ground or the height that the driving's reach."""
 
     @property

@@ -261,7 +261,7 @@ def prepare(
 
     All frames must have the vertices and triangles of `driving`, in the same order. Its first frame fixes axes, size
     and place: there the result has the identity's position. One frame is enough. Of a clip up to 16 keyframes are
-    looked at, as by `animate`, which finds joints more exactly and tells whether fingers move (docs/live.md has the
+    looked at, as by `animate`, which finds joints more exactly and tells whether fingers move (docs/api.md has the
     figures): record some seconds with various poses where you can.
 
     A session makes the frames of `animate` with `ground=False` and `smooth=0`, which both need later frames. Joints in

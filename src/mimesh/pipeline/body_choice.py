@@ -30,7 +30,7 @@ BODIES = ("auto", *NETWORK_OF_BODY, OTHER)
 """Choices of `--body`."""
 MARGIN = 0.1
 """By how much the entropy of the skinning weights (nats) must be lower for an animal than for a person. Chosen on the
-splits train and val of the pool (docs/LOG.md): most files show people."""
+splits train and val of the pool (docs/log/animals.md): most files show people."""
 DOUBT = 0.45
 """By how much less decided (nats) the network of animals may be on a mesh that is moved as one beside a clear animal.
 Chosen on the same meshes: the largest of an animal, a pug, is 0.43. Animals are not moved as people: MARGIN favours

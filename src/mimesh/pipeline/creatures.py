@@ -20,7 +20,7 @@ from .rigs import Axes
 
 SURE, SURE_ACROSS = 0.45, 0.6
 """Confidence below which a match is refused: of two creatures, and of a creature with a person or a four-legged animal.
-Chosen by eye on pairs of a pool's characters (docs/LOG.md, "Creatures")."""
+Chosen by eye on pairs of a pool's characters (docs/log/animals.md)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from .rigs import Axes
 FRAMES = 12
 """Most frames, evenly spread over a clip, on which marks are looked for."""
 SURE = 0.7
-"""Confidence below which marks are refused. Chosen by eye on meshes of a pool (docs/LOG.md, "Creatures")."""
+"""Confidence below which marks are refused. Chosen by eye on meshes of a pool (docs/log/animals.md)."""
 
 
 @dataclass(frozen=True, eq=False)

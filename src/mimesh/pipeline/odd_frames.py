@@ -22,7 +22,7 @@ FAR_VERTICES = 24
 FAR_STEP = 0.5
 """Mean distance of a vertex from the middle of the frames before and after, over the size, from which on a frame is a
 fault. In 324 animations of games and captures it is at most 0.07 in frames that are twice as far from that middle as
-those two from each other, 0.36 where every fourth frame is taken, and 0.54 where every eighth is (docs/LOG.md,
+those two from each other, 0.36 where every fourth frame is taken, and 0.54 where every eighth is (docs/log/rigs.md,
 2026-11-26)."""
 FAR_SHARE = 0.05
 """Largest share of the frames that are taken for faults; more are a fast motion, of which few frames were taken."""

@@ -10,7 +10,7 @@ from ..methods.base import QuickPredictor
 from ..methods.confidence import Confidence
 
 MIN_GAIN = 0.15
-"""Decrease of the skinning weights' mean entropy (nats) from which on other axes are taken (docs/LOG.md)."""
+"""Decrease of the skinning weights' mean entropy (nats) from which on other axes are taken (docs/log/mime.md)."""
 
 
 def normalised(mesh: Mesh, norm: Normalization) -> Mesh:

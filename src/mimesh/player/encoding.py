@@ -1,7 +1,7 @@
 """Encodes arrays and frames of clips as text for the browser: differences, in planes of bytes, deflated, base64.
 
 `web/player/scene.js` decodes them. Same input, same bytes. Frames are read one by one, so that clips on disk need no
-memory. People at 15 frames a second take about 4.5 characters per vertex and frame (docs/LOG.md).
+memory. People at 15 frames a second take about 4.5 characters per vertex and frame (docs/log/speed.md).
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import gltf_samples as samples
 import numpy as np
 import pytest
@@ -12,7 +14,8 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_clip
 from mimesh.io.gltf import write_gltf_clip
-from mimesh.io.gltf.animation import AnimationChannel, frame_rate
+from mimesh.io.gltf.animation import AnimationChannel, animated_nodes, frame_rate, select_channels
+from mimesh.io.gltf.document import open_document
 
 HIP_QUATERNIONS = [[0, 0, 0, 1], [0, 0, 0.6, 0.8]]
 """Rotation (xyzw) of the hero's hip at 0 s and 1 s."""
@@ -128,6 +131,29 @@ def hero_with_three_animations(tmp_path):
 )
 def test_animation_is_selected_by_name_or_index(tmp_path, selector, frames):
     assert len(load_clip(hero_with_three_animations(tmp_path), fps=10.0, animation=selector)) == frames
+
+
+def moving(node, path="rotation"):
+    """The entry of an animation that moves one property of a node."""
+    return {"channels": [{"target": {"node": node, "path": path}, "sampler": 0}]}
+
+
+def test_animations_of_other_nodes_are_read_with_the_first_and_alternatives_are_not(tmp_path):
+    """Blender writes one animation for each object that moves."""
+    sample = samples.hero()
+    first = sample.gltf["animations"][0]
+    moved = first["channels"][0]["target"]["node"]
+    other = next(node for node in range(len(sample.gltf["nodes"])) if node != moved)
+    sample.gltf["animations"] = [first, *({**first, **moving(node)} for node in (other, moved))]
+    document = open_document(sample.glb(tmp_path / "a.glb"))
+    assert [found.node for found in select_channels(document, None)] == [moved, other]
+
+
+def test_nodes_that_any_animation_moves_are_listed():
+    """A new animation has keys for all of them: other programs mix it with those of other nodes."""
+    gltf = {"nodes": [{}, {}, {}], "animations": [moving(0), moving(2), moving(1, "weights"), moving(9)]}
+    document = SimpleNamespace(gltf=gltf, path="a.glb")
+    assert animated_nodes(document, {"rotation"}) == {0, 2}
 
 
 def test_a_damaged_animation_beside_the_first_is_refused_only_if_it_is_asked_for(tmp_path):

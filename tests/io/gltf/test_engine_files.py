@@ -1,4 +1,4 @@
-"""Written files in the layouts of engines, read again: what docs/engines.md says of them holds in the file itself.
+"""Written files in the layouts of engines, read again: what docs/characters.md says of them holds in the file itself.
 
 Unity, Unreal and Godot are not run here; the rules are those of their documentation.
 """

@@ -5,8 +5,9 @@ import pytest
 import trimesh
 
 from mimesh.bodies import load_body
+from mimesh.bodies.anatomy import anatomy_of
 from mimesh.methods.mime.body_fit import NearestBody
-from mimesh.methods.mime.weight_cleanup import clean_weights
+from mimesh.methods.mime.weight_cleanup import MAX_BONES, bone_distances, clean_weights
 
 BODY = load_body()
 HAND = np.isin(BODY.weights.argmax(axis=1), [BODY.joint(f"Left{name}") for name in ("HandFinger1", "FingerBase")])
@@ -23,6 +24,15 @@ def corrupted(share=1.0):
     weights[HAND] = (1 - share) * weights[HAND]
     weights[HAND, KNEE] += share
     return weights
+
+
+def test_bones_of_an_animals_trunk_are_not_counted():
+    """Forelegs border on hips where one joint moves the trunk; counted, their bones would be cut apart."""
+    body = load_body("quadruped")
+    trunk = [body.joint(name) for name in anatomy_of("quadruped").optional_trunk]
+    leg, hips = body.joint("LeftForearm"), body.joint("Hips")
+    assert bone_distances(body.parents)[leg, hips] >= MAX_BONES
+    assert bone_distances(body.parents, trunk)[leg, hips] < MAX_BONES
 
 
 def test_correct_weights_stay():

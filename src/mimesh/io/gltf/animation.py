@@ -222,7 +222,7 @@ def select_channels(document: Document, selector: str | None) -> list[AnimationC
 
     Complementing animations are those, in file order, whose targets no chosen animation has. Blender writes one
     animation for each object that moves, and all of them belong together; animations of the same targets are
-    alternatives (measured with Blender 4.5 and 5.0, docs/LOG.md).
+    alternatives (measured with Blender 4.5 and 5.0, docs/log/formats.md).
 
     Raises:
         InputError: as `find_animation` and `read_channels`.

@@ -19,7 +19,7 @@ KEY_LIMIT = 1e-4
 It is 0.2 mm for a person: motions that are found or retargeted are not known any better."""
 COPY_LIMIT = 3e-6
 """The same for an animation that is copied between files with one skeleton: copies are exact to 1e-5 (see
-docs/rigs.md), of which float32 keys take a part."""
+docs/characters.md), of which float32 keys take a part."""
 ACCESSOR_BYTES = 190
 """Characters of JSON that an accessor of key times takes, with its buffer view."""
 SHORTEST_REACH = 0.05

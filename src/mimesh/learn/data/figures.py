@@ -451,7 +451,7 @@ class CharacterPairSource(BodySampler):
         driving[:people] = self._normalized_mesh(shapes[:people], pairs.pose[:people], vertices)[0]
         self._reflect(rng, identity, driving, truth)
         size_of_truth = (own / (own if scale is None else scale))[:, 0, 0]
-        return PairBatch(identity, driving, truth, size_of_truth, pairs_of_rows(index), self.edge_share)
+        return PairBatch(identity, driving, truth, size_of_truth, pairs_of_rows(index), self.edges_of_mesh)
 
     def _with_neighbours(self, rest: Float[Tensor, "B P 3"], rng: torch.Generator) -> Int[Tensor, "B V"]:
         """Draw points of which every second one is a neighbour at rest of the one before it."""

@@ -111,13 +111,13 @@ class VertexSampler:
         self.first_neighbour, self.neighbours = (torch.from_numpy(a).to(device) for a in geometry.neighbours(faces))
 
     def _generator(self, step: int) -> torch.Generator:
-        """Make the random numbers of a step."""
+        """Make the random numbers of a step; the factor is a prime above any number of steps."""
         return torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
 
     def _sample_vertices(
         self, size: int, rng: torch.Generator
     ) -> tuple[Int[Tensor, "B V"], Int[Tensor, "B U"], Int[Tensor, "B E 2"], float]:
-        """Draw indices of identity and truth, of driving, edges among the former, and edges of the mesh over these.
+        """Draw indices of identity and truth, of driving, edges among the former, and `PairBatch.edges_of_mesh`.
 
         With a subset, every second identity vertex is a random neighbour of the one before it, so that edge losses have
         edges to measure. With `pairing: order` the driving's are those of the identity.
@@ -133,11 +133,11 @@ class VertexSampler:
         pick = torch.rand(index.shape, generator=rng, device=self.device) * (end - start)
         index = torch.stack([index, self.neighbours[start + pick.long()]], -1).flatten(1)
         driving = index if ordered else self._stratified_vertices(size, index.shape[1], rng)
-        return index, driving, pairs_of_rows(index), self.edge_share
+        return index, driving, pairs_of_rows(index), self.edges_of_mesh
 
     @property
-    def edge_share(self) -> float:
-        """Edges a vertex of the whole mesh, over those of a subset: one for every two vertices."""
+    def edges_of_mesh(self) -> float:
+        """Edges per vertex of the whole mesh over those of a subset, which has one for every two vertices."""
         return 2.0 * len(self.edges) / self.total
 
     def _stratified_vertices(self, size: int, count: int, rng: torch.Generator) -> Int[Tensor, "B N"]:
@@ -178,7 +178,7 @@ class PairBatch:
     """Radius of the whole `truth` in its unit: 1 where it was divided by its own."""
     edges: Int[Tensor, "B E 2"]
     edges_of_mesh: float
-    """Edges a vertex of the whole mesh over edges a vertex given here."""
+    """Edges per vertex of the whole mesh over edges per vertex given here."""
 
 
 class BodySampler(VertexSampler):
@@ -201,14 +201,14 @@ class BodySampler(VertexSampler):
     def pairs(self, size: int, rng: torch.Generator) -> PairBatch:
         """Draw two people for each pair, in two poses, and make the first one in the pose of the second, too."""
         (identity_shape, driving_shape), (identity_pose, driving_pose), _ = self.people.pairs(size, rng)
-        index, driving_index, edges, share = self._sample_vertices(size, rng)
+        index, driving_index, edges, edges_of_mesh = self._sample_vertices(size, rng)
         identity, radius = self._normalized_mesh(identity_shape, identity_pose, index)
         driving, _ = self._normalized_mesh(driving_shape, driving_pose, driving_index)
         scale = radius if self.config.target_scale == "identity" else None
         truth, own = self._normalized_mesh(identity_shape, driving_pose, index, scale)
         self._reflect(rng, identity, driving, truth)
         size_of_truth = (own / (own if scale is None else scale))[:, 0, 0]
-        return PairBatch(identity, driving, truth, size_of_truth, edges, share)
+        return PairBatch(identity, driving, truth, size_of_truth, edges, edges_of_mesh)
 
     def _normalized_mesh(
         self,

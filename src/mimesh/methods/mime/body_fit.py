@@ -27,7 +27,7 @@ from .joint_targets import JointTargets
 from .limb_search import limb_gaps, search_limbs
 from .surface_sample import SurfaceSample
 
-# docs/LOG.md ("a person laid onto the surface") says which of these values matter, with figures on val.
+# docs/log/mime.md ("a person laid onto the surface") says which of these values matter, with figures on val.
 BODY_POINTS = 1000
 """Points of the body that are matched. Twice as many points of the surface are matched to them in turn."""
 ROUNDS, COARSE_ROUNDS, COARSE_POINTS = 6, 3, 400
@@ -41,10 +41,10 @@ MATCH_WEIGHT = 0.3
 RELIABLE_MISMATCH, MISMATCH_EXPONENT, MISMATCH_POINTS = 0.0022, 6, 16
 """Mismatch of the shapes (see `_mismatch`, metres of the body) at which fit and prediction count alike, how fast that
 changes, and the neighbours that are averaged. People of the shipped body have 0.1 mm, dressed ones 0.5, those with
-noise of up to 5 % 1.9, realistic and stylised characters of others 1.6, figures of blocks 3 (docs/LOG.md)."""
+noise of up to 5 % 1.9, realistic and stylised characters of others 1.6, figures of blocks 3 (docs/log/mime.md)."""
 REFINED = ("quadruped",)
 """Bodies whose fits go on where they have the shape of the surface. Of people, poses at the joint limits gain by it,
-and dressed ones lose (docs/LOG.md, "Animals of the shipped body in any pose")."""
+and dressed ones lose (docs/log/animals.md)."""
 SHIPPED_SHAPE, FURTHER_ROUNDS = 0.0012, 10
 """Mismatch (metres of the body) up to which a fit goes on, and by how many rounds at most. Before that, animals of the
 shipped body have 0.2 to 0.5 mm, those of other makers 2 to 8: these would drift away from what was predicted."""
@@ -58,7 +58,7 @@ NEAREST = 3
 """Vertices of the fitted body from which its weights at a point of the surface are interpolated."""
 SAME_SHAPE, SHAPE_EXPONENT = 0.0004, 4
 """Mismatch (metres of the body) at which predicted weights and those of the fitted body count alike, and how fast that
-changes: the body's are better only where it has the shape of the surface (docs/LOG.md, "Weights of the body")."""
+changes: the body's are better only where it has the shape of the surface (docs/log/mime.md, "Weights of the body")."""
 UNMATCHED_BODY, UNMATCHED_SURFACE = 0.05, 0.08
 """Distance (metres of the body) from which on a point of the body is unmatched by the surface, and the reverse."""
 

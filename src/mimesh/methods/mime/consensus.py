@@ -19,7 +19,7 @@ def agreeing(rigs: list[Rig]) -> list[int]:
 
     Where the front of a figure looks like its back, predictions contradict each other, and a mean of contradictions is
     none of them. Predictions of a person who faces away count for less, because the facing of the mesh has been decided
-    before (docs/LOG.md, "Agreement").
+    before (docs/log/mime.md, "Agreement").
     """
     angles = np.array([[mean_angle(one.rotation, other.rotation) for one in rigs] for other in rigs])
     votes = np.array([FACES_AWAY if faces_away(rig.rotation[0]) else 1.0 for rig in rigs])

@@ -1,7 +1,7 @@
 """Skinning weights of very dense surfaces: found for fewer points, and interpolated between these along the surface.
 
 Weights change over centimetres. For each vertex on its own they would take most of the time of a transfer, and would
-follow each point of the fitted body and each facet, as bumps that a coarser mesh does not resolve (docs/LOG.md).
+follow each point of the fitted body and each facet, as bumps that a coarser mesh does not resolve (docs/log/speed.md).
 """
 
 from __future__ import annotations

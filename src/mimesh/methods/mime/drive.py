@@ -68,7 +68,7 @@ RETRIES, DISAGREEMENT = 4, 15.0
 reference by the measured motion, differ from their consensus by more than this angle (degrees, median)."""
 LIE = ("quadruped",)
 """Bodies for which other orientations are tried where the predictions disagree: animals lie on their sides, and trunks
-of leaping ones point up or down. Of people figures of blocks became worse (docs/LOG.md, "Animals that lie")."""
+of leaping ones point up or down. Of people figures of blocks became worse (docs/log/animals.md)."""
 
 
 @dataclass(frozen=True, eq=False)

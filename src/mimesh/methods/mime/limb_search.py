@@ -27,7 +27,7 @@ SEARCHES = 3
 """How many times limbs are searched at most, each time from what the search before has found."""
 LIES_ON = 0.005
 """Gap of a limb (see `limb_gaps`; metres of the body) up to which it is not searched. True poses have 3 to 9 mm, from
-the distance between samples; wrong ones 5 to 100 (docs/LOG.md, "Other poses of limbs")."""
+the distance between samples; wrong ones 5 to 100 (docs/log/animals.md)."""
 LIES_OFF = 0.01
 """Gap from which on a limb is surely wrong. It is searched longer, and the other limbs that lie off do not count as
 covering the surface: a tail that lies in a leg would hold the leg away."""

@@ -18,7 +18,7 @@ from ...core.geometry import nearest_rotation
 
 JOINT_WEIGHT, ROTATION_WEIGHT = 3e-2, 1e-5
 """Weights of the regularizer, where all points together have 1: a joint's map and its parent's map agree at the joint,
-and agree in their linear part. Measured on poses of NPT's Table 6 (docs/LOG.md, "Clips")."""
+and agree in their linear part. Measured on poses of NPT's Table 6 (docs/log/mime.md, "Clips")."""
 MIN_EXTENT = 1e-4
 """Share of the surface's mean squared radius that is added to the extent of each part, for parts without thickness."""
 MEAN_ROUNDS = 5
@@ -86,7 +86,7 @@ class PartTracker:
 
         It is solved twice. The regularizer draws each joint's map towards its parent's, which makes every bend too
         small. So the maps of the first solve are made rigid, and the second solve finds only the correction that they
-        lack: what is regularized then is that small correction, not the whole motion. (docs/LOG.md, "Clips": errors.)
+        lack: what is regularized then is that small correction, not the whole motion. (docs/log/mime.md)
         """
         centre = points.mean(axis=-2, keepdims=True)
         points = points - centre

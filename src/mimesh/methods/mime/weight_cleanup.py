@@ -27,11 +27,11 @@ from .body_fit import NearestBody, sampled_body
 RIGID_SHARE, SMALL_SHARE, SMALL_AREA, BODY_SHARE = 0.65, 0.5, 0.01, 0.3
 """A piece moves rigidly if one joint has more than the first share of its weight, or the second of a piece with less
 than SMALL_AREA of the surface; BODY_SHARE of what counts are the fitted body's weights. Chosen on 1,875 pieces of
-characters (docs/LOG.md, "Pieces")."""
+characters (docs/log/mime.md, "Pieces")."""
 FAR, ATTACHED = 0.05, 0.1
 """A piece also moves rigidly if its vertices are farther from the fitted body than this (median, metres of the body);
 its joint is that of the share of its vertices that is nearest to the body. Of 412 garments and other pieces that bend,
-in the pool's `train` and `val` characters, the median is below 0.04 (docs/LOG.md)."""
+in the pool's `train` and `val` characters, the median is below 0.04 (docs/log/mime.md)."""
 BLOCK_VERTICES, BLOCK_AREA, LIMB_SHARE = 24, 0.02, 0.9
 """A piece of at most so many vertices and more than this share of the surface moves rigidly too (of 17 such pieces of
 the pool's characters 16 do); its joint is the last one whose subtree has LIMB_SHARE of its weight to its limb."""
