@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zoo
 
@@ -27,6 +28,12 @@ def test_a_subdivided_surface_has_the_wanted_vertices_and_the_same_area(script, 
     assert face_areas(vertices, faces).sum() == pytest.approx(6)
     assert len(border_edges(faces)) == 0
     assert face_areas(vertices, faces).min() > 0
+
+
+def test_frames_go_forwards_and_backwards(script):
+    cube = zoo.cube()
+    clip = script["frames_of"](cube, np.arange(4.0)[:, None, None] + cube.vertices, 9)
+    assert (clip.vertices[:, 0, 0] - cube.vertices[0, 0]).tolist() == [0, 1, 2, 3, 2, 1, 0, 1, 2]
 
 
 def test_exponents_are_slopes(script):
