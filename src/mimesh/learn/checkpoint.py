@@ -241,11 +241,11 @@ def resumable(config: TrainConfig) -> list[str]:
     return [*SCHEDULE, *(f"data.{key}" for key in ("vertices", *config.data.shares()))]
 
 
-def changes_at_resume(state: Checkpoint, config: TrainConfig, pool: UserData | None) -> list[dict[str, Any]]:
+def changes_at_resume(state: Checkpoint, config: TrainConfig, user_data: UserData | None) -> list[dict[str, Any]]:
     """List what a resumed training changes: nothing, or one entry of `Checkpoint.changes`."""
     values = {key: (attrgetter(key)(config), attrgetter(key)(state.config)) for key in resumable(config)}
     changed: dict[str, Any] = {key: new for key, (new, old) in values.items() if new != old}
     was = {key: old for key, (new, old) in values.items() if new != old}
-    if pool and "clips" in pool.facts and "clips" not in state.characters:
-        changed["clips"] = pool.facts["clips"]["makers"]
+    if user_data and "clips" in user_data.facts and "clips" not in state.characters:
+        changed["clips"] = user_data.facts["clips"]["makers"]
     return [{"after_pairs": state.step * config.batch, **changed, "was": was}] if changed else []

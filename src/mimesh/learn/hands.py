@@ -401,7 +401,7 @@ class HandsTask(Task[HandsTrainConfig, HandNetwork]):
 
     def source(self, seed: int) -> HandSource:
         """Build the generator of hands."""
-        characters = self.brought.characters if isinstance(self.brought, TrainingCharacters) else ()
+        characters = self.user_data.characters if isinstance(self.user_data, TrainingCharacters) else ()
         return HandSource(training_hands(shipped_body(), characters), self.device, seed, self.config.data.characters)
 
     def loss(self, model: HandNetwork, batch: HandBatch, step: int) -> Tensor:

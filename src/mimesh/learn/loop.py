@@ -34,7 +34,7 @@ def train(
     config: TrainConfig,
     folder: Path,
     max_minutes: float | None = None,
-    pool: UserData | None = None,
+    user_data: UserData | None = None,
     processes: Processes | None = None,
 ) -> Path:
     """Train to the end of the schedule, or until a time limit or a signal; continue the training in the folder if any.
@@ -43,7 +43,7 @@ def train(
 
     Args:
         max_minutes: wall-clock time, counted from this call.
-        pool: what the user brings, where the configuration asks for it.
+        user_data: what the user brings, where the configuration asks for it.
         processes: those that share the training; None: this one alone, or those that `torchrun` started.
 
     Raises:
@@ -52,16 +52,16 @@ def train(
     """
     if processes is None:
         with joined_processes() as processes:
-            return train(config, folder, max_minutes, pool, processes)
+            return train(config, folder, max_minutes, user_data, processes)
     folder.mkdir(parents=True, exist_ok=True)
     with StopRequest(max_minutes) as stop:
-        run = TrainingRun.start(config, folder, pool, processes)
+        run = TrainingRun.start(config, folder, user_data, processes)
         validation = Validation(run.task)
         with TrainingLog.opened(folder, run) as log:
             log.note("precision", run.reason, precision=run.task.precision)
             log.note("cost", described_cost(run))
-            if pool:
-                log.note(pool.part, pool.described())
+            if user_data:
+                log.note(user_data.part, user_data.described())
             if run.changes:
                 log.note("changes", json.dumps(run.changes[-1]))
             run_to_end(run, validation, folder, log, stop)
@@ -137,7 +137,7 @@ class TrainingRun:
         cls,
         config: TrainConfig,
         folder: Path,
-        pool: UserData | None = None,
+        user_data: UserData | None = None,
         processes: Processes | None = None,
     ) -> TrainingRun:
         """Set up a new training, or the one whose checkpoint lies in the folder."""
@@ -149,14 +149,14 @@ class TrainingRun:
         before = state.precision if state else ""
         precision, reason = processes.of_first(lambda: choose_precision(config.precision, device, before))
         torch.manual_seed(config.seed)
-        task = find_task(config.network)(config, device, precision, pool)
+        task = find_task(config.network)(config, device, precision, user_data)
         model = task.make_model().to(device)
         ema = {k: v.detach().clone() for k, v in model.state_dict().items()} if config.ema else {}
         optimizers = make_optimizers(model, config, device, DTYPES[precision])
         source = batches_of(task, config.seed)
         step_model: Any = torch.compile(model, options=COMPILE_OPTIONS) if config.compile else model
         if state:
-            refuse_other_data(pool, {"characters": state.characters, "meshes": state.meshes}, folder)
+            refuse_other_data(user_data, {"characters": state.characters, "meshes": state.meshes}, folder)
         if config.compile:  # takes up to a minute, which is no training
             task.loss(step_model, source.batch(config.batch // config.accumulate // processes.count, 0), 0).backward()
             model.zero_grad(set_to_none=True)
@@ -166,7 +166,7 @@ class TrainingRun:
             run.step, run.seconds, run.best, run.before = state.step, state.seconds, state.best, state.before
             run.metrics = state.metrics or None
             run.validated = state.step if state.validated is None else state.validated
-            run.changes = (*state.changes, *checkpoint.changes_at_resume(state, config, pool))
+            run.changes = (*state.changes, *checkpoint.changes_at_resume(state, config, user_data))
             run.samples = state.step * state.config.accumulate if state.samples is None else state.samples
             spent = state.operations  # not in checkpoints of earlier versions
             run.operations = operations_of(state.config, state.step * config.batch) if spent is None else spent
@@ -264,7 +264,7 @@ class TrainingRun:
             return
         tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
         position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
-        brought = {self.task.brought.part: self.task.brought.facts} if self.task.brought else {}
+        brought = {self.task.user_data.part: self.task.user_data.facts} if self.task.user_data else {}
         rest = {"changes": self.changes, "operations": self.operations, "samples": self.samples, **brought}
         state = checkpoint.Checkpoint(self.config, *position, self.task.precision, **rest)
         checkpoint.save(path, state)

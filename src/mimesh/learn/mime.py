@@ -49,7 +49,7 @@ from .data.surfaces import (
     repeat_visible,
     scanned,
 )
-from .task import OnnxInterface, Task, TrainConfig, share
+from .task import OnnxInterface, Task, TrainConfig, share_option
 
 POINTS = 512
 """Points of a mesh that the exported network takes; training takes fewer."""
@@ -116,12 +116,12 @@ class MimeData(PeopleOptions, CharacterOptions):
     target_scale: Literal["identity"] = "identity"
     """Lengths are kept."""
     pairing: Literal["random"] = "random"
-    character_limits: float | None = share(None)
+    character_limits: float | None = share_option(None)
     """As `limits`, of driving characters and figures of primitives; None: that of `limits`. One network that saw many
     took odd shapes for odd poses (docs/log/animals.md)."""
-    low_poly: float = share()
+    low_poly: float = share_option()
     """`wide`: share of meshes that are low-poly, as points with the normals of 200 to 1,200 flat triangles."""
-    scans: float = share()
+    scans: float = share_option()
     """`wide`: share of driving meshes that are scans from one camera: hidden points missing, holes, noise."""
     animal_kinds: ClassVar[tuple[str, ...]] = ("wide",)
     clip_kinds: ClassVar[tuple[str, ...]] = ("wide",)
@@ -639,7 +639,7 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
 
     def source(self, seed: int) -> SurfaceSource:
         """Build the generator of pairs."""
-        characters = self.brought if isinstance(self.brought, TrainingCharacters) else None
+        characters = self.user_data if isinstance(self.user_data, TrainingCharacters) else None
         return SurfaceSource(self.config.data, self.body, self.device, seed, characters)
 
     def loss(self, model: MimeNetwork, batch: SurfaceBatch, step: int) -> Tensor:

@@ -196,8 +196,8 @@ class NPTTask(PaperTask[NPTTrainConfig, NPT]):
         """Build the generator of pairs."""
         if self.meshes:
             return MeshPairSource(self.config.data, self.meshes, self.device, seed)
-        if isinstance(self.brought, TrainingCharacters):
-            return CharacterPairSource(self.config.data, self.body, self.device, seed, self.brought)
+        if isinstance(self.user_data, TrainingCharacters):
+            return CharacterPairSource(self.config.data, self.body, self.device, seed, self.user_data)
         return PairSource(self.config.data, self.body, self.device, seed)
 
     def loss(self, model: NPT, batch: PairBatch, step: int) -> Tensor:

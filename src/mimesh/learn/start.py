@@ -72,11 +72,11 @@ def train_command(
                 raise InputError(f"{found}; train {settings.network}")
         else:
             settings, folder = new_config(model, config, out, changes, folders, leave_out)
-        pool = read_user_data(settings, folders, bar)
+        user_data = read_user_data(settings, folders, bar)
         if weights is not None:
             processes.largest(0.0)  # all have seen that the folder is empty before the first one writes there
-            processes.of_first(lambda: begin_with(settings, weights, folder, pool))
-        return train(settings, folder, max_minutes, pool, processes)
+            processes.of_first(lambda: begin_with(settings, weights, folder, user_data))
+        return train(settings, folder, max_minutes, user_data, processes)
 
 
 def new_config(
@@ -126,7 +126,7 @@ def resumed_config(folder: Path, changes: Sequence[str], fixed: Sequence[str] = 
     return changed_config(config, changes) if changes else config
 
 
-def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: UserData | None = None) -> None:
+def begin_with(config: TrainConfig, weights: Path, folder: Path, user_data: UserData | None = None) -> None:
     """Write the first checkpoint of a training whose network is that of another, from a checkpoint or `.onnx` file.
 
     All else is new.
@@ -141,7 +141,7 @@ def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: UserData 
             f"({config_differences(config, trained.config, ('network', 'model'))}); change model.*"
         )
     folder.mkdir(parents=True, exist_ok=True)
-    run = TrainingRun.start(config, folder, pool)
+    run = TrainingRun.start(config, folder, user_data)
     run.model.load_state_dict(model.state_dict())
     run.ema = {name: value.detach().clone() for name, value in model.state_dict().items()} if config.ema else {}
     counted = {

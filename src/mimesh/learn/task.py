@@ -20,7 +20,7 @@ STEPS_AHEAD = 8
 """Batches that a GPU makes at once. It computes one faster than its hundreds of small operations can be started."""
 
 
-def share(default: float | None = 0.0) -> Any:
+def share_option(default: float | None = 0.0) -> Any:
     """Declare an option of the data that is a share from 0 to 1, and may change where a training is resumed."""
     return field(default=default, metadata={"share": True})
 
@@ -196,9 +196,9 @@ class Task(ABC, Generic[Config, Network]):
         config: Config,
         device: torch.device,
         precision: str = "fp32",
-        brought: UserData | None = None,
+        user_data: UserData | None = None,
     ) -> None:
-        self.config, self.device, self.precision, self.brought = config, device, precision, brought
+        self.config, self.device, self.precision, self.user_data = config, device, precision, user_data
 
     @property
     def body(self) -> RiggedBody:
@@ -251,7 +251,7 @@ class Task(ABC, Generic[Config, Network]):
     def with_vertices(self, vertices: int) -> Task[Config, Network]:
         """Copy the task for meshes of so many vertices."""
         config = dataclasses.replace(self.config, data=dataclasses.replace(self.config.data, vertices=vertices))
-        return type(self)(config, self.device, self.precision, self.brought)
+        return type(self)(config, self.device, self.precision, self.user_data)
 
     @property
     def vertices(self) -> int:

@@ -97,7 +97,7 @@ class PaperTask(Task[Config, Network]):
     @property
     def meshes(self) -> RegisteredMeshes | None:
         """The registered meshes that the user brought, if any."""
-        return self.brought if isinstance(self.brought, RegisteredMeshes) else None
+        return self.user_data if isinstance(self.user_data, RegisteredMeshes) else None
 
     @property
     def mesh_vertices(self) -> int:

@@ -35,7 +35,7 @@ from ...evaluate.character_poses import animal_alignments, body_poses, place_bod
 from ...evaluate.held_out_takes import is_held_out
 from ...io.gltf.animal import read_rigged_animal
 from ...io.gltf.character import NOT_STATED, read_rigged_character
-from ..task import DataConfig, share
+from ..task import DataConfig, share_option
 from .clips import DAMAGED, RIGGED, TrainingClips, licence_of, pack_of
 
 POINTS = 3000
@@ -63,7 +63,7 @@ SMALLEST = 12
 class CharacterOptions(DataConfig):
     """What share of the data characters of a folder are."""
 
-    characters: float = share()
+    characters: float = share_option()
     """Share of a batch that are characters of a folder, for `mime` also of primitives."""
     leave_out: tuple[str, ...] = ()
     """Packs of the folder that are not trained on."""

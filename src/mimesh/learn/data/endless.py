@@ -27,7 +27,7 @@ from ...motions import mirror, pose_bank
 from ...motions.clips import split_windows
 from ...motions.gaits import quadruped_poses, quadruped_takes
 from ...motions.motion import rotmat_to_rotvec
-from ..task import DataConfig, share
+from ..task import DataConfig, share_option
 from .bodies import rotvec_to_rotmat
 
 TABLE_KINDS = ("table6", "clips80")
@@ -58,18 +58,18 @@ class PeopleOptions(DataConfig):
     """Standard deviation of the shape coefficients of endless people."""
     heading: float = 45.0
     """The driving mesh is turned about the vertical by up to so many degrees to either side."""
-    tumble: float = share()
+    tumble: float = share_option()
     """Share of driving meshes that are rotated any way at all, as people who lie or roll are."""
-    contacts: float = share()
+    contacts: float = share_option()
     """Share of people whose body parts touch each other; animals have no such poses."""
-    limits: float = share(0.12)
+    limits: float = share_option(0.12)
     """Share of driving meshes that are posed anyhow within the joint limits."""
-    between: float = share()
+    between: float = share_option()
     """`clips80`: share of windows and frames that lie on a straight way between two poses within the joint limits,
     instead of in one of the 80 motions."""
-    recombine: float = share()
+    recombine: float = share_option()
     """`table6`, `clips80`: share of poses, or windows, whose head, arms and legs are each turned as in another one."""
-    mix_people: float = share()
+    mix_people: float = share_option()
     """`table6`, `clips80`: share of people who are random mixtures of the 16 (`mixed_people`)."""
     animal_kinds: ClassVar[tuple[str, ...]] = ()
     """Kinds of data that a model can be trained on with `body` quadruped."""
@@ -91,7 +91,7 @@ class PeopleOptions(DataConfig):
 class ReflectOptions(DataConfig):
     """For data whose truth may be mirrored."""
 
-    reflect: float = share()
+    reflect: float = share_option()
     """Share of every batch whose meshes are all mirrored, left to right."""
 
 
