@@ -95,7 +95,10 @@ def end_with_parent() -> None:
 
 @contextlib.contextmanager
 def ctrl_c_held() -> Iterator[None]:
-    """Let Ctrl-C wait for the end of a `with` block; processes that are started in it never get it (not on Windows)."""
+    """Block Ctrl-C in this thread: processes that are started meanwhile never get it (not on Windows).
+
+    They inherit the mask of the thread. Other threads of this process still get the signal, so it may not wait.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
