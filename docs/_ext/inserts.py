@@ -61,10 +61,11 @@ def models() -> str:
     rows = []
     for name in MODELS:
         row = _report_row(name, "unseen")
-        pmd = f"{_figure(row.get('pmd_e4'))}\N{NO-BREAK SPACE}({_figure(row.get('pmd_e4_median'))})"
-        about, distance = " ".join(DESCRIPTIONS[name].split()), row.get("mm")
-        pmd = "" if distance is None else pmd
-        rows.append([f"[`{name}`](#{name})", about, pmd, "" if distance is None else f"{_figure(distance)} mm"])
+        errors = ["", ""]
+        if "mm" in row:
+            pmd = f"{_figure(row['pmd_e4'])}\N{NO-BREAK SPACE}({_figure(row['pmd_e4_median'])})"
+            errors = [pmd, f"{_figure(row['mm'])} mm"]
+        rows.append([f"[`{name}`](#{name})", " ".join(DESCRIPTIONS[name].split()), *errors])
     return markdown_table(["`-m`", "what it is", "PMD ×1e-4: mean (median)", "distance"], rows)
 
 

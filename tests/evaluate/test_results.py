@@ -10,7 +10,7 @@ import pytest
 
 from mimesh.core.errors import InputError
 from mimesh.evaluate.metrics import VERSION
-from mimesh.evaluate.results import TABLES, page_tables, readme_table, rows_csv, with_tables
+from mimesh.evaluate.results import TABLES, page_tables, read_reports, readme_table, rows_csv, with_tables
 from mimesh.evaluate.run import fingerprint
 from mimesh.methods.find import is_table_model, weights_path
 
@@ -42,7 +42,7 @@ def impossible(method, split):
 def written(folder, *reports):
     for k, content in enumerate(reports):
         (folder / f"{content['protocol']}-{k}.json").write_text(json.dumps(content))
-    return folder
+    return read_reports(folder)
 
 
 def lines_of(table):
@@ -54,8 +54,8 @@ def lines_of(table):
 def test_wins_are_counted_over_the_reports(tmp_path):
     """The same pairs in two files."""
     ours = report("noise", [row("npt", "holes", 1.0, 5.0, 2.0, 1.0)])
-    folder = written(tmp_path, ours, report("noise", [row("copy", "holes", 2.0, 2.0, 3.0, 4.0)]))
-    cells = lines_of(page_tables(folder)["disturbed"])
+    reports = written(tmp_path, ours, report("noise", [row("copy", "holes", 2.0, 2.0, 3.0, 4.0)]))
+    cells = lines_of(page_tables(reports)["disturbed"])
     assert cells["holes (development)", "`npt`"]["better than `copy`"] == "75 %"
     assert cells["holes (development)", "`copy`"]["better than `copy`"] == "-"
 
@@ -98,24 +98,24 @@ def test_csv_has_every_row_with_its_figures_and_origin(tmp_path):
 def test_reports_of_other_pairs_and_rows_that_recur_are_refused(tmp_path):
     ours = report("noise", [row("npt", "holes", 1.0)])
     with pytest.raises(InputError, match=r"noise-1\.json.*noise holes npt in noise-0\.json"):
-        page_tables(written(tmp_path, ours, ours))
+        written(tmp_path, ours, ours)
     part = ours | {"sets": {"holes": {"role": "development", "frozen": "part"}}}
     (tmp_path / "noise-1.json").unlink()
     with pytest.raises(InputError, match="all pairs of the frozen set noise holes"):
-        page_tables(written(tmp_path, part))
+        written(tmp_path, part)
 
 
 def test_reports_of_another_split_are_refused(tmp_path):
     (tmp_path / "noise.json").write_text(json.dumps(report("noise", [row("npt", "holes", 1.0)], "val")))
     with pytest.raises(InputError, match="split test"):
-        page_tables(tmp_path)
+        read_reports(tmp_path)
 
 
 def test_reports_of_an_earlier_version_of_the_metrics_are_refused(tmp_path):
     old = report("noise", [row("npt", "holes", 1.0)])
     del old["metrics"]
     with pytest.raises(InputError, match=r"noise-0\.json: expected figures of version 2 .*, found version 1"):
-        page_tables(written(tmp_path, old))
+        written(tmp_path, old)
 
 
 def test_readme_says_what_was_not_measured(tmp_path):
@@ -138,11 +138,12 @@ def test_tables_are_replaced_between_their_marks():
 @pytest.mark.skipif(not (DOCS / "results").exists(), reason="a package without its docs")
 def test_tables_in_the_docs_are_the_generated_ones():
     page, readme = ((DOCS.parent / name).read_text(encoding="utf-8") for name in ("docs/results.md", "README.md"))
-    tables = page_tables(DOCS / "results")
+    reports = read_reports(DOCS / "results")
+    tables = page_tables(reports)
     assert set(TABLES) < set(tables)
     assert with_tables(page, tables) == page
-    assert with_tables(readme, {"results": readme_table(DOCS / "results")}) == readme
-    assert (DOCS / "results" / "rows.csv").read_text(encoding="utf-8") == rows_csv(DOCS / "results")
+    assert with_tables(readme, {"results": readme_table(reports)}) == readme
+    assert (DOCS / "results" / "rows.csv").read_text(encoding="utf-8") == rows_csv(reports)
 
 
 @pytest.mark.skipif(not (DOCS / "results").exists(), reason="a package without its docs")

@@ -52,16 +52,12 @@ def markdown(report: dict[str, Any]) -> str:
     return "\n\n".join([title, *tables, *left_out, *not_applicable(rows)])
 
 
-def kind_table(rows: list[dict[str, Any]], baselines: Sequence[dict[str, Any]] | None = None) -> str:
-    """Format the rows of all methods on one kind of pair.
-
-    Args:
-        baselines: rows of the same kind that wins are counted against; those of BASELINES among `rows` by default.
-    """
+def kind_table(rows: list[dict[str, Any]]) -> str:
+    """Format the rows of all methods on one kind of pair; wins are counted against those of BASELINES among them."""
     measured = [row for row in rows if row["pairs"]]
     if measured and not any("pmd_e4" in row for row in measured):
         return _limb_table(measured)
-    against = [row for row in (baselines or rows) if row["method"] in BASELINES and "pmd_e4" in row]
+    against = [row for row in rows if row["method"] in BASELINES and "pmd_e4" in row]
     known = FINGER_COLUMNS | CLIP_COLUMNS
     further = {name: label for name, label in known.items() if any(name in row for row in measured)}
     clips = set(further) & set(CLIP_COLUMNS)
@@ -74,7 +70,7 @@ def kind_table(rows: list[dict[str, Any]], baselines: Sequence[dict[str, Any]] |
         cells = [_pairs(row), with_interval(row, "pmd_e4")]
         cells += [cell(row, f"pmd_e4_{end}") for end in ("median", "p90", "max")]
         cells += [cell(row, name) for name in ("pmd_public_e4", "mm", "mm_median", "mm_p90")]
-        cells += [_wins(row, baseline) for baseline in against]
+        cells += [wins(row, baseline) for baseline in against]
         cells += [cell(row, name) for name in ("edge_score", "flipped", *further, "seconds_per_frame")]
         lines.append([f"`{row['method']}`", *cells, row["given"]])
     return markdown_table(head, lines)
@@ -160,6 +156,7 @@ def _pairs(row: dict[str, Any]) -> str:
     return f"{text}, {failed} failed" if failed else text
 
 
-def _wins(row: dict[str, Any], baseline: dict[str, Any]) -> str:
+def wins(row: dict[str, Any], baseline: dict[str, Any]) -> str:
+    """Format the share of pairs on which a method is better than a baseline; none for the baseline itself."""
     share = None if row["method"] == baseline["method"] else win_share(row, baseline)
     return "-" if share is None else f"{100 * share:.0f} %"

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 from ..core.errors import InputError
 from .frozen_sets import role
-from .markdown import cell, markdown_table, with_interval
+from .markdown import cell, markdown_table, wins, with_interval
 from .metrics import VERSION
-from .summary import warnings_count, win_share
+from .summary import warnings_count
 
 Key = tuple[str, str]
 """Name of a protocol and kind of pair."""
@@ -88,13 +88,9 @@ README_METHODS = {
 """Method -> its name in the README's table."""
 
 
-def page_tables(folder: Path) -> dict[str, str]:
-    """Format the tables of docs/results.md by the names of their places.
-
-    Raises:
-        InputError: as `read_reports`.
-    """
-    rows = rows_by_set(read_reports(folder))
+def page_tables(reports: dict[str, dict[str, Any]]) -> dict[str, str]:
+    """Format the tables of docs/results.md by the names of their places."""
+    rows = rows_by_set(reports)
     tables = {name: main_table(table, rows) for name, table in TABLES.items()}
     return tables | {"skeletons": _skeletons(rows), "warnings": _warnings(rows)}
 
@@ -107,23 +103,18 @@ def main_table(table: PageTable, rows: dict[Key, list[dict[str, Any]]]) -> str:
         title = name if (used := role(key[0], "test", key[1])) == "test" else f"{name} ({used})"
         for method in (method for method in table.methods if method in by_method):
             row, baseline = by_method[method], by_method.get(table.baseline)
-            share = win_share(row, baseline) if baseline and method != table.baseline else None
             failed = f", {row['failures']} failed" if row.get("failures") else ""
             cells = [f"{row['pairs']}{failed}", cell(row, "mm"), cell(row, "mm_median"), with_interval(row, "pmd_e4")]
-            wins = "-" if share is None else f"{100 * share:.0f} %"
-            lines.append([title, f"`{method}`", *cells, cell(row, "pmd_public_e4"), wins, row["given"]])
+            better = wins(row, baseline) if baseline else "-"
+            lines.append([title, f"`{method}`", *cells, cell(row, "pmd_public_e4"), better, row["given"]])
     head = ["set", "method", "pairs", "mm: mean", "mm: median", "PMD", "public formula"]
     return markdown_table([*head, f"better than `{table.baseline}`", "given"], lines) if lines else "Not measured."
 
 
-def rows_csv(folder: Path) -> str:
-    """Format all rows of all reports as CSV, one line each: every figure, and where and when it was measured.
-
-    Raises:
-        InputError: as `read_reports`.
-    """
+def rows_csv(reports: dict[str, dict[str, Any]]) -> str:
+    """Format all rows of all reports as CSV, one line each: every figure, and where and when it was measured."""
     lines = []
-    for stem, report in read_reports(folder).items():
+    for stem, report in reports.items():
         origin = {name: report["provenance"][name] for name in ("commit", "date", "machine")}
         for row in report["results"]:
             start = {"report": stem, "protocol": report["protocol"], "kind": row["split"]}
@@ -179,9 +170,9 @@ def rows_by_set(reports: dict[str, dict[str, Any]]) -> dict[Key, list[dict[str, 
     return rows
 
 
-def readme_table(folder: Path) -> str:
+def readme_table(reports: dict[str, dict[str, Any]]) -> str:
     """Format the README's table: the mean distance on characters of other makers, in frames of clips."""
-    found = {row["method"]: row for row in rows_by_set(read_reports(folder)).get(("characters", "clips"), [])}
+    found = {row["method"]: row for row in rows_by_set(reports).get(("characters", "clips"), [])}
     lines = [
         [label, f"{cell(found[method], 'mm')} mm" if method in found else "not measured"]
         for method, label in README_METHODS.items()
