@@ -15,14 +15,12 @@ import json
 from pathlib import Path
 from unittest.mock import patch
 
-import fast_simplification
 import numpy as np
 from scipy.spatial import KDTree
 
 from mimesh import transfer
 from mimesh.bodies import load_body
 from mimesh.bodies.animals import ANIMALS, animal, animal_body, standing
-from mimesh.core.geometry import closest_on_mesh
 from mimesh.core.mesh import Mesh
 from mimesh.core.rig import descendants
 from mimesh.evaluate import remesh
@@ -87,19 +85,11 @@ def gait_figures(species: str, gait: str, index: int) -> dict[str, float]:
     }
 
 
-def retriangulated(species: str, faces: int) -> Mesh:
-    """Return a shipped animal with about `faces` triangles of its own, whose vertices lie on its surface."""
-    body, shape = animal_body(species), animal(species)
-    points, triangles, *_ = fast_simplification.simplify(body.vertices, body.faces.astype(np.int32), target_count=faces)
-    face, barycentric, _ = closest_on_mesh(points.astype(np.float64), body.vertices, body.faces)
-    meshing = remesh.Remesh(triangles.astype(np.int64), body.faces[face], barycentric)
-    return Mesh(meshing.positions(shape.vertices), meshing.faces, name=shape.name)
-
-
 def tail_shares(species: str) -> dict[str, float]:
     """Measure the share of a tail's vertices that are given mostly to the tail."""
     body, shape = load_body("quadruped"), animal(species)
-    mesh = retriangulated(species, FACES.get(species, 6000))
+    meshing = remesh.simplified(animal_body(species), FACES.get(species, 6000))
+    mesh = Mesh(meshing.positions(shape.vertices), meshing.faces, name=shape.name)
     nearest = np.asarray(KDTree(shape.vertices).query(mesh.vertices)[1])
     tail = descendants([body.joint("Tail1")], body.parents)
     own = body.weights[nearest][:, tail].sum(axis=1) > 0.5

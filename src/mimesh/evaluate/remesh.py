@@ -43,7 +43,12 @@ class Remesh:
 def decimated() -> Remesh:
     """Decimate the body to a fifth of its triangles by quadric simplification."""
     body = load_body()
-    return _projected(body, *_simplify(body.vertices, body.faces, len(body.faces) // 5))
+    return simplified(body, len(body.faces) // 5)
+
+
+def simplified(body: RiggedBody, count: int) -> Remesh:
+    """Decimate a body to about `count` triangles of its own by quadric simplification."""
+    return _projected(body, *_simplify(body.vertices, body.faces, count))
 
 
 @cache
