@@ -165,7 +165,11 @@ POINTS_ALONE = ("materials", "texture coordinates", "normals", "vertex colours")
 """What formats of points and triangles lack."""
 FORMATS = {
     ".abc": Format(
-        *("Alembic", _read_alembic, _write_alembic, _read_alembic_clip, _write_alembic_clip),
+        "Alembic",
+        _read_alembic,
+        _write_alembic,
+        _read_alembic_clip,
+        _write_alembic_clip,
         lacks=("colours of materials", "textures", "vertex colours"),
     ),
     ".bvh": Format("BVH", _read_motion, None, _read_motion_clip),
@@ -181,7 +185,7 @@ FORMATS = {
     ".pc2": Format("PC2 points", None, None, _read_cache, write_pc2),
     ".pkl": Format("SMPL's pickle", _read_body_model),
     ".ply": Format(
-        *("PLY", read_ply, write_ply), lacks=("materials besides one image", "normals of hard edges"), one_mesh=True
+        "PLY", read_ply, write_ply, lacks=("materials besides one image", "normals of hard edges"), one_mesh=True
     ),
     ".stl": Format("STL", read_stl, write_stl, lacks=POINTS_ALONE, one_mesh=True),
     **{

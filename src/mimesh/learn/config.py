@@ -39,11 +39,14 @@ def load_config(name_or_path: str, model: str = "npt", changes: Sequence[str] = 
         )
     refuse_pipe(path)
     values = {"network": model, **(yaml.safe_load(path.read_text(encoding="utf-8")) or {})}
-    if (network := values["network"]) in NETWORKS and network != model:
-        raise InputError(f"{path}: expected a configuration of {model}, found one of {network}; train {network}")
     for change in changes:
         _change(values, change)
-    return config_from(values, str(path))
+    config = config_from(values, str(path))
+    if config.network != model:
+        raise InputError(
+            f"{path}: expected a configuration of {model}, found one of {config.network}; train {config.network}"
+        )
+    return config
 
 
 def changed_config(config: TrainConfig, changes: Sequence[str]) -> TrainConfig:

@@ -264,7 +264,7 @@ class TrainingRun:
             return
         tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
         position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
-        brought = {self.task.user_data.part: self.task.user_data.facts} if self.task.user_data else {}
-        rest = {"changes": self.changes, "operations": self.operations, "samples": self.samples, **brought}
+        user_data = {self.task.user_data.part: self.task.user_data.facts} if self.task.user_data else {}
+        rest = {"changes": self.changes, "operations": self.operations, "samples": self.samples, **user_data}
         state = checkpoint.Checkpoint(self.config, *position, self.task.precision, **rest)
         checkpoint.save(path, state)

@@ -66,10 +66,7 @@ def train_command(
         if resume is not None:
             fixed = [f"--weights {weights}"] * bool(weights) + [f"--leave-out {pack}" for pack in leave_out]
             fixed += [f"--pattern {pattern}"] * bool(pattern)
-            settings, folder = resumed_config(resume, changes, fixed), resume
-            if settings.network != model:
-                found = f"{resume}: expected a training of {model}, found one of {settings.network}"
-                raise InputError(f"{found}; train {settings.network}")
+            settings, folder = resumed_config(model, resume, changes, fixed), resume
         else:
             settings, folder = new_config(model, config, out, changes, folders, leave_out)
         user_data = read_user_data(settings, folders, bar)
@@ -103,19 +100,24 @@ def new_config(
     return settings, folder
 
 
-def resumed_config(folder: Path, changes: Sequence[str], fixed: Sequence[str] = ()) -> TrainConfig:
+def resumed_config(model: str, folder: Path, changes: Sequence[str], fixed: Sequence[str] = ()) -> TrainConfig:
     """Read the configuration of the training in a folder, and change keys that may change (`checkpoint.resumable`).
 
     Args:
         fixed: other options that were given, which cannot change.
 
     Raises:
-        InputError: no training in the folder, a change that is not possible, or a value that does not belong.
+        InputError: no training of the model in the folder, a change that is not possible, or a value that does not
+            belong.
     """
     last = folder / "last.safetensors"
     if not last.exists():
         raise InputError(f"{folder}: expected last.safetensors of an earlier training in it, found none")
     config = checkpoint.load(last).config
+    if config.network != model:
+        raise InputError(
+            f"{folder}: expected a training of {model}, found one of {config.network}; train {config.network}"
+        )
     keys = checkpoint.resumable(config)
     refused = [*(f"--set {change}" for change in changes if change.partition("=")[0] not in keys), *fixed]
     if refused:

@@ -32,7 +32,9 @@ SHAPED = (".glb", ".gltf")
 FORMAT_NAMES = {
     **{suffix: format.name for suffix, format in FORMATS.items()},
     **{f"frames{suffix}": f"{FORMATS[suffix].name} frames" for suffix in FRAME_SUFFIXES},
-    **{".gif": "GIF, a movie", ".mp4": "MP4, a movie", ".webp": "WebP, a movie"},
+    ".gif": "GIF, a movie",
+    ".mp4": "MP4, a movie",
+    ".webp": "WebP, a movie",
 }
 """Names of the formats on the page."""
 
