@@ -60,7 +60,7 @@ class Validation:
     ) -> dict[str, float] | None:
         """Measure PMD x1e4 on each kind of `val` and on fresh data; `val` is the mean of `unseen` and `fresh`.
 
-        `unseen` has 24 pairs, so by itself it wavers by more than two checkpoints differ; `fresh` has 256.
+        `unseen` has `validation_pairs` pairs, `fresh` FRESH_BATCHES batches of the training's own kind.
         All are Eq. 7 as printed, on what the network gives: about its origin, over the radius of the truth.
         None if `stop` returned true before the end; it is called before every trial and batch, which take seconds.
         `progress` is called after each of them, with pairs.

@@ -111,7 +111,7 @@ class VertexSampler:
         self.first_neighbour, self.neighbours = (torch.from_numpy(a).to(device) for a in geometry.neighbours(faces))
 
     def _generator(self, step: int) -> torch.Generator:
-        """Make the random numbers of a step; the factor is a prime above any number of steps."""
+        """Make the random numbers of a step; seeds are a million steps apart."""
         return torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
 
     def _sample_vertices(
