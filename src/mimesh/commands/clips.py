@@ -162,7 +162,7 @@ def save_clips(
 
     first = results[0]
     jointed = first.skeleton is not None or first.own is not None
-    moving = len(first.clip) > 1 or first.own is not None  # the pose of a file's own bones keeps its skin
+    moving = len(first.frames) > 1 or first.own is not None  # the pose of a file's own bones keeps its skin
     if skinned or (skinned is None and jointed and moving):
         save_skinned(results, output, animations=names, layout=layout)
     else:

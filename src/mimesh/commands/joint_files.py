@@ -90,7 +90,7 @@ def save_joint_files(
 
     clip = result.driving_clip
     outputs = (
-        (save_joints, identity, result.joints, result.moved.mesh, 0),
+        (save_joints, identity, result.joints, result.mesh, 0),
         (save_driving_joints, driving, result.driving_joints, None if clip is None else clip.mesh, frame),
     )
     for path, file, joints, mesh, t in outputs:

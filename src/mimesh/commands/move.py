@@ -377,7 +377,7 @@ def animate(
             )
         result.seconds["load"] += seconds
         hierarchy = hierarchy_note(result.own, names, mesh.name)
-        notes.append(of_clip + resampled_note(result.clip, output_fps) + hierarchy)
+        notes.append(of_clip + resampled_note(len(result.frames), result.fps, output_fps) + hierarchy)
         results.append(result)
         corrections.append(corrected.described())
     replaced = target.exists()

@@ -32,8 +32,8 @@ def result_facts(
     from ..pipeline.result import Result
     from ..tools.convert import blend_note, not_kept, posed_vrm_note, rate_note, size_note, skinned_note
 
-    mesh = result.moved.mesh
-    fps, frames = None if isinstance(result, Result) else result.fps, len(result.moved)
+    mesh = result.mesh
+    fps, frames = (None, 1) if isinstance(result, Result) else (result.fps, len(result.frames))
     if fps is not None and output_fps is not None:
         fps, frames = output_fps, len(frames_around(frames, fps, output_fps)[0])
     rate = () if fps is None else (*rate_note(fps, output), *size_note(output))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from .frame_buffer import Frames
 from .geometry import slerp
 from .mesh import Mesh
 from .rig import Rig
@@ -95,7 +96,7 @@ class AnimatedRig:
         """Select the INFLUENCES joints with the largest weights of each vertex, and scale these weights to sum to 1."""
         return self.rig.strongest(INFLUENCES)
 
-    def deviation(self, frames: Float[np.ndarray, "T V 3"]) -> float:
+    def deviation(self, frames: Frames) -> float:
         """Measure the error of `strongest`: largest distance of a vertex from `frames`, over the mesh's size.
 
         Only CHECKED_FRAMES frames are compared.
@@ -105,7 +106,7 @@ class AnimatedRig:
         positions = None if self.positions is None else self.positions[chosen]
         part = replace(self, rotation=self.rotation[chosen], root=self.root[chosen], positions=positions)
         posed = map(skinned.posed_at, part.rotation, part.joint_positions())
-        differences = [vertices - frames[t] for t, vertices in zip(chosen, posed, strict=True)]
+        differences = [vertices - of_frame for vertices, of_frame in zip(posed, frames.at(chosen), strict=True)]
         return float(np.linalg.norm(differences, axis=-1).max() / self.size)
 
     def motion_deviation(self, other: AnimatedRig) -> float:

@@ -6,6 +6,7 @@ import mmap
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -81,6 +82,34 @@ def store_frames(
             progress(done, count)
     assert done == count, f"expected {count} frames, got {done}"
     return stored
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """The frames of a moved mesh: stored, or made each time that they are asked for. A file of joints needs few."""
+
+    count: int
+    make: Callable[[Int[np.ndarray, " N"]], Iterable[Float[np.ndarray, "V 3"]]]
+    """Makes the frames of these numbers, in this order."""
+    dtype: np.dtype
+
+    @classmethod
+    def stored(cls, vertices: Float[np.ndarray, "T V 3"]) -> Frames:
+        """Give out frames that are there already."""
+        return cls(len(vertices), lambda chosen: (vertices[t] for t in chosen), vertices.dtype)
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return self.count
+
+    def at(self, chosen: Iterable[int]) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield the frames of these numbers, in this order."""
+        for points in self.make(np.asarray(list(chosen), np.int64)):
+            yield points.astype(self.dtype, copy=False)
+
+    def first(self) -> Float[np.ndarray, "V 3"]:
+        """Return the first frame in double precision."""
+        return next(self.at([0])).astype(np.float64)
 
 
 def evenly_spread(frames: int, most: int) -> Int[np.ndarray, " T"]:

@@ -104,9 +104,8 @@ def transfer(
     options = MotionOptions(rig=_usable_rig(rig, model), body=body)
     moved = move(identity, clip, choice, axes, refine, timer, options, corrections=corrections)
     _name_axis_sources(moved.report, up, driving_up)
-    mesh = identity.with_vertices(moved.vertices[0])
     return Result(
-        mesh,
+        identity.with_vertices(moved.frames.first()),
         _name(model),
         timer,
         moved.report,
@@ -218,10 +217,10 @@ def animate(
         notes += first_frame_note(clip, start, Path(driving).name)
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose: give an animated .glb or a folder of frames",)
-    mesh = identity.with_vertices(moved.vertices[0].astype(np.float64))
-    result = Clip(mesh, moved.vertices, clip.fps)
     return ClipResult(
-        result,
+        identity.with_vertices(moved.frames.first()),
+        moved.frames,
+        clip.fps,
         _name(model),
         timer,
         moved.report,

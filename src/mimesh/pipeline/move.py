@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.errors import InputError
-from ..core.frame_buffer import Progress, allocate_frames
+from ..core.frame_buffer import Frames, Progress
 from ..core.mesh import Clip, Mesh, same_mesh
 from ..core.normalization import Normalization
 from ..io.beside import missing_images, missing_images_notes
@@ -299,16 +299,13 @@ def _play_nodes(
     progress: Progress | None,
     dtype: type[np.floating],
 ) -> MovedIdentity:
-    """Make all frames of an animation of the nodes of the identity's file, and their report; nothing is planted."""
+    """Animate the nodes of the identity's file, and report; nothing is planted."""
     identity, clip = prepared.identity, prepared.clip
-    with timer.step("prepare"):
-        own = prepared.animation(root)
-    moved = allocate_frames(len(clip), len(identity.vertices), dtype)
     with timer.step("drive"):
-        for t, vertices in enumerate(own.vertices()):
-            moved[t] = vertices
-            if progress is not None:
-                progress(t + 1, len(clip))
+        own = prepared.animation(root)
+    if progress is not None:
+        progress(len(clip), len(clip))
+    moved = Frames(own.frames, own.vertices, np.dtype(dtype))
     report = surface_report(identity, clip, moved, fitted_norms(identity, first_frame(clip), prepared.axes))
     report |= {"rig": "own", **prepared.facts, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
     notes = prepared.notes + missing_images_notes(missing_images(identity))

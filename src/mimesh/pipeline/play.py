@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..bodies.character_limbs import SIDES
 from ..bodies.joint_names import finger_joints, without_fingers
 from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.foot_planting import PosedJoints, foot_skate
-from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, evenly_spread, release_pages
+from ..core.frame_buffer import Frames, Progress, counted, each_frame, evenly_spread, store_frames
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -34,7 +34,7 @@ from .rigs import face_tracks
 class MovedIdentity:
     """A result in the identity's axes, unit and position, with its report."""
 
-    vertices: Float[np.ndarray, "T V 3"]
+    frames: Frames
     skeleton: AnimatedRig | None
     """Joints, skinning weights and motion of the identity, if the method has joints."""
     own: OwnAnimation | None
@@ -55,9 +55,9 @@ class _JointMotion:
     scale: tuple[float, float]
     """The identity's displacements over the driving's: over the ground and vertically."""
 
-    def frames(self) -> Iterator[Float[np.ndarray, "V 3"]]:
-        """Yield the identity's vertices in every frame."""
-        return (self.drive.posed(*pose) for pose in zip(self.posed.rotation, self.posed.root, strict=True))
+    def frame(self, t: int) -> Float[np.ndarray, "V 3"]:
+        """Make the identity's vertices in a frame."""
+        return self.drive.posed(self.posed.rotation[t], self.posed.root[t])
 
 
 def pose_frame(prepared: Prepared, t: int) -> Float[np.ndarray, "V 3"]:
@@ -88,36 +88,23 @@ def play(
     identity_norm, driving_norm = prepared.identity_norm, prepared.driving_norm
     with timer.step("drive"):
         driving = (driving_norm.apply(vertices) for vertices in each_frame(clip.vertices))
-        motion, passes = None, 1
+        motion = skeleton = own = None
         if isinstance(prepared.drive, SkinnedDrive):
-            # Options need the whole motion, so all joints are tracked before the first frame is made: two passes.
-            passes = 2
-            # Each frame is tracked, then made: two passes count as one frame.
-            half_progress = progress and (lambda done, total: None if done % 2 else progress(done // 2, total))
-            driving = counted(driving, len(clip), half_progress)
             scale = driving_norm.radius / identity_norm.radius
             limited = len(clip) > 1 if options.skinned is None else options.skinned
             # The weights of an identity's own file stay as they are.
             limited = limited and prepared.rigs.humanoid is None
             drive = prepared.drive.limited(rest.vertices, INFLUENCES) if limited else prepared.drive
-            motion = _joint_motion(drive, driving, clip.fps, options, scale)
-        frames = prepared.drive(driving) if motion is None else motion.frames()
-        refined = _refined(frames, prepared.refinement, timer)
-        shift, frames = _aligned((vertices @ prepared.turn.T for vertices in refined), prepared)
-        skeleton = None if motion is None else _animated_rig(prepared, motion, shift)
-        own = None if skeleton is None else _own_animation(prepared, skeleton)
-        placed = (identity_norm.undo(vertices + shift) for vertices in frames)
-        # The joints of a person alone move neither morph targets nor what else has been copied.
-        frames = own.vertices() if own is not None and (own.morphs or prepared.rigs.beside) else placed
-        moved = allocate_frames(len(clip), len(identity.vertices), dtype)
-        before = (passes - 1) * len(clip)  # frames counted in the first pass
-        for t, vertices in enumerate(frames):
-            moved[t] = vertices
-            # Long results are on disk: pages that have been written need not stay in memory.
-            if t % PAGED == 0:
-                release_pages(moved)
-            if progress is not None and (before + t + 1) % passes == 0:
-                progress((before + t + 1) // passes, len(clip))
+            motion = _joint_motion(drive, counted(driving, len(clip), progress), clip.fps, options, scale)
+            shift = prepared.shift(_turned(motion, 0, prepared))
+            skeleton = _animated_rig(prepared, motion, shift)
+            own = _own_animation(prepared, skeleton)
+            moved = _made_frames(prepared, motion, shift, own, np.dtype(dtype))
+        else:
+            refined = _refined(prepared.drive(driving), prepared.refinement, timer)
+            shift, frames = _aligned((vertices @ prepared.turn.T for vertices in refined), prepared)
+            placed = (identity_norm.undo(vertices + shift) for vertices in frames)
+            moved = Frames.stored(store_frames(placed, len(clip), len(identity.vertices), dtype, progress))
     report = surface_report(identity, clip, moved, (identity_norm, driving_norm))
     report |= {"body": prepared.method.body} if isinstance(prepared.method, BodyMethod) else {}
     notes = prepared.notes + facing_note(identity_norm, identity.name, "--front")
@@ -140,7 +127,7 @@ def play(
 
 
 def surface_report(
-    identity: Mesh, clip: Clip, moved: Float[np.ndarray, "T V 3"], norms: tuple[Normalization, Normalization]
+    identity: Mesh, clip: Clip, moved: Frames, norms: tuple[Normalization, Normalization]
 ) -> dict[str, Any]:
     """Return the part of the report that all methods have."""
     return {
@@ -149,6 +136,26 @@ def surface_report(
         "identity": facing(norms[0]),
         "driving": facing(norms[1]),
     }
+
+
+def _made_frames(
+    prepared: Prepared, motion: _JointMotion, shift: Float[np.ndarray, " 3"], own: OwnAnimation | None, dtype: np.dtype
+) -> Frames:
+    """Return frames that are made of the joints when they are asked for: a file of joints needs few of them."""
+    # The joints of a person alone move neither morph targets nor what else has been copied.
+    if own is not None and (own.morphs or prepared.rigs.beside):
+        return Frames(own.frames, own.vertices, dtype)
+
+    def make(chosen: Int[np.ndarray, " N"]) -> Iterator[Float[np.ndarray, "V 3"]]:
+        return (prepared.identity_norm.undo(_turned(motion, t, prepared) + shift) for t in chosen)
+
+    return Frames(len(motion.posed.root), make, dtype)
+
+
+def _turned(motion: _JointMotion, t: int, prepared: Prepared) -> Float[np.ndarray, "V 3"]:
+    """Make a frame, refined, with the driving's heading."""
+    vertices = motion.frame(t)
+    return (vertices if prepared.refinement is None else prepared.refinement(vertices)) @ prepared.turn.T
 
 
 def _joint_motion(

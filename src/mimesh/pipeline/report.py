@@ -7,6 +7,7 @@ from typing import Literal, NotRequired, TypedDict
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..core.frame_buffer import Frames, evenly_spread
 from ..core.geometry import edges, face_vectors
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -152,21 +153,19 @@ class TransferReport(TypedDict):
     """After `save` with `blendshapes`: largest distance of a vertex from its frame, as a share of the mesh's size."""
 
 
-def quality(identity: Mesh, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, float]:
+def quality(identity: Mesh, moved: Frames) -> dict[str, float]:
     """Measure the worst edge stretch and share of flipped triangles over all frames; empty for a point cloud."""
     if len(identity.faces) == 0:
         return {}
     pairs = edges(identity.faces)
-    chosen = np.unique(np.linspace(0, len(vertices) - 1, min(MOST_FRAMES, len(vertices))).round().astype(int))
-    # Frame by frame: the edges of a large mesh in all frames would take gigabytes.
-    stretches = np.array([_largest_stretches(edge_stretch(identity.vertices, vertices[t], pairs)) for t in chosen])
     before = against_neighbours(identity.faces, identity.vertices)
-    flips = [flipped_share(identity.faces, before, vertices[t]) for t in chosen]
-    return {
-        "edge_stretch_max": float(stretches[:, 0].max()),
-        "edge_stretch_p99": float(stretches[:, 1].max()),
-        "flipped_share": max(flips),
-    }
+    stretches, flips = [], []
+    # Frame by frame: the edges of a large mesh in all frames would take gigabytes.
+    for vertices in moved.at(evenly_spread(len(moved), MOST_FRAMES)):
+        stretches.append(_largest_stretches(edge_stretch(identity.vertices, vertices, pairs)))
+        flips.append(flipped_share(identity.faces, before, vertices))
+    largest, p99 = np.max(stretches, axis=0)
+    return {"edge_stretch_max": float(largest), "edge_stretch_p99": float(p99), "flipped_share": max(flips)}
 
 
 def edge_stretch(
@@ -216,23 +215,24 @@ def facing_note(norm: Normalization, name: str, option: str) -> tuple[str, ...]:
     return notes + (f"the facing of {name} is uncertain (taken: up {norm.up}, front {norm.front}); give {option}",)
 
 
-def accelerations(driving: Clip, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, dict[str, float]]:
+def accelerations(driving: Clip, moved: Frames) -> dict[str, dict[str, float]]:
     """Measure the mean acceleration (extents a second squared) of result and driving; empty below three frames.
 
     A result with a much larger acceleration than its driving jitters.
     """
-    if len(vertices) < 3:
+    if len(moved) < 3:
         return {}
-    clips = {"result": vertices, "driving": driving.vertices}
-    return {"acceleration": {name: acceleration(clip, driving.fps) for name, clip in clips.items()}}
+    clips = {"result": moved, "driving": Frames.stored(driving.vertices)}
+    return {"acceleration": {name: acceleration(frames, driving.fps) for name, frames in clips.items()}}
 
 
-def acceleration(frames: Float[np.ndarray, "T V 3"], fps: float) -> float:
+def acceleration(frames: Frames, fps: float) -> float:
     """Return the mean acceleration of vertices: second differences times fps^2, in extents of the first frame."""
-    chosen = np.unique(np.linspace(1, len(frames) - 2, min(MOST_FRAMES, len(frames) - 2)).round().astype(int))
-    second = (frames[t - 1].astype(np.float64) - 2.0 * frames[t] + frames[t + 1] for t in chosen)
+    chosen = np.linspace(1, len(frames) - 2, min(MOST_FRAMES, len(frames) - 2)).round().astype(int)
+    around = frames.at((chosen[:, None] + [-1, 0, 1]).ravel())
+    second = (before.astype(np.float64) - 2.0 * now + after for before, now, after in zip(*[around] * 3, strict=True))
     mean = np.mean([np.linalg.norm(of_frame, axis=-1).mean() for of_frame in second])
-    return float(mean * fps**2 / np.ptp(frames[0], axis=0).max())
+    return float(mean * fps**2 / np.ptp(next(frames.at([0])), axis=0).max())
 
 
 def against_neighbours(faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]) -> Bool[np.ndarray, " F"]:

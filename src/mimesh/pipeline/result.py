@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -16,7 +18,7 @@ from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import AnimatedRig
 from ..core.arguments import public
 from ..core.errors import InputError
-from ..core.frame_buffer import Progress
+from ..core.frame_buffer import Frames, Progress, store_frames
 from ..core.mesh import Clip, Mesh
 from ..io import refuse_vrm, save_clip, save_mesh, save_own_pose
 from ..io.atomic import scratch_folder, written
@@ -52,12 +54,12 @@ class _Playable(Protocol):
     model: str
     report: TransferReport
     notes: tuple[str, ...]
+    mesh: Mesh
     identity: Mesh | None
     skeleton: AnimatedRig | None
 
-    @property
-    def moved(self) -> Clip:
-        """The result as a clip; a pose is a clip of one frame."""
+    def every(self, step: int) -> Clip:
+        """Return every `step`-th frame of the result as a clip; a pose is a clip of one frame."""
         ...
 
     @property
@@ -80,8 +82,11 @@ class _Playable(Protocol):
         person = {name: j for j, name in enumerate(rig.names)} if rig.person is None else rig.person
         return without_fingers({name: rig.rig.joints[j] for name, j in person.items()})
 
-    def panels(self) -> list[Panel] | None:
+    def panels(self, most: int | None = None) -> list[Panel] | None:
         """Return identity, driving and result with the axes of the report, for the player; None without the inputs.
+
+        Args:
+            most: frames of a longer clip, evenly spread, that are shown; others are not made. None: all.
 
         Example:
             >>> [panel.role for panel in result.panels()]
@@ -94,12 +99,13 @@ class _Playable(Protocol):
             return None
 
         def panel(name: str, clip: Clip, axes: MeshReport) -> Panel:
-            return Panel(name, clip, up=axes["up"], front=axes["front"])
+            return Panel(name, clip, up=axes["up"], front=axes["front"], every=step)
 
+        step = 1 if most is None else -(-len(driving) // most)
         return [
             panel("identity", Clip.still(identity), self.report["identity"]),
-            panel("driving", driving, self.report["driving"]),
-            panel("result", self.moved, self.report["identity"]),
+            panel("driving", every_frame(driving, step), self.report["driving"]),
+            panel("result", self.every(step), self.report["identity"]),
         ]
 
     @public()
@@ -131,7 +137,8 @@ class _Playable(Protocol):
         from ..player.pack import ANY_LENGTH
         from ..player.page import write_player
 
-        path, shown = Path(path), self.panels()
+        path, motion = Path(path), motion or ANY_LENGTH
+        shown = self.panels(motion.frames)
         if shown is None:
             raise InputError(
                 f"{path}: expected a result of transfer or animate, found one without its inputs; run it again"
@@ -145,7 +152,7 @@ class _Playable(Protocol):
             download=download,
             model=self.model,
             notes=self.notes,
-            motion=motion or ANY_LENGTH,
+            motion=motion,
         )
 
     def _repr_html_(self) -> str | None:
@@ -163,16 +170,21 @@ class _Playable(Protocol):
             file = written(output)
             content = file.read_bytes() if file.stat().st_size <= LARGEST_DOWNLOAD else None
             return Download(output.name, content)
-        clip = self.moved
-        if 4 * (clip.vertices.size + clip.mesh.faces.size) > LARGEST_DOWNLOAD:
+        frames = len(self.frames) if isinstance(self, ClipResult) else 1
+        if 4 * (frames * self.mesh.vertices.size + self.mesh.faces.size) > LARGEST_DOWNLOAD:
             return Download(output.name, None)
         with scratch_folder() as folder:
             path = folder / "result.glb"
             if isinstance(self, ClipResult):
-                save_clip(clip, path)
+                save_clip(self.clip, path)
             else:
-                save_mesh(clip.mesh, path)
+                save_mesh(self.mesh, path)
             return Download(f"{output.stem}.glb", path.read_bytes())
+
+
+def every_frame(clip: Clip, step: int) -> Clip:
+    """Select every `step`-th frame of a clip, which takes as long."""
+    return clip if step == 1 else dataclasses.replace(clip, vertices=clip.vertices[::step], fps=clip.fps / step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,9 +228,8 @@ class Result(_Playable):
         """Vertices of the result, in the axes, unit and order of the identity."""
         return self.mesh.vertices
 
-    @property
-    def moved(self) -> Clip:
-        """The result as a clip of one frame."""
+    def every(self, step: int) -> Clip:
+        """Return the result as a clip of one frame."""
         return Clip.still(self.mesh)
 
     @property
@@ -267,8 +278,13 @@ class ClipResult(_Playable):
         (4, 31, 3, 3)
     """
 
-    clip: Clip
-    """The identity in all frames: `clip.vertices` is (T, V, 3)."""
+    mesh: Mesh
+    """The identity in the first frame."""
+    frames: Frames
+    """The identity's vertices (V, 3) in each of T frames, in single precision. Those of models with joints are made
+    when they are asked for: `frames.at([0, 10])` makes two of them."""
+    fps: float
+    """Frames a second."""
     model: str
     """Name of the model."""
     seconds: Timer
@@ -288,15 +304,16 @@ class ClipResult(_Playable):
     own: OwnAnimation | None = field(default=None, repr=False)
     """The motion on the bones of the identity's own file, if it has a rig that is used."""
 
-    @property
-    def fps(self) -> float:
-        """Frames a second."""
-        return self.clip.fps
+    @cached_property
+    def clip(self) -> Clip:
+        """The identity in all frames: `clip.vertices` is (T, V, 3). It is made when it is first asked for, and kept."""
+        return self.every(1)
 
-    @property
-    def moved(self) -> Clip:
-        """The result as a clip, as `clip`."""
-        return self.clip
+    def every(self, step: int) -> Clip:
+        """Make every `step`-th frame of the result, as a clip that takes as long."""
+        chosen = range(0, len(self.frames), step)
+        frames = store_frames(self.frames.at(chosen), len(chosen), len(self.mesh.vertices), self.frames.dtype)
+        return Clip(self.mesh, frames, self.fps / step)
 
     @property
     def driving_clip(self) -> Clip | None:

@@ -66,7 +66,7 @@ def save_skinned(
     if not isinstance(layout, Layout):
         raise InputError(f'layout: expected a Layout, found {described(layout)}; give mimesh.Layout("unreal")')
     layout.check()
-    found = animations or [(result.clip if result.driving is None else result.driving).mesh.name for result in results]
+    found = animations or [(result if result.driving is None else result.driving).mesh.name for result in results]
     own = any(result.own is not None for result in results)
     if own:
         _check_same_rig(results, found)
@@ -94,7 +94,7 @@ def save_skinned(
     for k, (result, animation, thinned) in enumerate(zip(results, motions, written, strict=True)):
         # Frames at another rate have no counterpart: the thinned keys are then left out of the deviation.
         checked = thinned if layout.fps is None else moved[k]
-        deviation = checked.deviation(result.clip.vertices)
+        deviation = checked.deviation(result.frames)
         result.report["skinned_deviation"] = deviation
         result.report["keys_deviation"] = thinned.motion_deviation(animation.skeleton)
         result.report["deviation_cause"] = _deviation_cause(result, deviation, skeletons[k], common[k], layout)
@@ -108,7 +108,7 @@ def _check_results(results: Sequence[ClipResult], path: str | Path, names: Seque
     if not results:
         raise InputError(f"{path}: expected results of animate to save, found none")
     for result in results:
-        if not hasattr(result, "clip"):
+        if not hasattr(result, "frames"):
             raise InputError(f"results: expected those of animate, found {described(result)}; give ClipResult objects")
     if names is not None and (isinstance(names, str) or len(names) != len(results)):
         found = described(names) if isinstance(names, str) else len(names)
@@ -131,9 +131,9 @@ def _deviation_cause(
         "weights", four of them a vertex; "fingers", which only other results move; or "rest", another rest pose.
     """
     steps = {"weights": skeleton} | ({"fingers": common} if common.names != skeleton.names else {})
-    after = [rig.deviation(result.clip.vertices) for rig in steps.values()] if len(steps) > 1 else []
+    after = [rig.deviation(result.frames) for rig in steps.values()] if len(steps) > 1 else []
     if layout.rest != "file":
-        after = after or [skeleton.deviation(result.clip.vertices)]
+        after = after or [skeleton.deviation(result.frames)]
         steps["rest"], after = common, [*after, deviation]
     added = np.diff(after, prepend=0.0)
     return list(steps)[int(added.argmax())] if len(added) else "weights"
@@ -210,19 +210,19 @@ def _own_deviations(result: ClipResult, animation: OwnAnimation, played: PlayedA
     """
     assert result.own is not None
     size = np.ptp(animation.source.vertices, axis=0).max()
-    same_rate = animation.frames == len(result.clip) and animation.fps == result.fps
+    same_rate = animation.frames == len(result.frames) and animation.fps == result.fps
     chosen = np.unique(np.linspace(0, animation.frames - 1, CHECKED_FRAMES).round().astype(int))
     skinned = keys = 0.0
-    for t, file, sampled in zip(
-        chosen, played.vertices(chosen / animation.fps), animation.vertices(chosen), strict=True
-    ):
+    moved = result.frames.at(chosen) if same_rate else [None] * len(chosen)
+    files = played.vertices(chosen / animation.fps)
+    for file, sampled, vertices in zip(files, animation.vertices(chosen), moved, strict=True):
         keys = max(keys, np.linalg.norm(file - sampled, axis=1).max())
-        if same_rate:
-            skinned = max(skinned, np.linalg.norm(file - result.clip.vertices[t], axis=1).max())
+        if vertices is not None:
+            skinned = max(skinned, np.linalg.norm(file - vertices, axis=1).max())
     if not same_rate:
-        chosen = np.unique(np.linspace(0, len(result.clip) - 1, CHECKED_FRAMES).round().astype(int))
-        for t, sampled in zip(chosen, result.own.vertices(chosen), strict=True):
-            skinned = max(skinned, np.linalg.norm(sampled - result.clip.vertices[t], axis=1).max())
+        chosen = np.unique(np.linspace(0, len(result.frames) - 1, CHECKED_FRAMES).round().astype(int))
+        for sampled, vertices in zip(result.own.vertices(chosen), result.frames.at(chosen), strict=True):
+            skinned = max(skinned, np.linalg.norm(sampled - vertices, axis=1).max())
     return float(skinned / size), float(keys / size)
 
 

@@ -44,6 +44,8 @@ class Panel:
     """Axis of the clip that points up: x, y, z, -x, -y or -z."""
     front: str | None = None
     """Axis of the clip that points to the front; see `camera.fit`."""
+    every: int = 1
+    """Of the whole clip this is every n-th frame."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,8 @@ def pack_scene(
     images = textures.pack(budget // 3, left_out)
     frame_budget = budget - sum(_json_size(value) for value in (*surfaces, *images))
     frame_budget = frame_budget if motion.characters is None else min(frame_budget, motion.characters)
-    moving = drop_frames([panel.clip for panel in panels], frame_budget, left_out, motion.frames)
+    every = max(panel.every for panel in panels)
+    moving = drop_frames([panel.clip for panel in panels], frame_budget, left_out, motion.frames, every)
     packed_panels = [
         _pack_panel(*fields) for fields in zip(panels, *moving, _placements(panels), surface_indices, strict=True)
     ]

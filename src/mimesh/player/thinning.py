@@ -27,7 +27,7 @@ CHARACTERS = 5
 
 
 def drop_frames(
-    clips: Sequence[Clip], budget: int, left_out: list[str], most: int | None = None
+    clips: Sequence[Clip], budget: int, left_out: list[str], most: int | None = None, every: int = 1
 ) -> tuple[list[Clip], list[Quantization], list[Int[np.ndarray, " V"] | None]]:
     """Keep every n-th frame of all clips, with an n for which they fit into `budget` characters, and quantize them.
 
@@ -36,6 +36,7 @@ def drop_frames(
 
     Args:
         most: largest number of frames; None allows any.
+        every: the clips have every n-th frame of those that were made.
 
     Returns:
         The clips with the vertices that move differently, their quantizations, and for each vertex of a mesh its index
@@ -43,8 +44,8 @@ def drop_frames(
     """
     longest = max(map(len, clips))
     first = step = 1 if most is None else -(-longest // most)
-    every = [dataclasses.replace(clip, vertices=clip.vertices[::step], fps=clip.fps / step) for clip in clips]
-    merged, indices = zip(*map(merge_equal_vertices, every), strict=True)
+    fewer = [dataclasses.replace(clip, vertices=clip.vertices[::step], fps=clip.fps / step) for clip in clips]
+    merged, indices = zip(*map(merge_equal_vertices, fewer), strict=True)
     while True:
         more = step // first
         thinned = [dataclasses.replace(clip, vertices=clip.vertices[::more], fps=clip.fps / more) for clip in merged]
@@ -53,8 +54,8 @@ def drop_frames(
         if size <= budget or step >= longest:
             break
         step = first * min(-(-longest // first), max(more + 1, int(more * min(size / max(budget, 1), MAX_STEP_RATIO))))
-    if step > 1:
-        left_out.append(f"every {_ordinal(step)} of {longest:,} frames is shown, to keep this page small")
+    if step * every > 1:
+        left_out.append(f"every {_ordinal(step * every)} frame is shown, to keep this page small")
     return thinned, quantizations, list(indices)
 
 

@@ -102,15 +102,20 @@ def strip(
     front: str | None = None,
     labels: bool = True,
     background: Color = BACKGROUND,
+    times: Sequence[float] | None = None,
 ) -> Image.Image:
-    """Draw frames of a clip side by side, first to last, with their times; the camera follows at one distance."""
+    """Draw frames of a clip side by side, first to last, with their times; the camera follows at one distance.
+
+    Args:
+        times: in seconds, of each frame; None: as the clip's rate has them.
+    """
     chosen = np.unique(np.linspace(0, len(clip) - 1, frames).round().astype(int))
     points = np.asarray(clip.vertices[chosen], np.float64)
     tiles = []
     for k, camera, vertices in zip(chosen, follow(points, tile, view, up=up, front=front), points, strict=True):
         mesh = clip.mesh.with_vertices(vertices)
         picture = render_mesh(mesh, tile, camera, clay=clay, tint=tint, background=background)
-        tiles.append(captioned(picture, f"{k / clip.fps:.2f} s" if labels else None))
+        tiles.append(captioned(picture, f"{k / clip.fps if times is None else times[k]:.2f} s" if labels else None))
     return page(tiles, len(tiles))
 
 

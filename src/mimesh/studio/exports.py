@@ -99,9 +99,9 @@ def _write_one(export: Export, result: ClipResult, driving: str, target: Path, p
     """
     path = target if export.suffix in FRAMES else target.with_name(f"{target.name}{export.suffix}")
     jointed = export.skinned or export.suffix == BONES_ONLY
-    if len(result.clip) == 1 and not jointed:
-        save_mesh(result.clip.mesh, path)
-        return list(not_kept(result.clip.mesh, path))
+    if len(result.frames) == 1 and not jointed:
+        save_mesh(result.mesh, path)
+        return list(not_kept(result.mesh, path))
     if export.suffix in FRAMES:
         from ..io import save_clip
 
@@ -111,8 +111,10 @@ def _write_one(export: Export, result: ClipResult, driving: str, target: Path, p
     else:
         result.save(path, blendshapes=export.blendshapes, progress=progress)
     blend_notes = blend_note(result.report.get("blendshapes_deviation")) if export.blendshapes else ()
-    joint_notes = (*skinned_note(result.report), *resampled_note(result.clip, export.layout.fps)) if jointed else ()
-    return [*not_kept(result.clip.mesh, path), *rate_note(result.fps, path), *blend_notes, *joint_notes]
+    joint_notes = skinned_note(result.report) if jointed else ()
+    if jointed:
+        joint_notes += resampled_note(len(result.frames), result.fps, export.layout.fps)
+    return [*not_kept(result.mesh, path), *rate_note(result.fps, path), *blend_notes, *joint_notes]
 
 
 def _check(export: Export, results: list[tuple[str, str, ClipResult]]) -> None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -141,7 +142,9 @@ class LivePage:
 def _page(session: LiveSession) -> str:
     """Build the page with the first frame that the session was prepared with, in which both meshes have one pose."""
     posed = session.identity.with_vertices(session.pose(session.driving))
-    axes = [{key: session.report[which][key] for key in ("up", "front")} for which in ("driving", "identity")]
+    axes: list[dict[str, Any]] = [
+        {key: session.report[which][key] for key in ("up", "front")} for which in ("driving", "identity")
+    ]
     panels = [
         Panel("driving", Clip.still(session.driving), **axes[0]),
         Panel("result", Clip.still(posed), **axes[1]),

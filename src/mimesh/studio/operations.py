@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from ..bodies import load_body
 from ..bodies.animals import ANIMALS, animal
@@ -156,10 +155,10 @@ def compute_result(
     seconds, method = Timer(), find_method(options.model)
     dtype = np.float64 if len(clip) == 1 else np.float32
     moved = play_move(prepared, seconds, options.motion(method), progress, dtype)
-    first: Float[np.ndarray, "V 3"] = moved.vertices[0].astype(np.float64)
-    result_clip = Clip(identity.with_vertices(first), moved.vertices, clip.fps)
     return ClipResult(
-        result_clip,
+        identity.with_vertices(moved.frames.first()),
+        moved.frames,
+        clip.fps,
         method.name,
         seconds,
         moved.report,

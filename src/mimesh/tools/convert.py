@@ -324,11 +324,9 @@ def taken_rate_note(clip: Clip, path: Path) -> tuple[str, ...]:
     return (f"{path.name} has no frame rate: {clip.fps:g} frames a second are taken; --fps gives another",)
 
 
-def resampled_note(clip: Clip, output_fps: float | None) -> tuple[str, ...]:
-    """Return a note that a file has another frame rate than the clip that is written; None keeps the clip's."""
-    if output_fps is None or output_fps == clip.fps:
-        return ()
-    return (f"sampled from {frames_at(len(clip), clip.fps)}",)
+def resampled_note(frames: int, fps: float, output_fps: float | None) -> tuple[str, ...]:
+    """Return a note that a file has another frame rate than the frames that are written; None keeps theirs."""
+    return () if output_fps in (None, fps) else (f"sampled from {frames_at(frames, fps)}",)
 
 
 def frames_at(frames: int, fps: float) -> str:

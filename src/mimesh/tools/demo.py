@@ -57,7 +57,7 @@ def run_demo(folder: Path, progress: Progress | None = None, body: str = "human"
         "motion": driving.mesh.name,
         "model": result.model,
         "vertices": len(identity.vertices),
-        "frames": len(result.clip),
+        "frames": len(result.frames),
         "fps": result.fps,
         "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
         "report": result.report,

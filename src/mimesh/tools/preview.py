@@ -6,6 +6,9 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from ..core.frame_buffer import evenly_spread
 from ..core.mesh import Clip, Mesh
 from ..core.printable import plain
 from ..core.surface_clusters import clustered_mesh
@@ -25,6 +28,8 @@ MOTION = MotionLimits(frames=250, characters=4 * 2**20, vertices=50_000, driving
 """Of a page beside a result: seconds to write, and 5 MB with the script, a small .glb and no textures."""
 TILE = (360, 440)
 """Width and height of one picture in pixels."""
+STRIP, STRIP_TILE = 6, (220, 280)
+"""Frames of a clip that are drawn side by side, and the size of each in pixels."""
 DRAWN = 300_000
 """Vertices to which larger meshes are reduced before they are drawn: a picture has 158,400 pixels."""
 
@@ -58,8 +63,14 @@ def result_picture(result: Result | ClipResult) -> Image.Image:
     identity_axes, driving_axes = _axes(result.report["identity"]), _axes(result.report["driving"])
     if isinstance(result, ClipResult):
         assert result.driving is not None
-        clips = ((result.driving, driving_axes, DRIVING_TINT), (result.clip, identity_axes, None))
-        return stack([strip(clip, 6, (220, 280), tint=tint, **axes) for clip, axes, tint in clips])
+        chosen = evenly_spread(len(result.frames), STRIP)
+        moved = Clip(result.mesh, np.stack(list(result.frames.at(chosen))), result.fps)
+        return stack(
+            [
+                strip(result.driving, STRIP, STRIP_TILE, tint=DRIVING_TINT, **driving_axes),
+                strip(moved, STRIP, STRIP_TILE, times=(chosen / result.fps).tolist(), **identity_axes),
+            ]
+        )
     assert result.identity is not None
     assert result.driving is not None
     tiles = [
