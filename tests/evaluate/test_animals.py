@@ -14,7 +14,7 @@ from mimesh.core.errors import InputError
 from mimesh.evaluate.animals import animals, find_animal_landmarks, place_animal_joints, transforms_by_name
 from mimesh.evaluate.quadruped import quadruped
 from mimesh.evaluate.run import evaluate_command, find_protocol
-from mimesh.io.gltf.animal import read_rigged_animal
+from mimesh.io.gltf.character import read_rigged_animal
 
 KIND = "clips"
 

@@ -20,7 +20,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.person_motion import KnownJoints
 from mimesh.io import load_clip, load_mesh
-from mimesh.io.gltf.bake import sample_nodes
+from mimesh.io.gltf.animation import sample_nodes
 from mimesh.io.gltf.own_rig import GltfJoints, read_own_rig
 from mimesh.motions import load_bvh, load_motion, window
 from mimesh.pipeline import animate

@@ -21,7 +21,7 @@ from ..bodies.character_pool import Pool, PoolCharacter, local_frames, read_pool
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.mesh import Mesh
-from ..io.gltf.animal import read_rigged_animal
+from ..io.gltf.character import read_rigged_animal
 from .pairs import Pair
 from .protocols import Protocol
 from .quadruped import quadruped

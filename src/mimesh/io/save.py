@@ -218,7 +218,7 @@ def save_vrma(motions: Sequence[BoneMotion], path: str | Path) -> None:
     Raises:
         InputError: another format, or a path that cannot be written to.
     """
-    from .gltf.vrma import write_vrma
+    from .gltf.vrm import write_vrma
 
     path = Path(path)
     if path.suffix.lower() != ".vrma":

@@ -21,10 +21,9 @@ from ..core.geometry import nearest_rotation
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import ORIENTATIONS, ROTATIONS
 from ..core.person_motion import KnownJoints, PersonMotion
-from ..io.gltf.animal import animal_facing
-from ..io.gltf.character import NO_PERSON, carried_part, standing_facing
+from ..io.gltf.character import NO_PERSON, animal_facing, carried_part, standing_facing
 from ..io.gltf.own_rig import check_sound
-from ..io.gltf.vrma import with_posed_hands
+from ..io.gltf.vrm import with_posed_hands
 from ..motions.animal_rig import animal_rig
 from ..motions.bone_motion import bone_joints
 from ..motions.bvh import Bvh

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.core.errors import InputError
 from mimesh.io import load_mesh
-from mimesh.io.gltf.animal import read_rigged_animal
+from mimesh.io.gltf.character import read_rigged_animal
 from mimesh.io.gltf.own_rig import read_own_rig
 
 

@@ -17,7 +17,7 @@ from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_clip
 from mimesh.io.gltf import write_gltf_clip
 from mimesh.io.gltf.animation import AnimationChannel, animated_nodes, frame_rate, select_channels
-from mimesh.io.gltf.document import Document, open_document
+from mimesh.io.gltf.document import Document, MappedFiles, open_document
 
 HIP_QUATERNIONS = [[0, 0, 0, 1], [0, 0, 0.6, 0.8]]
 """Rotation (xyzw) of the hero's hip at 0 s and 1 s."""
@@ -157,7 +157,7 @@ def test_animations_of_other_nodes_are_read_with_the_first_and_alternatives_are_
 def test_nodes_that_any_animation_moves_are_listed():
     """A new animation has keys for all of them: other programs mix it with those of other nodes."""
     gltf = {"nodes": [{}, {}, {}], "animations": [moving(0), moving(2), moving(1, "weights"), moving(9)]}
-    assert animated_nodes(Document(Path("a.glb"), gltf, b"", ()), {"rotation"}) == {0, 2}
+    assert animated_nodes(Document(Path("a.glb"), gltf, b"", (), MappedFiles()), {"rotation"}) == {0, 2}
 
 
 def test_a_damaged_animation_beside_the_first_is_refused_only_if_it_is_asked_for(tmp_path):

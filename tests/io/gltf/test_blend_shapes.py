@@ -7,8 +7,8 @@ import zoo
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, save_clip
-from mimesh.io.gltf import blend_shapes
-from mimesh.io.gltf.blend_shapes import fit_blend_shapes
+from mimesh.io.gltf import clip
+from mimesh.io.gltf.clip import fit_blend_shapes
 
 
 def clip_of(rank: int, frames: int = 12, seed: int = 0) -> Clip:
@@ -53,7 +53,7 @@ def test_blend_shapes_report_the_largest_error_and_have_least_squares(count):
 
 def test_blend_shapes_do_not_depend_on_block_size(monkeypatch):
     whole = fit_blend_shapes(clip_of(8), 3)
-    monkeypatch.setattr(blend_shapes, "BLOCK_BYTES", 24 * 12 * 4)
+    monkeypatch.setattr(clip, "BLOCK_BYTES", 24 * 12 * 4)
     progress_calls = []
     parts = fit_blend_shapes(clip_of(8), 3, lambda done, total: progress_calls.append((done, total)))
     np.testing.assert_allclose(np.abs(parts.weights - 0.5), np.abs(whole.weights - 0.5), atol=1e-5)

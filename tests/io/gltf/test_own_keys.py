@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from mimesh.io import load_clip, load_mesh
 from mimesh.io.gltf.animation import read_channels
 from mimesh.io.gltf.document import open_document
-from mimesh.io.gltf.keys import COPY_LIMIT, KEY_LIMIT
+from mimesh.io.gltf.keys import COPY_LIMIT, KEY_LIMIT, node_keys
 from mimesh.io.gltf.own_animation import OwnAnimation, write_own_animations
-from mimesh.io.gltf.own_keys import node_keys
 
 FRAMES = 90
 FLOAT32 = 5e-7

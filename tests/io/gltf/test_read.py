@@ -246,8 +246,8 @@ def test_memory_mapped_files_give_the_same_mesh(suffix, tmp_path, monkeypatch):
     path = sample.glb(tmp_path / "a.glb")
     write_gltf(read_gltf(path), tmp_path / f"b{suffix}")
     whole = read_gltf(tmp_path / f"b{suffix}")
-    monkeypatch.setattr("mimesh.io.gltf.mapped_files.LARGE", 100)
-    monkeypatch.setattr("mimesh.io.gltf.mapped_files.DECODE_BLOCK", 8)
+    monkeypatch.setattr("mimesh.io.gltf.document.LARGE", 100)
+    monkeypatch.setattr("mimesh.io.gltf.document.DECODE_BLOCK", 8)
     paged = read_gltf(tmp_path / f"b{suffix}")
     assert paged.source.document.mapped_files.maps
     assert not whole.source.document.mapped_files.maps

@@ -11,8 +11,8 @@ from mimesh.bodies.engine_names import SCHEMES
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh
 from mimesh.io.gltf.animation import read_channels
+from mimesh.io.gltf.copied_motion import NamedWeights, morph_tracks, named_weights, plain_target, target_names
 from mimesh.io.gltf.document import open_document
-from mimesh.io.gltf.morph_weights import NamedWeights, morph_tracks, named_weights, plain_target, target_names
 from mimesh.io.gltf.own_rig import read_own_rig
 from mimesh.io.gltf.vrm import animated_expressions, vrm_bones, vrm_expressions
 

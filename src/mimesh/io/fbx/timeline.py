@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...bodies.joint_names import ancestors
-from ..gltf.animation import AnimationChannel, add_animation, animation_names, frame_rate, read_channels
-from ..gltf.bake import frame_times
+from ..gltf.animation import AnimationChannel, add_animation, animation_names, frame_rate, frame_times, read_channels
 from ..gltf.document import Document, read_floats
 from ..gltf.draft import AccessorCopier, Draft
 from ..gltf.own_animation import node_value

@@ -2,15 +2,16 @@
 
 Files in .fbx are read as glTF (see `io.fbx`), and written as .glb.
 
-mapped_files, compression -> document (with check)          opens files, also compressed ones
-document -> scene -> read                                   reads the scene of an open file at rest as a Mesh
-draft, deformed_attributes -> primitives -> edit            writes the file of a Mesh again, with other vertices
-build                                                       builds a new file for a Mesh without a glTF source
-blend_shapes -> clip                                        writes a clip as morph targets with an animation
-animation -> bake                                           bakes animations to vertex positions
-motion                                                      plays animated joints without a mesh on the shipped body
-vrm, vrma, morph_weights                                    extensions of VRM; morph targets by name
-skin, skinned                                               reads rigged characters; writes a mesh with joints
+check, compression -> document            opens files, also compressed and damaged ones
+document -> scene -> read                 reads the scene of an open file at rest as a Mesh, or as a rigged character
+draft -> edit                             writes the file of a Mesh again, with other vertices
+build                                     builds a new file for a Mesh without a glTF source
+animation                                 reads animations and bakes them to vertex positions
+clip                                      writes a clip as morph targets with an animation
+keys -> skinned                           writes a mesh with joints and thinned keys
+motion, vrm                               plays animated joints without a mesh on the shipped body; extensions of VRM
+character -> own_rig                      finds the limbs of people and animals, and moves the own nodes of a file
+copied_motion, own_animation              copies animations by name; writes a file with new animations of its nodes
 """
 
 from __future__ import annotations
@@ -24,19 +25,16 @@ from ...core.budgets import check_clip_size
 from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Mesh, check_mesh
 from ..timing import DEFAULT_FPS
-from .animation import frame_rate, select_channels
-from .bake import bake_frames
-from .blend_shapes import fit_blend_shapes
+from .animation import bake_frames, frame_rate, select_channels
 from .build import build_document
 from .check import is_supported
-from .clip import add_morph_animation
+from .clip import add_morph_animation, fit_blend_shapes
 from .document import Document, open_document
 from .edit import GltfSource, edit_document, with_normals
 from .motion import PLAYED_PATHS, is_motion, read_motion_clip, read_motion_mesh
 from .own_rig import GltfJoints
 from .read import RestScene, read_rest
-from .vrm import is_vrm_animation, vrm_bones
-from .vrma import with_hands
+from .vrm import is_vrm_animation, vrm_bones, with_hands
 
 
 def read_gltf(path: Path) -> Mesh:
@@ -141,7 +139,7 @@ def write_gltf_clip(
     without animation. The size is about 24 bytes a vertex and frame: positions and normals in float32.
 
     Args:
-        blendshapes: number of morph targets to fit to the clip instead (see `gltf.blend_shapes`).
+        blendshapes: number of morph targets to fit to the clip instead (see `gltf.clip`).
 
     Returns:
         The largest distance of a vertex from its position in the clip, in the mesh's unit; None without `blendshapes`.

@@ -12,7 +12,7 @@ from ...core.mesh import Material, Mesh, Part
 from ..usd import stage_axes
 from .document import image_type
 from .draft import ARRAY_BUFFER, Draft
-from .primitives import PrimitiveGroup
+from .edit import PrimitiveGroup
 from .read import DEFAULT_MATERIAL, POINTS
 
 WHITE_MATERIAL = Material("default", (1.0, 1.0, 1.0, 1.0))

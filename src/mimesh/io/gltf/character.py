@@ -1,16 +1,17 @@
-"""Reads a rigged .glb, .gltf, .vrm or .fbx of any maker as a character with limbs and clips, like those of a pool.
+"""Reads rigged .glb, .gltf, .vrm or .fbx of any maker: people and animals with limbs and clips, like those of a pool.
 
 Rest is the bind pose of the largest skin (`motion.rest_matrices`); the nodes' transforms in the file are often a frame
 of an animation, and are used only where the bind pose does not stand. Joints are found by VRM's humanoid bones, where
 the file lists them, else by their names. A file without skins is a figure of rigid parts: moving nodes are its joints.
 
 Facing: glTF characters face +z and VRM 0 characters -z. Joint names and feet check that: where two of the three agree,
-they are right. Some makers export -z, others name sides as the viewer sees them.
+they are right. Some makers export -z, others name sides as the viewer sees them. Animals face where their heads are.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...bodies.animal_limbs import LEGS, name_animal_joints, named_tail
 from ...bodies.character_limbs import (
     SIDES,
     FindJoints,
@@ -28,21 +30,25 @@ from ...bodies.character_limbs import (
     name_limb_joints,
     name_sided_joints,
 )
-from ...bodies.character_pool import CharacterClip, CharacterMeta, PoolCharacter, facing_rotation, sampled_poses
+from ...bodies.character_pool import (
+    FACING,
+    CharacterClip,
+    CharacterMeta,
+    PoolCharacter,
+    facing_rotation,
+    sampled_poses,
+)
 from ...bodies.joint_names import ancestors, without_fingers
 from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
 from ...core.mesh import Mesh, check_mesh
-from .animation import animated_nodes, animation_names, read_channels
-from .bake import frame_times, sample_nodes
+from .animation import animated_nodes, animation_names, frame_times, read_channels, sample_nodes
 from .document import Document, open_document
 from .motion import PLAYED_PATHS, bind_poses, is_motion
-from .origin import read_origin
-from .read import RestScene, read_rest
+from .read import RestScene, read_rest, rig_on_nodes, skin_joints
 from .scene import scene_nodes
-from .skin import rig_on_nodes, skin_joints
-from .vrm import vrm_bones, vrm_version
+from .vrm import read_origin, vrm_bones, vrm_version
 
 CLIP_FPS = 30.0
 """Frame rate at which clips are read."""
@@ -66,6 +72,8 @@ PAIRS = ("UpLeg", "Arm")
 """Joints whose two sides say where left is."""
 AXES = {"+z": (0, 1), "-z": (0, -1), "+x": (1, 0), "-x": (-1, 0)}
 """Horizontal direction (x, z) of each facing."""
+LEG_WORDS = {"front": re.compile("front|fore"), "hind": re.compile("back|hind|rear")}
+"""Words in the names of the joints of forelegs and of hind legs."""
 
 
 def read_rigged_character(
@@ -352,3 +360,84 @@ def carried_part(rig: SkinnedCharacter) -> SkinnedCharacter:
     points, weights = rig.points[used], rig.weights[used]
     mesh = Mesh(rig.mesh.vertices[used], (np.cumsum(used) - 1)[faces], name=rig.mesh.name)
     return dataclasses.replace(rig, mesh=mesh, joint_of=rig.joint_of[used], weights=weights, points=points)
+
+
+def read_rigged_animal(
+    path: str | Path, pack: str = "", licence: str = "", left_out: Callable[[str], bool] = lambda name: False
+) -> PoolCharacter:
+    """Read an animal, turned to face +z, with all of its clips but those that `left_out` names.
+
+    Args:
+        licence: of files that do not state one.
+
+    Raises:
+        InputError: a damaged file, no mesh, or no four legs on one skeleton.
+    """
+    path = Path(path)
+    document = open_document(path)
+    if is_motion(document):
+        raise InputError(f"{path}: expected a rigged mesh, found animations without a mesh")
+    mesh, scene = read_rest(document)
+    standing = read_standing_animal(check_mesh(mesh, path), document, scene)
+    turn = facing_rotation(standing.facing)
+    rig, nodes = carried_part(standing.rig).turned(turn), standing.nodes
+    clips = read_clips(document, standing.scene.T_world_node[nodes], nodes, rig.parents, left_out)
+    maker, stated = read_origin(document)
+    origin = (path.stem, pack, maker, stated or licence or NOT_STATED, "", "quadruped", "train", standing.facing)
+    meta = CharacterMeta(*origin, str(path) * bool(clips))
+    joints, order = name_animal_joints(rig, path), np.arange(len(rig.parents))
+    return PoolCharacter(meta, rig, joints, {}, clips, rig.parents, order, turn)
+
+
+def read_standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> StandingCharacter:
+    """Read the rig of a scene in its bind pose, or in the pose of the file's nodes where it stands in none.
+
+    Raises:
+        InputError: there are no four legs on one skeleton.
+    """
+    joint_nodes = skin_joints(document, scene) or moving_nodes(document)
+    for T_world_node in bind_poses(document):
+        bound = dataclasses.replace(scene, T_world_node=T_world_node)
+        try:
+            return _standing_animal(mesh, document, bound, joint_nodes)
+        except InputError:
+            continue  # the bind pose may have another orientation
+    return _standing_animal(mesh, document, scene, joint_nodes)
+
+
+def _standing_animal(mesh: Mesh, document: Document, scene: RestScene, joint_nodes: set[int]) -> StandingCharacter:
+    rig, nodes = rig_at_rest(mesh, document, scene, joint_nodes)
+    return StandingCharacter(rig, nodes, animal_facing(carried_part(rig), document.path), {}, scene)
+
+
+def animal_facing(rig: SkinnedCharacter, path: object) -> str:
+    """Find where an animal faces: where the largest part that sticks out from its legs, the head, is in front.
+
+    Names of legs are believed first (leg-front-left), and a tail that has this name is behind.
+
+    Raises:
+        InputError: there are no four legs on one skeleton, whatever it faces.
+    """
+    scores, reasons = {}, []
+    for facing in filter(None, FACING):
+        turned = rig.turned(facing_rotation(facing))
+        try:
+            joints = name_animal_joints(turned, path)
+        except InputError as error:
+            reasons.append(error)
+            continue
+        tops = {pair: [joints[side + parts[0]] for side in SIDES] for pair, parts in LEGS.items()}
+        names = [(pair, turned.joint_names[joint].lower()) for pair in LEGS for joint in tops[pair]]
+        said = sum(bool(LEG_WORDS[pair].search(name)) for pair, name in names)
+        center = turned.joints[[*tops["front"], *tops["hind"]], 2].mean()
+        head = [joints["Head"]] if "Head" in joints else []
+        scores[facing] = said, _ahead(turned, head, center) - _ahead(turned, named_tail(turned), center)
+    if not scores:
+        raise reasons[0]
+    return max(scores, key=lambda facing: scores[facing])  # the first, +z, where they are equal
+
+
+def _ahead(rig: SkinnedCharacter, joints: list[int], center: float) -> float:
+    """Compute how far in front of the legs' center joints are, times the share of the vertices that they move."""
+    share = rig.joint_weights()[:, joints].mean(axis=0)
+    return float(share @ (rig.joints[joints, 2] - center))

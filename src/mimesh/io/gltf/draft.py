@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from ...core.errors import InputError
-from .accessor_types import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
-from .check import is_supported
+from .check import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, is_supported
 from .document import BINARY_CHUNK, JSON_CHUNK, Document, element_bytes, image_type, uri_file_name
 
 ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}

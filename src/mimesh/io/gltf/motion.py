@@ -26,8 +26,7 @@ from ...motions.bvh import Bvh
 from ...motions.on_body import first_frame, on_body, played
 from ...motions.retarget import to_local
 from ..timing import DEFAULT_FPS
-from .animation import AnimationChannel, animated_nodes, frame_rate, select_channels
-from .bake import frame_times, sample_nodes
+from .animation import AnimationChannel, animated_nodes, frame_rate, frame_times, sample_nodes, select_channels
 from .document import Document
 from .scene import joint_matrices, local_matrices, node_parents, scene_nodes, sort_parents_first, world_matrices
 from .vrm import is_vrm_animation, vrm_bones

@@ -19,16 +19,13 @@ from ...core.mesh import Mesh
 from ...core.person_motion import PersonMotion
 from ...motions.animal_rig import animal_rig
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
-from .animal import read_standing_animal
-from .animation import AnimationChannel, animated_nodes
-from .bake import AnimatedValues, sample_nodes
-from .character import moving_nodes, read_clips, read_standing, rig_at_rest
+from .animation import AnimatedValues, AnimationChannel, animated_nodes, sample_nodes
+from .character import moving_nodes, read_clips, read_standing, read_standing_animal, rig_at_rest
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS, rest_matrices
-from .read import RestScene
+from .read import RestScene, skin_joints, unweighted_vertices
 from .scene import local_matrices, local_matrix, node_parents, node_properties, sort_parents_first, world_matrices
-from .skin import skin_joints, unweighted_vertices
 
 UNSKINNED = 0.02
 """Largest share of vertices without any joint; more of them is a damaged skin."""

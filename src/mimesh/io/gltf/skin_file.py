@@ -8,7 +8,7 @@ from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
 from ..load import load_mesh
 from .edit import GltfSource
-from .skin import rig_on_nodes, skin_joints
+from .read import rig_on_nodes, skin_joints
 
 
 def read_skin(path: str | Path) -> SkinnedCharacter:

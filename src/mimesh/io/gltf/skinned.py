@@ -26,9 +26,8 @@ from ...core.geometry import continuous_quaternions
 from .animation import AnimationChannel, add_animation
 from .build import build_document, stage_transform
 from .draft import ARRAY_BUFFER, Draft
-from .edit import GltfSource, edit_document, with_normals
+from .edit import GltfSource, PrimitiveGroup, edit_document, with_normals
 from .keys import KEY_LIMIT, choose_keys, played_values, rotation_tolerances, without_costly_times
-from .primitives import PrimitiveGroup
 from .scene import DEFAULT_TRS
 
 UNSIGNED_BYTE, UNSIGNED_SHORT = 5121, 5123

@@ -33,8 +33,7 @@ from ...core.errors import InputError
 from ...core.frame_buffer import Progress, counted
 from ...evaluate.character_poses import animal_alignments, body_poses, place_body_joints, rest_alignments
 from ...evaluate.held_out_takes import is_held_out
-from ...io.gltf.animal import read_rigged_animal
-from ...io.gltf.character import NOT_STATED, read_rigged_character
+from ...io.gltf.character import NOT_STATED, read_rigged_animal, read_rigged_character
 from ..task import DataConfig, share_option
 from .clips import DAMAGED, RIGGED, TrainingClips, licence_of, pack_of
 

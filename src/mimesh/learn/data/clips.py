@@ -26,7 +26,7 @@ from ...io.gltf.animation import animation_names
 from ...io.gltf.character import NOT_STATED
 from ...io.gltf.document import open_document
 from ...io.gltf.motion import read_skeleton
-from ...io.gltf.origin import read_origin
+from ...io.gltf.vrm import read_origin
 from ...motions import Motion, mirror, resample, retarget
 from ...motions.motion import rotmat_to_rotvec, turned_to_front
 from ...motions.on_body import is_motion_file, motion_of_file

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ...bodies.character_pool import CharacterClip, PoolCharacter
-from ...core.geometry import vertex_normals
-from .animation import AnimationChannel, add_animation
-from .draft import ARRAY_BUFFER, Draft
+from mimesh.bodies.character_pool import CharacterClip, PoolCharacter
+from mimesh.core.geometry import vertex_normals
+from mimesh.io.gltf.animation import AnimationChannel, add_animation
+from mimesh.io.gltf.draft import ARRAY_BUFFER, Draft
 
 UNSIGNED_SHORT = 5123
 """Component type (glTF 2.0, 3.6.2.2 Accessor Data Types)."""
