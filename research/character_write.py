@@ -13,9 +13,6 @@ from mimesh.core.geometry import vertex_normals
 from mimesh.io.gltf.animation import AnimationChannel, add_animation
 from mimesh.io.gltf.draft import ARRAY_BUFFER, Draft
 
-UNSIGNED_SHORT = 5123
-"""Component type (glTF 2.0, 3.6.2.2 Accessor Data Types)."""
-
 
 def write_character(character: PoolCharacter, path: Path, clips: Mapping[str, CharacterClip], fps: float) -> None:
     """Write a character of a pool, facing +z, with the hierarchy of joints of its file and some of its clips."""
@@ -61,9 +58,7 @@ def _primitive(draft: Draft, character: PoolCharacter) -> dict:
     joints = np.where(weights > 0, character.order[np.pad(rig.joint_of, padding).clip(max=len(rig.parents) - 1)], 0)
     for k in range(columns):
         some = slice(4 * k, 4 * k + 4)
-        view = draft.add_view(joints[:, some].astype("<u2"), target=ARRAY_BUFFER)
-        accessor = {"bufferView": view, "componentType": UNSIGNED_SHORT, "count": len(joints), "type": "VEC4"}
-        attributes[f"JOINTS_{k}"] = draft.add_accessor(accessor)
+        attributes[f"JOINTS_{k}"] = draft.add_array(joints[:, some].astype("<u2"), "VEC4", ARRAY_BUFFER)
         attributes[f"WEIGHTS_{k}"] = draft.add_floats(weights[:, some], ARRAY_BUFFER)
     return {"attributes": attributes, "indices": draft.add_indices(faces)}
 

@@ -290,4 +290,4 @@ def test_files_whose_surface_is_not_known_are_refused(name, tmp_path):
 
 def test_a_file_without_skins_is_not_damaged(tmp_path):
     """Figures of rigid parts have moving nodes and no skin."""
-    _check_bound(open_document(props().glb(tmp_path / "props.glb")), tmp_path / "props.glb")
+    _check_bound(open_document(props().glb(tmp_path / "props.glb")))

@@ -15,7 +15,7 @@ from ..gltf.animation import AnimationChannel, add_animation, animation_names, f
 from ..gltf.document import Document, read_floats
 from ..gltf.draft import AccessorCopier, Draft
 from ..gltf.own_animation import node_value
-from ..gltf.scene import local_matrices, node_parents, world_matrices
+from ..gltf.scene import node_parents, world_matrices
 from ..timing import DEFAULT_FPS
 
 GAP = 2
@@ -77,7 +77,7 @@ def _make_joints(draft: Draft, document: Document, moved: set[int]) -> None:
         if "inverseBindMatrices" in skin:
             stored = read_floats(document, skin["inverseBindMatrices"])
         inverse_bind |= {joint: row.reshape(4, 4).T for joint, row in zip(skin["joints"], stored, strict=False)}
-    world = world_matrices(document, local_matrices(document))
+    world = world_matrices(document)
     near = _nearest_joints(document, extra, set(inverse_bind))
     for node, joint in near.items():
         # Skins may be bound in another space than the world: the node is placed as it is beside a joint.

@@ -321,14 +321,6 @@ class UnposedVertices:
     """Index of the distinct vertex that each vertex of the range equals."""
 
 
-def bake_frames(
-    document: Document, rest: RestScene, channels: list[AnimationChannel], fps: float
-) -> tuple[int, Iterator[Float[np.ndarray, "V 3"]]]:
-    """Return the number of frames of an animation and the Mesh's vertices in each; frame k is at k / fps seconds."""
-    times = frame_times(document, channels, fps)
-    return len(times), sample_frames(document, rest, channels, times)
-
-
 def frame_times(document: Document, channels: list[AnimationChannel], fps: float) -> Float[np.ndarray, " T"]:
     """Return the times of an animation's frames in seconds, from zero to its last key.
 
@@ -355,6 +347,13 @@ def sample_nodes(
         values = {(channel.node, channel.path): channel.sample(block_times) for channel in channels}
         yield values, world_matrices(document, animated_matrices(document, values, len(block_times)))
         document.mapped_files.release_pages()
+
+
+def sample_joints(
+    document: Document, channels: list[AnimationChannel], times: Float[np.ndarray, " T"], nodes: list[int]
+) -> Float[np.ndarray, "T J 4 4"]:
+    """Return the world transforms of some nodes at times in seconds."""
+    return np.concatenate([matrices[:, nodes] for _, matrices in sample_nodes(document, channels, times)])
 
 
 def sample_frames(

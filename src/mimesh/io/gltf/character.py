@@ -43,7 +43,8 @@ from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
 from ...core.mesh import Mesh, check_mesh
-from .animation import animated_nodes, animation_names, frame_times, read_channels, sample_nodes
+from .animation import animated_nodes, animation_names, frame_times, read_channels, sample_joints
+from .check import damaged
 from .document import Document, open_document
 from .motion import PLAYED_PATHS, bind_poses, is_motion
 from .read import RestScene, read_rest, rig_on_nodes, skin_joints
@@ -102,19 +103,17 @@ def read_rigged_character(
     clips = read_clips(document, bound.T_world_node[nodes], nodes, rig.parents, left_out)
     file_parents, poses = rig.parents, sampled_poses(clips, rig, turn)
     rig, joints, order = attach_feet(rig, joints, poses, path)
-    maker, stated = read_origin(document)
-    meta = CharacterMeta(
-        path.stem,
-        pack,
-        maker,
-        stated or licence or NOT_STATED,
-        "",
-        "humanoid",
-        "train",
-        facing,
-        str(path) * bool(clips),
-    )
+    meta = _meta(document, pack, licence, "humanoid", facing, bool(clips))
     return PoolCharacter(meta, rig, joints, find_limbs(rig, joints, path), clips, file_parents, order, turn)
+
+
+def _meta(document: Document, pack: str, licence: str, body_class: str, facing: str, has_clips: bool) -> CharacterMeta:
+    """Describe a character of a file, which holds its own clips."""
+    path, (maker, stated) = document.path, read_origin(document)
+    clips_file = str(path) if has_clips else ""
+    return CharacterMeta(
+        path.stem, pack, maker, stated or licence or NOT_STATED, "", body_class, "train", facing, clips_file
+    )
 
 
 def read_clips(
@@ -135,7 +134,7 @@ def read_clips(
         if left_out(name) or not any(channel.path == "rotation" for channel in channels):
             continue
         times = frame_times(document, channels, CLIP_FPS)[:MAX_FRAMES]
-        world = np.concatenate([matrices[:, nodes] for _, matrices in sample_nodes(document, channels, times)])
+        world = sample_joints(document, channels, times, nodes)
         if not np.isfinite(world).all():
             continue
         local = np.tile(np.eye(4), (*world.shape[:2], 1, 1))
@@ -237,7 +236,7 @@ def rig_at_rest(
     path = document.path
     rig, nodes = rig_on_nodes(mesh, document, scene, joint_nodes)
     if not all(np.isfinite(array).all() for array in (rig.points, rig.T_world_joint)):
-        raise InputError(f"{path}: expected a rest pose of finite numbers, found NaN or infinity; export it again")
+        raise damaged(path, "a rest pose of finite numbers", "NaN or infinity")
     frames = np.tile(np.eye(4), (len(nodes), 1, 1))
     frames[:, :3, :3] = nearest_rotation(rig.T_world_joint[:, :3, :3])
     frames[:, :3, 3] = rig.joints
@@ -382,9 +381,7 @@ def read_rigged_animal(
     turn = facing_rotation(standing.facing)
     rig, nodes = carried_part(standing.rig).turned(turn), standing.nodes
     clips = read_clips(document, standing.scene.T_world_node[nodes], nodes, rig.parents, left_out)
-    maker, stated = read_origin(document)
-    origin = (path.stem, pack, maker, stated or licence or NOT_STATED, "", "quadruped", "train", standing.facing)
-    meta = CharacterMeta(*origin, str(path) * bool(clips))
+    meta = _meta(document, pack, licence, "quadruped", standing.facing, bool(clips))
     joints, order = name_animal_joints(rig, path), np.arange(len(rig.parents))
     return PoolCharacter(meta, rig, joints, {}, clips, rig.parents, order, turn)
 

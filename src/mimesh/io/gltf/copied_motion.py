@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -75,10 +75,6 @@ class NamedWeights:
     owner: str | None
     """Name of the node that shows the mesh; None for an expression."""
     values: Float[np.ndarray, " T"]
-
-
-Find = Callable[[str, str | None], Float[np.ndarray, " T"] | None]
-"""Finds the weights of a name and of the node that has a target of this name; None: the driving has no such name."""
 
 
 def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
@@ -215,7 +211,7 @@ def _unit_axes(frames: Float[np.ndarray, "K 4 4"]) -> Float[np.ndarray, "K 3 3"]
 
 def _same_above(mine: Document, theirs: Document, pairs: dict[int, int]) -> bool:
     """Tell whether the nodes above the roots of both skeletons have the same axes and unit."""
-    my_world, their_world = (world_matrices(document, local_matrices(document)) for document in (mine, theirs))
+    my_world, their_world = (world_matrices(document) for document in (mine, theirs))
     my_parents, their_parents = node_parents(mine), node_parents(theirs)
     for node, other in pairs.items():
         if my_parents[node] in pairs:
@@ -293,16 +289,15 @@ def morph_tracks(document: Document, weights: Sequence[NamedWeights]) -> Animate
 
     A target has the weight of its name, else the sum of the expressions that move it, else the weight of the file.
     """
-    find = _finder(weights)
     tracks: AnimatedValues = {}
-    by_expression = _expression_weights(vrm_expressions(document), find)
+    by_expression = _expression_weights(vrm_expressions(document), weights)
     for node, entry in enumerate(document.gltf.get("nodes", [])):
         count = target_count(document, node)
         if not count:
             continue
         columns = {index: values for (n, index), values in by_expression.items() if n == node and index < count}
         for index, name in enumerate(target_names(document, node)[:count]):
-            values = find(name, str(entry.get("name", "")))
+            values = _find_weights(weights, name, str(entry.get("name", "")))
             if values is not None:
                 columns[index] = values
         if columns:
@@ -336,30 +331,28 @@ def plain_target(name: str) -> str:
     return _LETTERS.sub("", name.lower())
 
 
-def _finder(weights: Sequence[NamedWeights]) -> Find:
-    """Return the search for a name: equal before similar, of the same node before others, moving before still."""
-
-    def find(name: str, owner: str | None) -> Float[np.ndarray, " T"] | None:
-        plain = plain_target(name)
-        found = [row for row in weights if row.name == name] or [r for r in weights if plain_target(r.name) == plain]
-        best = max(found, key=lambda row: (row.owner == owner, np.abs(row.values).max()), default=None)
-        return None if best is None else best.values
-
-    return find
+def _find_weights(weights: Sequence[NamedWeights], name: str, owner: str | None) -> Float[np.ndarray, " T"] | None:
+    """Find the weights of a name: equal before similar, of the same node before others, moving before still."""
+    plain = plain_target(name)
+    found = [row for row in weights if row.name == name] or [row for row in weights if plain_target(row.name) == plain]
+    best = max(found, key=lambda row: (row.owner == owner, np.abs(row.values).max()), default=None)
+    return None if best is None else best.values
 
 
-def _expression_weights(expressions: dict[str, Expression], find: Find) -> dict[tuple[int, int], np.ndarray]:
+def _expression_weights(
+    expressions: dict[str, Expression], weights: Sequence[NamedWeights]
+) -> dict[tuple[int, int], np.ndarray]:
     """Add up the weights of each (node, target) over the expressions of an identity that the driving animates."""
     values = {}
     for name, expression in expressions.items():
-        found = find(name, None)
+        found = _find_weights(weights, name, None)
         if found is not None and expression.binds:
             values[name] = (found > BINARY).astype(float) if expression.binary else found
     total: dict[tuple[int, int], np.ndarray] = {}
-    for name, weights in values.items():
+    for name, shown in values.items():
         factor = _remaining(name, expressions, values)
         # What has no intermediate values is suppressed by any reduction.
-        reduced = weights * (factor >= 1.0) if expressions[name].binary else weights * factor
+        reduced = shown * (factor >= 1.0 if expressions[name].binary else factor)
         for node, index, share in expressions[name].binds:
             total[node, index] = total.get((node, index), 0.0) + share * reduced
     return total

@@ -45,29 +45,27 @@ Tracks = Mapping[tuple[int, str], Float[np.ndarray, "_ _"]]
 """Values by (node, target path): in every frame, or in one of what does not move."""
 
 
-def choose_keys(
-    values: Float[np.ndarray, "J T C"], tolerance: Float[np.ndarray, " J"], rotations: bool
-) -> Bool[np.ndarray, "J T"]:
-    """Choose the frames of J tracks that become keys; a track without motion gets one, in the first frame.
+def choose_keys(values: Float[np.ndarray, "J T 4"], tolerance: Float[np.ndarray, " J"]) -> Bool[np.ndarray, "J T"]:
+    """Choose the frames of J tracks of rotations that become keys; one without motion gets one, in the first frame.
 
     The Douglas-Peucker algorithm: the frame with the largest error between two keys becomes a key, until all errors are
     within the tolerance. Segments of all tracks are split together. It takes 0.1 s for 61 joints in 300 frames and at
     most 1 % more keys than extending each segment as far as possible, which takes 10 s (measured on motion capture).
 
     Args:
-        values: with `rotations`, unit quaternions, each in the hemisphere of the one before.
-        tolerance: largest angle in radians, or largest distance in the unit of the values.
+        values: unit quaternions, each in the hemisphere of the one before.
+        tolerance: largest angle in radians.
     """
     is_key = np.zeros(values.shape[:2], bool)
     is_key[:, 0] = True
     tracks = np.arange(len(values))
     last = np.full(len(values), values.shape[1] - 1)
-    constant = np.array([_errors(track, track[:1], track[:1], 0.0, rotations).max() for track in values])
+    constant = np.array([_errors(track, track[:1], track[:1], 0.0).max() for track in values])
     moving = constant > tolerance
     is_key[moving, -1] = True
     segments = np.stack([tracks, np.zeros_like(last), last])[:, moving]  # rows: track, first and last frame
     while (segments := segments[:, segments[2] - segments[1] > 1]).size:
-        worst_frame, worst = _worst_frames(values, segments, rotations)
+        worst_frame, worst = _worst_frames(values, segments)
         split = worst > tolerance[segments[0]]
         track, start, stop = segments[:, split]
         middle = worst_frame[split]
@@ -76,19 +74,16 @@ def choose_keys(
     return is_key
 
 
-def played_values(
-    values: Float[np.ndarray, "J T C"], is_key: Bool[np.ndarray, "J T"], rotations: bool
-) -> Float[np.ndarray, "J T C"]:
-    """Compute the values in all frames that clients interpolate from the keys."""
+def played_values(values: Float[np.ndarray, "J T 4"], is_key: Bool[np.ndarray, "J T"]) -> Float[np.ndarray, "J T 4"]:
+    """Compute the rotations in all frames that clients interpolate from the keys."""
     frames = np.arange(values.shape[1])
     before = np.maximum.accumulate(np.where(is_key, frames, 0), axis=1)
     after = np.minimum.accumulate(np.where(is_key, frames, len(frames))[:, ::-1], axis=1)[:, ::-1]
     after = np.where(after < len(frames), after, before)  # after its last key a track keeps the value of that key
     s = (frames - before) / np.maximum(after - before, 1)
     track = np.arange(len(values))[:, None]
-    width = values.shape[2]
-    a, b = (values[track, keys].reshape(-1, width) for keys in (before, after))
-    return _interpolate(a, b, s.reshape(-1, 1), rotations).reshape(values.shape)
+    a, b = (values[track, keys].reshape(-1, 4) for keys in (before, after))
+    return _interpolate(a, b, s.reshape(-1, 1)).reshape(values.shape)
 
 
 def rotation_tolerances(
@@ -146,7 +141,7 @@ def _reaches(vertices: Float[np.ndarray, "V 3"], rig: Rig, parents: tuple[int, .
 
 
 def _worst_frames(
-    values: Float[np.ndarray, "J T C"], segments: Int[np.ndarray, "3 S"], rotations: bool
+    values: Float[np.ndarray, "J T 4"], segments: Int[np.ndarray, "3 S"]
 ) -> tuple[Int[np.ndarray, " S"], Float[np.ndarray, " S"]]:
     """Find the frame inside each segment with the largest error of interpolation, and this error."""
     _, start, stop = segments
@@ -156,7 +151,7 @@ def _worst_frames(
     frame = start[segment] + 1 + np.arange(len(segment)) - first[segment]
     track, a, b = segments[:, segment]
     s = ((frame - a) / (b - a))[:, None]
-    error = _errors(values[track, frame], values[track, a], values[track, b], s, rotations)
+    error = _errors(values[track, frame], values[track, a], values[track, b], s)
     worst = np.maximum.reduceat(error, first)
     found = np.flatnonzero(error == worst[segment])
     _, earliest = np.unique(segment[found], return_index=True)
@@ -164,27 +159,22 @@ def _worst_frames(
 
 
 def _errors(
-    values: Float[np.ndarray, "N C"],
-    a: Float[np.ndarray, "#N C"],
-    b: Float[np.ndarray, "#N C"],
+    values: Float[np.ndarray, "N 4"],
+    a: Float[np.ndarray, "#N 4"],
+    b: Float[np.ndarray, "#N 4"],
     s: Float[np.ndarray, "#N 1"] | float,
-    rotations: bool,
 ) -> Float[np.ndarray, " N"]:
-    """Compute the angle (radians) or distance between values and those interpolated between a and b."""
-    if not rotations:
-        return np.linalg.norm(values - _interpolate(a, b, s, rotations), axis=1)
-    candidates = (_interpolate(a, b, s, True), normalized_quaternions((1 - s) * a + s * b))
+    """Compute the angle (radians) between rotations and those interpolated between a and b, the worse of both ways."""
+    candidates = (_interpolate(a, b, s), normalized_quaternions((1 - s) * a + s * b))
     chord = np.max([np.linalg.norm(values - candidate, axis=1) for candidate in candidates], axis=0)
     # Two unit quaternions with the angle x between them are rotations 2 x apart, and their distance is 2 sin(x / 2).
     return 4 * np.arcsin(np.minimum(chord / 2, 1.0))
 
 
 def _interpolate(
-    a: Float[np.ndarray, "N C"], b: Float[np.ndarray, "N C"], s: Float[np.ndarray, "#N 1"] | float, rotations: bool
-) -> Float[np.ndarray, "N C"]:
-    """Interpolate linearly between a and b, at s in 0..1; with `rotations`, unit quaternions by slerp."""
-    if not rotations:
-        return (1 - s) * a + s * b
+    a: Float[np.ndarray, "N 4"], b: Float[np.ndarray, "N 4"], s: Float[np.ndarray, "#N 1"] | float
+) -> Float[np.ndarray, "N 4"]:
+    """Interpolate unit quaternions by slerp, at s in 0..1 between a and b."""
     return normalized_quaternions(slerp(a, b, np.broadcast_to(s, (len(a), 1))))
 
 
@@ -206,7 +196,7 @@ def node_keys(source: GltfSource, tracks: Tracks, limit: float) -> dict[tuple[in
         return keys
     quaternions = normalized_quaternions(np.stack([tracks[key] for key in turning]))
     tolerance = _node_tolerances(source, tracks, {node for node, _ in turning}, ROTATION_SHARE * limit)
-    chosen = choose_keys(quaternions, np.array([tolerance[node] for node, _ in turning]), rotations=True)
+    chosen = choose_keys(quaternions, np.array([tolerance[node] for node, _ in turning]))
     return keys | dict(zip(turning, without_costly_times(chosen), strict=True))
 
 

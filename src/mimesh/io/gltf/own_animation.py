@@ -38,7 +38,7 @@ from .animation import (
     sample_frames,
     slerp,
 )
-from .document import Document, read_floats
+from .document import Document
 from .draft import AccessorCopier, Draft
 from .edit import GltfSource
 from .keys import KEY_LIMIT, Tracks, node_keys, rounding
@@ -49,6 +49,7 @@ from .scene import (
     node_parents,
     node_properties,
     normalized_quaternions,
+    read_inverse_bind_matrices,
     read_morph_weights,
     read_skin_binding,
     target_count,
@@ -110,10 +111,13 @@ class OwnAnimation:
     def resampled(self, fps: float) -> OwnAnimation:
         """Sample the animation at another frame rate, between frames as players of glTF do."""
         before, after, fraction = frames_around(self.frames, self.fps, fps)
-        tracks = {
-            (node, path): _between(values[before], values[after], fraction[:, None], path == "rotation")
-            for (node, path), values in self.tracks.items()
-        }
+        between, tracks = fraction[:, None], {}
+        for (node, path), values in self.tracks.items():
+            a, b = values[before], values[after]
+            if path == "rotation":
+                tracks[node, path] = normalized_quaternions(slerp(a, b, between))
+            else:
+                tracks[node, path] = (1 - between) * a + between * b
         return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before), keys={})
 
     def moves(self, key: tuple[int, str]) -> bool:
@@ -209,9 +213,9 @@ def _new_channels(
     exact = [_exact_keys(animation, values) for animation, values in zip(animations, tracks, strict=True)]
     used = dict.fromkeys(key for values in (*tracks, *exact) for key in values)
     used |= dict.fromkeys(_animated_values(document))
+    still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
     chosen = []
     for animation, values, keys in zip(animations, tracks, exact, strict=True):
-        still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
         complete = {key: values.get(key, still[key]) for key in used}
         chosen.append([channel.stored() for channel in _channels(animation, complete, keys)] if complete else [])
     return chosen
@@ -257,7 +261,7 @@ def _find_root_bone(animations: Sequence[OwnAnimation]) -> RootBone | None:
     if first.root_bone is None:
         return None
     moving = {key[0] for animation in animations for key in animation.tracks if animation.moves(key)}
-    return place_root_bone(first.source, first.joints, moving)
+    return _place_root_bone(first.source, first.root_bone, first.joints, moving)
 
 
 def _copied_file(animations: Sequence[OwnAnimation], root: RootBone | None = None) -> Draft:
@@ -273,22 +277,20 @@ def _copied_file(animations: Sequence[OwnAnimation], root: RootBone | None = Non
     if root is not None:
         moving |= set(root.staying) | set(() if root.is_new else (root.node,))
         # A bone that is there keeps its name where the others do.
-        if renamed and not root.is_new and first.root_bone is not None:
-            renamed[root.node] = first.root_bone
+        if renamed and not root.is_new:
+            renamed[root.node] = root.name
     for node in moving:
         if "matrix" in nodes[node]:
             properties = {key: value.tolist() for key, value in node_properties(nodes[node]).items()}
             nodes[node] = {key: value for key, value in nodes[node].items() if key != "matrix"} | properties
-    taken = set(renamed.values())
-    if root is not None and root.is_new:
-        taken.add(str(first.root_bone))
+    taken = set(renamed.values()) | ({root.name} if root is not None and root.is_new else set())
     for number, node in enumerate(nodes):
         if number in renamed:
             node["name"] = renamed[number]
         elif node.get("name") is not None and node["name"] in taken:
             node["name"] = f"{node['name']} (of the file)"
-    if root is not None and root.is_new and first.root_bone is not None:
-        root.insert(draft, first.root_bone)
+    if root is not None and root.is_new:
+        root.insert(draft)
     return draft
 
 
@@ -348,23 +350,13 @@ def _animated_values(document: Document) -> list[tuple[int, str]]:
     return found
 
 
-def _between(
-    before: Float[np.ndarray, "T C"],
-    after: Float[np.ndarray, "T C"],
-    fraction: Float[np.ndarray, "T 1"],
-    rotation: bool,
-) -> Float[np.ndarray, "T C"]:
-    """Interpolate linearly, quaternions along the shorter arc."""
-    if rotation:
-        return normalized_quaternions(slerp(before, after, fraction))
-    return (1 - fraction) * before + fraction * after
-
-
 @dataclass(frozen=True, eq=False)
 class RootBone:
     """A joint above all others of a person: a new node of a file, or one that the file has."""
 
     source: GltfSource
+    name: str
+    """Its name, in a file where bones get new ones or it is new."""
     node: int
     """Its index; of a new node, that after the last one of the file."""
     parent: int
@@ -386,12 +378,12 @@ class RootBone:
         """Its local transform at rest."""
         return np.linalg.inv(_world(self.source, self.parent)) @ self.T_world_root
 
-    def insert(self, draft: Draft, name: str) -> None:
+    def insert(self, draft: Draft) -> None:
         """Add a new bone to the copy of a document: its node, the nodes below it with their keys, and its skins."""
         gltf = draft.gltf
         local = self.T_parent_root
         turn = _quaternion(local)
-        entry = {"name": name, "translation": local[:3, 3].tolist(), "children": list(self.children)}
+        entry = {"name": self.name, "translation": local[:3, 3].tolist(), "children": list(self.children)}
         gltf["nodes"].append(entry | ({} if turn is None else {"rotation": turn.tolist()}))
         above = [gltf["nodes"][self.parent]] if self.parent >= 0 else gltf.get("scenes", [])
         for owner in above:
@@ -458,27 +450,23 @@ class RootBone:
 
     def _add_to_skin(self, draft: Draft, skin: dict[str, Any], number: int, parents: tuple[int, ...]) -> None:
         """Append the bone to the joints of a skin, bound where it is at rest; no vertex has a weight for it."""
-        document, joints = self.source.document, list(skin["joints"])
-        columns = np.tile(np.eye(4).reshape(16), (len(joints), 1))
-        if "inverseBindMatrices" in skin:
-            columns = read_floats(document, skin["inverseBindMatrices"])[: len(joints)]
+        document, joints = self.source.document, skin["joints"]
         # Nodes may have another pose than the skin was bound in: the bone is placed relative to the topmost joint.
         depth = [len(ancestors(parents, joint)) for joint in joints]
         T_world_bind = joint_matrices(document, number, self.source.rest.T_world_node)[int(np.argmin(depth))]
         own = np.linalg.inv(self.T_world_root) @ T_world_bind
-        own[3] = [0, 0, 0, 1]  # exactly, as 3.7.3.1 demands, in spite of rounding
-        columns = np.concatenate([columns, own.T.reshape(1, 16)]).astype("<f4")
-        accessor = {"bufferView": draft.add_view(columns), "componentType": 5126, "count": len(columns), "type": "MAT4"}
-        skin |= {"joints": [*joints, self.node], "inverseBindMatrices": draft.add_accessor(accessor)}
+        inverse_bind = np.concatenate([read_inverse_bind_matrices(document, number), own[None]])
+        skin |= {"joints": [*joints, self.node], "inverseBindMatrices": draft.add_matrices(inverse_bind)}
         # It has to be above all joints (glTF 2.0, 5.28.2 skin.skeleton).
         if "skeleton" in skin and skin["skeleton"] not in ancestors(parents, self.parent):
             skin["skeleton"] = self.node
 
 
-def place_root_bone(source: GltfSource, person: Mapping[str, int], moving: Collection[int]) -> RootBone:
+def _place_root_bone(source: GltfSource, name: str, person: Mapping[str, int], moving: Collection[int]) -> RootBone:
     """Find the place of a root bone, or the joint of the file that is one.
 
     Args:
+        name: of the bone.
         person: node of each joint of the person, by our name.
         moving: nodes that the new animations move.
     """
@@ -502,7 +490,7 @@ def place_root_bone(source: GltfSource, person: Mapping[str, int], moving: Colle
         if free and named and placed and np.abs(_unit(world[node]) - np.eye(3)).max() < SAME_AXES:
             children = document.gltf["nodes"][node].get("children", [])
             staying = _staying(source, children, world[node], moving, weighted)
-            return RootBone(source, node, parents[node], world[node], staying=staying)
+            return RootBone(source, name, node, parents[node], world[node], staying=staying)
         if node in joints or np.abs(_unit(world[node]) - nearest_rotation(_unit(world[node]))).max() > SIMILAR:
             break
         parent = node
@@ -512,7 +500,7 @@ def place_root_bone(source: GltfSource, person: Mapping[str, int], moving: Colle
     above_joints = {node for joint in joints for node in ancestors(parents, joint)}
     children = tuple(node for node in sorted(above_joints) if parents[node] == parent)
     staying = _staying(source, children, T_world_root, moving, weighted)
-    return RootBone(source, len(world), parent, T_world_root, children, staying)
+    return RootBone(source, name, len(world), parent, T_world_root, children, staying)
 
 
 def _staying(

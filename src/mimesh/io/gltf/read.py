@@ -26,7 +26,6 @@ from ..polygons import joined_corners, with_face_normals
 from .document import Document, image_type, read_floats
 from .scene import (
     joint_matrices,
-    local_matrices,
     node_parents,
     normal_matrices,
     read_attribute,
@@ -83,7 +82,7 @@ def read_rest(document: Document) -> tuple[Mesh, RestScene]:
     Raises:
         InputError: the scene shows no triangles and no points, or an array does not fit what it is used for.
     """
-    T_world_node = world_matrices(document, local_matrices(document))
+    T_world_node = world_matrices(document)
     vertex_ranges = _find_vertex_ranges(document)
     start = {(span.node, primitive): span.start for span in vertex_ranges for primitive in span.primitives}
     keys = [key for key in primitives_in_scene_order(vertex_ranges) if _get_mode(document, key) >= TRIANGLES]
@@ -278,7 +277,8 @@ def _read_vertex_uv(document: Document, primitive: dict[str, Any]) -> Float[np.n
     The extension's matrix is translation * rotation * scale, and it may name another TEXCOORD set. glTF has v down
     (3.8.3 Images: the origin is the upper left corner), a Mesh has v up.
     """
-    texture = base_texture_of(_get_material(document, primitive))
+    material = document.gltf["materials"][primitive["material"]] if "material" in primitive else {}
+    texture = base_texture_of(material)
     uv_transform = texture.get("extensions", {}).get("KHR_texture_transform", {})
     number = uv_transform.get("texCoord", texture.get("texCoord", 0))
     uv = read_attribute(document, primitive, f"TEXCOORD_{number}")
@@ -311,10 +311,6 @@ def _read_material(document: Document, index: int) -> Material | None:
     texture = _read_texture(document, base_texture_of(entry))
     material = Material(entry.get("name", f"material{index}"), base_color_of(entry), texture)
     return None if material == DEFAULT_MATERIAL else material
-
-
-def _get_material(document: Document, primitive: dict[str, Any]) -> dict[str, Any]:
-    return document.gltf["materials"][primitive["material"]] if "material" in primitive else {}
 
 
 def base_color_of(material: dict[str, Any]) -> tuple[float, float, float, float]:

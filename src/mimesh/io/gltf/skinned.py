@@ -30,8 +30,6 @@ from .edit import GltfSource, PrimitiveGroup, edit_document, with_normals
 from .keys import KEY_LIMIT, choose_keys, played_values, rotation_tolerances, without_costly_times
 from .scene import DEFAULT_TRS
 
-UNSIGNED_BYTE, UNSIGNED_SHORT = 5121, 5123
-"""Component types (glTF 2.0, 3.6.2.2 Accessor Data Types)."""
 STILL = 1e-7
 """Largest change of a joint's position in the frame of its parent that is not written, in sizes of the mesh: float32
 stores positions no better."""
@@ -51,14 +49,14 @@ class _ThinnedRotations:
         limit = KEY_LIMIT * skeleton.size
         rig = skeleton.rig.limited(INFLUENCES)
         tolerance = rotation_tolerances(skeleton.mesh.vertices, rig, skeleton.parents, limit)
-        is_key = choose_keys(quat_xyzw, tolerance, rotations=True)
+        is_key = choose_keys(quat_xyzw, tolerance)
         return cls(quat_xyzw, without_costly_times(is_key))
 
     def played(self, skeleton: AnimatedRig) -> AnimatedRig:
         """Return the motion that clients interpolate from the keys."""
         from scipy.spatial.transform import Rotation
 
-        quat_xyzw = played_values(self.quat_xyzw, self.is_key, rotations=True)
+        quat_xyzw = played_values(self.quat_xyzw, self.is_key)
         rotation = Rotation.from_quat(quat_xyzw.reshape(-1, 4)).as_matrix().reshape(*quat_xyzw.shape[:2], 3, 3)
         positions = skeleton.local_positions().swapaxes(0, 1)
         for j, parent in enumerate(skeleton.parents):
@@ -110,11 +108,7 @@ def _add_joints(draft: Draft, skeleton: AnimatedRig, rest: Float[np.ndarray, "J 
     nodes, start = draft.gltf["nodes"], len(draft.gltf["nodes"])
     translations = np.concatenate([skeleton.rig.joints[:1], skeleton.rig.bones(skeleton.parents)])
     for j, name in enumerate(skeleton.names):
-        node: dict[str, Any] = {
-            "name": name,
-            "rotation": rest[j].tolist(),
-            "translation": translations[j].tolist(),
-        }
+        node: dict[str, Any] = {"name": name, "rotation": rest[j].tolist(), "translation": translations[j].tolist()}
         children = [start + c for c, parent in enumerate(skeleton.parents) if parent == j]
         nodes.append(node | ({"children": children} if children else {}))
     axes = stage_transform(skeleton.mesh)
@@ -134,9 +128,7 @@ def _add_weights(draft: Draft, groups: list[PrimitiveGroup], skeleton: AnimatedR
         group_joints, group_weights = joints[group.vertex_of], weights[group.vertex_of].astype("<f4")
         # Joints of weight zero should be 0 (glTF 2.0, 3.7.3.3 Skinned Mesh Attributes).
         group_joints = np.where(group_weights > 0, group_joints, 0).astype("<u2" if wide else "u1")
-        accessor = {"bufferView": draft.add_view(group_joints, target=ARRAY_BUFFER), "type": "VEC4"}
-        accessor |= {"componentType": UNSIGNED_SHORT if wide else UNSIGNED_BYTE, "count": len(group_joints)}
-        joints_0 = draft.add_accessor(accessor)
+        joints_0 = draft.add_array(group_joints, "VEC4", ARRAY_BUFFER)
         attributes = {"JOINTS_0": joints_0, "WEIGHTS_0": draft.add_floats(group_weights, ARRAY_BUFFER)}
         for primitive in group.primitives:
             primitive["attributes"] = {**primitive["attributes"], **attributes}

@@ -28,11 +28,11 @@ from ...core.person_motion import PersonMotion
 from ...core.rig import Rig
 from ...motions.bone_motion import BoneMotion, bone_joints, t_pose_frames
 from ...motions.retarget import axes_from_rest
-from .animation import AnimationChannel, add_animation, sample_nodes
+from .animation import AnimationChannel, add_animation, sample_joints
 from .document import Document
 from .draft import Draft
 from .keys import KEY_LIMIT, choose_keys, rotation_tolerances
-from .scene import local_matrices, world_matrices
+from .scene import world_matrices
 
 ANIMATION = "VRMC_vrm_animation"
 """Extension of VRM animations."""
@@ -204,8 +204,8 @@ def with_hands(
     nodes_of = vrm_bones(document)
     joints = bone_joints(nodes_of)
     nodes = [nodes_of[name] for name in joints]
-    rest = world_matrices(document, local_matrices(document))[nodes]
-    world = np.concatenate([matrices[:, nodes] for _, matrices in sample_nodes(document, channels, times)])
+    rest = world_matrices(document)[nodes]
+    world = sample_joints(document, channels, times, nodes)
     return with_posed_hands(played, joints, rest, world)
 
 
@@ -293,7 +293,7 @@ def _bone_animation(draft: Draft, motion: BoneMotion) -> dict[str, Any]:
     local = local_rotations(motion.rotation, motion.parents)
     quaternions = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_quat().reshape(*local.shape[:2], 4)
     quaternions = continuous_quaternions(quaternions)
-    is_key = choose_keys(quaternions.swapaxes(0, 1), _tolerances(motion), rotations=True)
+    is_key = choose_keys(quaternions.swapaxes(0, 1), _tolerances(motion))
     times = np.arange(len(motion.hips)) / motion.fps
     channels = [AnimationChannel(0, "translation", times, motion.hips)]
     for node, keys in enumerate(is_key):
