@@ -39,6 +39,8 @@ from .scene import (
 
 AnimatedValues = dict[tuple[int, str], Float[np.ndarray, "T _"]]
 """Values of the animated properties in T frames, by (node, target path)."""
+NodeBlocks = Iterator[tuple[AnimatedValues, Float[np.ndarray, "B N 4 4"]]]
+"""Animated values and the world transforms of all nodes, for blocks of B frames."""
 FRAMES_PER_BLOCK = 64
 """Frames whose node transforms are computed at once: bounds memory at 64 matrices a node."""
 LINEAR_COSINE = 0.9995
@@ -338,9 +340,7 @@ def frame_times(document: Document, channels: list[AnimationChannel], fps: float
     return np.arange(count) / fps
 
 
-def sample_nodes(
-    document: Document, channels: list[AnimationChannel], times: Float[np.ndarray, " T"]
-) -> Iterator[tuple[AnimatedValues, Float[np.ndarray, "B N 4 4"]]]:
+def sample_nodes(document: Document, channels: list[AnimationChannel], times: Float[np.ndarray, " T"]) -> NodeBlocks:
     """Yield the animated values and the world transforms of all nodes, for blocks of B frames."""
     for start in range(0, len(times), FRAMES_PER_BLOCK):
         block_times = times[start : start + FRAMES_PER_BLOCK]
@@ -356,25 +356,7 @@ def sample_joints(
     return np.concatenate([matrices[:, nodes] for _, matrices in sample_nodes(document, channels, times)])
 
 
-def sample_frames(
-    document: Document, rest: RestScene, channels: list[AnimationChannel], times: Float[np.ndarray, " T"]
-) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """Yield the vertices of the Mesh at times in seconds."""
-    morphing = {channel.node for channel in channels if channel.path == "weights"}
-    yield from _posed_blocks(document, rest, morphing, sample_nodes(document, channels, times))
-
-
-def pose_frames(
-    document: Document, rest: RestScene, values: AnimatedValues, frames: int
-) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """Yield the vertices of the Mesh in frames in which some properties of nodes have given values."""
-    morphing = {node for node, path in values if path == "weights"}
-    return _posed_blocks(document, rest, morphing, pose_nodes(document, values, frames))
-
-
-def pose_nodes(
-    document: Document, values: AnimatedValues, frames: int
-) -> Iterator[tuple[AnimatedValues, Float[np.ndarray, "B N 4 4"]]]:
+def pose_nodes(document: Document, values: AnimatedValues, frames: int) -> NodeBlocks:
     """Yield given values of properties of nodes, and the world transforms of all nodes, for blocks of B frames."""
     for start in range(0, frames, FRAMES_PER_BLOCK):
         some = {key: value[start : start + FRAMES_PER_BLOCK] for key, value in values.items()}
@@ -382,16 +364,13 @@ def pose_nodes(
         yield some, world_matrices(document, animated_matrices(document, some, count))
 
 
-def _posed_blocks(
-    document: Document,
-    rest: RestScene,
-    morphing: set[int],
-    blocks: Iterator[tuple[AnimatedValues, Float[np.ndarray, "B N 4 4"]]],
-) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """Yield the vertices of the Mesh in each frame of blocks of frames, as `sample_nodes` yields them."""
-    parts = [_prepare_vertices(document, span, span.node in morphing) for span in rest.vertex_ranges]
+def posed_vertices(document: Document, rest: RestScene, blocks: NodeBlocks) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """Yield the vertices of the Mesh in each frame of blocks of frames, in which the same values are animated."""
+    parts: list[UnposedVertices] = []
     for values, T_world_node in blocks:
         morph_weights = {node: value for (node, path), value in values.items() if path == "weights"}
+        if not parts:
+            parts = [_prepare_vertices(document, span, span.node in morph_weights) for span in rest.vertex_ranges]
         # Positions of one frame at a time: only node transforms are computed for a whole block.
         for t in range(len(T_world_node)):
             frame_weights = {node: value[t].tolist() for node, value in morph_weights.items()}

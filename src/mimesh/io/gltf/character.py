@@ -149,13 +149,6 @@ def read_clips(
     return clips
 
 
-def moving_nodes(document: Document) -> set[int]:
-    """List the nodes that show a mesh or that an animation moves: the joints of a figure of rigid parts."""
-    return animated_nodes(document, PLAYED_PATHS) | {
-        node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]
-    }
-
-
 class NotUpright(InputError):
     """A character that does not stand upright in the pose that is taken as its rest pose."""
 
@@ -191,30 +184,21 @@ def read_standing(
     Raises:
         InputError: limbs that are not found, several characters, or a trunk that is not upright.
     """
-    bones = vrm_bones(document)
-    joint_nodes = (skin_joints(document, scene) or moving_nodes(document)) | set(without_fingers(bones).values())
     for T_world_node in bind_poses(document):
         bound = dataclasses.replace(scene, T_world_node=T_world_node)
         try:
-            return _standing(mesh, document, bound, joint_nodes, bones, find)
+            return _standing(mesh, document, bound, find)
         except NotUpright:
             continue  # the bind pose may have another orientation
         except InputError:
             break
-    return _standing(mesh, document, scene, joint_nodes, bones, find)
+    return _standing(mesh, document, scene, find)
 
 
-def _standing(
-    mesh: Mesh,
-    document: Document,
-    scene: RestScene,
-    joint_nodes: set[int],
-    bones: dict[str, int],
-    find: FindJoints | None,
-) -> StandingCharacter:
+def _standing(mesh: Mesh, document: Document, scene: RestScene, find: FindJoints | None) -> StandingCharacter:
     """Read the rig with the nodes of `scene` as its rest pose; see `read_standing`."""
-    path = document.path
-    rig, nodes = rig_at_rest(mesh, document, scene, joint_nodes)
+    path, bones = document.path, vrm_bones(document)
+    rig, nodes = rig_at_rest(mesh, document, scene, without_fingers(bones).values())
     known = {name: nodes.index(node) for name, node in bones.items() if node in nodes}
     if find is not None:
         try:
@@ -226,15 +210,20 @@ def _standing(
 
 
 def rig_at_rest(
-    mesh: Mesh, document: Document, scene: RestScene, joint_nodes: Collection[int]
+    mesh: Mesh, document: Document, scene: RestScene, bones: Collection[int] = ()
 ) -> tuple[SkinnedCharacter, list[int]]:
     """Read the rig of a mesh with the nodes of `scene` as its rest pose, without scales, and the node of each joint.
+
+    Joints are those of the shown skins, else the nodes that show a mesh or that an animation moves, and `bones`.
 
     Raises:
         InputError: positions that are not finite.
     """
-    path = document.path
-    rig, nodes = rig_on_nodes(mesh, document, scene, joint_nodes)
+    path, joint_nodes = document.path, skin_joints(document, scene)
+    if not joint_nodes:
+        joint_nodes = animated_nodes(document, PLAYED_PATHS)
+        joint_nodes |= {node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]}
+    rig, nodes = rig_on_nodes(mesh, document, scene, joint_nodes.union(bones))
     if not all(np.isfinite(array).all() for array in (rig.points, rig.T_world_joint)):
         raise damaged(path, "a rest pose of finite numbers", "NaN or infinity")
     frames = np.tile(np.eye(4), (len(nodes), 1, 1))
@@ -392,18 +381,17 @@ def read_standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> St
     Raises:
         InputError: there are no four legs on one skeleton.
     """
-    joint_nodes = skin_joints(document, scene) or moving_nodes(document)
     for T_world_node in bind_poses(document):
         bound = dataclasses.replace(scene, T_world_node=T_world_node)
         try:
-            return _standing_animal(mesh, document, bound, joint_nodes)
+            return _standing_animal(mesh, document, bound)
         except InputError:
             continue  # the bind pose may have another orientation
-    return _standing_animal(mesh, document, scene, joint_nodes)
+    return _standing_animal(mesh, document, scene)
 
 
-def _standing_animal(mesh: Mesh, document: Document, scene: RestScene, joint_nodes: set[int]) -> StandingCharacter:
-    rig, nodes = rig_at_rest(mesh, document, scene, joint_nodes)
+def _standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> StandingCharacter:
+    rig, nodes = rig_at_rest(mesh, document, scene)
     return StandingCharacter(rig, nodes, animal_facing(carried_part(rig), document.path), {}, scene)
 
 

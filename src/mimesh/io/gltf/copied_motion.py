@@ -120,7 +120,7 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
                 value = value[:1]
             if len(value) > 1 or np.abs(value - own[path]).max() > 0:
                 tracks[node, path] = np.broadcast_to(value, (len(driving.times), value.shape[1]))
-    beside = _other_sources(mine, theirs, values, set(tracks))
+    beside = _other_sources(mine, theirs, values, {node for node, _ in tracks})
     for key, source in beside.items():
         tracks[key] = continuous_quaternions(values[source]) if key[1] == "rotation" else values[source]
     # In a copy of the same file all targets have been copied already, those that do not move included.
@@ -160,28 +160,17 @@ def _joint_nodes(document: Document) -> list[int]:
 def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int]:
     """Match joints to nodes of another file with the same name below joints with the same names."""
     my_names, their_names = _names(mine), _names(theirs)
-    my_parents, their_parents = node_parents(mine), node_parents(theirs)
+    my_parents, their_parents = tuple(node_parents(mine)), tuple(node_parents(theirs))
     if my_names == their_names and my_parents == their_parents:
         return {node: node for node in joints}
-    among = set(joints)
-
-    def chain(names: list[str], parents: list[int], node: int, length: int) -> tuple[str, ...]:
-        """Name a node and those above it."""
-        named = []
-        while node >= 0 and len(named) < length:
-            named.append(names[node])
-            node = parents[node]
-        return tuple(named)
-
     pairs = {}
     for node in joints:
-        above = [n for n in ancestors(tuple(my_parents), node) if n in among]
-        wanted = chain(my_names, my_parents, node, len(above))
-        found = [
-            other
-            for other, name in enumerate(their_names)
-            if name == my_names[node] and chain(their_names, their_parents, other, len(above)) == wanted
-        ]
+        # As many names count as there are joints from the node up.
+        chain = ancestors(my_parents, node)
+        length = sum(n in joints for n in chain)
+        wanted = [my_names[n] for n in chain[:length]]
+        named = [other for other, name in enumerate(their_names) if name == my_names[node]]
+        found = [o for o in named if [their_names[n] for n in ancestors(their_parents, o)[:length]] == wanted]
         if len(found) > 1:  # a mesh may have the name of a joint: that has nothing below it
             found = [other for other in found if "mesh" not in theirs.gltf["nodes"][other]]
         if len(found) == 1:
@@ -243,7 +232,7 @@ def _copied_keys(
 
 
 def _other_sources(
-    mine: Document, theirs: Document, values: AnimatedValues, done: set[tuple[int, str]]
+    mine: Document, theirs: Document, values: AnimatedValues, done: set[int]
 ) -> dict[tuple[int, str], tuple[int, str]]:
     """Find what is copied to nodes that are no joints, by name: props, and weights of meshes with the same targets.
 
@@ -257,7 +246,7 @@ def _other_sources(
             fits = path != "weights" or (
                 value.shape[1] == target_count(mine, node) and _same_targets(mine, node, theirs, other)
             )
-            if fits and (node, path) not in done and not any(n == node for n, _ in done):
+            if fits and node not in done:
                 sources[node, path] = (other, path)
     return sources
 

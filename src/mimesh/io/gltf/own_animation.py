@@ -32,10 +32,10 @@ from .animation import (
     AnimationChannel,
     add_animation,
     frame_rate,
-    pose_frames,
     pose_nodes,
+    posed_vertices,
     read_channels,
-    sample_frames,
+    sample_nodes,
     slerp,
 )
 from .document import Document
@@ -144,7 +144,8 @@ class OwnAnimation:
         """Yield the vertices of the Mesh in some frames, or in every one."""
         tracks = self.tracks if frames is None else {key: values[frames] for key, values in self.tracks.items()}
         count = self.frames if frames is None else len(frames)
-        return pose_frames(self.source.document, self.source.rest, tracks, count)
+        document = self.source.document
+        return posed_vertices(document, self.source.rest, pose_nodes(document, tracks, count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +159,7 @@ class PlayedAnimation:
 
     def vertices(self, times: Float[np.ndarray, " T"]) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield the vertices of the Mesh at times in seconds."""
-        return sample_frames(self.document, self.rest, self.channels, times)
+        return posed_vertices(self.document, self.rest, sample_nodes(self.document, self.channels, times))
 
 
 def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> list[PlayedAnimation]:

@@ -19,12 +19,12 @@ from ...core.person_motion import PersonMotion
 from ...motions.animal_rig import animal_rig
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
 from .animation import AnimatedValues, AnimationChannel, animated_nodes, sample_joints
-from .character import moving_nodes, read_clips, read_standing, read_standing_animal, rig_at_rest
+from .character import read_clips, read_standing, read_standing_animal, rig_at_rest
 from .check import damaged
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS, rest_matrices
-from .read import RestScene, skin_joints, unweighted_vertices
+from .read import RestScene, unweighted_vertices
 from .scene import local_matrices, local_matrix, node_parents, node_properties, sort_parents_first, world_matrices
 
 UNSKINNED = 0.02
@@ -97,10 +97,8 @@ def read_file_rig(mesh: Mesh) -> FileRig:
     """
     source = _rigged_source(mesh)
     document = source.document
-    joint_nodes = skin_joints(document, source.rest) or moving_nodes(document)
     scene = dataclasses.replace(source.rest, T_world_node=rest_matrices(document))
-    at_rest = dataclasses.replace(mesh, vertices=source.vertices)
-    rig, nodes = rig_at_rest(at_rest, document, scene, joint_nodes)
+    rig, nodes = rig_at_rest(mesh, document, scene)
     _check_skin(rig, nodes, document, scene)
     own = FileRig(source, rig, nodes, scene)
     _check_above(own, list(range(len(nodes))))
@@ -120,13 +118,11 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
     """
     source = _rigged_source(mesh)
     document, path = source.document, source.document.path
-    at_rest = dataclasses.replace(mesh, vertices=source.vertices)
     of_animal = body == "quadruped"
-    standing = (
-        read_standing_animal(at_rest, document, source.rest)
-        if of_animal
-        else read_standing(at_rest, document, source.rest, find)
-    )
+    if of_animal:
+        standing = read_standing_animal(mesh, document, source.rest)
+    else:
+        standing = read_standing(mesh, document, source.rest, find)
     rig, nodes = standing.rig, standing.nodes
     _check_skin(rig, nodes, document, standing.scene)
     turn = facing_rotation(standing.facing)

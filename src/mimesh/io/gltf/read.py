@@ -336,24 +336,6 @@ def _read_texture(document: Document, info: dict[str, Any]) -> bytes | None:
     return content if content and image_type(content) in ("image/png", "image/jpeg") else None
 
 
-@dataclass(frozen=True, eq=False)
-class _JointTree:
-    """The joints of a document among its nodes."""
-
-    nodes: list[int]
-    """Node of each joint."""
-    node_parent: list[int]
-    """Parent of every node, -1 for roots."""
-    joint_of_node: dict[int, int]
-    """Index of the joint that each joint node is."""
-
-    def nearest_joint(self, node: int) -> int:
-        """Return the joint that a node is, or the nearest one above it; -1 where there is none."""
-        while node >= 0 and node not in self.joint_of_node:
-            node = self.node_parent[node]
-        return self.joint_of_node.get(node, -1)
-
-
 def skin_joints(document: Document, rest: RestScene) -> set[int]:
     """List the nodes that are joints of the shown skins."""
     skins = {skin for span in rest.vertex_ranges if (skin := _find_skin(document, span)) is not None}
@@ -367,17 +349,23 @@ def rig_on_nodes(
 
     The mesh is left as it is: its vertices are those of `rest` only where the mesh was read with it.
     """
-    # One tree for all skins of the scene, so that their joints have one numbering.
+    # One tree for all skins of the scene, so that their joints have one numbering: each node has the joint that it is,
+    # or the nearest one above it, else -1.
     node_parent = node_parents(document)
-    nodes = [node for node in sort_parents_first(document, node_parent) if node in joint_nodes]
-    tree = _JointTree(nodes, node_parent, {node: j for j, node in enumerate(nodes)})
-    parts = [_read_range_influences(document, rest, span, tree) for span in rest.vertex_ranges]
+    nodes: list[int] = []
+    joint_of_node = {-1: -1}
+    for node in sort_parents_first(document, node_parent):
+        joint_of_node[node] = joint_of_node[node_parent[node]]
+        if node in joint_nodes:
+            joint_of_node[node] = len(nodes)
+            nodes.append(node)
+    parts = [_read_range_influences(document, rest, span, joint_of_node, len(nodes)) for span in rest.vertex_ranges]
     columns = max(weights.shape[1] for _, weights, _ in parts)
     joint_of, weights, points = (
         np.concatenate([_pad_influences(part[k], columns) for part in parts]) for k in range(3)
     )
     names = tuple(str(document.gltf["nodes"][node].get("name", f"node{node}")) for node in nodes)
-    parents = tuple(tree.nearest_joint(node_parent[node]) for node in nodes)
+    parents = tuple(joint_of_node[node_parent[node]] for node in nodes)
     return SkinnedCharacter(mesh, names, parents, rest.T_world_node[nodes], joint_of, weights, points), nodes
 
 
@@ -401,7 +389,7 @@ def _find_skin(document: Document, span: VertexRange) -> int | None:
 
 
 def _read_range_influences(
-    document: Document, rest: RestScene, span: VertexRange, tree: _JointTree
+    document: Document, rest: RestScene, span: VertexRange, joint_of_node: dict[int, int], joints: int
 ) -> tuple[Int[np.ndarray, "N K"], Float[np.ndarray, "N K"], Float[np.ndarray, "N K 3"]]:
     """Read the joints, weights and world positions of all influences on the vertices of one range.
 
@@ -412,15 +400,15 @@ def _read_range_influences(
     assert positions is not None
     skin = _find_skin(document, span)
     if skin is None:
-        nearest = tree.nearest_joint(span.node) % (len(tree.nodes) + 1)  # -1, no joint, becomes J, the world
-        joint_of = np.full((len(positions), 1), nearest)
+        # -1, no joint, becomes J, the world.
+        joint_of = np.full((len(positions), 1), joint_of_node[span.node] % (joints + 1))
         world = transform_points(rest.T_world_node[span.node, None, :3], positions)
         return joint_of, np.ones(joint_of.shape), world[:, None]
     skin_joints, weights = read_influences(document, primitive)
     T_world_bind = joint_matrices(document, skin, rest.T_world_node)
     points = [transform_points(T_world_bind[column, :3], positions) for column in skin_joints.T]
     # Skins list the same nodes in different orders: count joints by node.
-    joint_of_skin = np.array([tree.joint_of_node[node] for node in document.gltf["skins"][skin]["joints"]])
+    joint_of_skin = np.array([joint_of_node[node] for node in document.gltf["skins"][skin]["joints"]])
     return joint_of_skin[skin_joints], weights, np.stack(points, axis=1)
 
 
