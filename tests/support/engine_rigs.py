@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from people import decimation
 from scipy.spatial.transform import Rotation
@@ -124,6 +126,7 @@ def _forward(local, joints, parents, root):
     return rotation, position
 
 
+@cache
 def with_fingers():
     """Names, parents, joints and weights of the body with 61 joints, as results whose fingers move have them."""
     body, hands = load_body(), load_hands()

@@ -145,9 +145,7 @@ def vrma(
     times = sample.accessor(np.arange(frames) / fps)
     nodes, channels, samplers, world = [], [], [], {}
     for number, bone in enumerate(bones):
-        parent = PARENTS.get(bone)
-        while parent is not None and parent not in rest:
-            parent = PARENTS.get(parent)
+        parent = nearest(bone, rest)
         above = axes[parent] if parent else Rotation.identity()
         world[bone] = (world[parent] * turns[bone]) if parent else turns[bone]
         step = rest[bone] - (rest[parent] if parent else 0)

@@ -170,7 +170,7 @@ def test_an_animal_is_read_with_its_joints_and_clips(detached, tmp_path):
 def test_an_animal_is_turned_to_face_z(tmp_path):
     made = animal(0)
     straight = read_rigged_animal(made.write(tmp_path / "a.glb", {"go": frames(made, 2)}))
-    for degrees, facing in ((180, "-z"), (90, "+x"), (-90, "-x")):
+    for degrees, facing in ((180, "-z"), (90, "+x")):
         turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
         path = made.write(tmp_path / "b.glb", {"go": frames(made, 2), "stay": frames(made, 1)}, turn=turn)
         turned = read_rigged_animal(path, left_out=lambda name: name == "stay")

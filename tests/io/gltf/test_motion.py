@@ -214,7 +214,7 @@ def test_motion_is_selected_by_animation_name(rigged, tmp_path):
     facts = inspect_file(path)
     assert facts.animations == ("Rig|Leap", "Rig|Lean")
     assert facts.details[0] == ("motion", "31 joints, played on the shipped body, which these facts describe")
-    assert ("animation 1", f"Rig|Lean, {(len(load_clip(path)) - 1) / 30:.2f} s") in facts.details
+    assert ("animation 1", f"Rig|Lean, {(len(leap) - 1) / 30:.2f} s") in facts.details
 
 
 def test_motion_of_other_joints_than_a_persons_is_refused(rigged, tmp_path):

@@ -35,22 +35,6 @@ def test_rest_positions_and_normals_match_the_reference_reader(sample, tmp_path)
                 np.testing.assert_allclose(mesh.corner_normals[start:stop], expected, atol=1e-12)
 
 
-def test_triangles_match_trimesh(tmp_path):
-    trimesh = pytest.importorskip("trimesh")
-    path = samples.props().glb(tmp_path / "a.glb")
-    mesh = read_gltf(path)
-    other = trimesh.load_scene(path, process=False).to_mesh()
-
-    def sheets_left_out(triangles: np.ndarray) -> np.ndarray:  # trimesh leaves fans out and keeps a strip's repeats
-        triangles = triangles[triangles[:, :, 1].max(axis=1) < 8.9]
-        centres = triangles.mean(axis=1).round(6)
-        return centres[np.lexsort(centres.T)]
-
-    triangles, trimesh_triangles = (sheets_left_out(m.vertices[m.faces]) for m in (mesh, other))
-    assert len(triangles) == 24
-    np.testing.assert_allclose(triangles, trimesh_triangles, atol=1e-6)
-
-
 def test_glb_and_gltf_containers_give_the_same_mesh(sample, tmp_path):
     first = read_gltf(sample.glb(tmp_path / "a.glb"))
     for path in (sample.text(tmp_path / "b.gltf"), sample.text(tmp_path / "c.gltf", outside=True)):
@@ -122,9 +106,7 @@ def test_uv_is_flipped_to_v_up_and_follows_the_base_texture(tmp_path):
         np.testing.assert_allclose(found, np.stack([u, 1 - v], axis=-1), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("dtype", "normalized"), [("i1", True), ("u1", True), ("i2", True), ("u2", True), ("i2", False)]
-)
+@pytest.mark.parametrize(("dtype", "normalized"), [("i1", True), ("u2", True), ("i2", False)])
 def test_quantized_positions_equal_float_positions(dtype, normalized, tmp_path):
     sample, whole = samples.props(), samples.props()
     steps = np.random.default_rng(0).integers(0, 100, (24, 3))

@@ -15,6 +15,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ...core.animated_rig import local_rotations
+from ...core.geometry import continuous_quaternions
 from ...core.mesh import Mesh
 from ...core.rig import Rig, descendant_matrix
 from .animation import slerp
@@ -72,6 +74,15 @@ def choose_keys(values: Float[np.ndarray, "J T 4"], tolerance: Float[np.ndarray,
         is_key[track, middle] = True
         segments = np.concatenate([[track, start, middle], [track, middle, stop]], axis=1)
     return is_key
+
+
+def local_quaternions(rotation: Float[np.ndarray, "T J 3 3"], parents: tuple[int, ...]) -> Float[np.ndarray, "T J 4"]:
+    """Return each joint's rotation in the frame of its parent, from world rotations, as quaternions (x, y, z, w)."""
+    from scipy.spatial.transform import Rotation
+
+    local = local_rotations(rotation, parents)
+    quat_xyzw = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_quat().reshape(*local.shape[:2], 4)
+    return continuous_quaternions(quat_xyzw)
 
 
 def played_values(values: Float[np.ndarray, "J T 4"], is_key: Bool[np.ndarray, "J T"]) -> Float[np.ndarray, "J T 4"]:

@@ -21,13 +21,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...core.animated_rig import INFLUENCES, AnimatedRig, RigAnimation, local_rotations
-from ...core.geometry import continuous_quaternions
+from ...core.animated_rig import INFLUENCES, AnimatedRig, RigAnimation
 from .animation import AnimationChannel, add_animation
 from .build import build_document, stage_transform
 from .draft import ARRAY_BUFFER, Draft
 from .edit import GltfSource, PrimitiveGroup, edit_document, with_normals
-from .keys import KEY_LIMIT, choose_keys, played_values, rotation_tolerances, without_costly_times
+from .keys import KEY_LIMIT, choose_keys, local_quaternions, played_values, rotation_tolerances, without_costly_times
 from .scene import DEFAULT_TRS
 
 STILL = 1e-7
@@ -45,7 +44,7 @@ class _ThinnedRotations:
     @classmethod
     def of(cls, skeleton: AnimatedRig) -> _ThinnedRotations:
         """Choose the keys of a motion. Joints whose own key times would take more room than they save have all keys."""
-        quat_xyzw = local_quaternions(skeleton, skeleton.rotation).swapaxes(0, 1)
+        quat_xyzw = local_quaternions(skeleton.rotation, skeleton.parents).swapaxes(0, 1)
         limit = KEY_LIMIT * skeleton.size
         rig = skeleton.rig.limited(INFLUENCES)
         tolerance = rotation_tolerances(skeleton.mesh.vertices, rig, skeleton.parents, limit)
@@ -87,7 +86,7 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path) -> list[A
     if not draft.gltf.get("scenes"):  # readers show all roots then, but no longer once there is a scene
         children = {child for node in draft.gltf["nodes"] for child in node.get("children", [])}
         draft.gltf["scenes"] = [{"nodes": [n for n in range(len(draft.gltf["nodes"])) if n not in children]}]
-    rest = local_quaternions(skeleton, skeleton.rig.rotation[None])[0]
+    rest = local_quaternions(skeleton.rig.rotation[None], skeleton.parents)[0]
     joint_nodes = _add_joints(draft, skeleton, rest)
     _add_weights(draft, groups, skeleton)
     for node in dict.fromkeys(group.node for group in groups):
@@ -206,12 +205,3 @@ def _moved_joints(skeleton: AnimatedRig) -> dict[int, Float[np.ndarray, "T 3"]]:
     change = np.linalg.norm(local[:, 1:] - bones, axis=-1).max(axis=0)
     moved = np.flatnonzero(change > STILL * skeleton.size) + 1
     return {int(j): local[:, j] for j in (0, *moved)}
-
-
-def local_quaternions(skeleton: AnimatedRig, rotation: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T J 4"]:
-    """Return each joint's rotation in the frame of its parent, from world rotations, as quaternions (x, y, z, w)."""
-    from scipy.spatial.transform import Rotation
-
-    local = local_rotations(rotation, skeleton.parents)
-    quat_xyzw = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_quat().reshape(*local.shape[:2], 4)
-    return continuous_quaternions(quat_xyzw)

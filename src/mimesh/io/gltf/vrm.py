@@ -22,8 +22,7 @@ from ...bodies.character_limbs import SIDES
 from ...bodies.engine_names import SCHEMES
 from ...bodies.hands import body_with_fingers, hand_joints
 from ...bodies.joint_names import ancestors, finger_joints
-from ...core.animated_rig import local_rotations
-from ...core.geometry import continuous_quaternions, nearest_rotation
+from ...core.geometry import nearest_rotation
 from ...core.person_motion import PersonMotion
 from ...core.rig import Rig
 from ...motions.bone_motion import BoneMotion, bone_joints, t_pose_frames
@@ -31,7 +30,7 @@ from ...motions.retarget import axes_from_rest
 from .animation import AnimationChannel, add_animation, sample_joints
 from .document import Document
 from .draft import Draft
-from .keys import KEY_LIMIT, choose_keys, rotation_tolerances
+from .keys import KEY_LIMIT, choose_keys, local_quaternions, rotation_tolerances
 from .scene import world_matrices
 
 ANIMATION = "VRMC_vrm_animation"
@@ -288,11 +287,7 @@ def _with_hand(played: PersonMotion, side: str, rotation_of: dict[str, Float[np.
 
 def _bone_animation(draft: Draft, motion: BoneMotion) -> dict[str, Any]:
     """Add an animation of all bones: their rotations, and the translation of the hips."""
-    from scipy.spatial.transform import Rotation
-
-    local = local_rotations(motion.rotation, motion.parents)
-    quaternions = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_quat().reshape(*local.shape[:2], 4)
-    quaternions = continuous_quaternions(quaternions)
+    quaternions = local_quaternions(motion.rotation, motion.parents)
     is_key = choose_keys(quaternions.swapaxes(0, 1), _tolerances(motion))
     times = np.arange(len(motion.hips)) / motion.fps
     channels = [AnimationChannel(0, "translation", times, motion.hips)]
