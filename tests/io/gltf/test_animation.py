@@ -137,7 +137,8 @@ def test_animations_of_other_nodes_are_read_with_the_first_and_alternatives_are_
 def test_nodes_that_any_animation_moves_are_listed():
     """A new animation has keys for all of them: other programs mix it with those of other nodes."""
     gltf = {"nodes": [{}, {}, {}], "animations": [moving(0), moving(2), moving(1, "weights"), moving(9)]}
-    assert animated_nodes(Document(Path("a.glb"), gltf, b"", (), MappedFiles()), {"rotation"}) == {0, 2}
+    path = Path("a.glb")
+    assert animated_nodes(Document(path, gltf, b"", (), MappedFiles(path)), {"rotation"}) == {0, 2}
 
 
 def test_a_damaged_animation_beside_the_first_is_refused_only_if_it_is_asked_for(tmp_path):

@@ -71,26 +71,26 @@ def open_document(path: Path) -> Document:
     Raises:
         InputError: the file is truncated, inconsistent, not glTF 2.0, or requires an extension that is not supported.
     """
-    mapped_files = MappedFiles()
+    files = MappedFiles(path)
     if path.suffix.lower() == ".fbx":
         with fbx_as_glb(path) as glb:
-            content = mapped_files.read(glb)
+            content = files.read(glb)
     else:
-        content = mapped_files.read(path)
+        content = files.read(path)
     magic = bytes(content[:4])
-    text, chunk = _split_glb(content, path) if magic == b"glTF" else (mapped_files.extract_large_uris(content), b"")
+    text, chunk = _split_glb(content, path) if magic == b"glTF" else (files.extract_large_uris(content), b"")
     if path.suffix.lower() != ".gltf" and magic != b"glTF":
         raise damaged(path, "a binary glTF ('glTF' at the start)", repr(magic))
     gltf = _parse_json(text, path)
     check_document(gltf, path)
     gltf, damage = cut_broken_links(gltf)
     compressed = compressed_views(gltf, path)
-    gltf, binary = _join_buffers(gltf, chunk, path, mapped_files)
+    gltf, binary = _join_buffers(gltf, chunk, files)
     gltf, binary = decompress(gltf, binary, compressed, path)
     gltf = _drop_compression(gltf)
     check_sizes(gltf, len(binary), path)
-    images = _read_images(gltf, binary, path, mapped_files)
-    document = Document(path, gltf, binary, images, mapped_files, damage)
+    images = _read_images(gltf, binary, files)
+    document = Document(path, gltf, binary, images, files, damage)
     for index in sorted(_used_accessors(gltf)):
         element_bytes(document, index)  # reports a damaged accessor on reading, not later on writing
     return document
@@ -150,7 +150,8 @@ def uri_file_name(entry: dict[str, Any]) -> str:
 class MappedFiles:
     """The files and large data: URIs of one document, memory-mapped from `frame_buffer.LARGE` bytes on."""
 
-    def __init__(self) -> None:
+    def __init__(self, document: Path) -> None:
+        self.document = document
         self.maps: list[mmap.mmap] = []
         """All maps, for `release_pages`; each lives as long as a view of it."""
         self.extracted: dict[str, memoryview] = {}
@@ -169,8 +170,8 @@ class MappedFiles:
         with path.open("rb") as file:
             return self._map(file.fileno())
 
-    def fetch(self, uri: str, path: Path) -> bytes | memoryview | None:
-        """Return the bytes behind a URI of the document `path`; None where there is no such file.
+    def fetch(self, uri: str) -> bytes | memoryview | None:
+        """Return the bytes behind a URI of the document; None where there is no such file.
 
         Only data: URIs and files are read; nothing is ever fetched from the network.
 
@@ -183,10 +184,10 @@ class MappedFiles:
             try:
                 return base64.b64decode(uri.partition(",")[2], validate=True)
             except ValueError as error:  # binascii.Error, or characters that are not ASCII
-                raise damaged(path, "base64 data in a data: URI", error) from error
+                raise damaged(self.document, "base64 data in a data: URI", error) from error
         for name in (unquote(uri), uri):  # URIs are percent-encoded, but some exporters write names without encoding
-            if uri and is_there(path.parent / name):
-                return self.read(path.parent / name)
+            if uri and is_there(self.document.parent / name):
+                return self.read(self.document.parent / name)
         return None
 
     def extract_large_uris(self, text: memoryview) -> bytes:
@@ -310,12 +311,12 @@ def _drop_compression(gltf: dict[str, Any]) -> dict[str, Any]:
 
 
 def _join_buffers(
-    gltf: dict[str, Any], chunk: bytes | memoryview, path: Path, mapped_files: MappedFiles
+    gltf: dict[str, Any], chunk: bytes | memoryview, files: MappedFiles
 ) -> tuple[dict[str, Any], bytes | memoryview]:
     """Join all buffers into one: returns the JSON with views into it, and the buffer. A single buffer is not copied."""
-    starts, parts, total = [], [], 0
+    path, starts, parts, total = files.document, [], [], 0
     for index, buffer in enumerate(gltf.get("buffers", [])):
-        content = _read_buffer(buffer, index, chunk, path, mapped_files)
+        content = _read_buffer(buffer, index, chunk, files)
         padding = bytes(-len(content) % 4)
         JOINED.check(total + len(content), path)
         starts.append(total)
@@ -333,14 +334,14 @@ def _join_buffers(
 
 
 def _read_buffer(
-    buffer: dict[str, Any], index: int, chunk: bytes | memoryview, path: Path, mapped_files: MappedFiles
+    buffer: dict[str, Any], index: int, chunk: bytes | memoryview, files: MappedFiles
 ) -> bytes | memoryview:
     """Return the bytes of a buffer: the GLB's binary chunk, a data: URI, or a file beside the document."""
-    uri = buffer.get("uri")
+    path, uri = files.document, buffer.get("uri")
     if is_fallback(buffer):
         return b""
     # Only the first buffer may be the binary chunk (3.6.1.2 GLB-stored Buffer).
-    content = (chunk if index == 0 else None) if uri is None else mapped_files.fetch(uri, path)
+    content = (chunk if index == 0 else None) if uri is None else files.fetch(uri)
     if content is None:
         raise InputError(
             f"{path}: expected the data of buffer {index}, found no file {str(uri or 'inside')[:80]!r}; keep the files "
@@ -362,28 +363,26 @@ def _rebase_range(
     return {**view, "buffer": 0, "byteOffset": starts[view["buffer"]] + offset}
 
 
-def _read_images(
-    gltf: dict[str, Any], binary: bytes | memoryview, path: Path, mapped_files: MappedFiles
-) -> tuple[bytes | None, ...]:
+def _read_images(gltf: dict[str, Any], binary: bytes | memoryview, files: MappedFiles) -> tuple[bytes | None, ...]:
     """Read all images; those of one buffer view or file are read once."""
     keys = [(image.get("bufferView"), image.get("uri", "")) for image in gltf.get("images", [])]
     contents: dict[tuple[int | None, str], bytes | None] = {}
     size = 0
     for key, image in zip(keys, gltf.get("images", []), strict=True):
         if key not in contents:
-            content = contents[key] = _read_image(image, gltf, binary, path, mapped_files)
+            content = contents[key] = _read_image(image, gltf, binary, files)
             size += len(content) if content and key[0] is not None else 0
-            UNPACKED.check(size, path, len(binary))  # views may overlap
+            UNPACKED.check(size, files.document, len(binary))  # views may overlap
     return tuple(contents[key] for key in keys)
 
 
 def _read_image(
-    image: dict[str, Any], gltf: dict[str, Any], binary: bytes | memoryview, path: Path, mapped_files: MappedFiles
+    image: dict[str, Any], gltf: dict[str, Any], binary: bytes | memoryview, files: MappedFiles
 ) -> bytes | None:
     """Return the bytes of an image; None where its file does not exist or is not an image."""
     if "bufferView" in image:
         view = gltf["bufferViews"][image["bufferView"]]
         return bytes(binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
-    content = bytes(mapped_files.fetch(image.get("uri", ""), path) or b"")
+    content = bytes(files.fetch(image.get("uri", "")) or b"")
     # A document may refer to any file of the machine: one that is not an image must not be copied into our output.
     return content if content and image_type(content) else None

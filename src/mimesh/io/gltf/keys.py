@@ -105,26 +105,39 @@ def rotation_tolerances(
     An error of a joint moves a vertex below it by at most the error times their distance in any pose, and the errors
     along a chain of joints add up: every joint gets an equal share of the limit, by the longest chain through it.
     """
-    reach = _reaches(vertices, rig, parents)
-    reach = np.maximum(reach, SHORTEST_REACH * np.ptp(vertices, axis=0).max())
-    return chain_tolerances(reach, parents, limit, np.ones(len(parents), bool))
+    own = (np.linalg.norm(vertices[rig.weights[:, j] > 0] - joint, axis=1) for j, joint in enumerate(rig.joints))
+    reach = np.array([distances.max(initial=0.0) for distances in own])
+    bones = [float(np.linalg.norm(rig.joints[j] - rig.joints[parent])) for j, parent in enumerate(parents)]
+    shortest = SHORTEST_REACH * np.ptp(vertices, axis=0).max()
+    return _chain_tolerances(reach, bones, parents, limit, shortest, np.ones(len(parents), bool))
 
 
-def chain_tolerances(
-    reach: Float[np.ndarray, " J"], parents: tuple[int, ...], limit: float, turns: Bool[np.ndarray, " J"]
+def _chain_tolerances(
+    reach: Float[np.ndarray, " J"],
+    bones: list[float],
+    parents: tuple[int, ...],
+    limit: float,
+    shortest: float,
+    turns: Bool[np.ndarray, " J"],
 ) -> Float[np.ndarray, " J"]:
     """Divide a limit among the joints that turn in the longest chain through each joint.
 
     Args:
-        reach: largest distance from each joint to what it moves.
+        reach: largest distance from each joint to a vertex that it moves itself.
+        bones: largest distance from each joint to its parent.
+        shortest: least distance to a vertex, of a joint or one below it, that counts.
 
     Returns:
         Largest error of each joint's rotation, in radians.
     """
+    reach = reach.copy()
+    for j in range(len(parents) - 1, -1, -1):  # children before their parents
+        if parents[j] >= 0 and reach[j] > 0:
+            reach[parents[j]] = max(reach[parents[j]], bones[j] + reach[j])
     below = descendant_matrix(parents)
     depth = (turns[:, None] * below).sum(axis=0)  # joints from the root down to each joint, itself included
     longest_chain = np.maximum((below * depth).max(axis=1), 1)
-    return limit / (longest_chain * reach)
+    return limit / (longest_chain * np.maximum(reach, shortest))
 
 
 def without_costly_times(is_key: Bool[np.ndarray, "J T"]) -> Bool[np.ndarray, "J T"]:
@@ -133,22 +146,6 @@ def without_costly_times(is_key: Bool[np.ndarray, "J T"]) -> Bool[np.ndarray, "J
     own_times = count * (4 + 16) + ACCESSOR_BYTES  # bytes of a time and a quaternion in float32
     costly = (count > 1) & (own_times > is_key.shape[1] * 16)
     return is_key | costly[:, None]
-
-
-def _reaches(vertices: Float[np.ndarray, "V 3"], rig: Rig, parents: tuple[int, ...]) -> Float[np.ndarray, " J"]:
-    """Compute the largest distance, in any pose, from each joint to a vertex that it or a descendant moves.
-
-    That is the length of the bones between them and the distance of the vertex from the last joint.
-    """
-    reach = np.zeros(len(parents))
-    for j, joint in enumerate(rig.joints):
-        moved = vertices[rig.weights[:, j] > 0]
-        reach[j] = np.linalg.norm(moved - joint, axis=1).max(initial=0.0)
-    for j in range(len(parents) - 1, -1, -1):  # children before their parents
-        if parents[j] >= 0 and reach[j] > 0:
-            bone = np.linalg.norm(rig.joints[j] - rig.joints[parents[j]])
-            reach[parents[j]] = max(reach[parents[j]], bone + reach[j])
-    return reach
 
 
 def _worst_frames(
@@ -241,15 +238,14 @@ def _node_tolerances(source: GltfSource, tracks: Tracks, turning: set[int], limi
     reach = np.zeros(len(nodes) + 1)  # the last one is the world
     distance = np.linalg.norm(rig.points - np.pad(rig.joints, ((0, 1), (0, 0)))[rig.joint_of], axis=-1)
     np.maximum.at(reach, rig.joint_of[rig.weights > 0], distance[rig.weights > 0])
-    for j in range(len(nodes) - 1, -1, -1):  # children before their parents
-        parent = rig.parents[j]
-        if parent >= 0 and reach[j] > 0:
-            bone = float(np.linalg.norm(rig.joints[j] - rig.joints[parent]))
-            bone += _farthest(document, tracks, nodes[j]) * _scale_above(source, above[nodes[j]])
-            reach[parent] = max(reach[parent], bone + reach[j])
+    bones = [
+        float(np.linalg.norm(rig.joints[j] - rig.joints[parent]))
+        + _farthest(document, tracks, nodes[j]) * _scale_above(source, above[nodes[j]])
+        for j, parent in enumerate(rig.parents)
+    ]
     turns = np.array([node in turning for node in nodes])
-    reaches = np.maximum(reach[:-1], SHORTEST_REACH * size)
-    return dict(zip(nodes, chain_tolerances(reaches, rig.parents, limit * size, turns).tolist(), strict=True))
+    tolerances = _chain_tolerances(reach[:-1], bones, rig.parents, limit * size, SHORTEST_REACH * size, turns)
+    return dict(zip(nodes, tolerances.tolist(), strict=True))
 
 
 def _farthest(document: Document, tracks: Tracks, node: int) -> float:
