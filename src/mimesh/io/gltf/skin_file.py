@@ -1,4 +1,7 @@
-"""Reads a rigged mesh file as a character at rest, with the names and frames that its joints have there."""
+"""Reads a rigged mesh file as a character at rest, with the names and frames that its joints have there.
+
+A file of its own, because `load_mesh` imports the rest of this package.
+"""
 
 from __future__ import annotations
 
