@@ -132,9 +132,10 @@ def edit_document(source: GltfSource, mesh: Mesh, keep_targets: bool = True) -> 
         vertex_ranges[span.node].append(span)
     mesh_of_node = _assign_meshes(old, list(vertex_ranges))
     edited = set(mesh_of_node.values())
-    meshes: list[dict[str, Any]] = [{} for _ in {*range(len(old["meshes"])), *edited}]
+    # Meshes of edited nodes, the last ones of which are new, are filled in below.
+    meshes: list[dict[str, Any]] = [{} for _ in range(max(len(old["meshes"]), 1 + max(edited, default=-1)))]
     for index, entry in enumerate(old["meshes"]):
-        if index not in edited:  # those of edited nodes are filled in below
+        if index not in edited:
             meshes[index] = {**entry, "primitives": [_copy_primitive(copier, p) for p in entry["primitives"]]}
     copier.draft.gltf["meshes"] = meshes
     rotations = _surface_rotations(source, mesh, mesh_of_node)
@@ -301,11 +302,8 @@ def _edit_primitives(
 
 def _copy_primitive(copier: AccessorCopier, primitive: dict[str, Any]) -> dict[str, Any]:
     """Copy a primitive and its accessors into the draft, unchanged."""
-    targets = [
-        {name: copier.copy_accessor(index) for name, index in target.items()} for target in primitive.get("targets", [])
-    ]
-    attributes = {name: copier.copy_accessor(index) for name, index in primitive["attributes"].items()}
-    return _assemble(copier, primitive, attributes, targets)
+    targets = [_copy_attributes(copier, target, {}) for target in primitive.get("targets", [])]
+    return _assemble(copier, primitive, _copy_attributes(copier, primitive["attributes"], {}), targets)
 
 
 def _rewrite_in_place(edit: _Edit, node: int, index: int, T_world_local: Float[np.ndarray, "4 4"]) -> dict[str, Any]:
@@ -367,21 +365,22 @@ def _add_attributes(
     `positions` is the POSITION accessor where another primitive of the range has added it.
     """
     base, deltas = _deformed_attributes(edit, node, primitive, T_world_local, deformed)
-    draft = edit.copier.draft
-    attributes = {} if positions is None else {"POSITION": positions}
-    for name, values in base.items():
-        if name not in attributes:
-            attributes[name] = draft.add_floats(values, ARRAY_BUFFER, bounds=name == "POSITION")
+
+    def add(arrays: AttributeArrays) -> dict[str, int]:
+        draft = edit.copier.draft
+        return {name: draft.add_floats(row, ARRAY_BUFFER, bounds=name == "POSITION") for name, row in arrays.items()}
+
+    shared = {} if positions is None else {"POSITION": positions}
+    attributes = shared | add({name: values for name, values in base.items() if name not in shared})
     # Attributes of a target that are not recomputed (texture coordinates, colours) are copied.
-    targets = []
-    for old, new in zip(primitive.get("targets", []) if edit.keep_targets else [], deltas, strict=True):
-        added = {
-            name: draft.add_floats(values, ARRAY_BUFFER, bounds=name == "POSITION") for name, values in new.items()
-        }
-        targets.append(
-            {name: added[name] if name in added else edit.copier.copy_accessor(index) for name, index in old.items()}
-        )
-    return attributes, targets
+    old_targets = primitive.get("targets", []) if edit.keep_targets else []
+    pairs = zip(old_targets, deltas, strict=True)
+    return attributes, [_copy_attributes(edit.copier, old, add(new)) for old, new in pairs]
+
+
+def _copy_attributes(copier: AccessorCopier, attributes: dict[str, int], new: dict[str, int]) -> dict[str, int]:
+    """Return new accessors of some attributes, and copies of the others."""
+    return {name: new[name] if name in new else copier.copy_accessor(index) for name, index in attributes.items()}
 
 
 def _replace_attributes(
@@ -389,10 +388,7 @@ def _replace_attributes(
 ) -> dict[str, Any]:
     """Return the JSON of a primitive with new attributes and targets; other attributes are copied, skinning is not."""
     kept = {name: index for name, index in primitive["attributes"].items() if not name.startswith(SKINNING)}
-    merged = {
-        name: attributes[name] if name in attributes else copier.copy_accessor(index) for name, index in kept.items()
-    }
-    return _assemble(copier, primitive, merged, targets)
+    return _assemble(copier, primitive, _copy_attributes(copier, kept, attributes), targets)
 
 
 def _assemble(
