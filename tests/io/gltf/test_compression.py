@@ -109,9 +109,7 @@ def test_compressed_file_is_written_plain(compressed, tmp_path):
     again = open_document(tmp_path / "again.glb").gltf
     assert not {DRACO, MESHOPT} & {*again.get("extensionsUsed", []), *again.get("extensionsRequired", [])}
     np.testing.assert_allclose(load_mesh(tmp_path / "again.glb").vertices, mesh.vertices, atol=1e-5)
-
-
-def test_compressed_bytes_are_dropped_and_views_keep_their_numbers(compressed, tmp_path):
+    # Compressed bytes are dropped, and views keep their numbers.
     gltf, document = json_of(compressed), open_document(compressed)
     views = document.gltf["bufferViews"]
     assert len(views) >= len(gltf["bufferViews"])
@@ -143,13 +141,9 @@ def test_compressed_copies_of_plain_data_are_dropped(by_meshopt, tmp_path):
 
 
 def test_missing_decoder_names_the_extra(compressed, monkeypatch):
-    find = importlib.util.find_spec
-
-    def find_others(name, *rest):
-        return None if name in ("meshopt", "DracoPy") else find(name, *rest)
-
-    monkeypatch.setattr(importlib.util, "find_spec", find_others)
-    with pytest.raises(InputError, match=r"expected (meshopt|DracoPy) to read .*pip install 'mimesh\[compressed\]'"):
+    find, package = importlib.util.find_spec, {"meshopt": "meshopt", "draco": "DracoPy"}[compressed.stem]
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == package else find(name, *rest))
+    with pytest.raises(InputError, match=rf"expected {package} to read .*pip install 'mimesh\[compressed\]'"):
         load_mesh(compressed)
 
 
