@@ -106,10 +106,11 @@ def test_sampled_rates_keep_the_duration_and_the_frames_they_share(tmp_path):
 
 @pytest.mark.slow
 def test_a_result_is_saved_with_engine_names(tmp_path):
-    limited = animate(person(0), walk(frames=3), skinned=True)
+    identity, driving = person(0, faces=400), walk(frames=2, faces=400)
+    limited = animate(identity, driving, skinned=True)
     limited.save_skinned(tmp_path / "posed.glb", rest="A")
     assert limited.report["deviation_cause"] == "rest"
-    result = animate(person(0), walk(frames=2))
+    result = animate(identity, driving)
     before = result.report | {}
     result.save_skinned(tmp_path / "plain.glb")
     plain = result.report["skinned_deviation"]
