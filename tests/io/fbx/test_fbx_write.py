@@ -12,8 +12,7 @@ import pytest
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh, save_as_fbx, save_mesh
 from mimesh.io.fbx import write
-from mimesh.io.fbx.timeline import GAP, joined_animations
-from mimesh.io.fbx.write import find_blender
+from mimesh.io.fbx.write import GAP, find_blender, joined_animations
 from mimesh.io.gltf.animation import animation_names
 from mimesh.io.gltf.document import open_document
 from mimesh.tools.convert import convert

@@ -1,9 +1,8 @@
 """Read and write USD (.usd, .usda, .usdc, .usdz) with the library usd-core (the extra `usd`).
 
-child                                    what runs in a child process: all that opens a file of others
-stage -> skinning, appearance -> read    read a stage as a Mesh or a stream of frames
-source                                   what a new file takes over: polygons, axis, unit
-package, write_material -> write         write a new file for any Mesh or Clip
+stage -> appearance -> read    opens files of others, as a Mesh or frame by frame, in a child process
+source                         what a new file takes over: polygons, axis, unit
+write                          writes a new file for any Mesh or Clip
 
 The library is imported only in the child, and when a new file is written.
 """
@@ -32,7 +31,7 @@ def read_usd(path: Path) -> Mesh:
         InputError: usd-core is not installed, the file is damaged, or it shows no meshes.
     """
     _need_library(path, "read")
-    return guarded_mesh("mimesh.io.usd.child:read_mesh", path, UsdSource.from_values, layer_bytes(path))
+    return guarded_mesh("mimesh.io.usd.read:read_mesh", path, UsdSource, layer_bytes(path))
 
 
 def read_usd_clip(path: Path, fps: float | None = None, progress: Progress | None = None) -> Clip:
@@ -42,8 +41,8 @@ def read_usd_clip(path: Path, fps: float | None = None, progress: Progress | Non
         InputError: as `read_usd`, or faces that change over time.
     """
     _need_library(path, "read")
-    reader = "mimesh.io.usd.child:read_clip"
-    return guarded_clip(reader, path, UsdSource.from_values, layer_bytes(path), fps, progress)
+    reader = "mimesh.io.usd.read:read_clip"
+    return guarded_clip(reader, path, UsdSource, layer_bytes(path), fps, progress)
 
 
 def write_usd(mesh: Mesh, path: Path) -> None:

@@ -1,21 +1,28 @@
-"""Read a USD stage as a mesh or stream of frames in world coordinates."""
+"""Read a USD stage as a mesh, or frame by frame, in world coordinates.
+
+This runs in a child process (`child_process.child_result`): the library ends the process at some damage (an abort or a
+segmentation fault), and for some files it never ends.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
+import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Sdf, Tf, Usd, UsdGeom
 
 from ...core.budgets import check_clip_size
 from ...core.errors import InputError
+from ...core.frame_buffer import Progress
 from ...core.geometry import turn_normals, unit_vectors
 from ...core.mesh import Material, Mesh, Part
-from ..guarded import ClipStream
+from ..guarded import hand_over_clip, hand_over_mesh
 from ..polygons import fan_corners, joined_corners, with_face_normals
 from ..timing import LONGEST, frame_count
 from .appearance import (
@@ -28,9 +35,18 @@ from .appearance import (
     read_material,
     uv_primvar_name,
 )
-from .skinning import MeshPrim, find_skinning, transform_points
 from .source import UsdSource
-from .stage import ALL_PRIMS, DEFAULT_TIME, has_default_values, open_stage, shown_meshes, time_code_range
+from .stage import (
+    ALL_PRIMS,
+    DEFAULT_TIME,
+    MeshPrim,
+    find_skinning,
+    has_default_values,
+    open_stage,
+    shown_meshes,
+    time_code_range,
+    transform_points,
+)
 
 # usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
@@ -39,8 +55,8 @@ MaterialCache = dict[Sdf.Path, Material]
 """Materials of the stage by prim path, so that each is read once."""
 
 
-def read_mesh(path: Path) -> Mesh:
-    """Read all visible, renderable Mesh prims of a stage as one mesh: joined in stage order, in world coordinates.
+def read_mesh(source: Path, target: Path) -> None:
+    """Read all visible, renderable Mesh prims of a stage as one mesh, joined in stage order, and hand it over.
 
     Instances are read with their transforms. Point instancers, curves and points are not read; of a subdivision surface
     the control mesh is read. Axes and unit are the file's (z up stays z up). Skinning and blend shapes are applied. The
@@ -50,13 +66,14 @@ def read_mesh(path: Path) -> Mesh:
     Raises:
         InputError: the file is damaged, or has no visible meshes.
     """
-    stage = open_stage(path)
-    mesh_prims = find_skinning(stage, shown_meshes(stage, path))
-    return _join_prims(stage, mesh_prims, path)
+    with _reading(source):
+        stage = open_stage(source)
+        mesh = _join_prims(stage, find_skinning(stage, shown_meshes(stage, source)), source)
+        hand_over_mesh(target, mesh)
 
 
-def read_clip(path: Path, fps: float | None = None) -> ClipStream:
-    """Read the meshes of a stage as a clip, one frame per time code from the first to the last, computed one by one.
+def read_clip(source: Path, target: Path, fps: float | None, progress: Progress) -> None:
+    """Read the meshes of a stage as a clip, a frame per time code from the first to the last, and hand it over.
 
     With `fps`, frame k is k / fps seconds after the first time code instead; USD interpolates between samples. A stage
     in which nothing moves is one frame. Prims and coordinates as in `read_mesh`.
@@ -64,9 +81,61 @@ def read_clip(path: Path, fps: float | None = None) -> ClipStream:
     Raises:
         InputError: as `read_mesh`; faces or number of points change over time; longer than `timing.LONGEST`.
     """
-    stage = open_stage(path)
-    mesh_prims = find_skinning(stage, shown_meshes(stage, path))
-    mesh = _join_prims(stage, mesh_prims, path)
+    with _reading(source):
+        stage = open_stage(source)
+        mesh_prims = find_skinning(stage, shown_meshes(stage, source))
+        mesh = _join_prims(stage, mesh_prims, source)
+        start, seconds, codes = _time_range(stage, mesh_prims, source)
+        count, step = frame_count(seconds, fps or codes), codes / (fps or codes)
+        check_clip_size(count, len(mesh.vertices), source)
+        time_codes = [start + k * step for k in range(count)]
+        frames = _frames(stage, mesh_prims, time_codes, source)
+        first = next(frames)
+        frames = itertools.chain([first], frames)
+        hand_over_clip(target, mesh.with_vertices(first), frames, count, fps or codes, progress)
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Turn errors of the library into an InputError of one line.
+
+    USD reads values lazily, so an error may come long after the stage was opened: the whole read runs in this block.
+    """
+    check_package(path)
+    try:
+        yield
+    except Tf.ErrorException as error:
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        found = lines[0].rpartition(" : ")[2] if lines else "nothing"
+        if "bad_alloc" in found:
+            raise MemoryError from error
+        raise InputError(f"{path}: expected a USD stage, found {found}; export it again") from error
+
+
+def check_package(path: Path) -> None:
+    """Check the checksums of the files in a package, which the library does not; other files pass.
+
+    Raises:
+        InputError: the file is no zip archive, its files are compressed, or one has another checksum.
+    """
+    if path.suffix.lower() != ".usdz":
+        return
+    try:
+        with zipfile.ZipFile(path) as package:
+            if any(entry.compress_type != zipfile.ZIP_STORED for entry in package.infolist()):
+                raise zipfile.BadZipFile("compressed files in it")
+            broken = package.testzip()
+    except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
+        raise InputError(f"{path}: expected a .usdz package, found {error}; export it again") from error
+    if broken is not None:
+        raise InputError(
+            f"{path}: expected the checksum of {broken[:80]!r} in it, found another; "
+            "the file is damaged, export it again"
+        )
+
+
+def _time_range(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) -> tuple[float, float, float]:
+    """Return the first time code of a stage, its duration in seconds, and its time codes a second."""
     start, stop = time_code_range(stage, _samples(mesh_prims), path)
     codes = stage.GetTimeCodesPerSecond()
     if not codes > 0:
@@ -76,12 +145,7 @@ def read_clip(path: Path, fps: float | None = None) -> ClipStream:
             f"{path}: expected at most {LONGEST:g} s, found time codes {start:g} to {stop:g} at {codes:g} a second; "
             "export a shorter range"
         )
-    count, step = frame_count((stop - start) / codes, fps or codes), codes / (fps or codes)
-    check_clip_size(count, len(mesh.vertices), path)
-    time_codes = [start + k * step for k in range(count)]
-    frames = _frames(stage, mesh_prims, time_codes, path)
-    first = next(frames)
-    return ClipStream(mesh.with_vertices(first), itertools.chain([first], frames), count, fps or codes)
+    return start, (stop - start) / codes, codes
 
 
 def _samples(mesh_prims: list[MeshPrim]) -> list[float]:
