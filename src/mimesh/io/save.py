@@ -25,7 +25,7 @@ from .formats import CACHES, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS
 from .frame_folder import write_sequence
 from .load import load_mesh
 from .mtl import copy_companions
-from .obj_source import ObjSource
+from .obj import ObjSource
 
 if TYPE_CHECKING:
     from ..motions.bone_motion import BoneMotion
@@ -110,7 +110,7 @@ def save_clip(
             f"{path}: expected a clip format ({' '.join(CLIP_WRITERS)}) or a folder, found '{path.suffix}'; "
             f"write {path.with_suffix('.glb').name}, or {path.stem} for a folder of one mesh per frame"
         )
-    check_clip_output_size(clip, path, path.suffix)
+    _check_clip_output_size(clip, path, path.suffix)
     mesh_path = _mesh_path_of_cache(clip, path) if path.suffix.lower() in CACHES else None
     with writing(path), together():
         CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
@@ -119,7 +119,7 @@ def save_clip(
     return None
 
 
-def check_clip_output_size(clip: Clip, path: Path, suffix: str) -> None:
+def _check_clip_output_size(clip: Clip, path: Path, suffix: str) -> None:
     """Check the expected size of a clip that is written frame by frame; see `core.output_size`.
 
     Raises:
@@ -140,7 +140,7 @@ def _save_folder(clip: Clip, path: Path, suffix: str | None, progress: Progress 
         )
     if path.is_file():
         raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
-    check_clip_output_size(clip, path, suffix)
+    _check_clip_output_size(clip, path, suffix)
     with writing(path), together():
         write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh, progress)
         if source_suffix == suffix:

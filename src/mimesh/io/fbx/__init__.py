@@ -1,7 +1,7 @@
 """Read FBX files (.fbx) as glTF with ufbx (the extra `fbx`) and write them with Blender, both in child processes.
 
-to_glb (elements, geometry, materials)    runs in the child: writes a .glb of an FBX file
-write (blender_export)                    has Blender export a .glb as FBX
+to_glb                    runs in the child: writes a .glb of an FBX file
+write (blender_export)    has Blender export a .glb as FBX
 
 The parent reads and writes .glb files like any other, so that all code for glTF works on FBX.
 """
