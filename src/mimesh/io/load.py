@@ -47,7 +47,13 @@ def load_mesh(path: str | Path) -> Mesh:
         raise InputError(f"{path}: expected a mesh file, found a folder; name one file in it (a folder is a clip)")
     _must_exist(path)
     if path.suffix.lower() in CLIP_READERS.keys() - MESH_READERS.keys():
-        return _single_frame(load_clip(path), path)
+        clip = load_clip(path)
+        if len(clip) > 1:
+            raise InputError(
+                f"{path}: expected one mesh, found a clip of {len(clip)} frames; "
+                "give it as the driving clip or save one frame"
+            )
+        return clip.mesh
     if path.suffix.lower() not in MESH_READERS:
         raise InputError(
             f"{path}: expected one of {' '.join(sorted(MESH_READERS.keys() | CLIP_READERS))}, {found_suffix(path)}; "
@@ -239,16 +245,6 @@ def _load_frame(path: Path) -> Mesh:
     if path.suffix.lower() in ANIMATED and mesh.source is None:
         raise InputError(f"{path}: expected a mesh as a frame of a clip, found joints that move; give that file alone")
     return mesh
-
-
-def _single_frame(clip: Clip, path: Path) -> Mesh:
-    """Return the mesh of a clip of one frame; raises InputError for several frames."""
-    if len(clip) > 1:
-        raise InputError(
-            f"{path}: expected one mesh, found a clip of {len(clip)} frames; "
-            "give it as the driving clip or save one frame"
-        )
-    return clip.mesh
 
 
 def _must_exist(path: Path) -> None:

@@ -18,6 +18,7 @@ from ...core.errors import InputError
 from ...core.frame_buffer import Progress, each_frame
 from ...core.geometry import normal_turner
 from ...core.mesh import Clip, Material, Mesh
+from ...core.printable import numbered
 from ..atomic import whole_file
 from ..polygons import polygon_corners, polygon_sizes, reversed_corners
 from ..usd import stage_axes
@@ -175,18 +176,11 @@ def _add_face_sets(schema: Any, mesh: Mesh, path: Path) -> None:
             members.setdefault(part.material or part.name, []).append(np.arange(start, stop))
     used_names: set[str] = set()
     for label, polygons in members.items():
-        name = _unique_name(_object_name(label.name if isinstance(label, Material) else label), used_names)
+        label = _object_name(label.name if isinstance(label, Material) else label)
+        name = next(name for name in numbered(label, "_") if name not in used_names)
         used_names.add(name)
         faces = imath.IntArrayFromBuffer(np.concatenate(polygons).astype(np.int32))
         schema.createFaceSet(name).getSchema().set(geometry.OFaceSetSchemaSample(faces))
-
-
-def _unique_name(name: str, used_names: set[str]) -> str:
-    """Return the name, with the next free number added where it is in use."""
-    stem, number = name, 2
-    while name in used_names:
-        name, number = f"{stem}_{number}", number + 1
-    return name
 
 
 def _object_name(name: str) -> str:

@@ -28,6 +28,7 @@ import numpy as np
 
 from ...bodies.joint_names import ancestors
 from ...core.errors import InputError
+from ...core.printable import numbered
 from ..atomic import scratch_folder
 from ..child_process import MIB, last_line
 from ..gltf.animation import AnimationChannel, add_animation, animation_names, frame_rate, read_channels
@@ -278,13 +279,6 @@ def _image_names(document: Document) -> list[str]:
         while PurePosixPath(stem).suffix.lower() in {*SUFFIXES.values(), ".jpeg", ".tga", ".bmp", ".tif", ".tiff"}:
             stem = PurePosixPath(stem).stem
         stem = "".join("_" if c in FORBIDDEN or not c.isprintable() else c for c in stem).strip(" .")[:LONGEST]
-        names.append(_unique(stem or f"image{number}", suffix, names))
+        taken = {name.lower() for name in names}  # on some systems case does not count
+        names.append(next(n for n in numbered(stem or f"image{number}", suffix=suffix) if n.lower() not in taken))
     return names
-
-
-def _unique(stem: str, suffix: str, used: list[str]) -> str:
-    """Return a file name that none of the others has, also where case does not count."""
-    taken, name, number = {other.lower() for other in used}, stem + suffix, 2
-    while name.lower() in taken:
-        name, number = f"{stem}-{number}{suffix}", number + 1
-    return name

@@ -9,10 +9,8 @@ The library is imported only in the child, and when a new file is written.
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 from ...core.errors import InputError
@@ -53,10 +51,18 @@ def write_usd(mesh: Mesh, path: Path) -> None:
 def write_usd_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:
     """Write a clip as a new USD file in which time code k is frame k (see `write.write_new`)."""
     _need_library(path, "write")
+    from pxr import Tf  # pyright: ignore[reportAttributeAccessIssue]
+
     from .write import write_new
 
-    with whole_file(path) as temporary, saving(path):
-        write_new(clip, temporary, path, progress)
+    with whole_file(path) as temporary:
+        try:
+            write_new(clip, temporary, path, progress)
+        except Tf.ErrorException as error:  # it does not say why
+            raise InputError(
+                f"{path}: expected a place with room for the file, found that it could not be saved; choose another "
+                "output"
+            ) from error
 
 
 def stage_axes(mesh: Mesh) -> tuple[bool, float]:
@@ -72,16 +78,3 @@ def _need_library(path: Path, verb: str) -> None:
     os.environ.setdefault(*USE_PREAD)
     if importlib.util.find_spec("pxr") is None:
         raise InputError(f"{path}: expected usd-core to {verb} USD, found it not installed; pip install 'mimesh[usd]'")
-
-
-@contextlib.contextmanager
-def saving(path: Path) -> Iterator[None]:
-    """Turn a failed save into an InputError of one line; the library does not report the cause."""
-    from pxr import Tf  # pyright: ignore[reportAttributeAccessIssue]
-
-    try:
-        yield
-    except Tf.ErrorException as error:
-        raise InputError(
-            f"{path}: expected a place with room for the file, found that it could not be saved; choose another output"
-        ) from error

@@ -29,6 +29,7 @@ from ...core.errors import InputError
 from ...core.frame_buffer import PAGED, Progress, each_frame
 from ...core.geometry import normal_turner
 from ...core.mesh import Clip, Material, Mesh
+from ...core.printable import numbered
 from ..atomic import scratch_folder
 from ..mtl import write_image
 from ..polygons import polygon_corners, polygon_sizes, smooth_normals
@@ -171,10 +172,7 @@ class _PrimNames:
 
     def path(self, name: str) -> Sdf.Path:
         """Return a new child path for an object of any name: illegal characters replaced, a number added if taken."""
-        identifier = unique = Tf.MakeValidIdentifier(name)
-        number = 2
-        while unique in self.taken:
-            unique, number = f"{identifier}_{number}", number + 1
+        unique = next(free for free in numbered(Tf.MakeValidIdentifier(name), "_") if free not in self.taken)
         self.taken.add(unique)
         return self.parent.AppendChild(unique)
 
