@@ -105,13 +105,15 @@ def material_names(mesh: Mesh) -> dict[Material, str]:
     used_names = {DEFAULT} if any(part.material is None for part in mesh.parts) else set()
     for material in (part.material for part in mesh.parts if part.material):
         if material not in names:
-            # Image files are named after it, so names that differ in case or characters replaced by `_` are not free.
-            free = (
-                n for n in numbered(safe_name(material.name)) if not {n.lower(), _file_name(n).lower()} & used_names
-            )
-            names[material] = next(free)
-            used_names |= {names[material].lower(), _file_name(names[material]).lower()}
+            # Images are named after it: names that differ in case, or in characters replaced by `_`, are not free.
+            free = numbered(safe_name(material.name))
+            names[material] = next(name for name in free if used_names.isdisjoint(_equal_names(name)))
+            used_names |= _equal_names(names[material])
     return names
+
+
+def _equal_names(name: str) -> set[str]:
+    return {name.lower(), _file_name(name).lower()}
 
 
 def _file_name(name: str) -> str:
