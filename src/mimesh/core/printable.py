@@ -33,7 +33,7 @@ def say(*lines: str, error: bool = False) -> None:
 
 
 def numbered(stem: str, gap: str = "-", suffix: str = "") -> Iterator[str]:
-    """Yield a name, then the same with numbers from 2 on (hat.png, hat-2.png, hat-3.png, ...), to take the first free one.
+    """Yield a name, then the same with numbers from 2 on (hat.png, hat-2.png, ...), to take the first free one.
 
     Args:
         gap: what stands before the number.
