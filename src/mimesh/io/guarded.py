@@ -61,7 +61,7 @@ def guarded_clip(
         InputError: as `child_result`.
     """
     limits = dataclasses.replace(Limits.for_size(size, SMALL_SECONDS), output=LARGEST_CLIP)
-    report = progress or _ignore  # never None: the limits of time are for one frame
+    report = progress or (lambda done, total: None)  # never None: the limits of time are for one frame
     with child_result(function, path, path, limits, report, fps=fps) as result:
         mesh, facts = take_mesh(result, source)
         shape = (facts["count"], len(mesh.vertices), 3)
@@ -133,7 +133,3 @@ def _take_frames(path: Path, shape: tuple[int, int, int]) -> Float[np.ndarray, "
         return np.fromfile(path, np.float64).reshape(shape)
     mapped = np.memmap(path, np.float64, "r+", shape=shape)
     return store_frames(mapped, *shape[:2]) if os.name == "nt" else mapped
-
-
-def _ignore(done: int, total: int) -> None:
-    """Take no notice of progress."""

@@ -525,8 +525,7 @@ def _open_archive(path: Path) -> Any:
     """
     data = np.memmap(path, np.uint8, "r")
     _check_blocks(data, _root_offset(data[: _HEADER.size].tobytes(), path), path)
-    with _reading(path):
-        return Abc.IArchive(str(path))
+    return Abc.IArchive(str(path))
 
 
 @contextlib.contextmanager

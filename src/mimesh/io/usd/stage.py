@@ -35,10 +35,6 @@ def open_stage(path: Path) -> Usd.Stage:
     """
     if confining_folder() is not None:
         _check_references(path)
-    # USD shares layers between stages: without a reload, one that is still open shows the file as it was before.
-    open_layer = Sdf.Layer.Find(str(path))
-    if open_layer and not open_layer.dirty:
-        open_layer.Reload()
     return Usd.Stage.Open(str(path))
 
 
