@@ -68,7 +68,7 @@ def guarded_clip(
         return Clip(mesh, _take_frames(result.with_name(FRAMES_FILE), shape), facts["fps"])
 
 
-def hand_over_mesh(target: Path, mesh: Mesh, **more: float) -> None:
+def hand_over_mesh(target: Path, mesh: Mesh, **more: int | float) -> None:
     """Write a mesh and further values to the file that the parent reads; runs in the child."""
     materials = list(dict.fromkeys(part.material for part in mesh.parts if part.material is not None))
     number = {material: k for k, material in enumerate(materials)}
