@@ -314,7 +314,7 @@ def _read_body(elements: list[_Element], body: np.ndarray, path: Path) -> _Colum
     start = 0
     for element in elements:
         # Tested before anything is allocated: the header of a damaged file may declare any number of rows.
-        fewest = element.length * sum((p.count or p.dtype).itemsize for p in element.properties)
+        fewest = element.length * sum((p.dtype if p.count is None else p.count).itemsize for p in element.properties)
         found = None
         if start + fewest <= len(body):
             found = _read_uniform(element, body, start) if element.length else None
