@@ -35,7 +35,7 @@ def write_frames(folder, suffix: str, frames: np.ndarray, name: str = "{}", mesh
         save_mesh((mesh or zoo.cube()).with_vertices(vertices), folder / f"{name.format(t)}{suffix}")
 
 
-@pytest.mark.parametrize(("name", "suffix"), zip(cycle(NAMES), FORMATS, strict=False))
+@pytest.mark.parametrize(("name", "suffix"), list(zip(cycle(NAMES), FORMATS, strict=False)))
 def test_frames_are_read_in_the_order_of_their_numbers(suffix, name, tmp_path):
     frames = frames_of(zoo.cube().vertices)
     write_frames(tmp_path / "clip", suffix, frames, name)
