@@ -40,7 +40,7 @@ from ..evaluate.pairs import Pair
 from . import layers
 from .data.endless import PeopleOptions
 from .data.people import BodySampler
-from .data.registered import MeshOptions, MeshSampler, WindowBatch
+from .data.registered import MeshOptions, MeshWindowSource, WindowBatch
 from .layers import PointConv, ResBlock, edge_vectors, instance_norm, match_frames, mean_squared_distance
 from .task import OnnxInterface, TrainConfig
 from .validation import PaperTask, clip_error, pair_error
@@ -359,14 +359,6 @@ class WindowSource(BodySampler):
         return points.unflatten(0, (-1, frames)), radii.view(-1, frames)
 
 
-class MeshWindowSource(MeshSampler):
-    """Makes batches of windows of registered clips."""
-
-    def batch(self, size: int, step: int) -> WindowBatch:
-        """Make the windows of a step."""
-        return self.sample(size, step)
-
-
 def reconstruction(result: Float[Tensor, "B T V 3"], truth: Float[Tensor, "B T V 3"]) -> Float[Tensor, ""]:
     """Compute L_r of Eq. 6: squared distance to the truth, summed over vertices, mean over frames."""
     return layers.reconstruction(result.flatten(0, 1), truth.flatten(0, 1))
@@ -490,7 +482,6 @@ class AniFormerTask(PaperTask[AniFormerTrainConfig, AniFormer]):
         return bool(self.config.model.vertices)
 
     def make_model(self) -> AniFormer:
-        """Build the network with fresh weights."""
         return AniFormer(self.config.model)
 
     def source(self, seed: int) -> WindowSource | MeshWindowSource:
@@ -507,7 +498,6 @@ class AniFormerTask(PaperTask[AniFormerTrainConfig, AniFormer]):
         return WindowSource(self.config.data, self.body, self.device, seed, self.config.model.frames)
 
     def loss(self, model: AniFormer, batch: WindowBatch, step: int) -> Tensor:
-        """Compute Eq. 6 over V."""
         with self.autocast():
             result = model(batch.identity, batch.driving, batch.index)
         given = (batch.truth, batch.identity, batch.driving, batch.edges, batch.unit)
@@ -529,14 +519,12 @@ class AniFormerTask(PaperTask[AniFormerTrainConfig, AniFormer]):
         return pair_error(infer, trial, *where)
 
     def batch_error(self, model: AniFormer, batch: WindowBatch) -> float:
-        """Compute the mean PMD of a batch."""
         with self.autocast():
             result = model(batch.identity, batch.driving, batch.index)
         truth, unit = (match_frames(of_frames, result.shape[1]) for of_frames in (batch.truth, batch.truth_radius))
         return float(mean_squared_distance(result, truth, unit))
 
     def flops_per_pair(self, model: AniFormer) -> float:
-        """Count the floating-point operations of one training window's forward pass."""
         return self.config.model.frames * model.estimate_flops(self.vertices)
 
     @staticmethod

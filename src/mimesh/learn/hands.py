@@ -26,11 +26,10 @@ from ..bodies.finger_poses import finger_rotations, sample_finger_poses
 from ..bodies.hands import HAND_PARENTS, left_hand_body
 from ..bodies.joint_names import finger_joints
 from ..core.errors import InputError
-from .data.bodies import rotvec_to_rotmat, scaled_joints, skinned_surface, world_rotations
+from .data.bodies import gather_points, rotvec_to_rotmat, scaled_joints, skinned_surface, world_rotations
 from .data.characters import CharacterOptions, TrainingCharacters
 from .data.figures import LAST, pick_rows, rows_by_group
 from .data.hands import FINGERLESS, HUMAN, HandSurface, training_hands
-from .data.surfaces import gather_points
 from .mime import MimeConfig, MimeNetwork, Prediction, joint_errors, masked_mean, rms_normalize
 from .task import OnnxInterface, Task, TrainConfig, shipped_body
 
@@ -104,10 +103,9 @@ class HandsTrainConfig(TrainConfig):
     structure: HandLossConfig = field(default_factory=HandLossConfig)
 
     def check(self, where: str) -> None:
-        """Raise InputError for a width that the heads do not divide."""
+        """Raise InputError for values that do not go together."""
         super().check(where)
-        if self.model.heads < 1 or self.model.width % self.model.heads:
-            raise InputError(f"{where}: expected heads that divide width {self.model.width}, found {self.model.heads}")
+        self.model.check(where)
 
 
 class HandNetwork(MimeNetwork):
@@ -396,21 +394,17 @@ class HandsTask(Task[HandsTrainConfig, HandNetwork]):
         return HandTrials(HandSource(list(unseen_hands()), self.device, TRIAL_SEED, 0.0))
 
     def make_model(self) -> HandNetwork:
-        """Build the network with fresh weights."""
         return HandNetwork(self.config.model)
 
     def source(self, seed: int) -> HandSource:
-        """Build the generator of hands."""
         characters = self.user_data.characters if isinstance(self.user_data, TrainingCharacters) else ()
         return HandSource(training_hands(shipped_body(), characters), self.device, seed, self.config.data.characters)
 
     def loss(self, model: HandNetwork, batch: HandBatch, step: int) -> Tensor:
-        """Compute the loss of a batch."""
         with self.autocast():
             return hands_loss(model, batch, self.config.structure)
 
     def trial_error(self, model: HandNetwork, trial: HandBatch) -> float:
-        """Compute the error of a trial, as of any batch."""
         return self.batch_error(model, trial)
 
     def batch_error(self, model: HandNetwork, batch: HandBatch) -> float:
@@ -420,7 +414,6 @@ class HandsTask(Task[HandsTrainConfig, HandNetwork]):
         return float(joint_error(prediction, batch)[batch.separate].mean()) if batch.separate.any() else 0.0
 
     def flops_per_pair(self, model: HandNetwork) -> float:
-        """Count the floating-point operations of the forward pass of one hand."""
         return model.estimate_flops(QUERIES, HAND_POINTS)
 
     @staticmethod

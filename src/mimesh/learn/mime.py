@@ -32,7 +32,7 @@ from ..evaluate.metrics import pmd_aligned
 from ..evaluate.pairs import Pair
 from ..evaluate.protocols import Protocol
 from ..evaluate.quadruped import QUADRUPED
-from .data.bodies import posed_joints, skinned
+from .data.bodies import gather_points, posed_joints, skinned
 from .data.characters import CharacterOptions, TrainingCharacters
 from .data.endless import TABLE_KINDS, EndlessPeople, PeopleOptions
 from .data.figures import CharacterPairs, share_of
@@ -44,7 +44,6 @@ from .data.surfaces import (
     PeopleSampler,
     PosedSurface,
     SurfaceBody,
-    gather_points,
     plain_people,
     repeat_visible,
     scanned,
@@ -104,6 +103,11 @@ class MimeConfig:
     """Channels of a point in a joint's frame."""
     skinning: int = 32
     """Channels of a vertex in a joint's frame, for the skinning weights."""
+
+    def check(self, where: str) -> None:
+        """Raise InputError for a width that the heads do not divide."""
+        if self.heads < 1 or self.width % self.heads:
+            raise InputError(f"{where}: expected heads that divide width {self.width}, found {self.heads}")
 
 
 @dataclass(frozen=True)
@@ -170,10 +174,9 @@ class MimeTrainConfig(TrainConfig):
     structure: MimeLossConfig = field(default_factory=MimeLossConfig)
 
     def check(self, where: str) -> None:
-        """Raise InputError for a width that the heads do not divide."""
+        """Raise InputError for values that do not go together."""
         super().check(where)
-        if self.model.heads < 1 or self.model.width % self.model.heads:
-            raise InputError(f"{where}: expected heads that divide width {self.model.width}, found {self.model.heads}")
+        self.model.check(where)
 
 
 @dataclass(frozen=True)
@@ -634,16 +637,13 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
         return QUADRUPED if self.config.data.body == "quadruped" else super().protocol
 
     def make_model(self) -> MimeNetwork:
-        """Build the network with fresh weights."""
         return MimeNetwork(self.config.model, self.body)
 
     def source(self, seed: int) -> SurfaceSource:
-        """Build the generator of pairs."""
         characters = self.user_data if isinstance(self.user_data, TrainingCharacters) else None
         return SurfaceSource(self.config.data, self.body, self.device, seed, characters)
 
     def loss(self, model: MimeNetwork, batch: SurfaceBatch, step: int) -> Tensor:
-        """Compute reconstruction and structural terms."""
         with self.autocast():
             return mime_loss(model, batch, self.config.structure)
 
@@ -680,7 +680,6 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
         return pmd_aligned(*pair)
 
     def flops_per_pair(self, model: MimeNetwork) -> float:
-        """Count the floating-point operations of one training pair's forward pass."""
         return model.estimate_flops(self.vertices, self.vertices)
 
     @staticmethod

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..core.errors import InputError
+from ..core.errors import InputError, did_you_mean
 from .task import Task
 
 NETWORKS = ("npt", "aniformer", "limp", "mime", "hands")
@@ -27,5 +27,8 @@ def find_task(network: str) -> type[Task]:
         case "hands":
             from .hands import HandsTask as task
         case _:
-            raise InputError(f"{network}: expected a model that can be trained ({', '.join(NETWORKS)}), found another")
+            raise InputError(
+                f"{network}: expected a model that can be trained ({', '.join(NETWORKS)}), found another"
+                + did_you_mean(network, NETWORKS)
+            )
     return task

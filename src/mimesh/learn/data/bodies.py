@@ -165,6 +165,11 @@ def rotvec_to_rotmat(rotvec: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
     return eye + sine * cross + (1.0 - cosine) * (cross @ cross)
 
 
+def gather_points(values: Float[Tensor, "B N C"], index: Int[Tensor, "B M"]) -> Float[Tensor, "B M C"]:
+    """Select the values of points by their indices."""
+    return values.gather(1, index[..., None].expand(-1, -1, values.shape[-1]))
+
+
 def posed_joints(
     rotation: Float[Tensor, "B J 3 3"],
     joints: Float[Tensor, "B J 3"],

@@ -23,10 +23,10 @@ from ...bodies import RiggedBody
 from ...bodies.anatomy import anatomy_of
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
 from ...core.errors import InputError
-from .bodies import posed_joints, scaled_joints, skinned, skinned_surface, world_rotations
+from .bodies import gather_points, posed_joints, scaled_joints, skinned, skinned_surface, world_rotations
 from .characters import CharacterOptions, CharacterSurface, TrainingCharacters
 from .endless import EndlessPeople, PeopleOptions, random_headings, random_index
-from .people import BodySampler, PairBatch, pairs_of_rows
+from .people import PairBatch, PairSource, in_unit_sphere, pairs_of_rows
 from .primitives import SHAPES, sample_primitive
 from .surfaces import MAX_HOLE, PosedSurface, random_bumps, random_levels, without_bumps
 
@@ -210,7 +210,7 @@ class CharacterBank(nn.Module):
         radius = MAX_HOLE * torch.rand(size, 1, generator=rng, device=device)
         radius = radius * (torch.rand(size, 1, generator=rng, device=device) < missing)
         points = self.points[figures.which]
-        offset = points - points.gather(1, centre[..., None].expand(-1, -1, 3))
+        offset = points - gather_points(points, centre)
         in_ball = offset.square().sum(-1) < radius.square()
         absent = torch.cat([figures.lacking.gather(1, strongest[:, :total]), ~figures.props.there], 1)
         key = key + LAST * absent
@@ -257,9 +257,9 @@ class CharacterBank(nn.Module):
         total, props = self.points.shape[1], figures.props
         of_prop, row = index >= total, (index - total).clamp_min(0)
         who, column = figures.which[:, None], index.clamp_max(total - 1)
-        joint, axes = props.joint.gather(1, row), row[..., None].expand(-1, -1, 3)
-        place = joints.gather(1, joint[..., None].expand_as(axes)) + props.offset.gather(1, axes)
-        prop_normal = props.normals.gather(1, axes)
+        joint = props.joint.gather(1, row)
+        place = gather_points(joints, joint) + gather_points(props.offset, row)
+        prop_normal = gather_points(props.normals, row)
         points, normals = self.points[who, column], self.normals[who, column]
         if self.coarse.shape[1]:
             flat, level = (figures.level > 0)[:, None, None], (figures.level - 1).clamp_min(0)[:, None]
@@ -417,7 +417,7 @@ class PairOptions(PeopleOptions, CharacterOptions):
             raise InputError(f"{where}: expected data.pairing random with data.characters, found order; leave it out")
 
 
-class CharacterPairSource(BodySampler):
+class CharacterPairSource(PairSource):
     """Makes batches of which a share are pairs of characters; people drive every second of them."""
 
     def __init__(
@@ -442,10 +442,12 @@ class CharacterPairSource(BodySampler):
         (_, shapes), poses, _ = self.people.pairs(size, rng)
         pairs = self.figures.draw(poses, rng)
         index = self._with_neighbours(pairs.rest.points, rng)
-        identity, radius = in_unit_sphere(pairs.identity.points, index)
+        own_points, truths, others = (mesh.points for mesh in (pairs.identity, pairs.truth, pairs.driving))
+        identity, radius = in_unit_sphere(gather_points(own_points, index), own_points)
         scale = radius if self.config.target_scale == "identity" else None
-        truth, own = in_unit_sphere(pairs.truth.points, index, scale)
-        driving, _ = in_unit_sphere(pairs.driving.points, self._random_rows(size, index.shape[1], rng))
+        truth, own = in_unit_sphere(gather_points(truths, index), truths, scale)
+        driving_index = self._random_rows(size, index.shape[1], rng)
+        driving, _ = in_unit_sphere(gather_points(others, driving_index), others)
         people = size // 2
         vertices = self._stratified_vertices(people, index.shape[1], rng)
         driving[:people] = self._normalized_mesh(shapes[:people], pairs.pose[:people], vertices)[0]
@@ -456,19 +458,10 @@ class CharacterPairSource(BodySampler):
     def _with_neighbours(self, rest: Float[Tensor, "B P 3"], rng: torch.Generator) -> Int[Tensor, "B V"]:
         """Draw points of which every second one is a neighbour at rest of the one before it."""
         first = self._random_rows(len(rest), self.config.vertices // 2, rng)
-        distance = torch.cdist(rest.gather(1, first[..., None].expand(-1, -1, 3)), rest)
+        distance = torch.cdist(gather_points(rest, first), rest)
         near = distance.topk(NEIGHBOURS + 1, largest=False).indices[..., 1:]
         pick = random_index(NEIGHBOURS, (*first.shape, 1), rng)
         return torch.stack([first, near.gather(2, pick)[..., 0]], -1).flatten(1)
 
     def _random_rows(self, size: int, count: int, rng: torch.Generator) -> Int[Tensor, "B N"]:
         return torch.rand(size, PAIR_POINTS, generator=rng, device=self.device).argsort(1)[:, :count]
-
-
-def in_unit_sphere(
-    points: Float[Tensor, "B P 3"], index: Int[Tensor, "B N"], radius: Float[Tensor, "B 1 1"] | None = None
-) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B 1 1"]]:
-    """Centre some of the points on the box of all, divide them by `radius` (None: that of all); give that of all."""
-    centred = points - (points.amax(1, keepdim=True) + points.amin(1, keepdim=True)) / 2
-    own = centred.norm(dim=-1).amax(1)[:, None, None]
-    return centred.gather(1, index[..., None].expand(-1, -1, 3)) / (own if radius is None else radius), own

@@ -22,7 +22,7 @@ from ...evaluate.clip_protocols import CLIPS_ANIFORMER
 from ...evaluate.protocols import HUMAN_NPT
 from ..task import DataConfig
 from . import endless
-from .bodies import TorchBody, extreme_vertices
+from .bodies import TorchBody, extreme_vertices, gather_points
 from .endless import TABLE_KINDS, EndlessPeople, PeopleOptions, ReflectOptions, random_index, random_window
 
 
@@ -198,18 +198,6 @@ class BodySampler(VertexSampler):
         drawn_by = TablePeople if config.kind in TABLE_KINDS else EndlessPeople
         self.people = drawn_by(config, body, device, frames)
 
-    def pairs(self, size: int, rng: torch.Generator) -> PairBatch:
-        """Draw two people for each pair, in two poses, and make the first one in the pose of the second, too."""
-        (identity_shape, driving_shape), (identity_pose, driving_pose), _ = self.people.pairs(size, rng)
-        index, driving_index, edges, edges_of_mesh = self._sample_vertices(size, rng)
-        identity, radius = self._normalized_mesh(identity_shape, identity_pose, index)
-        driving, _ = self._normalized_mesh(driving_shape, driving_pose, driving_index)
-        scale = radius if self.config.target_scale == "identity" else None
-        truth, own = self._normalized_mesh(identity_shape, driving_pose, index, scale)
-        self._reflect(rng, identity, driving, truth)
-        size_of_truth = (own / (own if scale is None else scale))[:, 0, 0]
-        return PairBatch(identity, driving, truth, size_of_truth, edges, edges_of_mesh)
-
     def _normalized_mesh(
         self,
         shape: Float[Tensor, "B K"],
@@ -223,15 +211,40 @@ class BodySampler(VertexSampler):
         """
         count = index.shape[1]
         if count == self.body.vertex_count:
-            points = self.body.posed(shape, rotmat)
-            whole, points = points, points.gather(1, index[..., None].expand(-1, -1, 3))
-        else:
-            both = torch.cat([index, self.extreme.expand(len(index), -1)], dim=1)
-            skinned = self.body.posed(shape, rotmat, both)
-            points, whole = skinned[:, :count], skinned[:, count:]
-        centre = (whole.amax(1, keepdim=True) + whole.amin(1, keepdim=True)) / 2
-        own = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
-        return (points - centre) / (own if radius is None else radius), own
+            whole = self.body.posed(shape, rotmat)
+            return in_unit_sphere(gather_points(whole, index), whole, radius)
+        both = torch.cat([index, self.extreme.expand(len(index), -1)], dim=1)
+        skinned = self.body.posed(shape, rotmat, both)
+        return in_unit_sphere(skinned[:, :count], skinned[:, count:], radius)
+
+
+class PairSource(BodySampler):
+    """Makes batches of pairs of people."""
+
+    def batch(self, size: int, step: int) -> PairBatch:
+        """Make the pairs of a step."""
+        return self.pairs(size, self._generator(step))
+
+    def pairs(self, size: int, rng: torch.Generator) -> PairBatch:
+        """Draw two people for each pair, in two poses, and make the first one in the pose of the second, too."""
+        (identity_shape, driving_shape), (identity_pose, driving_pose), _ = self.people.pairs(size, rng)
+        index, driving_index, edges, edges_of_mesh = self._sample_vertices(size, rng)
+        identity, radius = self._normalized_mesh(identity_shape, identity_pose, index)
+        driving, _ = self._normalized_mesh(driving_shape, driving_pose, driving_index)
+        scale = radius if self.config.target_scale == "identity" else None
+        truth, own = self._normalized_mesh(identity_shape, driving_pose, index, scale)
+        self._reflect(rng, identity, driving, truth)
+        size_of_truth = (own / (own if scale is None else scale))[:, 0, 0]
+        return PairBatch(identity, driving, truth, size_of_truth, edges, edges_of_mesh)
+
+
+def in_unit_sphere(
+    points: Float[Tensor, "B N 3"], whole: Float[Tensor, "B P 3"], radius: Float[Tensor, "B 1 1"] | None = None
+) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B 1 1"]]:
+    """Centre points of meshes on the box of the whole, divide them by `radius` (None: that of the whole); give that."""
+    centre = (whole.amax(1, keepdim=True) + whole.amin(1, keepdim=True)) / 2
+    own = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
+    return (points - centre) / (own if radius is None else radius), own
 
 
 def pairs_of_rows(index: Int[Tensor, "B N"]) -> Int[Tensor, "B E 2"]:

@@ -34,7 +34,7 @@ from ...io.formats import ANIMATED, CACHES, CLIP_READERS, COLLECTIONS, FORMATS, 
 from ...motions.on_body import is_motion_file
 from .characters import DAMAGED
 from .endless import ReflectOptions
-from .people import VertexSampler
+from .people import PairBatch, VertexSampler
 
 VOTES = 25
 """Meshes, evenly spread over the folder, whose detected axes are compared: the most frequent ones are those of all."""
@@ -681,8 +681,8 @@ class WindowBatch:
     """Edges a vertex of the whole mesh over edges a vertex given here."""
 
 
-class MeshSampler(VertexSampler):
-    """Draws pairs and vertices of registered meshes, which lie on the device; subclasses make batches of them."""
+class MeshWindowSource(VertexSampler):
+    """Makes batches of windows of registered clips, which lie on the device; of meshes they have one frame."""
 
     def __init__(self, config: MeshOptions, meshes: RegisteredMeshes, device: torch.device, seed: int) -> None:
         super().__init__(meshes.points[0], meshes.faces, config, device, seed)
@@ -691,8 +691,8 @@ class MeshSampler(VertexSampler):
         self.radius = torch.from_numpy(meshes.radius).float().to(device)
         self.triples = meshes.split.training.to(device)
 
-    def sample(self, size: int, step: int) -> WindowBatch:
-        """Draw the pairs of a step."""
+    def batch(self, size: int, step: int) -> WindowBatch:
+        """Make the windows of a step."""
         rng = self._generator(step)
         frames = self.triples.draw(size, rng)
         index, driving_index, edges, share = self._sample_vertices(size, rng)
@@ -705,6 +705,19 @@ class MeshSampler(VertexSampler):
             truth, unit, own = truth * unit[..., None, None], own, unit
         self._reflect(rng, identity, driving, truth)
         return WindowBatch(identity, driving, truth, unit, own, index, edges, share)
+
+
+class MeshPairSource:
+    """Makes batches of pairs of registered meshes."""
+
+    def __init__(self, config: MeshOptions, meshes: RegisteredMeshes, device: torch.device, seed: int) -> None:
+        self.windows = MeshWindowSource(config, meshes, device, seed)
+
+    def batch(self, size: int, step: int) -> PairBatch:
+        """Make the pairs of a step."""
+        drawn = self.windows.batch(size, step)
+        truth, own = drawn.truth[:, 0], drawn.truth_radius[:, 0]
+        return PairBatch(drawn.identity, drawn.driving[:, 0], truth, own, drawn.edges, drawn.edges_of_mesh)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from ...bodies import RiggedBody
 from ...bodies.dress import GARMENTS, dressed_body, load_garment
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
 from ...core import geometry, surface_points
-from .bodies import scaled_joints, skinned_surface, world_rotations
+from .bodies import gather_points, scaled_joints, skinned_surface, world_rotations
 from .characters import LEVELS, SMALLEST, flattened
 
 WAVES = 6
@@ -293,11 +293,6 @@ def repeat_visible(hidden: Bool[Tensor, "B N"]) -> Int[Tensor, "B N"]:
     order = hidden.int().argsort(dim=1, stable=True)
     visible = (~hidden).sum(1, keepdim=True)
     return order.gather(1, torch.arange(hidden.shape[1], device=hidden.device) % visible)
-
-
-def gather_points(values: Float[Tensor, "B N C"], index: Int[Tensor, "B M"]) -> Float[Tensor, "B M C"]:
-    """Select the values of points by their indices."""
-    return values.gather(1, index[..., None].expand(-1, -1, values.shape[-1]))
 
 
 def _camera(size: int, rng: torch.Generator, device: torch.device) -> Float[Tensor, "B 3 3"]:
