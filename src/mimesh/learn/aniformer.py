@@ -61,7 +61,7 @@ class AniFormerConfig:
     """T, the driving frames of a window."""
     encoder: tuple[int, int, int] = (64, 128, 1024)
     """Channels of the pose feature extractor, as NPT's."""
-    layers: tuple[int, int, int, int] = (1024, 512, 512, 256)
+    layers: tuple[int, ...] = (1024, 512, 512, 256)
     """Output channels of each layer (the public code's; the paper leaves them to a supplement)."""
     attention: Literal["both", "frames", "vertices", "off"] = "both"
     """What a vertex attends to: itself in all frames, vertices of its frame, or both in that order."""

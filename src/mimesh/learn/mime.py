@@ -32,7 +32,7 @@ from ..evaluate.metrics import pmd_aligned
 from ..evaluate.pairs import Pair
 from ..evaluate.protocols import Protocol
 from ..evaluate.quadruped import QUADRUPED
-from .data.bodies import gather_points, posed_joints, skinned
+from .data.bodies import gather_points, normal, posed_joints, skinned, uniform
 from .data.characters import CharacterOptions, TrainingCharacters
 from .data.endless import TABLE_KINDS, EndlessPeople, PeopleOptions
 from .data.figures import CharacterPairs, share_of
@@ -495,7 +495,7 @@ class SurfaceSource:
     ) -> None:
         self.config, self.device, self.seed = config, device, seed
         self.people = (TablePeople if config.kind in TABLE_KINDS else EndlessPeople)(config, body, device)
-        self.surface = SurfaceBody(body, low_poly=config.low_poly > 0).to(device)
+        self.surface = SurfaceBody(body, low_poly=config.low_poly > 0, device=device)
         self.dressed = PeopleSampler(body, config.spread, device)
         self.count = config.vertices or DEFAULT_POINTS
         if config.characters:
@@ -551,29 +551,26 @@ class SurfaceSource:
     def _damage(self, identity: PosedSurface, driving: PosedSurface, rng: torch.Generator):
         """Add noise to driving points, leave out one side of some and the normals of others; make scans of a share."""
         size, index = len(driving.points), self._one_sided(driving.normals, rng)
-        noise = torch.randn(driving.points.shape, generator=rng, device=self.device)
-        noisy = gather_points(driving.points, index) + MAX_NOISE * self._uniform(size, rng).square() * noise
+        noise = normal(rng, *driving.points.shape)
+        noisy = gather_points(driving.points, index) + MAX_NOISE * uniform(rng, size, 1, 1).square() * noise
         normals = gather_points(driving.normals, index)
         if self.config.scans:
-            some = self._uniform(size, rng) < self.config.scans
+            some = uniform(rng, size, 1, 1) < self.config.scans
             scan = scanned(driving.points, driving.normals, rng)
             noisy, normals = torch.where(some, scan[0], noisy), torch.where(some, scan[1], normals)
         meshes = ((identity.points, identity.normals), (noisy, normals))
         return tuple(
-            (points, normals * (self._uniform(size, rng) >= share))
+            (points, normals * (uniform(rng, size, 1, 1) >= share))
             for (points, normals), share in zip(meshes, WITHOUT_NORMALS, strict=True)
         )
 
     def _one_sided(self, normals: Float[Tensor, "B N 3"], rng: torch.Generator) -> Int[Tensor, "B N"]:
         """Choose all points, or for a share of the meshes those that face one side, repeated up to N."""
         size = len(normals)
-        angle = 2 * math.pi * self._uniform(size, rng)
+        angle = 2 * math.pi * uniform(rng, size, 1, 1)
         side = torch.cat([angle.sin(), torch.zeros_like(angle), angle.cos()], -1)
-        hidden = ((normals * side).sum(-1) <= 0) & (self._uniform(size, rng)[..., 0] < ONE_SIDED)
+        hidden = ((normals * side).sum(-1) <= 0) & (uniform(rng, size, 1, 1)[..., 0] < ONE_SIDED)
         return repeat_visible(hidden)
-
-    def _uniform(self, size: int, rng: torch.Generator) -> Float[Tensor, "B 1 1"]:
-        return torch.rand(size, 1, 1, generator=rng, device=self.device)
 
 
 def mime_loss(model: MimeNetwork, batch: SurfaceBatch, weights: MimeLossConfig) -> Float[Tensor, ""]:

@@ -10,11 +10,7 @@ NETWORKS = ("npt", "aniformer", "limp", "mime", "hands")
 
 
 def find_task(network: str) -> type[Task]:
-    """Give the task of a network by its name.
-
-    Raises:
-        InputError: no network of that name can be trained.
-    """
+    """Give the task of a network by its name."""
     match network:
         case "npt":
             from .npt import NPTTask as task

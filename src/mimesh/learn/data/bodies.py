@@ -1,4 +1,4 @@
-"""Body kinematics and linear blend skinning in torch: batched, differentiable twins of the NumPy ones.
+"""Body kinematics and linear blend skinning in torch (batched, differentiable twins of the NumPy ones), random numbers.
 
 `TorchBody` poses the people that `RiggedBody` poses, thousands a second on any device; a test compares the two.
 """
@@ -17,32 +17,23 @@ from ...bodies.joint_ranges import ranges_of
 from ...bodies.sampling import rotvec_to_rotmat as numpy_rotmat
 from ...bodies.sampling import sample_pose
 
+CPU = torch.device("cpu")
 
-class TorchBody(nn.Module):
-    """A RiggedBody whose arrays are buffers with coordinates as the first axis.
+
+class TorchBody:
+    """A RiggedBody whose arrays are tensors with coordinates as the first axis.
 
     In that layout skinning is one matrix product and three fused multiply-adds over long rows: six times as many bodies
     a second on two cores as with vertices first.
     """
 
-    rest: Tensor
-    components: Tensor
-    weights: Tensor
-    joints: Tensor
-    joint_components: Tensor
-
-    def __init__(self, body: RiggedBody, dtype: torch.dtype = torch.float32) -> None:
-        super().__init__()
+    def __init__(self, body: RiggedBody, dtype: torch.dtype = torch.float32, device: torch.device = CPU) -> None:
         self.parents = body.parents
-        arrays = {
-            "rest": body.vertices.T,
-            "components": body.components.transpose(0, 2, 1),
-            "weights": body.weights.T,
-            "joints": body.joints,
-            "joint_components": body.joint_components,
-        }
-        for name, array in arrays.items():
-            self.register_buffer(name, torch.from_numpy(array).to(dtype).contiguous())
+        arrays = (body.vertices.T, body.components.transpose(0, 2, 1), body.weights.T)
+        self.rest, self.components, self.weights, self.joints, self.joint_components = (
+            torch.from_numpy(array).to(device, dtype).contiguous()
+            for array in (*arrays, body.joints, body.joint_components)
+        )
 
     @property
     def vertex_count(self) -> int:
@@ -87,6 +78,21 @@ class TorchBody(nn.Module):
         turned = torch.stack(rotation, 1)
         offset = torch.stack(position, 1)[..., None] - turned @ joints[..., None]
         return torch.cat([turned, offset], dim=-1)
+
+
+def on_device(array: np.ndarray, device: torch.device) -> Tensor:
+    """Copy an array to a device in float32."""
+    return torch.from_numpy(array).float().to(device)
+
+
+def uniform(rng: torch.Generator, *size: int) -> Tensor:
+    """Draw numbers from 0 to 1 on the device of a generator."""
+    return torch.rand(size, generator=rng, device=rng.device)
+
+
+def normal(rng: torch.Generator, *size: int) -> Tensor:
+    """Draw normal numbers on the device of a generator."""
+    return torch.randn(size, generator=rng, device=rng.device)
 
 
 def scaled_joints(

@@ -23,7 +23,18 @@ from ...bodies import RiggedBody
 from ...bodies.anatomy import anatomy_of
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
 from ...core.errors import InputError
-from .bodies import gather_points, posed_joints, scaled_joints, skinned, skinned_surface, world_rotations
+from .bodies import (
+    CPU,
+    gather_points,
+    normal,
+    on_device,
+    posed_joints,
+    scaled_joints,
+    skinned,
+    skinned_surface,
+    uniform,
+    world_rotations,
+)
 from .characters import CharacterOptions, CharacterSurface, TrainingCharacters
 from .endless import EndlessPeople, PeopleOptions, random_headings, random_index
 from .people import PairBatch, PairSource, in_unit_sphere, pairs_of_rows
@@ -85,14 +96,9 @@ class PropSampler:
         # Thomsen's formula for the area of an ellipsoid, which is near enough for the others.
         a, b, c = (sizes**1.6).T
         area = 4 * np.pi * ((a * b + a * c + b * c) / 3) ** (1 / 1.6)
-        arrays = (
-            points,
-            normals,
-            np.clip(PROP_DENSITY * area, 4, PROP_POINTS),
-            np.eye(3)[sizes.argmax(axis=1)] * sizes,
-        )
+        count, longest = np.clip(PROP_DENSITY * area, 4, PROP_POINTS), np.eye(3)[sizes.argmax(axis=1)] * sizes
         self.points, self.normals, self.count, self.longest = (
-            torch.from_numpy(array).float().to(device) for array in arrays
+            on_device(array, device) for array in (points, normals, count, longest)
         )
         shares = anatomy_of(body.name).props
         self.joints = torch.tensor([body.joint(name) for name in shares], device=device)
@@ -104,15 +110,15 @@ class PropSampler:
         shape = (size, PROP_SLOTS)
         which = torch.randint(len(self.points), shape, generator=rng, device=self.device)
         # Half of the props stand straight in the figure's axes, as hats and backpacks do.
-        straight = self._uniform(rng, *shape, 1, 1) < 0.5
-        turn = torch.where(straight, torch.eye(3, device=self.device), random_rotations(shape, rng, self.device))
-        direction = nn.functional.normalize(torch.randn(*shape, 3, generator=rng, device=self.device), dim=-1)
-        centre = PROP_OFFSET * self._uniform(rng, *shape, 1) * direction
+        straight = uniform(rng, *shape, 1, 1) < 0.5
+        turn = torch.where(straight, torch.eye(3, device=self.device), random_rotations(shape, rng))
+        direction = nn.functional.normalize(normal(rng, *shape, 3), dim=-1)
+        centre = PROP_OFFSET * uniform(rng, *shape, 1) * direction
         # Half are held at one end, as swords are.
-        held = self._uniform(rng, *shape, 1) < 0.5
+        held = uniform(rng, *shape, 1) < 0.5
         centre = centre + (turn @ (held * self.longest[which])[..., None])[..., 0]
-        wanted = self.count[which] * (self._uniform(rng, *shape) < PROP_SHARE)
-        joint = self.joints[torch.searchsorted(self.share, self._uniform(rng, *shape)).clamp_max(len(self.joints) - 1)]
+        wanted = self.count[which] * (uniform(rng, *shape) < PROP_SHARE)
+        joint = self.joints[torch.searchsorted(self.share, uniform(rng, *shape)).clamp_max(len(self.joints) - 1)]
         return Props(
             (self.points[which] @ turn.mT + centre[..., None, :]).flatten(1, 2),
             (self.normals[which] @ turn.mT).flatten(1, 2),
@@ -120,13 +126,10 @@ class PropSampler:
             (torch.arange(PROP_POINTS, device=self.device) < wanted[..., None]).flatten(1),
         )
 
-    def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
-        return torch.rand(*size, generator=rng, device=self.device)
 
-
-def random_rotations(size: tuple[int, ...], rng: torch.Generator, device: torch.device) -> Float[Tensor, "*B 3 3"]:
+def random_rotations(size: tuple[int, ...], rng: torch.Generator) -> Float[Tensor, "*B 3 3"]:
     """Draw uniform random rotations: Gram-Schmidt of normal vectors."""
-    x, y = nn.functional.normalize(torch.randn(2, *size, 3, generator=rng, device=device), dim=-1)
+    x, y = nn.functional.normalize(normal(rng, 2, *size, 3), dim=-1)
     z = nn.functional.normalize(torch.linalg.cross(x, y), dim=-1)
     return torch.stack([x, torch.linalg.cross(z, x), z], -1)
 
@@ -160,40 +163,29 @@ class RestSurface:
     joints: Float[Tensor, "B J 3"]
 
 
-class CharacterBank(nn.Module):
+class CharacterBank:
     """All figures of a training, each as the same number of points, to be posed in batches."""
 
-    points: Tensor
-    normals: Tensor
-    weights: Tensor
-    joints: Tensor
-    alignment: Tensor
-    carrier: Tensor
-    placed: Tensor
-    bones: Tensor
-    branching: Tensor
-    strongest: Tensor
-    coarse: Tensor
-    """Points and normals of the low-poly versions; people of primitives, which have none, keep their points."""
-
-    def __init__(self, surfaces: list[CharacterSurface], body: RiggedBody) -> None:
-        super().__init__()
+    def __init__(self, surfaces: list[CharacterSurface], body: RiggedBody, device: torch.device = CPU) -> None:
+        # Points and normals of the low-poly versions; people of primitives, which have none, keep their points.
         levels = max(0 if surface.coarse is None else len(surface.coarse) for surface in surfaces)
         coarse = [
             np.array([[surface.points, surface.normals]] * levels) if surface.coarse is None else surface.coarse
             for surface in surfaces
         ]
-        self.register_buffer("coarse", torch.from_numpy(np.stack(coarse)).float())
+        self.coarse = on_device(np.stack(coarse), device)
         self.parents = body.parents
-        for name in ("points", "normals", "weights", "joints", "alignment"):
-            stacked = np.stack([getattr(surface, name) for surface in surfaces])
-            self.register_buffer(name, torch.from_numpy(stacked).float())
-        self.register_buffer("carrier", torch.from_numpy(np.stack([surface.carrier for surface in surfaces])))
-        self.register_buffer("placed", torch.from_numpy(np.stack([surface.placed for surface in surfaces])))
-        self.register_buffer("strongest", self.weights.argmax(-1))
+        self.points, self.normals, self.weights, self.joints, self.alignment = (
+            on_device(np.stack([getattr(surface, name) for surface in surfaces]), device)
+            for name in ("points", "normals", "weights", "joints", "alignment")
+        )
+        carrier, placed = (np.stack([getattr(surface, name) for surface in surfaces]) for name in ("carrier", "placed"))
         bones, branching = bone_directions(body)
-        self.register_buffer("bones", (self.alignment @ torch.from_numpy(bones).float()[..., None])[..., 0])
-        self.register_buffer("branching", torch.from_numpy(branching))
+        self.carrier, self.placed, self.branching = (
+            torch.from_numpy(array).to(device) for array in (carrier, placed, branching)
+        )
+        self.strongest = self.weights.argmax(-1)
+        self.bones = (self.alignment @ on_device(bones, device)[..., None])[..., 0]
 
     def choose(self, figures: Figures, count: int, rng: torch.Generator, missing: float) -> Int[Tensor, "B N"]:
         """Choose random points of figures and props, even by area; a share `missing` of them lack those of a ball.
@@ -205,10 +197,10 @@ class CharacterBank(nn.Module):
         device = self.points.device
         strongest = torch.cat([self.strongest[figures.which], figures.props.joint], 1)
         area = (figures.length * figures.girth).gather(1, strongest)
-        key = -torch.rand(area.shape, generator=rng, device=device).log() / area
+        key = -uniform(rng, *area.shape).log() / area
         centre = torch.randint(total, (size, 1), generator=rng, device=device)
-        radius = MAX_HOLE * torch.rand(size, 1, generator=rng, device=device)
-        radius = radius * (torch.rand(size, 1, generator=rng, device=device) < missing)
+        radius = MAX_HOLE * uniform(rng, size, 1)
+        radius = radius * (uniform(rng, size, 1) < missing)
         points = self.points[figures.which]
         offset = points - gather_points(points, centre)
         in_ball = offset.square().sum(-1) < radius.square()
@@ -302,26 +294,20 @@ class FigureSampler:
     def draw(self, size: int, rng: torch.Generator, low_poly: float = 0.0) -> Figures:
         """Draw figures, a share of them low-poly; left and right bones are scaled alike."""
         pack = torch.randint(len(self.rows), (size,), generator=rng, device=self.device)
-        place = self._uniform(rng, size)
+        place = uniform(rng, size)
         which = pick_rows(self.rows, pack, place)
-        spread = (self._uniform(rng, size, 1) < UNUSUAL) * UNUSUAL_SPREAD + USUAL_SPREAD * self._uniform(rng, size, 1)
+        spread = (uniform(rng, size, 1) < UNUSUAL) * UNUSUAL_SPREAD + USUAL_SPREAD * uniform(rng, size, 1)
         groups = int(self.group.max()) + 1
-        drawn = [spread * self._normal(rng, size, groups).clamp(-2, 2) for _ in range(2)]
-        larger = (self._uniform(rng, size, 1) < LARGE_HEADS) * HEAD_SCALE * self._uniform(rng, size, 1) * self.head
-        shorter = (self._uniform(rng, size, 1) < SHORT_LIMBS) * LIMB_SCALE * self._uniform(rng, size, 1) * self.limbs
+        drawn = [spread * normal(rng, size, groups).clamp(-2, 2) for _ in range(2)]
+        larger = (uniform(rng, size, 1) < LARGE_HEADS) * HEAD_SCALE * uniform(rng, size, 1) * self.head
+        shorter = (uniform(rng, size, 1) < SHORT_LIMBS) * LIMB_SCALE * uniform(rng, size, 1) * self.limbs
         length = (drawn[0][:, self.group] + larger - shorter).exp()
         girth = (drawn[1][:, self.group] + larger).exp()
-        lacking = ((self._uniform(rng, size, len(self.ends), 1) < WITHOUT_ENDS) & self.ends).any(1)
-        bumps = random_bumps(size, rng, self.device)
+        lacking = ((uniform(rng, size, len(self.ends), 1) < WITHOUT_ENDS) & self.ends).any(1)
+        bumps = random_bumps(size, rng)
         props = self.props.draw(size, rng)
-        level = random_levels(size, low_poly, rng, self.device)
+        level = random_levels(size, low_poly, rng)
         return Figures(which, length, girth, without_bumps(bumps, level), level, lacking, props)
-
-    def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
-        return torch.rand(*size, generator=rng, device=self.device)
-
-    def _normal(self, rng: torch.Generator, *size: int) -> Tensor:
-        return torch.randn(*size, generator=rng, device=self.device)
 
 
 @dataclass(frozen=True)
@@ -357,7 +343,7 @@ class CharacterPairs:
             missing: share of identities and of driving meshes that lack the points of a ball.
             low_poly: share of figures that are low-poly.
         """
-        self.bank, self.figures = CharacterBank(surfaces, body).to(device), FigureSampler(surfaces, body, device)
+        self.bank, self.figures = CharacterBank(surfaces, body, device), FigureSampler(surfaces, body, device)
         self.count, self.heading, self.missing, self.low_poly = count, heading, missing, low_poly
         self.parents = body.parents
 
@@ -373,7 +359,7 @@ class CharacterPairs:
         both_have = both_have & has  # joints that one of two lacks stay straight in both, so that the truth is exact
         rest = random_headings(size, self.heading, rng)[:, None] @ self.bank.alignment[identity.which]
         posed = world_rotations(of_known(poses[0], has), self.parents)
-        own = torch.rand(size, 1, 1, 1, generator=rng, device=rng.device) < OWN_REST
+        own = uniform(rng, size, 1, 1, 1) < OWN_REST
         pose = of_known(poses[1], both_have)
         turned = world_rotations(pose, self.parents)
         surface, other = self.bank.shaped(identity, index[0]), self.bank.shaped(driving, index[1])
@@ -464,4 +450,4 @@ class CharacterPairSource(PairSource):
         return torch.stack([first, near.gather(2, pick)[..., 0]], -1).flatten(1)
 
     def _random_rows(self, size: int, count: int, rng: torch.Generator) -> Int[Tensor, "B N"]:
-        return torch.rand(size, PAIR_POINTS, generator=rng, device=self.device).argsort(1)[:, :count]
+        return uniform(rng, size, PAIR_POINTS).argsort(1)[:, :count]
