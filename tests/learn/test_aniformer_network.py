@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 import torch
+from networks import infer_onnx
 from torch.nn import functional
 
 from mimesh.learn.aniformer import AniFormer, AniFormerConfig, AniFormerTask, Attention, FrameAttention, VertexAttention
-from mimesh.learn.export import compress, infer_onnx, to_onnx
+from mimesh.learn.export import compress, to_onnx
 from mimesh.methods.onnx_runtime import import_onnxruntime
 
 TINY = {"encoder": (8, 16, 24), "layers": (16, 8), "heads": 2}
@@ -209,7 +210,7 @@ def test_the_graph_stores_nothing_larger_than_all_features_or_the_products_of_on
     onnxruntime = import_onnxruntime()
 
     model, network = in_onnx
-    vertices, frames, widest = 3000, model.config.frames, max(model.config.layers)
+    vertices, frames, widest = 3000, model.config.frames, max(*model.config.encoder, *model.config.layers)
     watched = type(network).FromString(network.SerializeToString())
     names = {name for node in watched.graph.node for name in node.output} - {o.name for o in watched.graph.output}
     watched.graph.output.extend(type(watched.graph.output[0])(name=name) for name in sorted(names))

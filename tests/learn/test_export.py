@@ -8,12 +8,13 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from networks import infer_onnx
 
 import mimesh
 from mimesh.core.errors import InputError
 from mimesh.learn.config import load_config, recorded_config
 from mimesh.learn.cost import operations_of
-from mimesh.learn.export import export_command, infer_onnx
+from mimesh.learn.export import export_command
 from mimesh.learn.mime import POINTS
 from mimesh.methods.onnx_runtime import import_onnxruntime
 

@@ -12,13 +12,13 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from networks import infer_onnx
 from paper_networks import NPT_PARAMETERS, aniformer, aniformer_shapes, npt, npt_shapes, random_state
 
 from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import save_mesh
-from mimesh.learn.export import infer_onnx
 from mimesh.learn.published_weights import load_published, read_state
 from mimesh.methods.find import find_method
 

@@ -268,7 +268,7 @@ class AniFormer(nn.Module):
         for layer in self.layers:
             h = layer(h, points)
         if self.config.head == "regression":
-            h = self._mlp(h.mean(dim=2, keepdim=True))
+            h = self.mlp[1](self.mlp[0](h.mean(dim=2, keepdim=True)).relu())
         bound = 2.0 if self.config.output == "2tanh" else 1.0
         return bound * torch.tanh(self.head(h).float()).permute(1, 2, 3, 0)
 
@@ -278,10 +278,6 @@ class AniFormer(nn.Module):
         if index is None or not self.config.vertices:
             return self.embedding
         return self.embedding[:, 0][..., index].transpose(1, 2)
-
-    def _mlp(self, h: Float[Tensor, "C B 1 V"]) -> Float[Tensor, "C B 1 V"]:
-        """Apply the MLP block of the regression head."""
-        return self.mlp[1](self.mlp[0](h).relu())
 
     def estimate_flops(self, vertices: int) -> float:
         """Count floating-point operations of a window's forward pass, a driving frame: two for each use of a weight.

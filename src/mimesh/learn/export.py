@@ -16,13 +16,11 @@ import onnx
 import onnxscript.optimizer
 import torch
 from google.protobuf.message import DecodeError
-from jaxtyping import Float
 from torch import Tensor, nn
 
 from ..core.errors import InputError
 from ..evaluate.metrics import VERSION
 from ..io.atomic import together, whole_file, written
-from ..methods.onnx_runtime import import_onnxruntime
 from . import checkpoint
 from .checkpoint import Checkpoint
 from .config import recorded_config
@@ -159,14 +157,6 @@ def test_set(card: dict[str, Any]) -> str:
     if card["config"].get("data", {}).get("pairing") == "order":
         return "clips-ordered"
     return find_task(card["config"].get("network", "npt")).test_set
-
-
-def infer_onnx(
-    network: onnx.ModelProto, identity: Float[np.ndarray, "B V 3"], driving: Float[np.ndarray, "B *T U 3"]
-) -> Float[np.ndarray, "B *R V 3"]:
-    """Run an exported network once, to compare it with torch."""
-    session = import_onnxruntime().InferenceSession(network.SerializeToString(), providers=["CPUExecutionProvider"])
-    return np.asarray(session.run(["result"], {"identity": identity, "driving": driving})[0])
 
 
 def to_onnx(interface: OnnxInterface) -> onnx.ModelProto:

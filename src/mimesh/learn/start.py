@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..core.errors import InputError
@@ -23,12 +23,6 @@ CHARACTER_SHARE = 0.5
 """Share of every batch that characters of a folder have, unless the configuration says otherwise."""
 
 
-@contextlib.contextmanager
-def no_bar(title: str) -> Iterator[None]:
-    """Show no progress."""
-    yield None
-
-
 def train_command(
     model: str,
     config: str,
@@ -40,7 +34,7 @@ def train_command(
     characters: Path | None = None,
     clips: Path | None = None,
     leave_out: Sequence[str] = (),
-    bar: ProgressBar = no_bar,
+    bar: ProgressBar = contextlib.nullcontext,
     meshes: Path | None = None,
     pattern: str = "",
 ) -> Path:

@@ -35,11 +35,6 @@ class TorchBody:
             for array in (*arrays, body.joints, body.joint_components)
         )
 
-    @property
-    def vertex_count(self) -> int:
-        """Number of vertices of the whole body."""
-        return self.rest.shape[1]
-
     def posed(
         self,
         shape: Float[Tensor, "B K"],

@@ -210,7 +210,7 @@ class BodySampler(VertexSampler):
         Centre and radius are those of the whole mesh, of which few vertices need to be posed. None: divide by the own.
         """
         count = index.shape[1]
-        if count == self.body.vertex_count:
+        if count == self.total:
             whole = self.body.posed(shape, rotmat)
             return in_unit_sphere(gather_points(whole, index), whole, radius)
         both = torch.cat([index, self.extreme.expand(len(index), -1)], dim=1)

@@ -160,7 +160,8 @@ class SurfaceBody:
 
     def posed(self, people: People, rotmat: Float[Tensor, "B J 3 3"], index: Int[Tensor, "B N"]) -> PosedSurface:
         """Pose chosen points of people by local joint rotations; the root joint stays where it rests."""
-        joints, rotation = self._rest_joints(people), world_rotations(rotmat, self.parents)
+        joints = self.joints + torch.einsum("bk,kjc->bjc", people.shape, self.joint_components)
+        rotation = world_rotations(rotmat, self.parents)
         position, linear, normal_map = scaled_joints(
             joints, self.bones[None], self.branching, people.length, people.girth, rotation, self.parents
         )
@@ -176,9 +177,6 @@ class SurfaceBody:
         points, normals = skinned_surface(rest.mT, normal.mT, weights, (joints, position), linear, normal_map)
         known = torch.ones_like(position[..., 0], dtype=torch.bool)
         return PosedSurface(points, normals, weights, rotation, position, known, known)
-
-    def _rest_joints(self, people: People) -> Float[Tensor, "B J 3"]:
-        return self.joints + torch.einsum("bk,kjc->bjc", people.shape, self.joint_components)
 
     def _bump_heights(self, people: People, index: Int[Tensor, "B N"]) -> Float[Tensor, "B 1 N"]:
         position = self.rest[:, index].transpose(0, 1)
