@@ -10,6 +10,7 @@ from trainings import TINY, assert_steps_are_pure, edge_lengths, length_changes
 from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
+from mimesh.learn.data.bodies import numbers_of_step
 from mimesh.learn.data.characters import TrainingCharacters
 from mimesh.learn.data.figures import CharacterPairSource
 from mimesh.learn.export import described_data
@@ -66,7 +67,7 @@ def test_characters_are_a_share_of_every_batch(pool):
     assert_steps_are_pure(mixed)
     alone = PairSource(dataclasses.replace(CONFIG, vertices=32), BODY, CPU, 0)
     alone.people.motion_frames = mixed.people.motion_frames
-    people = alone.pairs(6, alone._generator(4))
+    people = alone.pairs(6, numbers_of_step(0, 4, alone.device))
     batch = mixed.batch(8, 4)
     assert torch.equal(batch.truth[:6], people.truth)
     assert batch.edges.shape == (8, 16, 2)

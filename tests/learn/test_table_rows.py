@@ -67,11 +67,13 @@ def test_a_table_is_trained_with_seeds_and_measured(tmp_path):
 
 @pytest.mark.usefixtures("small_table")
 def test_a_folder_with_a_training_of_another_recipe_is_refused(tmp_path, capsys, monkeypatch):
-    run = TrainingRun.start(row_config("npt-equal", 0, 0.001), tmp_path)
-    run.save(tmp_path / "runs/tables/seed0/npt-equal/last.safetensors")
+    started = TrainingRun.start(row_config("npt-equal", 0, 0.001), tmp_path)
+    folder = tmp_path / "runs/tables/seed0/npt-equal"
+    folder.mkdir(parents=True)
+    started.save(folder / "last.safetensors")
     found = r"found another \(minutes 0\.002 here, 0\.001 there\); choose"
     with pytest.raises(InputError, match=f"expected no training, or one with this configuration, {found}"):
-        train_row("npt-equal", 0, 0.002, tmp_path / "runs/tables/seed0")
+        train_row("npt-equal", 0, 0.002, folder.parent)
     recipe = TrainedRow("npt", (*TINY, "data.vertices=64", "model.encoder=[8,16,32]", "edge=off"))
     monkeypatch.setitem(table_rows.ROWS, "npt-equal", recipe)
     words = ["--minutes", "0.001", "--without", "npt-full", "--without", "npt-no-edge"]

@@ -38,6 +38,7 @@ from ..core.errors import InputError
 from ..evaluate.clip_protocols import FRAMES, ClipPair
 from ..evaluate.pairs import Pair
 from . import layers
+from .data.bodies import numbers_of_step
 from .data.endless import PeopleOptions
 from .data.people import BodySampler
 from .data.registered import MeshOptions, MeshWindowSource, WindowBatch
@@ -328,8 +329,7 @@ class WindowSource(BodySampler):
     """Makes batches of windows of one length."""
 
     def batch(self, size: int, step: int) -> WindowBatch:
-        """Make the windows of a step."""
-        rng = self._generator(step)
+        rng = numbers_of_step(self.seed, step, self.device)
         (identity_shape, driving_shape), identity_pose, poses = self.people.windows(size, rng)
         index, driving_index, edges, share = self._sample_vertices(size, rng)
         identity, radius = self._normalized_mesh(identity_shape, identity_pose, index)

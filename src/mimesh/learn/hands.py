@@ -29,6 +29,7 @@ from ..core.errors import InputError
 from .data.bodies import (
     gather_points,
     normal,
+    numbers_of_step,
     on_device,
     rotvec_to_rotmat,
     scaled_joints,
@@ -112,7 +113,6 @@ class HandsTrainConfig(TrainConfig):
     structure: HandLossConfig = field(default_factory=HandLossConfig)
 
     def check(self, where: str) -> None:
-        """Raise InputError for values that do not go together."""
         super().check(where)
         self.model.check(where)
 
@@ -200,8 +200,7 @@ class HandSource:
         self.rows, self.shares = list(rows.values()), torch.tensor(group_shares(kinds, characters), device=device)
 
     def batch(self, size: int, step: int) -> HandBatch:
-        """Make the hands of a step."""
-        rng = torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
+        rng = numbers_of_step(self.seed, step, self.device)
         group = self.shares.multinomial(size, replacement=True, generator=rng)
         which = pick_rows(self.rows, group, uniform(rng, size))
         rotation = self._rotations(which, rng)
@@ -361,11 +360,9 @@ class HandTrials:
         self.source = source
 
     def count(self, kind: str, limit: int) -> int:
-        """Give the number of trials: as many as are asked for."""
         return limit
 
     def pair(self, split: str, kind: str, index: int) -> HandBatch:
-        """Make a trial; all are of one kind."""
         return self.source.batch(TRIAL_HANDS, index)
 
 

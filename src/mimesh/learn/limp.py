@@ -27,6 +27,7 @@ from ..core.errors import InputError
 from ..evaluate.clip_protocols import ClipPair, on_template
 from ..evaluate.pairs import Pair
 from ..evaluate.remesh import template
+from .data.bodies import numbers_of_step
 from .data.endless import PeopleOptions
 from .data.people import PairBatch, PairSource
 from .layers import PointConv, edge_vectors, instance_norm, mean_squared_distance
@@ -223,7 +224,7 @@ class LIMPTask(PaperTask[LIMPTrainConfig, LIMP]):
 
     def loss(self, model: LIMP, batch: PairBatch, step: int) -> Tensor:
         """Compute the reconstruction and the metric terms; the truth is the same person in another pose."""
-        rng = torch.Generator(self.device).manual_seed(self.config.seed * 1_000_003 + step)
+        rng = numbers_of_step(self.config.seed, step, self.device)
         meshes = (batch.identity, batch.truth, batch.driving)
         with self.autocast():
             return limp_loss(model, *meshes, batch.edges[0], self.config.metrics, rng)

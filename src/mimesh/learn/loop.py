@@ -328,7 +328,6 @@ class TrainingLog:
         self.write("training", figures)
 
     def _begin(self) -> None:
-        """Begin to collect anew."""
         self.losses: list[Tensor] = []
         self.time, self.seconds, self.operations = time.monotonic(), self.run.seconds, self.run.operations
 

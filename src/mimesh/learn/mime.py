@@ -32,7 +32,7 @@ from ..evaluate.metrics import pmd_aligned
 from ..evaluate.pairs import Pair
 from ..evaluate.protocols import Protocol
 from ..evaluate.quadruped import QUADRUPED
-from .data.bodies import gather_points, normal, posed_joints, skinned, uniform
+from .data.bodies import gather_points, normal, numbers_of_step, posed_joints, skinned, uniform
 from .data.characters import CharacterOptions, TrainingCharacters
 from .data.endless import TABLE_KINDS, EndlessPeople, PeopleOptions
 from .data.figures import CharacterPairs, share_of
@@ -174,7 +174,6 @@ class MimeTrainConfig(TrainConfig):
     structure: MimeLossConfig = field(default_factory=MimeLossConfig)
 
     def check(self, where: str) -> None:
-        """Raise InputError for values that do not go together."""
         super().check(where)
         self.model.check(where)
 
@@ -509,8 +508,7 @@ class SurfaceSource:
             self.people.add_poses(characters.all_poses)
 
     def batch(self, size: int, step: int) -> SurfaceBatch:
-        """Make the pairs of a step."""
-        rng = torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
+        rng = numbers_of_step(self.seed, step, self.device)
         figures = share_of(size, self.config.characters, step)
         groups = [self._people(size - figures, rng)] if figures < size else []
         groups += [self._figures(figures, rng)] if figures else []

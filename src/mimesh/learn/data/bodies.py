@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -78,6 +80,23 @@ class TorchBody:
 def on_device(array: np.ndarray, device: torch.device) -> Tensor:
     """Copy an array to a device in float32."""
     return torch.from_numpy(array).float().to(device)
+
+
+def copied_to(device: torch.device, value: Any) -> Any:
+    """Copy a tensor to a device, or a tuple or dataclass with all tensors in it."""
+    if isinstance(value, Tensor):
+        return value.to(device)
+    if isinstance(value, tuple):
+        return tuple(copied_to(device, part) for part in value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        parts = {field.name: copied_to(device, getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return dataclasses.replace(value, **parts)
+    return value
+
+
+def numbers_of_step(seed: int, step: int, device: torch.device) -> torch.Generator:
+    """Make the random numbers of a step of a training; seeds are a million steps apart."""
+    return torch.Generator(device).manual_seed(seed * 1_000_003 + step)
 
 
 def uniform(rng: torch.Generator, *size: int) -> Tensor:

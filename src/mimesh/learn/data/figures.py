@@ -27,6 +27,7 @@ from .bodies import (
     CPU,
     gather_points,
     normal,
+    numbers_of_step,
     on_device,
     posed_joints,
     scaled_joints,
@@ -416,8 +417,8 @@ class CharacterPairSource(PairSource):
         self.figures = CharacterPairs(list(characters.surfaces), body, device, PAIR_POINTS, heading, missing=(0.0, 0.0))
 
     def batch(self, size: int, step: int) -> PairBatch:
-        """Make the pairs of a step."""
-        rng, figures = self._generator(step), share_of(size, self.characters, step)
+        rng = numbers_of_step(self.seed, step, self.device)
+        figures = share_of(size, self.characters, step)
         groups = [self.pairs(size - figures, rng)] if figures < size else []
         groups += [self._figures(figures, rng)] if figures else []
         names = ("identity", "driving", "truth", "truth_radius", "edges")

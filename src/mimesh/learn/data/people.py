@@ -22,7 +22,7 @@ from ...evaluate.clip_protocols import CLIPS_ANIFORMER
 from ...evaluate.protocols import HUMAN_NPT
 from ..task import DataConfig
 from . import endless
-from .bodies import TorchBody, extreme_vertices, gather_points, on_device, uniform
+from .bodies import TorchBody, extreme_vertices, gather_points, numbers_of_step, on_device, uniform
 from .endless import TABLE_KINDS, EndlessPeople, PeopleOptions, ReflectOptions, random_index, random_window
 
 
@@ -109,10 +109,6 @@ class VertexSampler:
         # Of the vertices in spatial order: cumulative share of their number, and of their area.
         self.cumulative = torch.stack([torch.ones_like(area).cumsum(0) / len(area), area.cumsum(0) / area.sum()])
         self.first_neighbour, self.neighbours = (torch.from_numpy(a).to(device) for a in geometry.neighbours(faces))
-
-    def _generator(self, step: int) -> torch.Generator:
-        """Make the random numbers of a step; seeds are a million steps apart."""
-        return torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
 
     def _sample_vertices(
         self, size: int, rng: torch.Generator
@@ -222,8 +218,7 @@ class PairSource(BodySampler):
     """Makes batches of pairs of people."""
 
     def batch(self, size: int, step: int) -> PairBatch:
-        """Make the pairs of a step."""
-        return self.pairs(size, self._generator(step))
+        return self.pairs(size, numbers_of_step(self.seed, step, self.device))
 
     def pairs(self, size: int, rng: torch.Generator) -> PairBatch:
         """Draw two people for each pair, in two poses, and make the first one in the pose of the second, too."""

@@ -94,7 +94,7 @@ class Primitive:
         return self.centre + points @ self.axes.T, normals @ self.axes.T
 
 
-def draw_shape(shapes: Sequence[Shape], rng: np.random.Generator) -> Shape:
+def draw_shape(shapes: tuple[Shape, ...], rng: np.random.Generator) -> Shape:
     """Draw one of some shapes."""
     return shapes[rng.integers(len(shapes))]
 

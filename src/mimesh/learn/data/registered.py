@@ -32,7 +32,7 @@ from ...evaluate.protocols import Protocol
 from ...io import list_animations, load_clip, load_points
 from ...io.formats import ANIMATED, CACHES, CLIP_READERS, COLLECTIONS, FORMATS, MESH_READERS, MOTIONS
 from ...motions.on_body import is_motion_file
-from .bodies import on_device, uniform
+from .bodies import copied_to, numbers_of_step, on_device, uniform
 from .characters import DAMAGED
 from .endless import ReflectOptions
 from .people import PairBatch, VertexSampler
@@ -654,8 +654,7 @@ class MeshWindowSource(VertexSampler):
         self.triples = copied_to(device, meshes.split.training)
 
     def batch(self, size: int, step: int) -> WindowBatch:
-        """Make the windows of a step."""
-        rng = self._generator(step)
+        rng = numbers_of_step(self.seed, step, self.device)
         frames = self.triples.draw(size, rng)
         index, driving_index, edges, share = self._sample_vertices(size, rng)
         identity = self.points[frames.identity[:, None], index]
@@ -669,18 +668,6 @@ class MeshWindowSource(VertexSampler):
         return WindowBatch(identity, driving, truth, unit, own, index, edges, share)
 
 
-def copied_to(device: torch.device, value: Any) -> Any:
-    """Copy a tensor to a device, or a tuple or dataclass with all tensors in it."""
-    if isinstance(value, Tensor):
-        return value.to(device)
-    if isinstance(value, tuple):
-        return tuple(copied_to(device, part) for part in value)
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        parts = {field.name: copied_to(device, getattr(value, field.name)) for field in dataclasses.fields(value)}
-        return dataclasses.replace(value, **parts)
-    return value
-
-
 class MeshPairSource:
     """Makes batches of pairs of registered meshes."""
 
@@ -688,7 +675,6 @@ class MeshPairSource:
         self.windows = MeshWindowSource(config, meshes, device, seed)
 
     def batch(self, size: int, step: int) -> PairBatch:
-        """Make the pairs of a step."""
         drawn = self.windows.batch(size, step)
         truth, own = drawn.truth[:, 0], drawn.truth_radius[:, 0]
         return PairBatch(drawn.identity, drawn.driving[:, 0], truth, own, drawn.edges, drawn.edges_of_mesh)

@@ -101,7 +101,6 @@ class PosedSurface:
 
     @classmethod
     def joined(cls, surfaces: Sequence[PosedSurface]) -> PosedSurface:
-        """Concatenate surfaces."""
         names = (field.name for field in dataclasses.fields(cls))
         return cls(*(torch.cat([getattr(surface, name) for surface in surfaces]) for name in names))
 
