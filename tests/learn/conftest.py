@@ -60,6 +60,7 @@ def exported(tmp_path_factory):
     }
 
     @cache
+    @torch.enable_grad()  # tests that compare results have none
     def export(network):
         folder = tmp_path_factory.mktemp(network)
         config, bits = configs[network]
