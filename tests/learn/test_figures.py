@@ -1,6 +1,5 @@
 """Characters in mime's training pairs: exact transfers, random proportions, and props."""
 
-import contextlib
 import dataclasses
 import json
 
@@ -19,7 +18,7 @@ from mimesh.learn.data.figures import FigureSampler
 from mimesh.learn.data.surfaces import repeat_visible, scanned
 from mimesh.learn.data.user_data import Folders, read_user_data
 from mimesh.learn.mime import MimeData, SurfaceSource, mime_loss
-from mimesh.learn.start import new_config, train_command
+from mimesh.learn.start import new_config, no_bar, train_command
 from mimesh.learn.task import shipped_body
 from mimesh.motions import walk_motion
 
@@ -178,7 +177,7 @@ def test_a_pack_is_left_out_by_one_option(pool, tmp_path, monkeypatch):
     config, out = new_config("mime", "small", None, TINY[1:], Folders(pool), ["toys"])
     assert out.name.endswith("-without-toys")
     assert (config.data.characters, config.data.leave_out) == (0.5, ("toys",))
-    found = read_user_data(config, Folders(pool), contextlib.nullcontext)
+    found = read_user_data(config, Folders(pool), no_bar)
     assert found.facts["left_out"] == {"toys": 1}
     with pytest.raises(InputError, match=r"--leave-out toys: expected it with --characters"):
         train_command("mime", "small", tmp_path / "other", None, 0.001, TINY[1:], None, None, None, ["toys"])

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -166,6 +167,7 @@ def test_a_signal_ends_a_training_with_a_checkpoint_that_resumes_exactly(tmp_pat
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
     assert process.stderr is not None
     assert any("precision 0 pairs" in line for line in process.stderr)  # training has begun
+    time.sleep(0.5)
     process.send_signal(signal.SIGTERM)
     said = process.communicate(timeout=60)[1]
     assert process.returncode == 130

@@ -23,6 +23,11 @@ CHARACTER_SHARE = 0.5
 """Share of every batch that characters of a folder have, unless the configuration says otherwise."""
 
 
+def no_bar(title: str) -> contextlib.AbstractContextManager[None]:
+    """Show no progress."""
+    return contextlib.nullcontext()
+
+
 def train_command(
     model: str,
     config: str,
@@ -34,7 +39,7 @@ def train_command(
     characters: Path | None = None,
     clips: Path | None = None,
     leave_out: Sequence[str] = (),
-    bar: ProgressBar = contextlib.nullcontext,
+    bar: ProgressBar = no_bar,
     meshes: Path | None = None,
     pattern: str = "",
 ) -> Path:
