@@ -81,7 +81,7 @@ def test_the_command_moves_animals_whose_axes_are_not_known(trained, tmp_path, c
     assert "--body: expected quadruped with the model animal, found human" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("network", "kind"), zip(LAYERS, QUADRUPED.kinds, strict=False))
+@pytest.mark.parametrize(("network", "kind"), list(zip(LAYERS, QUADRUPED.kinds, strict=False)))
 def test_a_network_that_changes_nothing_has_the_error_of_the_identity(network, kind, monkeypatch):
     """So pairs are validated with their own truth, by AniFormer as windows that stand still."""
     pair = QUADRUPED.pair("val", kind, 1)
