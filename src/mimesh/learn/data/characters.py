@@ -291,9 +291,6 @@ def read_character_folder(
 
     Args:
         body: shipped body whose joints the characters have, `human` or `quadruped`.
-
-    Raises:
-        InputError: no folder, a damaged index, or neither an index nor rigged files.
     """
     folder, read = Path(folder), read_rigged_animal if body == "quadruped" else read_rigged_character
     paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in RIGGED and path.is_file())
