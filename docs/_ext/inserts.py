@@ -14,10 +14,10 @@ from pathlib import Path
 
 from commands import command_reference
 from formats import FORMATS
+from write_results import read_reports, rows_by_set
 
 from mimesh.commands.about import DESCRIPTIONS
 from mimesh.evaluate.markdown import markdown_table
-from mimesh.evaluate.results import read_reports, rows_by_set
 from mimesh.evaluate.tables import paper_table
 from mimesh.methods.find import MODELS, SHIPPED_NETWORKS
 from mimesh.zoo import cards

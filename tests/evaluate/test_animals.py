@@ -12,7 +12,7 @@ from rigs import character
 from mimesh.bodies.character_pool import transferred_transforms
 from mimesh.core.errors import InputError
 from mimesh.evaluate.animals import animals, find_animal_landmarks, place_animal_joints, transforms_by_name
-from mimesh.evaluate.quadruped import quadruped
+from mimesh.evaluate.protocols import quadruped
 from mimesh.evaluate.run import evaluate_command, find_protocol
 from mimesh.io.gltf.animal import read_rigged_animal
 

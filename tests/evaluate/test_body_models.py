@@ -13,8 +13,7 @@ from smpl_files import loop_vertices, small_arrays, write_model
 from mimesh.bodies.sampling import TABLE_6
 from mimesh.cli import run
 from mimesh.core.errors import InputError
-from mimesh.evaluate.body_models import COMPONENTS, on_body_model
-from mimesh.evaluate.generate import generate_command
+from mimesh.evaluate.generate import COMPONENTS, generate_command, on_body_model
 from mimesh.io import load_clip, load_mesh
 
 FRAMES = 30

@@ -15,8 +15,7 @@ from mimesh.bodies import load_body
 from mimesh.bodies.character_pool import Limb, PoolCharacter, read_pool, transferred_transforms
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
-from mimesh.evaluate.character_poses import body_pose, find_character_landmarks, pose_character
-from mimesh.evaluate.characters import Characters, characters
+from mimesh.evaluate.characters import Characters, body_pose, characters, find_character_landmarks, pose_character
 from mimesh.evaluate.generate import generate_command
 from mimesh.evaluate.markdown import kind_table, markdown
 from mimesh.evaluate.measure import Output, measure, measure_characters

@@ -6,15 +6,26 @@ from functools import cache
 import numpy as np
 import pytest
 from deepmimic_files import write_folder
+from freeze_sets import degrees_to_training, training_poses
 from held_out_files import SHORT, write_takes
 from matrix import matrix
 from same_pose import assert_same_pose
 
 from mimesh.bodies.sampling import sample_shape
 from mimesh.core.errors import InputError
-from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, GAITS, SEEN, STRESS, clips_aniformer
-from mimesh.evaluate.frozen_sets import degrees_to_training, frozen_sets, training_poses
-from mimesh.evaluate.held_out_takes import ANIMATED, BOXING_SECONDS, ORDER, TAKES, is_held_out
+from mimesh.evaluate.clip_protocols import (
+    ANIMATED,
+    BOXING_SECONDS,
+    CLIPS_ANIFORMER,
+    GAITS,
+    ORDER,
+    SEEN,
+    STRESS,
+    TAKES,
+    clips_aniformer,
+    is_held_out,
+)
+from mimesh.evaluate.frozen_sets import frozen_sets
 from mimesh.evaluate.metrics import pmd, resized
 from mimesh.evaluate.pairs import human
 from mimesh.motions import load_motion, resample, spline_motion
@@ -52,7 +63,6 @@ def test_protocol_has_the_numbers_of_the_paper():
     assert len(CLIPS_ANIFORMER.seen(human())) == sum(SEEN.values()) == 80
     assert len({motion.name for motion in CLIPS_ANIFORMER.seen(human())}) == 80
     assert CLIPS_ANIFORMER.train_motions(human()).shape == (80, 30, 31, 3, 3)
-    assert CLIPS_ANIFORMER.train_paths(human()).shape == (80, 30, 3)
     assert CLIPS_ANIFORMER.train_people(human()).shape == (16, 16)
     assert KINDS == ("seen", "held-out", "procedural", "stress")
     assert [CLIPS_ANIFORMER.count(kind) for kind in KINDS] == [24, 30, 20, 13]
@@ -62,7 +72,8 @@ def test_protocol_has_the_numbers_of_the_paper():
 
 
 def test_motions_are_rotations_that_begin_at_the_origin_facing_front():
-    rotmat, root = CLIPS_ANIFORMER.train_motions(human()), CLIPS_ANIFORMER.train_paths(human())
+    rotmat = CLIPS_ANIFORMER.train_motions(human())
+    root = np.stack([motion.root for motion in CLIPS_ANIFORMER.seen(human())])
     np.testing.assert_allclose(np.linalg.det(rotmat[:, ::10]), 1, atol=1e-9)
     np.testing.assert_array_equal(root[:, 0, [0, 2]], 0)
     front = rotmat[:, 0, 0, :, 2]

@@ -10,9 +10,8 @@ from matrix import matrix
 from networks import write_sequence_network
 
 from mimesh.core.errors import InputError
-from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
-from mimesh.evaluate.clips_ordered import CLIPS_ORDERED, UNSEEN, clips_ordered
-from mimesh.evaluate.measure import extra_inputs, on_supported_vertices, result_frames
+from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, UNSEEN, clips_ordered
+from mimesh.evaluate.measure import extra_inputs, on_supported_vertices, run_on_clip
 from mimesh.evaluate.metrics import pmd_aligned, resized
 from mimesh.evaluate.pairs import human
 from mimesh.motions import load_motion
@@ -106,9 +105,9 @@ def test_networks_that_pair_by_index_are_measured_here_and_refused_where_vertice
         truth_frames=ordered.truth_frames[:3],
         aligned_frames=ordered.aligned_frames[:3],
     )
-    assert result_frames(short, network).shape == (3, 6890, 3)
+    assert run_on_clip(short, network).vertices.shape == (3, 6890, 3)
     with pytest.raises(InputError, match="other triangles"):
-        result_frames(shuffled, network)
+        run_on_clip(shuffled, network)
 
 
 def test_a_network_with_weights_for_each_vertex_gets_the_order_of_the_body(monkeypatch):

@@ -7,19 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from freeze_sets import INEXACT, freeze, kinds_of
 from matrix import matrix
 
 from mimesh.evaluate.characters import characters
-from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, clips_aniformer
-from mimesh.evaluate.clips_ordered import CLIPS_ORDERED, clips_ordered
+from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair, clips_aniformer, clips_ordered
 from mimesh.evaluate.cross_body import cross_body
 from mimesh.evaluate.fingers import fingers
 from mimesh.evaluate.frozen_sets import (
     FIRST,
-    INEXACT,
-    freeze,
     frozen_sets,
-    kinds_of,
     pair_checksum,
     role,
     set_checksum,

@@ -11,9 +11,7 @@ from mimesh.bodies.character_limbs import Limb
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.mesh import Mesh
-from mimesh.evaluate.limb_calibration import LimbedCharacter, calibration_report
-from mimesh.evaluate.limb_metrics import PosedLimbs, limb_metrics
-from mimesh.evaluate.self_penetration import LimbSamples
+from mimesh.evaluate.limb_metrics import LimbedCharacter, LimbSamples, PosedLimbs, calibration_report, limb_metrics
 
 FIGURES = ("limb_deg", "end_effector", "joint_pct", "sole_height", "penetration")
 ENDS = {"LeftArm": "LeftForeArm", "LeftForeArm": "LeftHand", "LeftUpLeg": "LeftLeg", "LeftLeg": "LeftFoot"}

@@ -8,8 +8,8 @@ from matrix import matrix
 from mimesh.bodies.animals import ANIMALS
 from mimesh.bodies.quadruped import LOWERED_HEAD, lowered_head, posture
 from mimesh.bodies.sampling import rotvec_to_rotmat
+from mimesh.evaluate.figures import species_clip
 from mimesh.evaluate.measure import measure
-from mimesh.evaluate.named_animals import species_clip
 from mimesh.motions.gaits import GAITS, quadruped_poses, quadruped_takes
 
 

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from freeze_sets import degrees_to_training, training_poses
 from garment_files import write_test_garments
 from matrix import matrix
 from same_pose import assert_same_pose
@@ -12,7 +13,6 @@ from scipy.spatial import KDTree
 
 from mimesh.bodies.dress import GARMENTS, TEST_FILE, TEST_GARMENTS
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
-from mimesh.evaluate.frozen_sets import degrees_to_training, training_poses
 from mimesh.evaluate.metrics import pmd, resized
 from mimesh.evaluate.pairs import human
 from mimesh.evaluate.protocols import (

@@ -6,7 +6,7 @@ from animals import BODY
 from matrix import matrix
 
 from mimesh.evaluate.measure import measure
-from mimesh.evaluate.quadruped import QUADRUPED
+from mimesh.evaluate.protocols import QUADRUPED
 from mimesh.evaluate.run import find_protocol
 from mimesh.evaluate.summary import summary
 

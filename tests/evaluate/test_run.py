@@ -13,7 +13,6 @@ from networks import write_network, write_sequence_network
 from mimesh.core.errors import InputError, RefusedMeshError
 from mimesh.core.normalization import Normalization, bbox_centre, radius
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
-from mimesh.evaluate.dump import dump_worst
 from mimesh.evaluate.generate import generate_command
 from mimesh.evaluate.markdown import markdown
 from mimesh.evaluate.measure import (
@@ -22,14 +21,13 @@ from mimesh.evaluate.measure import (
     extra_inputs,
     measure,
     measure_clip,
-    result_frames,
-    result_vertices,
+    run_on_clip,
     run_on_pair,
 )
 from mimesh.evaluate.metrics import box_radius, resized
 from mimesh.evaluate.pairs import mirrored
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT, HumanNpt
-from mimesh.evaluate.run import evaluate_command, fingerprint
+from mimesh.evaluate.run import dump_worst, evaluate_command, fingerprint
 from mimesh.evaluate.summary import summary
 from mimesh.evaluate.tables import TABLES, paper_table, table_command
 from mimesh.io import load_mesh
@@ -132,12 +130,12 @@ def test_network_without_a_size_gets_that_of_the_truth(tmp_path):
     """As in the validation of its training."""
     network = str(write_network(tmp_path / "truth.onnx", target_scale="truth"))
     pair = HUMAN_NPT.pair("val", "unseen", 0)
-    sized = result_vertices(pair, network)
+    sized = run_on_pair(pair, network).vertices
     axes = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
     free = transfer(pair.identity, pair.driving, network, **axes, refine=False)
     assert np.allclose(resized(free.vertices, sized), resized(sized, sized), atol=1e-4)
     same = str(write_network(tmp_path / "identity.onnx", target_scale="identity"))
-    sizes = [np.ptp(points, axis=0).max() for points in (sized, result_vertices(pair, same))]
+    sizes = [np.ptp(points, axis=0).max() for points in (sized, run_on_pair(pair, same).vertices)]
     radii = [radius(points - bbox_centre(points)) for points in (pair.truth, pair.identity.vertices)]
     assert np.isclose(sizes[0] / sizes[1], radii[0] / radii[1])
     assert "true size" in extra_inputs(network)
@@ -334,10 +332,10 @@ def shortened(trial, frames):
 def test_clip_of_a_network_equals_its_single_frames(trial, scale, tmp_path):
     """Prepared once, the network gives each frame the result that it gives that frame alone."""
     network = str(write_network(tmp_path / f"{scale}.onnx", "global_max", scale))
-    frames = result_frames(trial, network)
+    frames = run_on_clip(trial, network).vertices
     assert frames.shape == trial.truth_frames.shape
     for t in (0, 3):
-        alone = result_vertices(trial.frame(t), network)
+        alone = run_on_pair(trial.frame(t), network).vertices
         assert np.allclose(resized(frames[t], alone), resized(alone, alone), atol=1e-4)
     assert not np.allclose(resized(frames[0], alone), resized(alone, alone), atol=1e-2)
     figures = measure_clip(trial, network)
@@ -350,7 +348,7 @@ def test_network_without_a_size_gets_that_of_each_true_frame(trial, write, tmp_p
     network = str(write(tmp_path / "sizeless.onnx", target_scale="truth"))
     growing = dataclasses.replace(trial, truth_frames=trial.truth_frames * 2.0 ** np.arange(4)[:, None, None])
     for t, (frame, grown) in enumerate(
-        zip(result_frames(trial, network), result_frames(growing, network), strict=True)
+        zip(run_on_clip(trial, network).vertices, run_on_clip(growing, network).vertices, strict=True)
     ):
         sizes = [radius(points - bbox_centre(points)) for points in (frame, grown)]
         assert sizes[1] / sizes[0] == pytest.approx(2.0**t, rel=1e-9)

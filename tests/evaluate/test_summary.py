@@ -4,9 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from write_results import warnings_count
 
 from mimesh.evaluate.run import evaluate_command, report_text
-from mimesh.evaluate.summary import half_interval, summary, warnings_count, win_share
+from mimesh.evaluate.summary import half_interval, summary, win_share
 
 
 def figures(pmd, pair="", identity="a", driving="b", **more):

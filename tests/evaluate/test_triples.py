@@ -6,7 +6,7 @@ import os
 import pytest
 
 from mimesh.core.errors import InputError
-from mimesh.evaluate.triples import find_lists, read_heights, read_list, write_list
+from mimesh.evaluate.listed_pairs import find_lists, read_heights, read_list, write_list
 
 
 @pytest.fixture

@@ -14,8 +14,7 @@ from PIL import Image
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import border_edges, vertex_normals
 from mimesh.core.mesh import Clip, Material, Mesh, Part
-from mimesh.player.pack import MotionLimits, Panel, pack_scene
-from mimesh.player.split_vertices import split_vertices
+from mimesh.player.pack import MotionLimits, Panel, pack_scene, split_vertices
 from mimesh.player.thinning import DENSE_VERTICES, simplify_clip, subset
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mimesh.player.texture_store import TextureStore
+from mimesh.player.pack import TextureStore
 from mimesh.render.textures import decode_image
 
 RAMP = np.arange(256, dtype=np.uint8).reshape(16, 16)

@@ -23,8 +23,7 @@ from ..core.errors import InputError
 from ..core.mesh import Mesh
 from ..io.gltf.animal import read_rigged_animal
 from .pairs import Pair
-from .protocols import Protocol
-from .quadruped import quadruped
+from .protocols import Protocol, quadruped
 
 SUFFIXES = (".fbx", ".glb", ".gltf")
 SHARED = 0.6

@@ -12,20 +12,23 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..bodies.animals import ANIMALS
+from ..bodies.quadruped import posture
 from ..bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
 from ..core.errors import InputError, did_you_mean
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, permute_vertices
 from ..io import load_mesh
 from ..methods.find import check_weights, how_to_make, missing_weights
+from ..motions.gaits import SEEDS, gait_rotations
+from ..motions.motion import Motion, rotmat_to_rotvec
+from ..motions.procedural import planted
 from ..pipeline import animate, transfer
-from .clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair, make_clip_pair
-from .clips_ordered import CLIPS_ORDERED
+from .clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, FPS, FRAMES, ClipPair, make_clip_pair
 from .cross_body import SUFFIXES
-from .measure import on_supported_vertices, result_frames, result_vertices
-from .named_animals import species_clip
-from .pairs import Pair, Person, human, shuffle_vertices
-from .protocols import HUMAN_NPT, NOISE, with_noise
+from .measure import on_supported_vertices, run_on_clip, run_on_pair
+from .pairs import Pair, Person, Pose, human
+from .protocols import HUMAN_NPT, NOISE, quadruped, with_noise
 from .run import check_method
 
 if TYPE_CHECKING:
@@ -144,9 +147,11 @@ def vertex_order_rows(models: tuple[str, ...], count: int, data: Path | None) ->
     """Make rows of one pair with another vertex order in each row, coloured by vertex index (NPT Fig. 8, 15)."""
     pair = HUMAN_NPT.unshuffled_pair("test", "unseen", 0, HUMAN_NPT.rng("test", "unseen", 0))
     for i in range(count):
-        ordered = shuffle_vertices(pair, np.random.default_rng(i)) if i else pair
+        ordered = pair.shuffled(np.random.default_rng(i)) if i else pair
         identity = ordered.identity
-        results = [(model, dataclasses.replace(identity, vertices=result_vertices(ordered, model))) for model in models]
+        results = [
+            (model, dataclasses.replace(identity, vertices=run_on_pair(ordered, model).vertices)) for model in models
+        ]
         shown = [("identity", identity), ("driving", ordered.driving), *results]
         yield [Tile(label, mesh, vertex_index_colors(len(mesh.vertices))) for label, mesh in shown]
 
@@ -359,7 +364,7 @@ def mesh_files(data: Path | None) -> list[Path]:
 
 def _pair_row(pair: Pair, models: tuple[str, ...]) -> list[Tile]:
     identity, faces = pair.identity, pair.identity.faces
-    results = [Tile(model, Mesh(result_vertices(pair, model), faces)) for model in models]
+    results = [Tile(model, Mesh(run_on_pair(pair, model).vertices, faces)) for model in models]
     return [Tile("identity", identity), Tile("driving", pair.driving), *results, Tile("truth", Mesh(pair.truth, faces))]
 
 
@@ -369,7 +374,7 @@ def _clip_rows(trial: ClipPair, models: tuple[str, ...], driving: str = "driving
     for model in models:
         supported = on_supported_vertices(trial, model)
         faces_of_model = supported.identity.faces
-        frames = [result_frames(_window(supported, int(t)), model)[1] for t in SHOWN_FRAMES]
+        frames = [run_on_clip(_window(supported, int(t)), model).vertices[1] for t in SHOWN_FRAMES]
         tiles = [
             Tile(f"{model}, frame {t}", Mesh(frame.astype(np.float64), faces_of_model))
             for t, frame in zip(SHOWN_FRAMES, frames, strict=True)
@@ -388,3 +393,25 @@ def _window(trial: ClipPair, t: int) -> ClipPair:
 
 def _frame_tiles(label: str, frames: Float[np.ndarray, "T V 3"], faces: Int[np.ndarray, "F 3"]) -> list[Tile]:
     return [Tile(f"{label}, frame {t}", Mesh(frames[t].astype(np.float64), faces)) for t in SHOWN_FRAMES]
+
+
+def species_clip(identity: str, driving: str, gait: str, number: int = 0) -> ClipPair:
+    """Make a trial: an animal of a species, which stands, and one of another in a gait; vertices are shuffled.
+
+    Args:
+        identity: a species of `bodies.animals.ANIMALS`.
+        driving: another one.
+        gait: a key of `motions.gaits.GAITS`.
+        number: chooses among random gaits of that kind, which no network is trained on.
+    """
+    body = quadruped()
+    pose = rotmat_to_rotvec(gait_rotations(body, gait, SEEDS["test"], number, FRAMES / FPS, FPS)) + posture(
+        body, driving
+    )
+    rotmat = rotvec_to_rotmat(pose)
+    motion = Motion(gait, body.joint_names, rotmat, planted(body, rotmat), FPS)
+    target, actor = (Person(body, np.array(ANIMALS[name].shape), name) for name in (identity, driving))
+    trial = make_clip_pair(target, actor, Pose(rotvec_to_rotmat(posture(body, identity)), "standing"), motion)
+    mesh = dataclasses.replace(trial.driving, name=f"{driving}, {gait}")
+    trial = dataclasses.replace(trial, driving=mesh, clip=Clip(mesh, trial.clip.vertices, FPS))
+    return trial.shuffled(np.random.default_rng(number))

@@ -26,10 +26,9 @@ from ..methods.find import find_method, weights_path
 from ..methods.root_motion import check_size
 from ..pipeline import ClipResult, Result, animate, transfer
 from .characters import CharacterPair
-from .clip_protocols import ClipPair, on_template, reorder_clip_vertices
+from .clip_protocols import ClipPair, on_template
 from .fingers import FingerPair, finger_metrics
-from .limb_calibration import LimbedCharacter
-from .limb_metrics import limb_metrics
+from .limb_metrics import LimbedCharacter, limb_metrics
 from .metrics import (
     acceleration_ratio,
     box_radius,
@@ -172,11 +171,6 @@ class Output(NamedTuple):
         """Move the result to where it is compared with the truth, frame by frame."""
         origin = bbox_centre(self.vertices) if self.origin is None else self.origin
         return self.vertices + (bbox_centre(truth) - origin)[..., None, :]
-
-
-def result_vertices(pair: Pair, method: str | Method, **options: Any) -> Float[np.ndarray, "V 3"]:
-    """Run a method on a pair and return the result's vertices in metres; see `run_on_pair`."""
-    return run_on_pair(pair, method, **options).vertices
 
 
 def run_on_pair(
@@ -353,11 +347,6 @@ def required_input(array: Any, method: str) -> Any:
     return array
 
 
-def result_frames(trial: ClipPair, method: str, **options: Any) -> Float[np.ndarray, "T V 3"]:
-    """Run a method on a clip and return the result's vertices in all frames, in metres; see `run_on_clip`."""
-    return run_on_clip(trial, method, **options).vertices
-
-
 def run_on_clip(
     trial: ClipPair, method: str, ensemble: int = 1, refine: bool = False, runtime: Runtime | None = None
 ) -> Output:
@@ -409,7 +398,7 @@ def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]
         "path_mm": path_error_mm(moved, truth, trial.height),
         "jitter": jitter(moved, truth, trial.height, fps),
         "liveliness": acceleration_ratio(moved, truth),
-        "still_mm": largest_step_mm(result_frames(repeat_first_frame(trial), method, **options), trial.height),
+        "still_mm": largest_step_mm(run_on_clip(repeat_first_frame(trial), method, **options).vertices, trial.height),
         "skate_cm_s": foot_skate(moved, truth, trial.height, fps),
         **facts,
         "seconds": facts["seconds"] / len(moved),
@@ -433,7 +422,7 @@ def on_supported_vertices(trial: ClipPair, method: str) -> ClipPair:
             )
         return on_template(trial)
     if trial.place is not None and getattr(network, "vertices", 0):
-        return reorder_clip_vertices(trial, trial.place, trial.place)
+        return trial.reordered(trial.place, trial.place)
     return trial
 
 

@@ -12,7 +12,10 @@ import re
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
 
 from ..bodies.dress import TEST_FILE
 from ..core.errors import InputError, did_you_mean
@@ -30,24 +33,49 @@ from ..methods.find import (
 )
 from .animals import animals
 from .characters import Characters, characters
-from .clip_protocols import ClipsAniformer, clips_aniformer
-from .clips_ordered import clips_ordered
+from .clip_protocols import ClipPair, ClipsAniformer, clips_aniformer, clips_ordered
 from .cross_body import cross_body
 from .fingers import FingerGestures, fingers
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
 from .listed_pairs import ListedClips, ListedPairs, listed_pairs
-from .measure import EXTRA_INPUTS, Runtime, measure, measure_characters, measure_clip, measure_fingers
-from .metrics import VERSION
+from .measure import (
+    EXTRA_INPUTS,
+    Runtime,
+    measure,
+    measure_characters,
+    measure_clip,
+    measure_fingers,
+    run_on_clip,
+    run_on_pair,
+)
+from .metrics import VERSION, pmd
 from .pairs import Pair, mirrored
-from .protocols import DRESSED, PROTOCOLS, SPLITS, Dressed, Protocol, with_test_garments
+from .protocols import DRESSED, PROTOCOLS, QUADRUPED, SPLITS, Dressed, Protocol, with_test_garments
 from .provenance import commit, libraries, machine
-from .quadruped import QUADRUPED
 from .summary import summary
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 WITHOUT_FOLDER: dict[str, Protocol] = {**PROTOCOLS, QUADRUPED.name: QUADRUPED}
 """Protocols that need no folder."""
-FOLDERS = ("cross-body", "characters", "clips-aniformer", "clips-ordered", "fingers", "animals")
+READ_A_FOLDER: dict[str, Callable[[Any], Protocol]] = {
+    "cross-body": cross_body,
+    "characters": characters,
+    "clips-aniformer": clips_aniformer,
+    "clips-ordered": clips_ordered,
+    "fingers": fingers,
+    "animals": animals,
+}
+"""Name -> function that makes the protocol from its folder, or None where only some kinds need one."""
+FOLDERS = tuple(READ_A_FOLDER)
 """Names of the protocols that read a folder."""
+NEED_A_FOLDER = {
+    "cross-body": "a folder of rigged characters",
+    "characters": "the folder of a pool of rigged characters",
+    "animals": "a folder of rigged animals",
+}
+"""Protocols that are nothing without their folder, and what it is."""
 
 
 def evaluate_command(
@@ -74,7 +102,7 @@ def evaluate_command(
     of the code, without changes to it, and for methods whose weights are the same.
 
     Args:
-        protocol: a name, or the path of a list of files or of a folder of lists (`triples`).
+        protocol: a name, or the path of a list of files or of a folder of lists (`listed_pairs`).
         pairs: number of pairs of each kind; 0 for the protocol's own.
         dump: folder for pictures of the worst pairs.
         data: folder of a protocol that reads one, or that the names of a list are relative to.
@@ -132,8 +160,6 @@ def evaluate_command(
             if label not in sets:  # every method gets the same pairs
                 sets[label] = set_facts(chosen, split, kind, [metrics["pair"] for metrics in figures], mirror)
             if dump is not None:
-                from .dump import dump_worst
-
                 dump_worst(chosen, split, kind, method, options, figures, dump)
     report = {
         "protocol": chosen.name,
@@ -301,26 +327,10 @@ def find_protocol(
     for option, value in (("--height", height), ("--fps", fps)):
         if value is not None:
             raise InputError(f"{option}: expected it with a list of files, found the protocol {name}; leave it out")
-    if name == "cross-body":
-        if data is None:
-            raise InputError("cross-body: expected a folder of rigged characters, found none; give it with --data")
-        return cross_body(data)
-    if name == "characters":
-        if data is None:
-            raise InputError(
-                "characters: expected a pool of rigged characters, found none; give its folder with --data"
-            )
-        return characters(data)
-    if name == "animals":
-        if data is None:
-            raise InputError("animals: expected a folder of rigged animals, found none; give it with --data")
-        return animals(data)
-    if name == "clips-aniformer":
-        return clips_aniformer(data)
-    if name == "clips-ordered":
-        return clips_ordered(data)
-    if name == "fingers":
-        return fingers(data)
+    if name in NEED_A_FOLDER and data is None:
+        raise InputError(f"{name}: expected {NEED_A_FOLDER[name]}, found none; give it with --data")
+    if name in READ_A_FOLDER:
+        return READ_A_FOLDER[name](data)
     if name == DRESSED.name and data is not None:
         return with_test_garments(data)
     if name not in WITHOUT_FOLDER:
@@ -370,3 +380,60 @@ def provenance(config: dict[str, Any]) -> dict[str, Any]:
         "libraries": libraries(),
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
+
+
+WORST = 3
+"""Number of pairs of each method and kind that are drawn."""
+
+
+def dump_worst(
+    protocol: Protocol,
+    split: str,
+    kind: str,
+    method: str,
+    options: dict[str, Any],
+    figures: list[dict[str, Any]],
+    folder: Path,
+) -> list[Path]:
+    """Draw the WORST pairs as `<folder>/<method>-<kind>-<rank>.png` and return the paths.
+
+    Means do not show them. The worst have the largest PMD or, where no true mesh is known, the largest angle between
+    limbs.
+    """
+    measured = {i: metrics.get("pmd_e4", metrics.get("limb_deg")) for i, metrics in enumerate(figures)}
+    errors = {i: error for i, error in measured.items() if error is not None}
+    worst = sorted(errors, key=errors.__getitem__, reverse=True)[:WORST]
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for rank, i in enumerate(worst, 1):
+        pair = protocol.pair(split, kind, i)
+        path = folder / f"{Path(method).stem}-{kind}-{rank}.png"
+        trial_picture(*_to_draw(pair, method, options)).save(path)
+        paths.append(path)
+    return paths
+
+
+def _to_draw(pair: Pair, method: str, options: dict[str, Any]) -> tuple[Pair, Float[np.ndarray, "V 3"]]:
+    """Return a pair and the method's result beside its truth; for a clip, those of the frame with the largest PMD."""
+    if not isinstance(pair, ClipPair):
+        return pair, run_on_pair(pair, method, **options).beside(pair.truth)
+    frames = run_on_clip(pair, method, **options).beside(pair.truth_frames)
+    worst = int(np.argmax([pmd(a, b) for a, b in zip(frames, pair.truth_frames, strict=True)]))
+    return pair.frame(worst), frames[worst]
+
+
+def trial_picture(pair: Pair, result: Float[np.ndarray, "V 3"]) -> Image.Image:
+    """Draw identity, driving, result and truth in a row, above the result's heat map (mm for a person of 1.7 m).
+
+    The result lies where it is compared with the truth.
+
+    Without a true mesh, the first three are drawn.
+    """
+    from ..render.heat import heat_map
+    from ..render.sheet import stack, transfer_sheet
+
+    scale = 1.7 / pair.height
+    shown, truth = (dataclasses.replace(pair.identity, vertices=scale * points) for points in (result, pair.truth))
+    if not pair.truth_known:
+        return transfer_sheet(pair.identity, pair.driving, shown)
+    return stack([transfer_sheet(pair.identity, pair.driving, shown, truth), heat_map(shown, truth)])

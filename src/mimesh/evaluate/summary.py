@@ -24,8 +24,6 @@ LABELS = ("pair", "identity", "driving")
 """What identifies a pair in a report: its checksum, and the groups that its two meshes are drawn from."""
 DIGITS = 6
 """Significant digits of the figures of single pairs."""
-BAD_E4, GOOD_E4 = 50.0, 10.0
-"""PMD x1e4 above which a result is bad, and below which it is good, where warnings are measured."""
 
 
 def summary(method: str, kind: str, figures: list[dict[str, Any]], body: str = "human") -> dict[str, Any]:
@@ -119,25 +117,3 @@ def _errors_by_pair(row: dict[str, Any]) -> dict[str, float]:
     each = row.get("each", {})
     pairs = zip(each.get("pair", ()), each.get("pmd_e4", ()), strict=True)
     return {pair: error for pair, error in pairs if error is not None}
-
-
-def warnings_count(rows: list[dict[str, Any]]) -> dict[str, int] | None:
-    """Count bad and good results, and how many of each came with a warning; None if the method gives no confidence."""
-    figures = confidence_figures(rows)
-    if not len(figures):
-        return None
-    error, _, warned = figures.T
-    bad, good = error > BAD_E4, error < GOOD_E4
-    counts = {"pairs": len(figures), "bad": bad.sum(), "bad_warned": (bad & (warned > 0)).sum()}
-    counts |= {"good": good.sum(), "good_warned": (good & (warned > 0)).sum()}
-    return {name: int(count) for name, count in counts.items()}
-
-
-def confidence_figures(rows: list[dict[str, Any]]) -> Float[np.ndarray, "N 3"]:
-    """Return PMD x1e4, uncertainty and whether there was a warning, of all pairs of rows that have them."""
-    found = []
-    for row in rows:
-        each = row.get("each", {})
-        columns = [each.get(name, ()) for name in ("pmd_e4", "uncertainty", "warned")]
-        found += [line for line in zip(*columns, strict=False) if None not in line]
-    return np.array(found, dtype=float).reshape(-1, 3)
