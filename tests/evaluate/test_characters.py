@@ -18,7 +18,7 @@ from mimesh.core.errors import InputError
 from mimesh.evaluate.characters import Characters, body_pose, characters, find_character_landmarks, pose_character
 from mimesh.evaluate.generate import generate_command
 from mimesh.evaluate.markdown import kind_table, markdown
-from mimesh.evaluate.measure import Output, measure, measure_characters
+from mimesh.evaluate.measure import Output, measure
 from mimesh.evaluate.run import evaluate_command, find_protocol
 from mimesh.evaluate.summary import summary
 
@@ -244,7 +244,7 @@ def test_result_that_is_not_finite_is_counted_as_a_failure(protocol, monkeypatch
     """A method must not improve its mean by failing."""
     pair = protocol.pair("val", "limits", 0)
     monkeypatch.setattr("mimesh.evaluate.measure.run_on_pair", lambda pair, method: Output(pair.truth * np.nan))
-    for measurement in (measure, measure_characters):
+    for measurement in (measure,):
         figures = measurement(pair, "identity")
         assert set(figures) == {"failed"}
     good = {"pmd_e4": 1.0, "pmd_public_e4": 1.0, "mm": 1.0, "seconds": 1.0}
@@ -256,7 +256,7 @@ def test_result_that_is_not_finite_is_counted_as_a_failure(protocol, monkeypatch
 def test_truth_has_no_error_and_the_unmoved_identity_has_one(protocol, monkeypatch):
     pair = protocol.pair("val", "limits", 0)
     monkeypatch.setattr("mimesh.evaluate.measure.run_on_pair", lambda pair, method: Output(pair.truth))
-    metrics = measure_characters(pair, "any")
+    metrics = measure(pair, "any")
     assert metrics["pmd_e4"] == pytest.approx(0, abs=1e-9)
     assert metrics["limb_deg"] < 3
     assert metrics["end_effector"] < 0.1

@@ -123,8 +123,7 @@ class Characters(Wide):
             pose = self.sample_rest_pose(split, base, number, rng)
             rest, rest_label = pose_character(identity, pose.rotmat), pose.label
         transforms, label = self.draw_pose(driving, split, base, number, rng)
-        make = _make_across_pair if across else _make_pair
-        return make(identity, driving, rest, transforms, (rest_label, label))
+        return _make_pair(identity, driving, rest, transforms, (rest_label, label), across)
 
     def draw_characters(
         self, split: str, kind: str, i: int, rng: np.random.Generator
@@ -196,43 +195,33 @@ def _across(data: Path, split: str) -> list[tuple[list[PoolCharacter], list[Pool
     return choices
 
 
-def _make_pair(identity, driving, rest, transforms, labels) -> CharacterPair:
-    """Make a pair of one skeleton, whose truth is the identity under the bone rotations of the driving character.
+def _make_pair(identity, driving, rest, transforms, labels, across: bool) -> CharacterPair:
+    """Make a pair; within one skeleton the truth is the identity under the bone rotations of the driving character.
 
-    The baseline `copy` needs a true correspondence, which exists only if both characters have the same triangles.
+    Across skeletons it is an estimate, see `CharacterPair`. The baseline `copy` needs a true correspondence, which
+    exists only if both characters have the same triangles.
     """
-    size = identity.leg / driving.leg
-    truth = identity.rig.skinned(transferred_transforms(driving.rig, identity.rig, transforms, size))
-    reference = driving.rig.skinned(transferred_transforms(identity.rig, driving.rig, rest, 1 / size))
-    pair = _pair(identity, driving, rest, transforms, labels, truth, truth_known=True)
-    same_topology = np.array_equal(identity.rig.mesh.faces, driving.rig.mesh.faces)
-    markers = np.stack([find_character_landmarks(identity), find_character_landmarks(driving)], axis=1)
-    markers[(markers < 0).any(axis=1), 1] = -1
-    return dataclasses.replace(
-        pair,
-        aligned=pair.driving.vertices if same_topology else None,
-        aligned_reference=reference if same_topology else None,
-        reference=reference,
-        markers=markers,
-    )
-
-
-def _make_across_pair(identity, driving, rest, transforms, labels) -> CharacterPair:
-    """Make a pair of two skeletons; its `truth` is an estimate, see `CharacterPair.truth_known`."""
-    # From what the driving mesh shows, not from the pose drawn: an arm of one joint has lost the bend of the elbow.
-    estimate = identity.rig.skinned(pose_character(identity, body_pose(driving, transforms)))
-    return _pair(identity, driving, rest, transforms, labels, estimate, truth_known=False)
-
-
-def _pair(identity, driving, rest, transforms, labels, truth, truth_known) -> CharacterPair:
     identity_posed, driving_posed = (
         PosedCharacter(character.meta, character.rig, character.limbs, pose)
         for character, pose in ((identity, rest), (driving, transforms))
     )
+    driving_mesh, extra = _mesh(driving_posed, labels[1]), {}
+    if across:
+        # From what the driving mesh shows, not from the pose drawn: an arm of one joint has lost the bend of the elbow.
+        truth = identity.rig.skinned(pose_character(identity, body_pose(driving, transforms)))
+    else:
+        size = identity.leg / driving.leg
+        truth = identity.rig.skinned(transferred_transforms(driving.rig, identity.rig, transforms, size))
+        reference = driving.rig.skinned(transferred_transforms(identity.rig, driving.rig, rest, 1 / size))
+        markers = np.stack([find_character_landmarks(identity), find_character_landmarks(driving)], axis=1)
+        markers[(markers < 0).any(axis=1), 1] = -1
+        extra = {"reference": reference, "markers": markers}
+        if np.array_equal(identity.rig.mesh.faces, driving.rig.mesh.faces):
+            extra |= {"aligned": driving_mesh.vertices, "aligned_reference": reference}
     height = float(np.ptp(identity.rig.mesh.vertices[:, 1]))
     return CharacterPair(
         identity=_mesh(identity_posed, labels[0]),
-        driving=_mesh(driving_posed, labels[1]),
+        driving=driving_mesh,
         truth=truth,
         height=height,
         metres=1.7 / height,
@@ -240,7 +229,8 @@ def _pair(identity, driving, rest, transforms, labels, truth, truth_known) -> Ch
         groups=(_group(identity.meta), _group(driving.meta)),
         identity_character=identity_posed,
         driving_character=driving_posed,
-        truth_known=truth_known,
+        truth_known=not across,
+        **extra,
     )
 
 

@@ -148,12 +148,8 @@ def vertex_order_rows(models: tuple[str, ...], count: int, data: Path | None) ->
     pair = HUMAN_NPT.unshuffled_pair("test", "unseen", 0, HUMAN_NPT.rng("test", "unseen", 0))
     for i in range(count):
         ordered = pair.shuffled(np.random.default_rng(i)) if i else pair
-        identity = ordered.identity
-        results = [
-            (model, dataclasses.replace(identity, vertices=run_on_pair(ordered, model).vertices)) for model in models
-        ]
-        shown = [("identity", identity), ("driving", ordered.driving), *results]
-        yield [Tile(label, mesh, vertex_index_colors(len(mesh.vertices))) for label, mesh in shown]
+        tiles = _pair_row(ordered, models)[:-1]  # without the truth
+        yield [tile._replace(colors=vertex_index_colors(len(tile.mesh.vertices))) for tile in tiles if tile.mesh]
 
 
 def noise_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
@@ -248,7 +244,9 @@ def clip_noise_rows(models: tuple[str, ...], count: int, data: Path | None) -> I
 def foreign_clip_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
     """Make rows of identities from a folder, driven by clips of the shipped body (AniFormer Fig. 5)."""
     for i, path in enumerate(mesh_files(data)[:count]):
-        clip = CLIPS_ANIFORMER.pair("test", "procedural", i).clip
+        trial = CLIPS_ANIFORMER.pair("test", "procedural", i)
+        assert isinstance(trial, ClipPair)
+        clip = trial.clip
         yield [EMPTY, *_frame_tiles("driving", clip.vertices, clip.mesh.faces)]
         identity = load_mesh(path)
         for model in models:
@@ -272,35 +270,24 @@ def animal_clip_rows(models: tuple[str, ...], count: int, data: Path | None) -> 
         yield from _clip_rows(trial, models, trial.driving.name)
 
 
+seen_rows, unseen_rows = (partial(comparison_rows, kind=kind) for kind in ("seen", "unseen"))
 SPARSE_DT = ("deformation-transfer-5", "deformation-transfer-13")
 FIGURES = {
     "npt-3": Figure("shape, pose and vertex order", influence_rows, (), 3),
-    "npt-6": Figure(
-        "seen poses, beside deformation transfer",
-        partial(comparison_rows, kind="seen"),
-        (*SPARSE_DT, "npt-full"),
-        4,
-    ),
-    "npt-7": Figure(
-        "unseen poses, beside deformation transfer",
-        partial(comparison_rows, kind="unseen"),
-        (*SPARSE_DT, "npt-full"),
-        4,
-    ),
+    "npt-6": Figure("seen poses, beside deformation transfer", seen_rows, (*SPARSE_DT, "npt-full"), 4),
+    "npt-7": Figure("unseen poses, beside deformation transfer", unseen_rows, (*SPARSE_DT, "npt-full"), 4),
     "npt-8": Figure("vertex order as colour", vertex_order_rows, ("npt-full",), 2),
-    "npt-9": Figure("ablations", partial(comparison_rows, kind="unseen"), NPT_ABLATIONS, 3),
+    "npt-9": Figure("ablations", unseen_rows, NPT_ABLATIONS, 3),
     "npt-10": Figure("identities from other makers", foreign_identity_rows, ("npt-full",), 3, needs_people=True),
     "npt-11": Figure("poses from other makers", foreign_driving_rows, ("npt-full",), 3, needs_people=True),
     "npt-12": Figure("noise, beside deformation transfer", noise_rows, ("deformation-transfer-13", "npt-full"), 4),
-    "npt-13": Figure(
-        "other baselines", partial(comparison_rows, kind="unseen"), ("skeleton", "npt-maxpool", "npt-full"), 4
-    ),
+    "npt-13": Figure("other baselines", unseen_rows, ("skeleton", "npt-maxpool", "npt-full"), 4),
     "npt-14": Figure("a horse in poses of a camel", animal_rows, ("npt-maxpool-quadruped", "npt-quadruped"), 3),
     "npt-15": Figure("more vertex orders", vertex_order_rows, ("npt-full",), 5),
     "npt-16": Figure("more noise", noise_rows, ("npt-full",), 6),
     "npt-17": Figure("more identities from other makers", foreign_identity_rows, ("npt-full",), 12, needs_people=True),
-    "npt-19": Figure("more seen poses", partial(comparison_rows, kind="seen"), ("npt-full",), 8),
-    "npt-20": Figure("more unseen poses", partial(comparison_rows, kind="unseen"), ("npt-full",), 8),
+    "npt-19": Figure("more seen poses", seen_rows, ("npt-full",), 8),
+    "npt-20": Figure("more unseen poses", unseen_rows, ("npt-full",), 8),
     "aniformer-1": Figure("one clip, several identities", one_clip_rows, ("aniformer-ordered-mixed",), 2),
     "aniformer-3": Figure(
         "unseen motions, beside methods that go frame by frame",

@@ -124,15 +124,11 @@ class LimbedCharacter:
         The limb of a joint is that of the nearest limb joint at or above it. Joints above all limbs, such as a root
         that carries hips and legs, belong to the trunk.
         """
-        names, parents = list(self.limbs), self.character.parents
+        names, rig = list(self.limbs), self.character
         limb_of_joint = {limb.joint: names.index(name) for name, limb in reversed(self.limbs.items())}
-        column = np.full(len(parents) + 1, len(names))  # the last joint is the world
-        for j, parent in enumerate(parents):
-            above = column[parent] if parent >= 0 else names.index("Trunk") if "Trunk" in names else len(names)
-            column[j] = limb_of_joint.get(j, above)
-        weights = np.zeros((len(self.rest), len(names) + 1))
-        np.add.at(weights, (np.arange(len(weights))[:, None], column[self.character.joint_of]), self.character.weights)
-        return weights[:, :-1]
+        columns = rig.nearest_columns(limb_of_joint, names.index("Trunk") if "Trunk" in names else len(names))
+        columns[-1] = len(names)  # the world belongs to no limb
+        return rig.summed_weights(columns, len(names) + 1)[:, :-1]
 
     @cached_property
     def cuts(self) -> dict[str, Sections]:

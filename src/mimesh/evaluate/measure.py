@@ -227,7 +227,7 @@ def deformation_transfer_inputs(pair: Pair, method: str) -> tuple[Mesh, dict[str
         driving, reference = (
             Mesh(required_input(points, method), pair.identity.faces)
             for points in (pair.aligned, pair.aligned_reference)
-        )  # fmt: skip
+        )
         return driving, {"reference": reference}
     if len(pair.driving.faces) == 0:
         raise NotApplicableError(f"{method}: expected triangles to take gradients of, found points")
@@ -281,28 +281,22 @@ def placed_shapes(
 def measure(pair: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
     """Measure a method on one pair and return its metrics.
 
-    {"why": reason} if the method cannot be applied, {"failed": reason} if its result is not finite.
+    Of two characters, their limbs are compared, too, and vertices only if their truth is known; of people with fingers,
+    the fingers. {"why": reason} if the method cannot be applied, {"failed": reason} if its result is not finite.
     """
     result, facts = timed(run_on_pair, pair, method, options)
-    return facts if result is None else shape_metrics(result.beside(pair.truth), pair.truth, pair) | facts
-
-
-def measure_characters(pair: CharacterPair, method: str | Method, **options: Any) -> dict[str, Any]:
-    """Measure a method on two characters: limbs against the driving character's; vertices if their truth is known."""
-    result, facts = timed(run_on_pair, pair, method, options)
     if result is None:
         return facts
-    metrics = shape_metrics(result.beside(pair.truth), pair.truth, pair) if pair.truth_known else {}
-    identity, driving = (LimbedCharacter(c.rig, c.limbs) for c in (pair.identity_character, pair.driving_character))
-    return metrics | limb_metrics(identity, driving, result.vertices, pair.driving.vertices) | facts
-
-
-def measure_fingers(pair: FingerPair, method: str | Method, **options: Any) -> dict[str, Any]:
-    """Measure a method on a pair of people with fingers: vertices as `measure`, and fingers in the palm's frame."""
-    result, facts = timed(run_on_pair, pair, method, options)
-    if result is None:
-        return facts
-    return shape_metrics(result.beside(pair.truth), pair.truth, pair) | finger_metrics(result.vertices, pair) | facts
+    metrics: dict[str, Any] = {}
+    if pair.truth_known:
+        metrics |= shape_metrics(result.beside(pair.truth), pair.truth, pair)
+    if isinstance(pair, CharacterPair):
+        characters = (pair.identity_character, pair.driving_character)
+        identity, driving = (LimbedCharacter(character.rig, character.limbs) for character in characters)
+        metrics |= limb_metrics(identity, driving, result.vertices, pair.driving.vertices)
+    if isinstance(pair, FingerPair):
+        metrics |= finger_metrics(result.vertices, pair)
+    return metrics | facts
 
 
 def timed(
@@ -428,7 +422,6 @@ def on_supported_vertices(trial: ClipPair, method: str) -> ClipPair:
 
 def repeat_first_frame(trial: ClipPair) -> ClipPair:
     """Return the trial as a static clip: STATIC_FRAMES copies of its first frame."""
-
     still = (STATIC_FRAMES, 1, 1)
     return dataclasses.replace(
         trial,

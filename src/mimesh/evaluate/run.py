@@ -42,9 +42,7 @@ from .measure import (
     EXTRA_INPUTS,
     Runtime,
     measure,
-    measure_characters,
     measure_clip,
-    measure_fingers,
     run_on_clip,
     run_on_pair,
 )
@@ -124,9 +122,10 @@ def evaluate_command(
     if dump is not None and of_pool and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
                          "give --split val")  # fmt: skip
-    if mirror and (dump is not None or measurement_of(chosen) is not measure):
+    of_more = isinstance(chosen, Characters | FingerGestures)
+    if mirror and (dump is not None or of_more or is_of_clips(chosen)):
         raise InputError("--mirror: expected a test set of single meshes and no --dump, found another; leave one out")
-    if runtime and measurement_of(chosen) not in (measure, measure_clip):
+    if runtime and of_more:
         raise InputError(f"--torch: expected a test set of meshes or clips, found {protocol}; leave it out")
     options: dict[str, Any] = {"ensemble": ensemble, "refine": refine}
     config = {**data_facts(chosen, split, data), "pairs": pairs or chosen.pairs, **options}
@@ -209,19 +208,16 @@ def _on_one_line(found: re.Match[str]) -> str:
     return re.sub(r"\n\s*", "", re.sub(r",\n\s*", ", ", found[0]))
 
 
-def measurement_of(protocol: Protocol) -> Callable[..., dict[str, Any]]:
-    """Return the function that measures a method on one pair of a protocol."""
-    if isinstance(protocol, (ClipsAniformer, ListedClips)):
-        return measure_clip
-    if isinstance(protocol, FingerGestures):
-        return measure_fingers
-    return measure_characters if isinstance(protocol, Characters) else measure
+def is_of_clips(protocol: Protocol) -> bool:
+    """Return whether the trials of a protocol are clips."""
+    return isinstance(protocol, ClipsAniformer | ListedClips)
 
 
 def measure_trial(protocol: Protocol, trial: Pair, method: str, options: dict[str, Any]) -> dict[str, Any]:
     """Measure a method on one trial, a pair of meshes or a clip, and return its metrics with what identifies it."""
     labels = {"pair": pair_checksum(trial), "identity": trial.groups[0], "driving": trial.groups[1]}
-    return labels | measurement_of(protocol)(trial, method, **options)
+    measurement: Callable[..., dict[str, Any]] = measure_clip if is_of_clips(protocol) else measure
+    return labels | measurement(trial, method, **options)
 
 
 class PartialReport:

@@ -12,16 +12,13 @@ from .measure import extra_inputs, training_facts
 
 DISTRIBUTIONS = {"pmd_e4": 4, "pmd_public_e4": 4, "mm": 2, "limb_deg": 2, "end_effector": 3, "fingertip_mm": 2}
 """Metrics with mean, interval, median, 90th percentile and maximum in a report, and their decimals."""
-MEANS = {"chamfer_e4": 4, "edge_score": 4, "flipped": 5}
-"""Metrics with a mean only, and their decimals."""
-CLIP_METRICS = {"path_mm": 2, "jitter": 4, "liveliness": 3, "still_mm": 4, "skate_cm_s": 3}
-"""The same for metrics that are defined for clips only; means are over the clips that have a value."""
-LIMB_METRICS = {"joint_pct": 2, "sole_height": 3, "touching": 3, "penetration": 2}
-"""The same for metrics of results without a true mesh (`limb_metrics`)."""
-FINGER_METRICS = {"finger_deg": 2}
-"""The same for metrics of fingers (`finger_metrics`)."""
-LABELS = ("pair", "identity", "driving")
-"""What identifies a pair in a report: its checksum, and the groups that its two meshes are drawn from."""
+MEANS = {
+    **{"chamfer_e4": 4, "edge_score": 4, "flipped": 5},
+    **{"path_mm": 2, "jitter": 4, "liveliness": 3, "still_mm": 4, "skate_cm_s": 3},  # of clips
+    **{"joint_pct": 2, "sole_height": 3, "touching": 3, "penetration": 2},  # without a true mesh (`limb_metrics`)
+    "finger_deg": 2,
+}
+"""Metrics with a mean only, over the pairs that have a value, and their decimals."""
 DIGITS = 6
 """Significant digits of the figures of single pairs."""
 
@@ -47,7 +44,7 @@ def summary(method: str, kind: str, figures: list[dict[str, Any]], body: str = "
         chosen = [metrics for metrics in measured if metrics.get(name) is not None]
         if chosen:
             row |= {f"{name}{end}": round(value, digits) for end, value in _distribution(name, chosen).items()}
-    for name, digits in (MEANS | CLIP_METRICS | LIMB_METRICS | FINGER_METRICS).items():
+    for name, digits in MEANS.items():
         values = [metrics[name] for metrics in measured if metrics.get(name) is not None]
         if values:
             row[name] = round(float(np.mean(values)), digits)
