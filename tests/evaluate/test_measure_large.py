@@ -20,7 +20,7 @@ def script():
     return runpy.run_path(str(SCRIPT))
 
 
-@pytest.mark.parametrize("count", [8, 9, 20, 26, 27, 500, 3000])
+@pytest.mark.parametrize("count", [9, 26, 27, 3000])
 def test_a_subdivided_surface_has_the_wanted_vertices_and_the_same_area(script, count):
     cube = zoo.cube()
     vertices, faces = script["subdivided"](cube.vertices, cube.faces, count)
