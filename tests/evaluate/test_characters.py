@@ -183,8 +183,6 @@ def test_landmarks_of_characters_are_those_of_the_body(folder):
 def test_pools_without_pairs_are_refused(protocol, tmp_path):
     with pytest.raises(InputError, match=r"two characters of one skeleton.*1 of ours"):
         protocol.check("test")
-    with pytest.raises(InputError, match="expected a split"):
-        protocol.check("all")
     with pytest.raises(InputError, match=r"index\.json"):
         characters(tmp_path).check("val")
     with pytest.raises(InputError, match="--data"):

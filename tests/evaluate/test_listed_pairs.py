@@ -140,6 +140,8 @@ def test_methods_that_need_a_correspondence_are_not_applicable_without_one(folde
     methods = ["copy", "deformation-transfer-dense", "deformation-transfer-13", "truth"]
     report = evaluate_command(str(tmp_path / "one.txt"), methods)
     assert [row["pairs"] for row in report["results"]] == [0, 0, 0, 1]
+    assert report["results"][0]["not_applicable"] == 1
+    assert "found none in this test set" in report["results"][0]["why"]
     assert "Not applicable: `copy`, 1 of 1 pairs of one" in markdown(report)
     (tmp_path / "b.obj").unlink()
     cloud = one_pair(tmp_path, figure(0), figure(5, faces=False), figure(1))

@@ -26,7 +26,7 @@ from mimesh.evaluate.measure import (
 )
 from mimesh.evaluate.metrics import box_radius, resized
 from mimesh.evaluate.pairs import mirrored
-from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT, HumanNpt
+from mimesh.evaluate.protocols import HUMAN_NPT, HumanNpt
 from mimesh.evaluate.run import dump_worst, evaluate_command, fingerprint
 from mimesh.evaluate.summary import summary
 from mimesh.evaluate.tables import TABLES, paper_table, table_command
@@ -181,20 +181,6 @@ def test_other_weights_of_hands_outdate_figures_of_mime_alone(tmp_path, monkeypa
     assert before["copy"] == 0
 
 
-def test_row_of_an_inapplicable_method_has_the_reason():
-    pair = CROSS_TOPOLOGY.pair("val", "points", 0)
-    row = summary("copy", "points", [measure(dataclasses.replace(pair, aligned=None), "copy")])
-    assert (row["pairs"], row["not_applicable"]) == (0, 1)
-    assert "found none in this test set" in row["why"]
-    report = {
-        "protocol": "cross-topology",
-        "version": 1,
-        "provenance": {"config": {"pairs": 2, "split": "val"}},
-        "results": [row],
-    }
-    assert "Not applicable: `copy`, 1 of 1 pairs of points" in markdown(report)
-
-
 def test_table_of_a_paper_has_its_values_next_to_ours(tmp_path):
     out = tmp_path / "figures.json"
     report = evaluate_command("human-npt", ["copy"], out, split="val", pairs=1)
@@ -235,23 +221,6 @@ def test_every_row_of_a_table_can_be_trained_and_is_reported_if_missing(tmp_path
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"npt-equal: expected weights in ablations.*mimesh table npt-2 --train"):
         evaluate_command("human-npt", ["copy", "npt-equal"], pairs=1)
-
-
-def test_generated_files_have_the_public_names_and_order(tmp_path):
-    written = generate_command("human-npt", tmp_path, "val", pairs=2)
-    lines = (tmp_path / "val-unseen.txt").read_text().splitlines()
-    assert len(lines) == 2
-    for line in lines:
-        identity, driving, truth = (load_mesh(tmp_path / word) for word in line.split())
-        assert identity.name.startswith("id")
-        assert np.array_equal(identity.faces, driving.faces)
-        assert np.array_equal(identity.faces, truth.faces)
-        assert truth.name.split("_")[0] == identity.name.split("_")[0]
-        assert truth.name.split("_")[1] == driving.name.split("_")[1]
-    pair = HUMAN_NPT.pair("val", "unseen", 0)
-    again = load_mesh(tmp_path / lines[0].split()[2]).vertices
-    assert np.allclose(np.sort(again, axis=0), np.sort(pair.truth, axis=0), atol=1e-6)
-    assert written["files"] == len(list(tmp_path.rglob("*.*")))
 
 
 def test_generated_point_clouds_have_no_faces_and_no_training_data(tmp_path):

@@ -37,7 +37,7 @@ from ..motions.rest_calibration import rotation_between
 from ..motions.retarget import to_local
 from .cross_body import as_body
 from .pairs import Pair, human
-from .protocols import SPLITS, Wide
+from .protocols import Wide
 
 ACROSS = "across-"
 """Prefix of the kinds of pairs with different skeletons."""
@@ -96,13 +96,7 @@ class Characters(Wide):
         return _read_pool(self.data, split)
 
     def check(self, split: str) -> None:
-        """Check that the split has pairs of all kinds.
-
-        Raises:
-            InputError: no folder of the format, or too few characters.
-        """
-        if split not in SPLITS:
-            raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
+        """Raise InputError for a folder of another format, or with too few characters for pairs of all kinds."""
         if not _within(self.data, split) or not _across(self.data, split):
             found = [character.meta.pack for character in self.pool(split).characters]
             counts = ", ".join(f"{found.count(pack)} of {pack}" for pack in dict.fromkeys(found))

@@ -65,11 +65,7 @@ class FingerGestures(Wide):
     """The folder of a pool, for the kind `characters`."""
 
     def check(self, split: str) -> None:
-        """Check that a pool has two characters that can be measured, if one is given.
-
-        Raises:
-            InputError: it has not.
-        """
+        """Raise InputError for a pool without two characters that can be measured."""
         if self.data is not None and len(fingered_characters(self.data, split)) < 2:
             raise InputError(
                 f"{self.data}: expected two characters with fifteen joints a hand in the split {split}, and "

@@ -129,9 +129,10 @@ def evaluate_command(
         raise InputError(f"--torch: expected a test set of meshes or clips, found {protocol}; leave it out")
     options: dict[str, Any] = {"ensemble": ensemble, "refine": refine}
     config = {**data_facts(chosen, split, data), "pairs": pairs or chosen.pairs, **options}
-    options |= {"runtime": runtime} if runtime else {}
     config |= {"mirror": True} if mirror else {}
-    config |= {"runtime": runtime_name} if runtime else {}
+    if runtime:
+        options |= {"runtime": runtime}
+        config |= {"runtime": runtime_name}
     made = provenance(config)
     question = {**config, "protocol": settings(chosen), "metrics": VERSION, "machine": machine(), **libraries()}
     question["commit"] = made["commit"]
@@ -179,11 +180,7 @@ def evaluate_command(
 
 
 def keep_other_report(out: Path, protocol: str, config: dict[str, Any]) -> None:
-    """Check that a report would not replace one of another test set or of other options.
-
-    Raises:
-        InputError: it would.
-    """
+    """Raise InputError if a report would replace one of another test set or of other options."""
     if not out.exists():
         return
     try:
@@ -288,11 +285,7 @@ def data_facts(protocol: Protocol, split: str, data: Path | None) -> dict[str, A
 
 
 def folder_checksum(folder: Path) -> str:
-    """Return the first 16 hex digits of a SHA-256 over the files of a folder and its subfolders, and their number.
-
-    Raises:
-        InputError: no files.
-    """
+    """Return `files_checksum` of a folder and its subfolders; raise InputError if there are no files."""
     # Protocols read through links to folders, which `Path.rglob` does not.
     files = sorted(Path(parent, name) for parent, _, names in os.walk(folder, followlinks=True) for name in names)
     if not files:
