@@ -109,10 +109,10 @@ def test_landmarks_are_those_of_the_body(name, folder):
 
 
 def test_animals_are_evaluated(folder):
-    report = evaluate_command("animals", ["identity"], split="val", pairs=2, data=folder)
+    report = evaluate_command("animals", ["identity"], split="val", pairs=1, data=folder)
     (row,) = report["results"]
     assert row["pmd_e4"] > 0
-    assert row["pairs"] == 2
+    assert row["pairs"] == 1
 
 
 def test_folders_without_pairs_are_refused(tmp_path):

@@ -85,7 +85,7 @@ def test_figures_without_results_or_of_several_identities_are_drawn(tmp_path):
 
 def test_unknown_figures_and_missing_data_are_reported(tmp_path, network, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match=r"npt-maxpool-quadruped: expected weights .*table animals --train"):
+    with pytest.raises(InputError, match=r"npt-maxpool-quadruped, .* weights in ablations.*table animals --train"):
         figure_command("npt-14", tmp_path / "a.png")
     with pytest.raises(InputError, match="npt-6, npt-7"):
         figure_command("npt-5", tmp_path / "a.png")

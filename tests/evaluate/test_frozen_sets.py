@@ -140,6 +140,10 @@ def nudged(array, amount):
 def test_checksum_sees_a_change_of_any_array(trial):
     protocol, kind, arrays = trial
     pair = protocol.pair("val", kind, 0)
+    if isinstance(pair, ClipPair):
+        clip = dataclasses.replace(pair.clip, vertices=pair.clip.vertices[:2])
+        few = {"truth_frames": pair.truth_frames[:2], "aligned_frames": pair.aligned_frames[:2]}
+        pair = dataclasses.replace(pair, clip=clip, **few)
     checksum = pair_checksum(pair)
     changed = list(arrays_of(pair))
     assert len(changed) == arrays

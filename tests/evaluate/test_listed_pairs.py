@@ -26,7 +26,8 @@ from mimesh.evaluate.listed_pairs import (
 )
 from mimesh.evaluate.markdown import markdown
 from mimesh.evaluate.measure import measure, measure_clip
-from mimesh.evaluate.run import evaluate_command
+from mimesh.evaluate.protocols import CONTACT
+from mimesh.evaluate.run import evaluate_command, find_protocol
 from mimesh.io import save_clip, save_mesh
 
 ROOT = Path(__file__).parents[2]
@@ -241,8 +242,8 @@ def test_options_that_do_not_fit_are_refused(folder, arguments, message, monkeyp
 def test_a_protocol_goes_before_a_folder_of_its_name(folder, monkeypatch):
     monkeypatch.chdir(folder.parent)
     folder.rename("contact")
-    assert evaluate_command("contact", ["copy"], pairs=1)["version"] == 1
-    assert evaluate_command("./contact", ["copy"], pairs=1)["protocol"] == "contact/"
+    assert find_protocol("contact") is CONTACT
+    assert find_protocol("./contact").name == "contact/"
 
 
 @pytest.fixture

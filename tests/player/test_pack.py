@@ -12,10 +12,11 @@ import pytest
 import zoo
 from PIL import Image
 
+from mimesh.core.errors import InputError
 from mimesh.core.geometry import border_edges, vertex_normals
-from mimesh.core.mesh import Clip, Material, Part
+from mimesh.core.mesh import Clip, Material, Mesh, Part
 from mimesh.player.pack import MotionLimits, Panel, TextureStore, pack_scene, split_vertices
-from mimesh.player.thinning import subset
+from mimesh.player.thinning import DENSE_VERTICES, simplify_clip, subset
 from mimesh.render.textures import decode_image
 
 
