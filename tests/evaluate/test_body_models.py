@@ -156,7 +156,8 @@ def test_pairs_of_clips_have_the_truth_of_another_person(model, tmp_path, frames
         assert not driving.stem.startswith(f"id{person}_")
         expected = protocol.clip(protocol.person("test", int(person)), take)
         np.testing.assert_array_equal(load_clip(truth).vertices, expected.vertices)
-    assert run(["evaluate", str(tmp_path / "out"), "-m", "copy,identity", "--json"]) == 0
+    rate = ["--fps", str(protocol.pair("test", "takes", 0).clip.fps)]  # folders of frames have none
+    assert run(["evaluate", str(tmp_path / "out"), "-m", "copy,identity", "--json", *rate]) == 0
     assert_same_figures(json.loads(capsys.readouterr().out), protocol, "test-")
 
 

@@ -26,7 +26,7 @@ from mimesh.evaluate.measure import (
 )
 from mimesh.evaluate.metrics import box_radius, resized
 from mimesh.evaluate.pairs import mirrored
-from mimesh.evaluate.protocols import HUMAN_NPT, HumanNpt
+from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT, HumanNpt
 from mimesh.evaluate.run import dump_worst, evaluate_command, fingerprint
 from mimesh.evaluate.summary import summary
 from mimesh.evaluate.tables import TABLES, paper_table, table_command

@@ -84,20 +84,21 @@ def extra_inputs(method: str) -> str:
         return EXTRA_INPUTS[method]
     network = find_method(method)
     shipped = "our quadruped" if getattr(network, "body", "human") == "quadruped" else "our body"
-    body = {"meshes": "own meshes", "imported": "its authors' meshes"}.get(trained_on(method) or "", shipped)
+    card, body = card_of(method), shipped
+    if "imported" in card:
+        body = "its authors' meshes"
+    elif card and card["config"]["data"]["kind"] == "meshes":
+        body = "own meshes"
     body += ", true correspondence" * (getattr(network, "pairing", "random") == "order")
     if needs_true_size(network):
         return f"trained on {body}, true size"
     return f"trained on {body}, which it fits" if getattr(network, "fits_body", False) else f"trained on {body}"
 
 
-def trained_on(method: str) -> str | None:
-    """Give the kind of data (`data.kind`) that a network's card names, or "imported"; None without a card."""
+def card_of(method: str) -> dict[str, Any]:
+    """Read the card next to a network's weights; empty without one."""
     path = weights_path(method).with_suffix(".json")
-    if not path.exists():
-        return None
-    card = json.loads(path.read_text(encoding="utf-8"))
-    return "imported" if "imported" in card else card["config"]["data"]["kind"]
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
 def training_facts(method: str) -> dict[str, Any]:
@@ -105,20 +106,18 @@ def training_facts(method: str) -> dict[str, Any]:
 
     `before` in a card lists the earlier stages of a training in several stages; time and pairs are their sums.
     """
-    path = weights_path(method)
     if method in EXTRA_INPUTS:
         return {"trained": "none"}
-    if not path.with_suffix(".json").exists():
+    card = card_of(method)
+    if not card:
         return {"trained": "unknown"}
-    card = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
     if "imported" in card:
         return {"trained": f"by its authors, {card['imported']['file']}"}
-    data = TRAINED_ON[card["config"]["data"]["kind"]]
-    if card["config"]["data"].get("body") == "quadruped":
+    settings = card["config"]["data"]
+    data = TRAINED_ON[settings["kind"]]
+    if settings.get("body") == "quadruped":
         data = data.replace("people", "animals")
-    mixed = [
-        name for name, key in (("people", "mix_people"), ("limbs", "recombine")) if card["config"]["data"].get(key)
-    ]
+    mixed = [name for name, key in (("people", "mix_people"), ("limbs", "recombine")) if settings.get(key)]
     data += f" with mixed {' and '.join(mixed)}" if mixed else ""
     if "meshes" in card:
         data += f", {card['meshes']['people']} people x {card['meshes']['poses']} poses"
