@@ -428,3 +428,52 @@ def test_damaged_heights_are_refused(tmp_path, content):
     (tmp_path / "seen.heights.json").write_text(content)
     with pytest.raises(InputError, match=r"seen\.heights\.json: expected"):
         read_heights(tmp_path / "seen.txt")
+
+
+@pytest.mark.parametrize(("commit", "again"), [("abc", 1), ("abc-dirty", 6)])
+def test_interrupted_run_is_continued_with_the_same_commit(commit, again, folder, tmp_path, monkeypatch):
+    def counted(pair, method, **options):
+        measured.append(method)
+        if len(measured) == 3:
+            raise KeyboardInterrupt
+        return measure(pair, method, **options)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mimesh.evaluate.run.commit", lambda: commit)
+    given, out, measured = str(folder / "seen.txt"), tmp_path / "out" / "figures.json", []
+    out.parent.mkdir()
+    uninterrupted = evaluate_command(given, ["copy"])
+    monkeypatch.setattr("mimesh.evaluate.run.measure", counted)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_command(given, ["copy"], out)
+    assert not out.exists()
+    with (out.parent / "figures.json.partial").open("a") as file:
+        file.write('[["copy", 0, "seen", 2], {"pmd')  # a line cut off when the process was killed
+    with monkeypatch.context() as patch:
+        patch.setattr("mimesh.evaluate.run.summary", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            evaluate_command(given, ["copy"], out)
+    resumed = evaluate_command(given, ["copy"], out)
+    assert len(measured) == 3 + again
+    assert resumed["results"][0]["pmd_e4"] == uninterrupted["results"][0]["pmd_e4"]
+    assert {path.name for path in out.parent.iterdir()} - {"figures.json.partial.old"} == {out.name}
+    assert (out.parent / "figures.json.partial.old").exists() == (commit == "abc-dirty")
+
+
+def test_a_report_of_another_question_is_not_replaced_and_its_figures_are_not_used(folder, tmp_path):
+    given, out = str(folder / "seen.txt"), tmp_path / "out" / "figures.json"
+    out.parent.mkdir()
+    kept = json.dumps([["copy", 0, "seen", 0], {"pmd_e4": 0.0}])
+    (out.parent / "figures.json.partial").write_text(f'{{"split": "test"}}\n{kept}\n')
+    assert evaluate_command(given, ["copy"], out)["results"][0]["pmd_e4"] > 0
+    assert (out.parent / "figures.json.partial.old").exists()
+    evaluate_command(given, ["copy", "identity"], out)  # of the same pairs: more methods
+    for other in ({"pairs": 2}, {"mirror": True}):
+        with pytest.raises(InputError, match="expected no file, or a report of the same test set"):
+            evaluate_command(given, ["copy"], out, **other)
+    out.write_text("notes of mine")
+    with pytest.raises(InputError, match="choose another name"):
+        evaluate_command(given, ["copy"], out)
+    assert out.read_text() == "notes of mine"

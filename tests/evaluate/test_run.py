@@ -1,7 +1,6 @@
 """Evaluation end to end: rows, provenance, resuming, tables, files, pictures, and unknown names."""
 
 import dataclasses
-import json
 import re
 from pathlib import Path
 
@@ -28,26 +27,11 @@ from mimesh.evaluate.metrics import box_radius, resized
 from mimesh.evaluate.pairs import mirrored
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT, HumanNpt
 from mimesh.evaluate.run import dump_worst, evaluate_command, fingerprint
-from mimesh.evaluate.summary import summary
 from mimesh.evaluate.tables import TABLES, paper_table, table_command
 from mimesh.io import load_mesh
 from mimesh.methods.find import INDEX_PAIRED, MODELS, NETWORK_OF_BODY, REDUCED_MODELS, TABLE_MODELS, find_method
 from mimesh.methods.onnx_models import hands_path
 from mimesh.pipeline import transfer
-
-
-def test_a_report_of_another_question_is_not_replaced(tmp_path):
-    out = tmp_path / "figures.json"
-    evaluate_command("human-npt", ["copy"], out, split="val", pairs=1)
-    evaluate_command("human-npt", ["copy", "identity"], out, split="val", pairs=1)  # of the same pairs: more methods
-    before = out.read_bytes()
-    for other in ({"pairs": 2}, {"pairs": 1, "mirror": True}):
-        with pytest.raises(InputError, match="expected no file, or a report of the same test set"):
-            evaluate_command("human-npt", ["copy"], out, split="val", **other)
-    out.write_text("notes of mine")
-    with pytest.raises(InputError, match="choose another name"):
-        evaluate_command("human-npt", ["copy"], out, split="val", pairs=1)
-    assert out.read_text() == "notes of mine" != before
 
 
 @pytest.mark.slow
@@ -72,40 +56,6 @@ def test_mirror_images_are_as_hard_for_a_method_without_a_side():
     assert looked_at["holes, mirrored"]["role"] == "development"
     with pytest.raises(InputError, match="--mirror: expected a test set of single meshes"):
         evaluate_command("fingers", ["mime"], mirror=True)
-
-
-@pytest.mark.parametrize(("commit", "again"), [("abc", 2), ("abc-dirty", 6)])
-def test_interrupted_run_is_continued_with_the_same_commit(commit, again, tmp_path, monkeypatch):
-    monkeypatch.setattr("mimesh.evaluate.run.commit", lambda: commit)
-    uninterrupted = evaluate_command("human-npt", ["copy"], split="val", pairs=2)
-    out, measured = tmp_path / "figures.json", []
-
-    def counted(pair, method, **options):
-        measured.append(method)
-        if len(measured) == 3:
-            raise KeyboardInterrupt
-        return measure(pair, method, **options)
-
-    monkeypatch.setattr("mimesh.evaluate.run.measure", counted)
-    with pytest.raises(KeyboardInterrupt):
-        evaluate_command("human-npt", ["copy"], out, split="val", pairs=2)
-    assert not out.exists()
-    with (tmp_path / "figures.json.partial").open("a") as file:
-        file.write('[["copy", 0, "unseen", 1], {"pmd')  # a line cut off when the process was killed
-    monkeypatch.setattr("mimesh.evaluate.run.summary", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        evaluate_command("human-npt", ["copy"], out, split="val", pairs=2)
-    monkeypatch.setattr("mimesh.evaluate.run.summary", summary)
-    resumed = evaluate_command("human-npt", ["copy"], out, split="val", pairs=2)
-    assert len(measured) == 3 + again
-    for a, b in zip(resumed["results"], uninterrupted["results"], strict=True):
-        assert a["pmd_e4"] == b["pmd_e4"]
-    assert {path.name for path in tmp_path.iterdir()} - {"figures.json.partial.old"} == {out.name}
-    assert (tmp_path / "figures.json.partial.old").exists() == (commit == "abc-dirty")
-
-
-def interrupted(*_):
-    raise KeyboardInterrupt
 
 
 def test_network_without_a_size_gets_that_of_the_truth(tmp_path):
@@ -161,14 +111,6 @@ def test_position_of_a_result_that_stands_in_the_world_does_not_count(trial):
     path = np.arange(len(frames))[:, None, None] * [1.0, -2, 3]
     assert np.allclose(Output(frames + path).beside(truth), Output(frames).beside(truth), rtol=0, atol=1e-12)
     assert np.allclose(bbox_centre(Output(frames + path).beside(truth)), bbox_centre(truth), rtol=0, atol=1e-12)
-
-
-def test_partial_results_of_another_configuration_are_not_used(tmp_path):
-    out = tmp_path / "figures.json"
-    kept = json.dumps([["copy", 0, "seen", 0], {"pmd_e4": 0.0}])
-    (tmp_path / "figures.json.partial").write_text(f'{{"split": "test"}}\n{kept}\n')
-    assert evaluate_command("human-npt", ["copy"], out, split="val", pairs=1)["results"][0]["pmd_e4"] > 0
-    assert (tmp_path / "figures.json.partial.old").exists()
 
 
 def test_other_weights_of_hands_outdate_figures_of_mime_alone(tmp_path, monkeypatch):
