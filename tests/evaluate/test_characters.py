@@ -192,7 +192,7 @@ def test_pools_without_pairs_are_refused(protocol, tmp_path):
 @pytest.mark.slow
 def test_characters_are_evaluated(folder, tmp_path):
     """Within one skeleton by vertices and limbs, across skeletons by limbs alone; by maker; the worst are drawn."""
-    options = {"split": "val", "pairs": 2, "data": folder}
+    options = {"split": "val", "pairs": 1, "data": folder}
     report = evaluate_command("characters", ["identity", "copy"], dump=tmp_path, **options)
     rows = {(row["method"], row["split"]): row for row in report["results"]}
     assert list(dict.fromkeys(kind for _, kind in rows)) == [*WITHIN, *ACROSS]
@@ -201,7 +201,7 @@ def test_characters_are_evaluated(folder, tmp_path):
         assert row["limb_deg"] > 5
         assert ("pmd_e4" in row) == (kind in WITHIN)
         assert {name.split(": ")[0] for name in row["each"]["identity"]} <= {"we", "others"}
-        assert (tmp_path / f"identity-{kind}-2.png").exists()
+        assert (tmp_path / f"identity-{kind}-1.png").exists()
     assert sum(report["left_out"].values()) == 1
     text = markdown(report)
     assert "**`identity` by maker**" in text

@@ -63,7 +63,7 @@ def test_a_triangulated_sheet_covers_every_sample_exactly_once():
     np.testing.assert_array_equal(np.sort(drawn), np.arange(1600))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_agrees_with_a_loop_over_every_pixel_and_triangle(seed):
     points, faces = random_triangles(np.random.default_rng(seed), 25, 17, 13)
     expected, weights = naive(points, faces, 17, 13)
