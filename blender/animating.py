@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 
 if TYPE_CHECKING:
-    from mimesh.core.rig import AnimatedRig
+    from mimesh.core.animated_rig import AnimatedRig
 
 
 def key_shapes(keys: bpy.types.Key, name: str, frames: range) -> None:

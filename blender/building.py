@@ -14,7 +14,7 @@ from .reading import Identity, rest_copy
 
 if TYPE_CHECKING:
     from mimesh import ClipResult
-    from mimesh.core.rig import AnimatedRig
+    from mimesh.core.animated_rig import AnimatedRig
 
 MIN_BONE = 0.01
 """Smallest length of a bone, as a share of the size of the mesh; Blender deletes bones without length."""

@@ -14,7 +14,7 @@ from mimesh.cli import run
 from mimesh.core.mesh import Mesh
 from mimesh.evaluate.measure import extra_inputs, training_facts
 from mimesh.evaluate.metrics import pmd_aligned
-from mimesh.evaluate.quadruped import QUADRUPED
+from mimesh.evaluate.protocols import QUADRUPED
 from mimesh.io import load_mesh, save_mesh
 from mimesh.learn import export
 from mimesh.learn.aniformer import AniFormerData, WindowSource

@@ -21,8 +21,7 @@ from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.evaluate.metrics import pmd_aligned
 from mimesh.evaluate.pairs import Pair
-from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.evaluate.quadruped import QUADRUPED
+from mimesh.evaluate.protocols import PROTOCOLS, QUADRUPED
 from mimesh.io import load_clip
 from mimesh.motions.animal_clips import gait_clip
 

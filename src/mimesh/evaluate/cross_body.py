@@ -127,18 +127,28 @@ def as_body(
     """
     body = human()
     scale = np.ptp(body.vertices[:, 1]) / np.ptp(rig.mesh.vertices[:, 1])
-    joints, body_joint = body.joints.copy(), {j: body.joint(joint) for joint, j in index.items()}
+    joints = body.joints.copy()
     for joint, (j, point) in points.items():
         joints[body.joint(joint)] = scale * (t_pose[j] @ [*point, 1.0])[:3]
-    for j, parent in enumerate(rig.parents):
-        body_joint.setdefault(j, body_joint.get(parent, 0))
-    weights = np.zeros((len(rig.weights), len(body.parents)))
-    # The last entry is for influences of the fixed world (index J of `joint_of`); they count as the root joint.
-    columns = np.array([body_joint[j] for j in range(len(rig.parents))] + [0])[rig.joint_of]
-    np.add.at(weights, (np.arange(len(weights))[:, None], columns), rig.weights)
-    no_shapes, no_joint_shapes = np.zeros((0, len(weights), 3)), np.zeros((0, len(joints), 3))
-    return RiggedBody("", scale * rig.skinned(t_pose), rig.mesh.faces, no_shapes, joints, no_joint_shapes, weights,
-                      body.joint_names, body.parents)  # fmt: skip
+    # Influences of the fixed world count as the root joint.
+    columns = rig.nearest_columns({j: body.joint(joint) for joint, j in index.items()}, other=0)
+    weights = rig.summed_weights(columns, len(body.parents))
+    return shapeless(body, "", scale * rig.skinned(t_pose), rig.mesh.faces, joints, weights)
+
+
+def shapeless(
+    body: RiggedBody,
+    name: str,
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    joints: Float[np.ndarray, "J 3"],
+    weights: Float[np.ndarray, "V J"],
+) -> RiggedBody:
+    """Return another body with the joint tree of a shipped one, and no shape coefficients."""
+    no_shapes, no_joint_shapes = np.zeros((0, len(vertices), 3)), np.zeros((0, len(joints), 3))
+    return RiggedBody(
+        name, vertices, faces, no_shapes, joints, no_joint_shapes, weights, body.joint_names, body.parents
+    )
 
 
 def check_character(rig: SkinnedCharacter, path: str | Path) -> SkinnedCharacter:

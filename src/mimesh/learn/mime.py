@@ -30,8 +30,7 @@ from ..core.errors import InputError
 from ..core.mesh import Mesh
 from ..evaluate.metrics import pmd_aligned
 from ..evaluate.pairs import Pair
-from ..evaluate.protocols import Protocol
-from ..evaluate.quadruped import QUADRUPED
+from ..evaluate.protocols import QUADRUPED, Protocol
 from .data.bodies import gather_points, normal, numbers_of_step, posed_joints, skinned, uniform
 from .data.characters import CharacterOptions, TrainingCharacters
 from .data.endless import TABLE_KINDS, EndlessPeople, PeopleOptions

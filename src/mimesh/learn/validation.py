@@ -13,12 +13,10 @@ from torch import Tensor, nn
 
 from ..core.frame_buffer import Progress
 from ..core.normalization import bbox_centre, radius
-from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, reorder_clip_vertices
-from ..evaluate.clips_ordered import CLIPS_ORDERED
+from ..evaluate.clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair
 from ..evaluate.metrics import box_radius, pmd
-from ..evaluate.pairs import Pair, reorder_vertices
-from ..evaluate.protocols import HUMAN_NPT, Protocol
-from ..evaluate.quadruped import QUADRUPED
+from ..evaluate.pairs import Pair
+from ..evaluate.protocols import HUMAN_NPT, QUADRUPED, Protocol
 from .data.registered import HeldOutMeshes, RegisteredMeshes
 from .layers import match_frames, mean_squared_distance
 from .task import Config, Network, Task
@@ -51,9 +49,7 @@ class Validation:
         trial = protocol.unshuffled_pair("val", kind, index, rng)
         count = len(trial.identity.vertices)
         order = np.arange(count) if self.task.of_one_order else rng.permutation(count)
-        if isinstance(trial, ClipPair):
-            return reorder_clip_vertices(trial, order, order)
-        return reorder_vertices(trial, order, order)
+        return trial.reordered(order, order)
 
     @torch.no_grad()
     def measure(
