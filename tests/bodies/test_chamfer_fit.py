@@ -10,14 +10,17 @@ from matrix import matrix
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
-from mimesh.bodies.body_parameters import (
+from mimesh.bodies.chamfer_fit import (
+    GOOD_ERROR,
     BodyParameters,
+    chamfer,
+    fit_points,
     posed_and_pullback,
     rotvec_pullback,
+    target_cloud,
     thin_body,
     to_vector,
 )
-from mimesh.bodies.chamfer_fit import GOOD_ERROR, chamfer, fit_points, target_cloud
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.core.mesh import permute_vertices
 from mimesh.core.normalization import Normalization

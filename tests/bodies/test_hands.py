@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
-from mimesh.bodies.finger_poses import (
+from mimesh.bodies.hands import (
     GESTURES,
+    HAND_PARENTS,
+    body_with_fingers,
     finger_rotations,
+    fingertips,
     gestures,
+    load_hands,
     within_limits,
 )
-from mimesh.bodies.hands import HAND_PARENTS, body_with_fingers, fingertips, load_hands
 from mimesh.bodies.joint_names import FINGERS, finger_joints, named_fingers, with_finger_joints
 from mimesh.core.geometry import MIRROR
 

@@ -7,7 +7,7 @@ import pytest
 import rigs
 
 from mimesh.bodies import load_body
-from mimesh.bodies.joint_matching import match_chain, match_joints
+from mimesh.bodies.character_limbs import match_chain, match_joints
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh

@@ -9,10 +9,18 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import sample_shape
-from mimesh.core.foot_contacts import find_contacts
-from mimesh.core.foot_planting import HEIGHTS, PosedJoints, _solve, foot_skate, is_cyclic, plant_feet
+from mimesh.core.foot_planting import (
+    HEIGHTS,
+    LONGEST,
+    PosedJoints,
+    _solve,
+    find_contacts,
+    foot_skate,
+    is_cyclic,
+    move_ankle,
+    plant_feet,
+)
 from mimesh.core.joint_tracks import JointTrack, root_path
-from mimesh.core.leg_ik import LONGEST, move_ankle
 from mimesh.core.rig import Rig, leg_length
 from mimesh.core.skinning import SkinnedMesh
 from mimesh.core.soles import Feet, find_soles

@@ -9,9 +9,8 @@ from people import boxes_person, person
 from mimesh.bodies.animals import animal
 from mimesh.core import geometry
 from mimesh.core.geometry import edges
-from mimesh.core.heading import principal_heading, turn, turned_to_front, without_heading
 from mimesh.core.mesh import Mesh, permute_vertices
-from mimesh.core.normalization import Normalization
+from mimesh.core.normalization import Normalization, principal_heading, turn, turned_to_front, without_heading
 from mimesh.evaluate.remesh import split_faces
 
 ANGLES = (0.01, 20.0, 45.0, 100.0, 180.0, -70.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
-from mimesh.bodies.body_parameters import BodyParameters, posed_and_pullback, thin_body, to_vector
+from mimesh.bodies.chamfer_fit import BodyParameters, posed_and_pullback, thin_body, to_vector
 from mimesh.bodies.sampled_body import BodyState, PosedBody, SampledBody
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
 from mimesh.bodies.skinned_character import SkinnedCharacter

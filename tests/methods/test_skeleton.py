@@ -9,7 +9,7 @@ from people import person, walk
 from zoo import ZOO
 
 from mimesh.bodies import load_body
-from mimesh.bodies.body_parameters import BodyParameters, thin_body
+from mimesh.bodies.chamfer_fit import BodyParameters, thin_body
 from mimesh.core.canonical_order import canonical_order
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import Normalization

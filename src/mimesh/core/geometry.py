@@ -275,6 +275,19 @@ def rotate_between(
     return np.where(opposite, -vectors, turned)
 
 
+def rotation_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """Compute the matrix of the smallest rotation from direction `old` to direction `new`."""
+    return rotations_between(old, new[None])[0]
+
+
+def rotations_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
+    """Compute the matrices of the smallest rotations from direction `old` to each of the directions `new`."""
+    olds, news = np.tile(old / np.linalg.norm(old), (3 * len(new), 1)), np.repeat(unit_vectors(new), 3, axis=0)
+    # The rotated unit vectors are the columns of the matrices.
+    columns = rotate_between(olds, news, np.tile(np.eye(3), (len(new), 1)))
+    return np.swapaxes(columns.reshape(-1, 3, 3), -1, -2)
+
+
 def slerp(
     start: Float[np.ndarray, "*B J 3 3"], stop: Float[np.ndarray, "*B J 3 3"], fraction: Float[np.ndarray, "*B 1"]
 ) -> Float[np.ndarray, "*B J 3 3"]:

@@ -14,8 +14,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from .arguments import check_kind
-from .array_inputs import as_faces, as_floats, as_frames, as_vertices
+from .arguments import as_faces, as_floats, as_frames, as_vertices, check_kind
 from .budgets import FACES, VERTICES, check_clip_size
 from .errors import InputError
 from .frame_buffer import each_frame, spread_exactly

@@ -17,8 +17,8 @@ from ..bodies import RiggedBody
 from ..bodies.body_model import EXTREMES, LANDMARKS, NEAR, landmarks
 from ..bodies.character_limbs import SIDES, TAILS
 from ..bodies.character_pool import PoolCharacter
+from ..core.geometry import rotation_between
 from ..motions.animal_rig import rest_directions
-from ..motions.rest_calibration import rotation_between
 from ..motions.retarget import to_local
 from .cross_body import as_body
 from .pairs import human

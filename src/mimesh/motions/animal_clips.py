@@ -18,8 +18,8 @@ from ..bodies.anatomy import QUADRUPED
 from ..bodies.animals import ANIMALS, animal, animal_body, standing
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core.errors import InputError
+from ..core.foot_planting import move_ankle
 from ..core.geometry import smooth_step
-from ..core.leg_ik import move_ankle
 from ..core.mesh import Clip
 from ..core.rig import descendants
 from .gaits import LEGS, SEEDS, Gait, foreleg, hind_leg, posture_rotations

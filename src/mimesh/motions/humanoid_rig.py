@@ -21,11 +21,10 @@ from ..bodies.character_limbs import SIDES, Limb, attach_feet, find_limbs, moves
 from ..bodies.hands import body_with_fingers
 from ..bodies.joint_names import FINGERS, ancestors, finger_joints, named_fingers
 from ..bodies.skinned_character import SkinnedCharacter
-from ..core.geometry import nearest_rotation, unit_vectors
+from ..core.geometry import nearest_rotation, rotation_between, unit_vectors
 from ..core.normalization import axis_name
 from ..core.person_motion import PersonMotion
 from ..core.rig import descendants
-from .rest_calibration import rotation_between
 from .retarget import BONES, limb_alignments
 
 LEG = ("UpLeg", "Leg", "Foot")

@@ -13,8 +13,8 @@ from ...bodies import RiggedBody
 from ...bodies.animal_limbs import LEGS, NECK, TAIL, TRUNK
 from ...bodies.character_limbs import SIDES
 from ...bodies.sampling import rotvec_to_rotmat
+from ...core.geometry import rotation_between
 from ...motions.animal_rig import rest_directions
-from ...motions.rest_calibration import rotation_between
 from .characters import CharacterSurface
 from .primitives import SHAPES, Primitive, Shape, assemble
 
