@@ -103,9 +103,6 @@ def load_body(name_or_path: str | Path = "human") -> RiggedBody:
     if not path.exists():
         raise InputError(f"{name_or_path}: expected a shipped body (human, quadruped) or a .npz file, found neither")
     with np.load(path) as data:
-        # Weights are stored as the largest few of each vertex, in half precision.
-        weights = np.zeros((len(data["vertices"]), len(data["parents"])))
-        np.put_along_axis(weights, data["weight_joints"].astype(int), data["weights"].astype(np.float64), axis=1)
         return RiggedBody(
             name=path.stem,
             vertices=data["vertices"].astype(np.float64),
@@ -113,10 +110,19 @@ def load_body(name_or_path: str | Path = "human") -> RiggedBody:
             components=data["components"].astype(np.float64),
             joints=data["joints"].astype(np.float64),
             joint_components=data["joint_components"].astype(np.float64),
-            weights=weights / weights.sum(axis=1, keepdims=True),
+            weights=unpacked_weights(data["weight_joints"], data["weights"], len(data["parents"])),
             joint_names=tuple(data["joint_names"].tolist()),
             parents=tuple(int(p) for p in data["parents"]),
         )
+
+
+def unpacked_weights(
+    joints: Int[np.ndarray, "V K"], weights: Float[np.ndarray, "V K"], count: int
+) -> Float[np.ndarray, "V J"]:
+    """Make the skinning weights of `count` joints from those stored: the largest few of a vertex, in half precision."""
+    unpacked = np.zeros((len(weights), count))
+    np.put_along_axis(unpacked, joints.astype(int), weights.astype(np.float64), axis=1)
+    return unpacked / unpacked.sum(axis=1, keepdims=True)
 
 
 def save_body(body: RiggedBody, path: Path, influences: int = 6) -> None:

@@ -21,7 +21,7 @@ from ..core.rig import descendant_matrix
 from ..core.skinning import blend_matrices
 from ..core.surface_points import at_barycentric, sample_surface
 from .body_model import RiggedBody
-from .sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, rotvec_to_rotmat
+from .sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, pose_of, rotvec_to_rotmat
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -79,15 +79,10 @@ def to_vector(parameters: BodyParameters) -> Float[np.ndarray, " P"]:
     )
 
 
-def from_vector(body: RiggedBody, vector: Float[np.ndarray, " P"], error: float = np.inf) -> BodyParameters:
-    """Unpack parameters from a vector: the inverse of `to_vector`."""
-    return BodyParameters(*_split(body, vector), error)
-
-
 def _split(
     body: RiggedBody, vector: Float[np.ndarray, " P"]
 ) -> tuple[float, Float[np.ndarray, " 3"], Float[np.ndarray, " K"], Float[np.ndarray, "J 3"]]:
-    """Split a vector into scale, translation, shape and rotation vectors."""
+    """Split a vector of `to_vector` into scale, translation, shape and rotation vectors."""
     k = 4 + len(body.components)
     return float(np.exp(vector[0])), vector[1:4], vector[4:k], vector[k:].reshape(-1, 3)
 
@@ -321,10 +316,7 @@ def _start_poses(body: RiggedBody, points: Float[np.ndarray, "N 3"]) -> list[Bod
         degrees = {"Hips": (0, heading, 0), "LeftArm": (0, 0, -lowered), "RightArm": (0, 0, lowered)}
         degrees |= {"LeftUpLeg": (-left[0], 0, 0), "LeftLeg": (left[1], 0, 0)}
         degrees |= {"RightUpLeg": (-right[0], 0, 0), "RightLeg": (right[1], 0, 0)}
-        rotvec = np.zeros((len(body.parents), 3))
-        for name, turn in degrees.items():
-            rotvec[body.joint(name)] = np.radians(turn)
-        fits.append(_aligned(body, points, np.zeros(len(body.components)), rotvec))
+        fits.append(_aligned(body, points, np.zeros(len(body.components)), pose_of(body, degrees)))
     return fits
 
 
@@ -375,7 +367,7 @@ def _descend(
         matches = cloud.matches(posed_and_pullback(body, vector)[0])
         found = minimize(objective, vector[free] * unit, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         vector[free] = found.x / unit
-    return _with_error(body, cloud, from_vector(body, vector))
+    return _with_error(body, cloud, BodyParameters(*_split(body, vector)))
 
 
 def _leverage(body: RiggedBody) -> Float[np.ndarray, " P"]:

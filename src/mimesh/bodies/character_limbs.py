@@ -17,9 +17,10 @@ from jaxtyping import Bool, Float, Int
 
 from ..core.errors import InputError
 from ..core.geometry import vertex_areas
-from ..core.rig import Rig, descendant_matrix
+from ..core.normalization import bbox_centre
+from ..core.rig import Rig, descendant_matrix, descendants
 from .body_model import load_body
-from .joint_names import ancestors, common_ancestors, named_joints, other_side, trunk_joints
+from .joint_names import ancestors, common_ancestors, named_joints, other_side, parents_first, trunk_joints
 from .skinned_character import SkinnedCharacter
 
 FindJoints = Callable[[SkinnedCharacter], dict[str, int]]
@@ -145,7 +146,7 @@ def attach_feet(
             for other, shin in shins.items()
         }
         nearest = min(movement, key=movement.__getitem__)
-        if foot in ancestors(tuple(parents), shins[nearest]):  # it would be its own ancestor
+        if foot in ancestors(parents, shins[nearest]):  # it would be its own ancestor
             raise InputError(
                 f"{path}: expected feet below shins, found a foot that holds its shin; parent the foot to it"
             )
@@ -162,9 +163,7 @@ def with_parents(
     rig: SkinnedCharacter, joints: dict[str, int], parents: list[int]
 ) -> tuple[SkinnedCharacter, dict[str, int], Int[np.ndarray, " J"]]:
     """Give the joints of a rig other parents; returns the same as `attach_feet`."""
-    depth = [len(ancestors(tuple(parents), j)) for j in range(len(parents))]
-    in_order = all(parent < j for j, parent in enumerate(parents))
-    order = np.arange(len(parents)) if in_order else np.argsort(depth, kind="stable")
+    order = np.array(parents_first(parents))
     return _reorder_joints(rig, parents, order), {name: int(np.argsort(order)[j]) for name, j in joints.items()}, order
 
 
@@ -202,8 +201,8 @@ def find_limbs(rig: SkinnedCharacter, joints: dict[str, int], path: object) -> d
 
 def carried_vertices(rig: SkinnedCharacter, joint: int) -> Bool[np.ndarray, " V"]:
     """Select the vertices that a joint and those below it carry with more than the share CARRIED."""
-    below = np.array([joint in ancestors(rig.parents, j) for j in range(len(rig.parents))] + [False])
-    return (rig.weights * below[rig.joint_of]).sum(axis=1) > CARRIED
+    below = np.isin(rig.joint_of, descendants([joint], rig.parents))
+    return (rig.weights * below).sum(axis=1) > CARRIED
 
 
 def moves_vertices(rig: SkinnedCharacter) -> Bool[np.ndarray, " J"]:
@@ -235,15 +234,11 @@ def _limb(rig: SkinnedCharacter, joint: int, tail: int | None, whole: bool) -> L
         axis = end - start
         along = (vertices - start) @ axis
         low, high = along.min(), along.max()
-        end = _centre(vertices[along >= high - END_SLICE * (high - low)])
+        # The centre of a bounding box: a mean would follow the density of the vertices.
+        end = bbox_centre(vertices[along >= high - END_SLICE * (high - low)])
         if whole:
-            start = _centre(vertices[along <= low + END_SLICE * (high - low)])
+            start = bbox_centre(vertices[along <= low + END_SLICE * (high - low)])
     return Limb(joint, start, end)
-
-
-def _centre(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " 3"]:
-    """Compute the centre of the bounding box of points; a mean would follow the density of the vertices."""
-    return (points.min(axis=0) + points.max(axis=0)) / 2
 
 
 def _relative_movement(poses, point, joint, moved):

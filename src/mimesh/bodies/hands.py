@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.geometry import rotate_between, unit_vectors
-from .body_model import RiggedBody, load_body
+from .body_model import RiggedBody, load_body, unpacked_weights
 from .character_limbs import SIDES
 from .joint_names import FINGER_STUBS, finger_joints, with_finger_joints
 from .sampling import rotvec_to_rotmat
@@ -60,29 +60,9 @@ def load_hands() -> Hands:
         shares = np.zeros((2, len(body.vertices), 16))
         shares[:, :, 0] = 1.0
         for s in range(2):
-            rows = np.zeros((len(data[f"vertices{s}"]), 16))
-            np.put_along_axis(rows, data[f"joints{s}"].astype(int), data[f"shares{s}"].astype(np.float64), axis=1)
-            shares[s, data[f"vertices{s}"]] = rows / rows.sum(axis=1, keepdims=True)
+            shares[s, data[f"vertices{s}"]] = unpacked_weights(data[f"joints{s}"], data[f"shares{s}"], 16)
         given = {name: data[name].astype(np.float64) for name in STORED}
         return Hands(shares=shares, **given)
-
-
-def save_hands(path: Path, hands: Hands, influences: int) -> None:
-    """Write a compact `.npz` with the largest shares of each vertex that a finger joint moves.
-
-    Args:
-        influences: number of shares of a vertex.
-    """
-    arrays = {}
-    for s in range(2):
-        moved = np.flatnonzero(hands.shares[s, :, 0] < 1.0)
-        strongest = np.argsort(-hands.shares[s, moved], axis=1)[:, :influences]
-        arrays[f"vertices{s}"] = moved.astype(np.uint16)
-        arrays[f"joints{s}"] = strongest.astype(np.uint8)
-        arrays[f"shares{s}"] = np.take_along_axis(hands.shares[s, moved], strongest, axis=1).astype(np.float16)
-    for name in STORED:
-        arrays[name] = getattr(hands, name).astype(np.float32)
-    np.savez_compressed(path, **arrays)
 
 
 @cache
@@ -116,22 +96,6 @@ def hand_joints(joint_names: tuple[str, ...], side: str) -> list[int]:
     """List the indices of a side's hand and of its finger stubs."""
     wanted = {f"{side}Hand", *(s + stub for s in (side, side[0]) for stub in FINGER_STUBS)}
     return [j for j, name in enumerate(joint_names) if name in wanted]
-
-
-def bend_axes(
-    wrist: Float[np.ndarray, " 3"], joints: Float[np.ndarray, "15 3"], tips: Float[np.ndarray, "5 3"]
-) -> tuple[Float[np.ndarray, "15 3"], Float[np.ndarray, "15 3"]]:
-    """Compute unit axes of flexion and abduction from the joints and fingertips of a left hand at rest.
-
-    Fingers bend towards the palm's normal, and spread in the plane of the palm. The thumb bends across the palm,
-    towards the first joint of the little finger.
-    """
-    bones = unit_vectors(_phalanges(joints, tips))
-    goal = np.tile(-palm_frame(wrist, joints)[:, 1], (5, 3, 1))
-    goal[0] = joints[12] - joints[1]
-    flexion = unit_vectors(np.cross(bones, goal))
-    abduction = unit_vectors(np.cross(flexion, bones))
-    return flexion.reshape(15, 3), abduction.reshape(15, 3)
 
 
 def palm_frame(wrist: Float[np.ndarray, " 3"], joints: Float[np.ndarray, "15 3"]) -> Float[np.ndarray, "3 3"]:
@@ -203,11 +167,11 @@ def hand_alignment(
 def _bones(joints: Float[np.ndarray, "16 3"], tips: Float[np.ndarray, "5 3"]) -> Float[np.ndarray, "16 3"]:
     """Compute unit directions from the hand to its knuckles, and from each finger joint to the next or to the tip."""
     knuckles = joints[[4, 7, 10, 13]].mean(axis=0)
-    fingers = _phalanges(joints[1:], tips).reshape(15, 3)
+    fingers = phalanges(joints[1:], tips).reshape(15, 3)
     return unit_vectors(np.concatenate([knuckles[None] - joints[:1], fingers]))
 
 
-def _phalanges(joints: Float[np.ndarray, "15 3"], tips: Float[np.ndarray, "5 3"]) -> Float[np.ndarray, "5 3 3"]:
+def phalanges(joints: Float[np.ndarray, "15 3"], tips: Float[np.ndarray, "5 3"]) -> Float[np.ndarray, "5 3 3"]:
     """Compute the vectors from each joint of each finger to the next one or to the fingertip."""
     return np.diff(np.concatenate([joints.reshape(5, 3, 3), tips[:, None]], axis=1), axis=1)
 

@@ -25,9 +25,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..core.geometry import nearest_rotation, rotation_between
-from ..core.rig import descendants
+from ..core.normalization import bbox_centre
+from ..core.rig import descendants, homogeneous
 from .character_limbs import moves_vertices
-from .joint_names import ancestors, name_words
+from .joint_names import ancestors, name_words, parents_first
 from .skinned_character import SkinnedCharacter
 
 # Lengths are in units of half the diagonal of the bounding box. All figures were chosen by eye on creatures of the
@@ -107,8 +108,7 @@ class Creature:
     @cached_property
     def centre(self) -> Float[np.ndarray, " 3"]:
         """Centre of the bounding box."""
-        low, high = self.rig.mesh.vertices.min(axis=0), self.rig.mesh.vertices.max(axis=0)
-        return (low + high) / 2
+        return bbox_centre(self.rig.mesh.vertices)
 
     @cached_property
     def share(self) -> Float[np.ndarray, " J"]:
@@ -370,10 +370,7 @@ class CreatureMotion:
         Args:
             rest: positions of the joints at rest.
         """
-        transforms = np.tile(np.eye(4), (*self.positions.shape[:2], 1, 1))
-        transforms[..., :3, :3] = self.linear
-        transforms[..., :3, 3] = self.positions - (self.linear @ rest[..., None])[..., 0]
-        return transforms
+        return homogeneous(self.linear, self.positions - (self.linear @ rest[..., None])[..., 0])
 
 
 def moved_creature(
@@ -393,7 +390,7 @@ def moved_creature(
     motion = _along(motion, driving, ROOTS[root], scale)
     linear = np.tile(np.eye(3), (len(motion.linear), count, 1, 1))
     positions = np.tile(rest, (len(motion.linear), 1, 1))
-    for joint in _parents_first(parents):
+    for joint in parents_first(parents):
         above = parents[joint]
         known = next((j for j in ancestors(parents, joint)[1:] if match.follows[j].any()), None)
         shift = np.zeros((len(linear), 3))
@@ -483,8 +480,3 @@ def _hung(identity: Creature, match: RigMatch) -> tuple[int, ...]:
 
 def _roots(parents: tuple[int, ...]) -> list[int]:
     return [j for j, parent in enumerate(parents) if parent < 0]
-
-
-def _parents_first(parents: tuple[int, ...]) -> list[int]:
-    """Order joints so that each is after its parent."""
-    return sorted(range(len(parents)), key=lambda j: len(ancestors(parents, j)))

@@ -25,6 +25,7 @@ from ..bodies.joint_names import named_joints, require_joints
 from ..core.errors import InputError
 from ..core.geometry import nearest_rotation, rotation_between, rotations_between, unit_vectors
 from ..core.mesh import LARGEST
+from ..core.rig import local_rotations
 from .bvh import Bvh
 from .motion import LEG, Motion, leg_length, lowest
 
@@ -85,7 +86,7 @@ def retarget(source: Bvh, body: RiggedBody, name: str | None = None, grounded: b
     scale = leg_length(body.joints, body.joint_names) / leg_length(np.array(source_leg), LEG)
     path = position[:, index["Hips"]] @ axes.T * scale
     path = _grounded(path, target, body) if grounded else path
-    return Motion(name or source.name, body.joint_names, to_local(target, body.parents), path, source.fps)
+    return Motion(name or source.name, body.joint_names, local_rotations(target, body.parents), path, source.fps)
 
 
 def rests_standing(rest: Float[np.ndarray, "J 3"], index: dict[str, int]) -> bool:
@@ -146,20 +147,11 @@ def limb_alignments(
     return aligned
 
 
-def to_local(world: Float[np.ndarray, "T J 3 3"], parents: tuple[int, ...]) -> Float[np.ndarray, "T J 3 3"]:
-    """Convert world rotations to local ones: D_parent^T D_j."""
-    local = world.copy()
-    for j, parent in enumerate(parents):
-        if parent >= 0:
-            local[:, j] = np.swapaxes(world[:, parent], -1, -2) @ world[:, j]
-    return local
-
-
 def _grounded(path, target, body):
     """Shift the path to start at x = z = 0, with the floor at y = 0."""
     path = path - path[0] * [1.0, 0.0, 1.0]
     step = slice(None, None, max(len(path) // FLOOR_FRAMES, 1))
-    floor = np.quantile(lowest(body, to_local(target[step], body.parents), path[step]), FLOOR_QUANTILE)
+    floor = np.quantile(lowest(body, local_rotations(target[step], body.parents), path[step]), FLOOR_QUANTILE)
     return path - [0.0, floor, 0.0]
 
 
