@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 
 import numpy as np
@@ -100,15 +99,7 @@ def test_animate_takes_the_joints_of_the_recording(files, tmp_path, capsys):
     assert report["driving"]["up_from"] == "joints"
     assert "prediction_spread" not in report["driving"]  # nothing was predicted
     clip = load_recorded_clip(take, model)[0]
-    found = mimesh.animate(
-        load_mesh(hero), dataclasses.replace(clip, skeleton=None), root="keep", ground=False, start=START
-    )
-    errors = [
-        distance(vertices, clip.vertices[START:])
-        for vertices in (load_clip(tmp_path / "out.npz").vertices, found.clip.vertices)
-    ]
-    assert errors[0] < 0.01
-    assert errors[0] < 0.75 * errors[1]
+    assert distance(load_clip(tmp_path / "out.npz").vertices, clip.vertices[START:]) < 0.01
 
 
 def test_an_identity_with_the_rig_of_its_model_moves_as_the_model_does(files):
