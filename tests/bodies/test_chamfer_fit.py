@@ -6,7 +6,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from matrix import matrix
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
@@ -97,7 +96,8 @@ def test_distances_along_a_plane_have_the_tangential_weight():
     assert np.isclose(chamfer(cloud, grid + [0.2, 0, 0], matches)[0], 2 * 0.1 * 0.2**2)
 
 
-@matrix("pose", [0, 1], quick=[0])
+@pytest.mark.slow
+@pytest.mark.parametrize("pose", [0, 1])
 def test_a_person_is_recovered_from_shuffled_vertices(pose):
     """The shape has the free components only; the points differ from those of the thinned body."""
     body, rotvec = load_body(), sample_pose(load_body(), 11, pose)
@@ -116,7 +116,7 @@ def test_a_person_is_recovered_from_shuffled_vertices(pose):
 
 @pytest.mark.slow
 def test_a_sitting_person_is_recovered():
-    body = thin(4000)
+    body = thin(1500)
     sits = {
         f"{side}{bone}": (x, 0.0, 0.0) for side in ("Left", "Right") for bone, x in (("UpLeg", -80.0), ("Leg", 40.0))
     }

@@ -118,12 +118,12 @@ def test_a_file_loads_as_the_clip_of_its_motion(body, motion, tmp_path):
     assert abs(np.quantile(heights, 0.2)) < 1e-6
 
 
-@pytest.mark.parametrize("fps", [15.0, 60.0])
-def test_another_frame_rate_resamples_the_motion(fps, body, motion, tmp_path):
-    path = write_bvh(tmp_path / "a.bvh", body, motion)
-    clip, resampled = load_clip(path, fps=fps), resample(motion_of_file(path), fps)
-    assert (clip.fps, len(clip)) == (fps, len(resampled))
-    np.testing.assert_allclose(clip.vertices, motion_clip(body, None, resampled).vertices, atol=1e-6)
+def test_another_frame_rate_resamples_the_motion(body, motion, tmp_path):
+    path = write_bvh(tmp_path / "a.bvh", body, window(motion, 0.0, 0.3))
+    for fps in (15.0, 60.0):
+        clip, resampled = load_clip(path, fps=fps), resample(motion_of_file(path), fps)
+        assert (clip.fps, len(clip)) == (fps, len(resampled))
+        np.testing.assert_allclose(clip.vertices, motion_clip(body, None, resampled).vertices, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -162,10 +162,10 @@ def test_only_chosen_frames_of_a_capture_are_posed(body, motion, tmp_path, monke
 
 
 def test_inspection_reports_a_motion(body, motion, tmp_path):
-    facts = inspect_file(write_bvh(tmp_path / "a.bvh", body, motion))
+    facts = inspect_file(write_bvh(tmp_path / "a.bvh", body, window(motion, 0.0, 0.1)))
     assert facts.details == (("motion", "31 joints, played on the shipped body, which these facts describe"),)
     assert facts.details[0][1] in facts.text()
-    assert (facts.frames, facts.format, facts.unit_guess) == (len(motion), "bvh", "m")
+    assert (facts.frames, facts.format, facts.unit_guess) == (3, "bvh", "m")
     assert is_motion_file(tmp_path / "b.BVH")
     assert not is_motion_file(tmp_path / "b.npz")
 

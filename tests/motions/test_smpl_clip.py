@@ -229,14 +229,12 @@ def test_other_files_take_no_body_model(small, tmp_path, capsys):
     assert "expected an output apart from the inputs" in capsys.readouterr().err
 
 
-@matrix("suffix", [".pkl", ".npz"], quick=[".pkl"])
+@pytest.mark.parametrize("suffix", [".pkl", ".npz"])
 def test_a_body_model_is_a_mesh_at_rest(suffix, tmp_path, capsys):
-    arrays = smpl_arrays()
+    arrays = smpl_arrays(faces=FACES)
     path = write_model(tmp_path / f"SMPL{suffix}", arrays)
     assert run(["look", str(path)]) == 0
-    printed = capsys.readouterr().out
-    assert "6,890" in printed
-    assert "its mean shape at rest" in printed
+    assert "its mean shape at rest" in capsys.readouterr().out
     for target in ("body.obj", "body.npz"):
         assert run(["convert", str(path), str(tmp_path / target)]) == 0
         mesh = load_mesh(tmp_path / target)
@@ -294,7 +292,7 @@ def test_the_first_frame_alone_is_that_of_the_clip(small, tmp_path):
 
 MADE_WITH = [
     ({}, "female", "16", "120 per second"),
-    ({"gender": np.array(b"male"), "betas": np.ones((FRAMES, 10))}, "male", "10", "120 per second"),
+    ({"gender": np.array(b"male"), "betas": np.ones((1, 10))}, "male", "10", "120 per second"),
     ({"gender": None, "betas": None, "mocap_framerate": None}, *["not in the file"] * 3),
     ({"gender": np.array([{}]), "betas": np.array([{}, 1])}, *["not in the file"] * 2, "120 per second"),
     ({"gender": np.array(b"m\xff\x1b[2J")}, "m\ufffd[2J", "16", "120 per second"),
@@ -305,15 +303,16 @@ MADE_WITH = [
     ("changes", "gender", "betas", "rate"), MADE_WITH, quick=lambda case: not case[0] or "mocap_framerate" in case[0]
 )
 def test_look_shows_what_a_recording_was_made_with(changes, gender, betas, rate, tmp_path, capsys):
-    arrays = {name: array for name, array in (recording(24) | changes).items() if array is not None}
+    arrays = {name: array for name, array in (recording(24, frames=1) | changes).items() if array is not None}
     path = write_take(tmp_path / "take.npz", **arrays)
-    assert run(["look", str(path)]) == 0
-    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[1:] if "  " in line)
-    assert (lines["gender"], lines["betas"]) == (gender, betas)
-    assert lines["frame"].removeprefix("rate").strip().startswith(rate)
+    if not changes:
+        assert run(["look", str(path)]) == 0
+        lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[1:] if "  " in line)
+        assert (lines["gender"], lines["betas"]) == (gender, betas)
+        assert lines["frame"].removeprefix("rate").strip().startswith(rate)
     assert run(["look", str(path), "--json"]) == 0
     details = dict(json.loads(capsys.readouterr().out)["files"][0]["details"])
-    assert details["gender"] == gender
+    assert (details["gender"], details["betas"]) == (gender, betas)
     assert details["frame rate"].startswith(rate)
 
 

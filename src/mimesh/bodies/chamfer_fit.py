@@ -212,7 +212,9 @@ def fit_points(
     not rejected. People who stand on their heads are not searched for.
     """
     cloud = target_cloud(points, TANGENTIAL_WEIGHT)
-    coarse = [(_first_points(body, count), target_cloud(points[:count])) for count in (300, 800)]
+    # The first points of a thinned body are random ones.
+    random = np.arange(len(body.vertices))
+    coarse = [(body.part(random[:count]), target_cloud(points[:count])) for count in (300, 800)]
     if start is None:
         return _fit_from_start_poses(body, points, cloud, coarse, seed)
     # Coarse points first: they follow large motions at little cost.
@@ -300,12 +302,6 @@ def _with_error(body: RiggedBody, cloud: TargetCloud, fit: BodyParameters) -> Bo
 
 def _error(fit: BodyParameters) -> float:
     return fit.error
-
-
-def _first_points(body: RiggedBody, count: int) -> RiggedBody:
-    """Reduce a thinned body to its first points, which are random ones."""
-    components = body.components[:, :count]
-    return replace(body, vertices=body.vertices[:count], components=components, weights=body.weights[:count])
 
 
 def _start_poses(body: RiggedBody, points: Float[np.ndarray, "N 3"]) -> list[BodyParameters]:

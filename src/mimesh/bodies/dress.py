@@ -184,5 +184,4 @@ def _check_fits(body: RiggedBody) -> None:
 
 
 def _open() -> np.lib.npyio.NpzFile:
-    """Open the file of all shipped garments."""
     return np.load(str(resources.files("mimesh.bodies") / "dress.npz"))

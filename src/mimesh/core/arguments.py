@@ -134,9 +134,9 @@ def check_kind(name: str, value: object, annotation: str) -> None:
     Kinds that are not in KINDS are left to the function.
     """
     allowed = [kind.strip() for kind in annotation.split("|")]
-    if not all(kind in KINDS for kind in allowed) or any(KINDS[kind](value) for kind in allowed):
+    if not all(kind in KINDS for kind in allowed) or any(KINDS[kind][1](value) for kind in allowed):
         return
-    words = [WORDS[kind] for kind in allowed if kind != "str" or "Path" not in allowed]
+    words = [KINDS[kind][0] for kind in allowed if kind != "str" or "Path" not in allowed]
     *others, last = words
     expected = f"{', '.join(others)} or {last}" if others else last
     raise InputError(f"{name}: expected {expected}, found {described(value)}; {_advice(value, allowed)}")
@@ -170,7 +170,7 @@ def _advice(value: object, allowed: list[str]) -> str:
         )
     if allowed in (["Mesh"], ["Clip"]) and isinstance(value, (str, os.PathLike)):
         return "load_mesh and load_clip read files; where something is saved, it comes first, then its path"
-    return f"give {WORDS['Path' if 'Path' in allowed else allowed[0]]}"
+    return f"give {KINDS['Path' if 'Path' in allowed else allowed[0]][0]}"
 
 
 def _is(kind: str) -> Callable[[object], bool]:
@@ -190,31 +190,19 @@ def _is_number(kind: type) -> Callable[[object], bool]:
     return test
 
 
-KINDS: dict[str, Callable[[object], bool]] = {
-    "None": lambda value: value is None,
-    "str": lambda value: isinstance(value, str),
-    "Path": lambda value: isinstance(value, os.PathLike),
-    "int": _is_number(numbers.Integral),
-    "float": _is_number(numbers.Real),
-    "bool": lambda value: isinstance(value, (bool, np.bool_)),
-    "slice": lambda value: isinstance(value, slice),
-    "Progress": callable,
-    "Mesh": _is("Mesh"),
-    "Clip": _is("Clip"),
+KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
+    "None": ("None", lambda value: value is None),
+    "str": ("text", lambda value: isinstance(value, str)),
+    "Path": ("a path", lambda value: isinstance(value, os.PathLike)),
+    "int": ("a whole number", _is_number(numbers.Integral)),
+    "float": ("a number", _is_number(numbers.Real)),
+    "bool": ("True or False", lambda value: isinstance(value, (bool, np.bool_))),
+    "slice": ("a slice", lambda value: isinstance(value, slice)),
+    "Progress": ("a function of (done, total)", callable),
+    "Mesh": ("a Mesh", _is("Mesh")),
+    "Clip": ("a Clip", _is("Clip")),
 }
-"""Kind in annotations -> whether a value is of it."""
-WORDS = {
-    "None": "None",
-    "str": "text",
-    "Path": "a path",
-    "int": "a whole number",
-    "float": "a number",
-    "bool": "True or False",
-    "slice": "a slice",
-    "Progress": "a function of (done, total)",
-    "Mesh": "a Mesh",
-    "Clip": "a Clip",
-}
+"""Kind in annotations -> what messages call it, and whether a value is of it."""
 
 
 def as_vertices(values: Any, name: str = "Mesh.vertices") -> Float[np.ndarray, "V 3"]:
@@ -309,7 +297,7 @@ def _as_array(name: str, values: Any) -> np.ndarray:
     """Convert to an array; memory maps stay what they are, other subclasses calculate in another way."""
     if type(values) in (np.ndarray, np.memmap):
         return values
-    if values is None or isinstance(values, (str, bytes)) or KINDS["Mesh"](values) or KINDS["Clip"](values):
+    if values is None or isinstance(values, (str, bytes)) or _is("Mesh")(values) or _is("Clip")(values):
         raise InputError(f"{name}: expected an array, found {described(values)}; give one of NumPy")
     if isinstance(values, np.ma.MaskedArray):
         raise InputError(f"{name}: expected an array, found one with a mask; give one without, such as array.filled(0)")

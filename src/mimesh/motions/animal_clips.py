@@ -200,9 +200,7 @@ def _soles(
     for _, _, ankle in _leg_joints(body):
         foot = np.flatnonzero(body.weights[:, descendants([ankle], body.parents)[1:]].sum(axis=1) > 0.5)
         sole = foot[standing_height[foot] < standing_height[foot].min() + SOLE]
-        part = dataclasses.replace(
-            body, vertices=body.vertices[foot], components=body.components[:, foot], weights=body.weights[foot]
-        ).posed(np.zeros(0), rotmat, np.zeros((len(rotmat), 3)))
+        part = body.part(foot).posed(np.zeros(0), rotmat, np.zeros((len(rotmat), 3)))
         place = part[:, np.isin(foot, sole)].mean(axis=1)
         place[:, 1] = part[..., 1].min(axis=1)
         soles.append(place)

@@ -58,7 +58,7 @@ class HumanoidRig:
 
     @property
     def body(self) -> RiggedBody:
-        """That body, read from its file."""
+        """That body."""
         return load_body(self.body_name)
 
     @property

@@ -6,8 +6,6 @@ They contain no captured data, so their number and use are not limited. The root
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from jaxtyping import Float
 
@@ -110,9 +108,7 @@ def planted(body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"]) -> Float[np.
     """
     sole = np.flatnonzero(body.vertices[:, 1] < SOLE)
     # Only the vertices of the soles are posed, with the root at the origin.
-    soles = dataclasses.replace(
-        body, vertices=body.vertices[sole], components=body.components[:, sole], weights=body.weights[sole]
-    ).posed(np.zeros(0), rotmat, np.zeros((len(rotmat), 3)))
+    soles = body.part(sole).posed(np.zeros(0), rotmat, np.zeros((len(rotmat), 3)))
     height = soles[:-1, :, 1] + soles[1:, :, 1]
     # A soft minimum over two frames: the sole that is lowest in both carries the body.
     weight = np.exp(-(height - height.min(axis=1, keepdims=True)) / (2 * SOFTNESS))
