@@ -78,12 +78,6 @@ def test_an_archive_becomes_the_recorded_surface(joints, shapes, tmp_path, capsy
     assert (clip.headings[:, 2] > 0.5).all()
 
 
-def test_without_a_body_model_the_shipped_body_moves_as_before(tmp_path):
-    path = write_take(tmp_path / "take.npz", **recording(52))
-    assert load_clip(path).vertices.shape == (FRAMES, 6890, 3)
-    assert load_clip(path).skeleton is not None
-
-
 def test_an_archive_with_y_up_keeps_its_axes(tmp_path):
     arrays, take = small_arrays(24, 30), recording(24)
     take["poses"][:, :3] = 0.1
