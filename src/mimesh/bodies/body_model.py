@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Integer
 
 from ..core.errors import InputError
 from ..core.mesh import Mesh
@@ -133,7 +133,7 @@ _shipped_body = cache(_read_body)
 
 
 def unpacked_weights(
-    joints: Int[np.ndarray, "V K"], weights: Float[np.ndarray, "V K"], count: int
+    joints: Integer[np.ndarray, "V K"], weights: Float[np.ndarray, "V K"], count: int
 ) -> Float[np.ndarray, "V J"]:
     """Make the skinning weights of `count` joints from those stored: the largest few of a vertex, in half precision."""
     unpacked = np.zeros((len(weights), count))

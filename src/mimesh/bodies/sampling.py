@@ -108,7 +108,7 @@ def lowered_arms(body: RiggedBody) -> Float[np.ndarray, "J 3"]:
     return pose_of(body, {"LeftArm": (0.0, 0.0, -75.0), "RightArm": (0.0, 0.0, 75.0)})
 
 
-def pose_of(body: RiggedBody, degrees: Mapping[str, tuple[float, float, float]]) -> Float[np.ndarray, "J 3"]:
+def pose_of(body: RiggedBody, degrees: Mapping[str, tuple[float | int, ...]]) -> Float[np.ndarray, "J 3"]:
     """Convert a table of rotation vectors by joint (degrees) to all joints' rotation vectors (radians)."""
     pose = np.zeros((len(body.joint_names), 3))
     for name, turn in degrees.items():
