@@ -52,7 +52,7 @@ def test_smoothing_keeps_constant_and_linear_tracks_and_reduces_noise():
 
 @pytest.mark.slow
 def test_options_of_animate_change_path_contacts_and_noise():
-    identity, clip = person(0, faces=600), dataclasses.replace(walk(faces=600), fps=2.0)  # slow enough to plant feet
+    identity, clip = person(0), dataclasses.replace(walk(faces=600), fps=2.0)  # slow enough to plant feet
     options = ({"root": "scale", "ground": True}, {"ground": False}, {"root": "keep"}, {"root": "drop"})
     planted, sliding, kept, dropped = (animate(identity, clip, **chosen) for chosen in options)
     way = [np.ptp(moved.vertices.mean(axis=1)[:, 2]) for moved in (planted.clip, kept.clip, dropped.clip, clip)]
