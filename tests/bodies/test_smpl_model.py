@@ -37,13 +37,12 @@ def test_posed_vertices_are_those_of_plain_loops(seed, tmp_path):
     np.testing.assert_allclose(frames, expected, atol=1e-12)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_models_of_full_size_are_posed_as_by_loops(name, tmp_path):
+def test_models_of_all_layouts_are_posed_as_by_loops(name, tmp_path):
     joints, shapes = LAYOUTS[name]
-    arrays, rng = smpl_arrays(joints, shapes), np.random.default_rng(1)
+    arrays, rng = smpl_arrays(joints, shapes, faces=300), np.random.default_rng(1)
     model = load_smpl_model(write_model(tmp_path / name, arrays))
-    assert (len(model.template), len(model.faces), len(model.parents)) == (6890, 13776, joints)
+    assert (len(model.faces), len(model.parents)) == (len(arrays["f"]), joints)
     betas, rotvec, trans = rng.standard_normal(shapes), 0.5 * rng.standard_normal((1, joints, 3)), rng.random((1, 3))
     expected = loop_vertices(arrays, betas, rotvec[0], trans[0])
     np.testing.assert_allclose(posed(model, betas, rotvec, trans)[0], expected, atol=1e-9)
