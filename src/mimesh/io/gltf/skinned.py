@@ -21,9 +21,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...core.animated_rig import INFLUENCES, AnimatedRig, RigAnimation
+from ...core.animated_rig import INFLUENCES, AnimatedRig, RigAnimation, local_rotations
 from ...core.geometry import continuous_quaternions
-from ...core.rig import local_rotations
 from .animation import AnimationChannel, add_animation
 from .build import build_document, stage_transform
 from .draft import ARRAY_BUFFER, Draft

@@ -16,9 +16,10 @@ from jaxtyping import Float
 
 from ...bodies.hands import body_with_fingers, hand_joints
 from ...bodies.joint_names import ancestors, finger_joints
+from ...core.animated_rig import local_rotations
 from ...core.geometry import continuous_quaternions, nearest_rotation
 from ...core.person_motion import PersonMotion
-from ...core.rig import Rig, local_rotations
+from ...core.rig import Rig
 from ...motions.bone_motion import BoneMotion, bone_joints, t_pose_frames
 from ...motions.humanoid_rig import SIDES
 from ...motions.retarget import axes_from_rest
