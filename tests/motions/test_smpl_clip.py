@@ -268,7 +268,7 @@ def test_animate_and_transfer_drive_with_the_recorded_surface(tmp_path, capsys):
         assert any("the first 10 of 16 betas" in note for note in facts["report"]["notes"])
         moved = load_clip(tmp_path / out).vertices if verb == "animate" else load_mesh(tmp_path / out).vertices
         same_up_to_one_scale(moved, expected)
-        assert facts.get("fps", 120.0) == 120.0
+        assert verb == "transfer" or facts["fps"] == 120.0
     assert run(["transfer", str(hero), str(source), *options, "-o", str(model)]) == 2
     assert "expected an output apart from the inputs" in capsys.readouterr().err
 
