@@ -140,6 +140,7 @@ def test_a_fit_from_the_previous_frame_keeps_scale_and_shape():
     assert np.abs(fit.rotvec - bent)[body.joint("LeftForeArm")].max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_frame_with_a_large_error_is_fitted_from_the_start_poses():
     body = thin()
     first = rest(error=1e-9, restart_error=GOOD_ERROR)
