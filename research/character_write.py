@@ -11,7 +11,8 @@ from jaxtyping import Float
 from mimesh.bodies.character_pool import CharacterClip, PoolCharacter
 from mimesh.core.geometry import vertex_normals
 from mimesh.io.gltf.animation import AnimationChannel, add_animation
-from mimesh.io.gltf.draft import ARRAY_BUFFER, Draft
+from mimesh.io.gltf.check import ARRAY_BUFFER
+from mimesh.io.gltf.draft import Draft
 
 
 def write_character(character: PoolCharacter, path: Path, clips: Mapping[str, CharacterClip], fps: float) -> None:

@@ -12,7 +12,8 @@ from matrix import matrix
 from pools import BLOCKS, blocks, write_character
 
 from mimesh.bodies import load_body
-from mimesh.bodies.character_pool import Limb, PoolCharacter, read_pool, transferred_transforms
+from mimesh.bodies.character_limbs import Limb
+from mimesh.bodies.character_pool import PoolCharacter, read_pool, transferred_transforms
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
 from mimesh.evaluate.characters import Characters, body_pose, characters, find_character_landmarks, pose_character

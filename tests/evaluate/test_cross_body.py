@@ -16,10 +16,11 @@ from mimesh.bodies.body_model import landmarks
 from mimesh.bodies.joint_names import named_joints
 from mimesh.bodies.sampling import JOINT_LIMITS, lowered_arms, rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
+from mimesh.core.rig import local_rotations
 from mimesh.evaluate.cross_body import check_character, cross_body, find_landmarks, pose_at_rest, pose_on_rig
 from mimesh.evaluate.metrics import pmd_aligned, resized
 from mimesh.io.gltf.skin_file import read_skin
-from mimesh.motions.retarget import BONES, to_local
+from mimesh.motions.retarget import BONES
 
 SCHEMES = ("cmu", "mixamo", "quaternius", "kaykit", "unreal", "vroid")
 """Naming schemes of joints that the tests use."""
@@ -52,7 +53,7 @@ def posed_with(known: set[str], body, rotmat: np.ndarray) -> np.ndarray:
     world, _ = body.skinning_transforms(body.joints, rotmat)
     for j, (joint, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
         world[j] = world[j] if joint in known else world[parent]
-    return body.posed(np.zeros(1), to_local(world[None], body.parents)[0])[rigs.kept()]
+    return body.posed(np.zeros(1), local_rotations(world[None], body.parents)[0])[rigs.kept()]
 
 
 def joints_in(rig, rotmat, body) -> dict[str, np.ndarray]:

@@ -10,8 +10,8 @@ import time
 import pytest
 
 from mimesh.core.budgets import no_limits
-from mimesh.core.errors import InputError
-from mimesh.io.child_process import LONGEST_MESSAGE, MIB, Limits, child_result, watched
+from mimesh.core.errors import LONGEST_MESSAGE, InputError
+from mimesh.io.child_process import MIB, Limits, child_result, watched
 
 LIMITS = Limits(1024 * MIB, 4 * MIB, 20, 30.0)
 DECODERS = """

@@ -20,8 +20,9 @@ from mimesh.learn import export
 from mimesh.learn.aniformer import AniFormerData, WindowSource
 from mimesh.learn.config import load_config
 from mimesh.learn.data.endless import training_takes
+from mimesh.learn.data.people import PairSource
 from mimesh.learn.models import find_task
-from mimesh.learn.npt import NPTConfig, NPTData, NPTTrainConfig, PairSource
+from mimesh.learn.npt import NPTConfig, NPTData, NPTTrainConfig
 from mimesh.learn.start import train_command
 from mimesh.methods.find import find_method
 

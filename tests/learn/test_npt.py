@@ -10,7 +10,8 @@ from trainings import assert_steps_are_pure, length_changes
 from mimesh.core.geometry import edges
 from mimesh.evaluate.protocols import HUMAN_NPT
 from mimesh.learn.aniformer import AniFormerData, WindowSource
-from mimesh.learn.npt import NPTData, PairSource, npt_loss
+from mimesh.learn.data.people import PairSource
+from mimesh.learn.npt import NPTData, npt_loss
 from mimesh.learn.task import shipped_body
 
 CASES = [NPTData("table6"), NPTData("table6", 64), NPTData("wide"), NPTData("wide", 64, "identity")]

@@ -13,8 +13,9 @@ from mimesh.learn import checkpoint
 from mimesh.learn.data.bodies import numbers_of_step
 from mimesh.learn.data.characters import TrainingCharacters
 from mimesh.learn.data.figures import CharacterPairSource
+from mimesh.learn.data.people import PairSource
 from mimesh.learn.export import described_data
-from mimesh.learn.npt import NPTData, PairSource
+from mimesh.learn.npt import NPTData
 from mimesh.learn.start import train_command
 from mimesh.learn.task import shipped_body
 

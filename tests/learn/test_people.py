@@ -4,8 +4,8 @@ import torch
 
 from mimesh.learn.data import endless
 from mimesh.learn.data.bodies import numbers_of_step
-from mimesh.learn.data.people import BodySampler
-from mimesh.learn.npt import NPTData, PairSource
+from mimesh.learn.data.people import BodySampler, PairSource
+from mimesh.learn.npt import NPTData
 from mimesh.learn.task import STEPS_AHEAD, BatchesAhead, shipped_body
 
 

@@ -13,8 +13,9 @@ from trainings import TINY
 from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
 from mimesh.learn.data.figures import share_of
+from mimesh.learn.data.people import PairSource
 from mimesh.learn.loop import TrainingRun, train
-from mimesh.learn.npt import NPTTask, PairSource
+from mimesh.learn.npt import NPTTask
 from mimesh.learn.processes import is_first_process, joined_processes
 
 PARTS = dataclasses.replace(TINY, batch=4, pairs=16, validate_every=8, precision="fp32", accumulate=2)

@@ -22,18 +22,13 @@ from mimesh.evaluate.measure import TRAINED_ON, training_facts
 from mimesh.evaluate.protocols import HUMAN_NPT
 from mimesh.io import load_mesh, save_mesh
 from mimesh.learn import checkpoint
-from mimesh.learn.aniformer import (
-    AniFormerConfig,
-    AniFormerData,
-    AniFormerTrainConfig,
-    MeshWindowSource,
-)
+from mimesh.learn.aniformer import AniFormerConfig, AniFormerData, AniFormerTrainConfig
 from mimesh.learn.config import load_config, options_of
-from mimesh.learn.data.registered import HeldOutMeshes, RegisteredMeshes
+from mimesh.learn.data.registered import HeldOutMeshes, MeshPairSource, MeshWindowSource, RegisteredMeshes
 from mimesh.learn.export import DATA, described_data
 from mimesh.learn.loop import TrainingRun
 from mimesh.learn.models import NETWORKS, find_task
-from mimesh.learn.npt import MeshPairSource, NPTData
+from mimesh.learn.npt import NPTData
 from mimesh.learn.start import train_command
 from mimesh.learn.validation import Validation
 

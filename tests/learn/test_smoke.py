@@ -2,8 +2,9 @@
 
 import torch
 
+from mimesh.learn.data.people import PairSource
 from mimesh.learn.mime import MimeConfig, MimeData, MimeLossConfig, MimeNetwork, SurfaceSource, mime_loss
-from mimesh.learn.npt import NPT, NPTConfig, NPTData, PairSource, npt_loss
+from mimesh.learn.npt import NPT, NPTConfig, NPTData, npt_loss
 from mimesh.learn.task import shipped_body
 
 

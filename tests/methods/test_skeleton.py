@@ -9,12 +9,13 @@ from people import person, walk
 from zoo import ZOO
 
 from mimesh.bodies import load_body
-from mimesh.bodies.body_parameters import BodyParameters, thin_body
+from mimesh.bodies.chamfer_fit import BodyParameters, thin_body
 from mimesh.core.canonical_order import canonical_order
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import Normalization
+from mimesh.core.surface_points import surface_sampler
 from mimesh.evaluate.metrics import pmd_aligned
-from mimesh.methods.skeleton import SkeletonBaseline, bind, bone_segments, bone_transforms, surface_sampler
+from mimesh.methods.skeleton import SkeletonBaseline, bind, bone_segments, bone_transforms
 
 BODY = thin_body(load_body(), 500, 8)
 IDENTITY, DRIVING = person(0, pose=3), person(1, pose=1)

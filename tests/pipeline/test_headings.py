@@ -8,8 +8,8 @@ from people import person
 import mimesh
 from mimesh.bodies.animals import animal
 from mimesh.cli import run
-from mimesh.core.heading import turn
 from mimesh.core.mesh import Clip
+from mimesh.core.normalization import turn
 from mimesh.io import load_mesh, save_mesh
 
 IDENTITY, DRIVING = person(0), person(1, pose=2)

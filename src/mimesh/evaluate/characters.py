@@ -27,14 +27,14 @@ from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody
 from ..bodies.body_model import EXTREMES, LANDMARKS, NEAR, landmarks
-from ..bodies.character_limbs import SIDES, TAILS
-from ..bodies.character_pool import CharacterMeta, Limb, Pool, PoolCharacter, read_pool, transferred_transforms
+from ..bodies.character_limbs import SIDES, TAILS, Limb
+from ..bodies.character_pool import CharacterMeta, Pool, PoolCharacter, read_pool, transferred_transforms
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
+from ..core.geometry import rotation_between
 from ..core.mesh import Mesh
+from ..core.rig import local_rotations
 from ..motions.animal_rig import rest_directions
-from ..motions.rest_calibration import rotation_between
-from ..motions.retarget import to_local
 from .cross_body import as_body
 from .pairs import Pair, human
 from .protocols import Wide
@@ -265,7 +265,7 @@ def pose_character(character: PoolCharacter, rotmat: Float[np.ndarray, "B 3 3"])
     world = np.empty((len(rig.parents), 3, 3))
     for j, parent in enumerate(rig.parents):
         world[j] = named[j] if j in named else world[parent] if parent >= 0 else hips
-    return rig.skinning_transforms(to_local(world[None], rig.parents)[0])
+    return rig.skinning_transforms(local_rotations(world[None], rig.parents)[0])
 
 
 def body_pose(character: PoolCharacter, transforms: Float[np.ndarray, "K 4 4"]) -> Float[np.ndarray, "B 3 3"]:
@@ -291,7 +291,7 @@ def body_poses(
             world[:, j] = transforms[:, character.joints[name], :3, :3] @ aligned.get(name, np.eye(3))
         else:
             world[:, j] = world[:, parent] if parent >= 0 else np.eye(3)
-    return to_local(world, body.parents)
+    return local_rotations(world, body.parents)
 
 
 def rest_alignments(character: PoolCharacter) -> dict[str, Float[np.ndarray, "3 3"]]:

@@ -27,8 +27,9 @@ from ..bodies.joint_names import named_joints, require_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.mesh import Mesh
+from ..core.rig import local_rotations
 from ..io.gltf.skin_file import read_skin
-from ..motions.retarget import BONES, NEEDED, alignments, to_local
+from ..motions.retarget import BONES, NEEDED, alignments
 from .pairs import Pair, Pose, human
 from .protocols import Wide
 
@@ -89,14 +90,14 @@ def pose_on_rig(
     world = np.empty((len(rig.parents), 3, 3))
     for j, parent in enumerate(rig.parents):
         world[j] = named[j] if j in named else world[parent] if parent >= 0 else named[index["Hips"]]
-    return to_local(world[None], rig.parents)[0]
+    return local_rotations(world[None], rig.parents)[0]
 
 
 def pose_at_rest(rig: SkinnedCharacter, body: RiggedBody) -> Float[np.ndarray, "J 3 3"]:
     """Return the local joint rotations that give the shipped body the rest pose of a rig, such as an A-pose."""
     aligned = alignments(rig.joints, named_joints(rig.joint_names, rig.parents), body)
     world = np.stack([aligned.get(joint, np.eye(3)) for joint in body.joint_names])
-    return to_local(world[None], body.parents)[0]
+    return local_rotations(world[None], body.parents)[0]
 
 
 def find_landmarks(rig: SkinnedCharacter) -> Int[np.ndarray, "M"]:

@@ -19,8 +19,14 @@ from jaxtyping import Float, Int
 
 from ..bodies.character_limbs import SIDES
 from ..bodies.character_pool import PoolCharacter, read_pool
-from ..bodies.finger_poses import finger_rotations, sample_finger_poses
-from ..bodies.hands import HAND_PARENTS, body_with_fingers, fingertips, hand_alignment
+from ..bodies.hands import (
+    HAND_PARENTS,
+    body_with_fingers,
+    finger_rotations,
+    fingertips,
+    hand_alignment,
+    sample_finger_poses,
+)
 from ..bodies.joint_names import finger_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError

@@ -22,8 +22,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from ..bodies import RiggedBody
-from ..bodies.finger_poses import finger_rotations, sample_finger_poses
-from ..bodies.hands import HAND_PARENTS, left_hand_body
+from ..bodies.hands import HAND_PARENTS, finger_rotations, left_hand_body, sample_finger_poses
 from ..bodies.joint_names import finger_joints
 from ..core.errors import InputError
 from .data.bodies import (

@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody, load_body
-from ..bodies.body_parameters import BodyParameters, thin_body
-from ..bodies.chamfer_fit import fit_points
+from ..bodies.chamfer_fit import BodyParameters, fit_points, thin_body
 from ..core.canonical_order import CanonicalOrder, canonical_order
 from ..core.mesh import Clip, Mesh
 from ..core.skinning import place_joints, skin_points

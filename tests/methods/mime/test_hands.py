@@ -8,8 +8,7 @@ from matrix import matrix
 
 import mimesh
 from mimesh.bodies import load_body
-from mimesh.bodies.finger_poses import GESTURES, finger_rotations, gestures, within_limits
-from mimesh.bodies.hands import body_with_fingers, load_hands
+from mimesh.bodies.hands import GESTURES, body_with_fingers, finger_rotations, gestures, load_hands, within_limits
 from mimesh.bodies.joint_names import finger_joints, named_fingers, named_joints
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.geometry import MIRROR

@@ -31,8 +31,9 @@ from ...core.errors import InputError
 from ...core.geometry import continuous_quaternions
 from ..beside import is_there
 from ..gltf.animation import AnimationChannel, add_animation
+from ..gltf.check import ARRAY_BUFFER
 from ..gltf.document import image_type
-from ..gltf.draft import ARRAY_BUFFER, Draft, NumberTooLarge, accessor_bounds
+from ..gltf.draft import Draft, NumberTooLarge, accessor_bounds
 from ..gltf.scene import DEFAULT_TRS
 from ..polygons import fan_corners
 from ..timing import DEFAULT_FPS, HIGHEST_FPS, LONGEST, frame_count

@@ -25,7 +25,8 @@ from ...core.errors import InputError
 from ...core.frame_buffer import Progress, each_frame, release_pages
 from ...core.geometry import normal_turner, unit_vectors
 from ...core.mesh import Clip, Mesh
-from .draft import ARRAY_BUFFER, Draft, Spool
+from .check import ARRAY_BUFFER
+from .draft import Draft, Spool
 from .edit import PrimitiveGroup
 
 Deltas = dict[str, Float[np.ndarray, "N 3"]]

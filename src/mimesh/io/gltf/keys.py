@@ -15,10 +15,9 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ...core.animated_rig import local_rotations
 from ...core.geometry import continuous_quaternions
 from ...core.mesh import Mesh
-from ...core.rig import Rig, descendant_matrix
+from ...core.rig import Rig, descendant_matrix, local_rotations
 from .animation import slerp
 from .document import Document
 from .edit import GltfSource

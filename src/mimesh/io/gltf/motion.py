@@ -19,8 +19,8 @@ from jaxtyping import Float
 
 from ...core.geometry import nearest_rotation
 from ...core.normalization import ROTATIONS
+from ...core.rig import local_rotations
 from ...motions.bvh import Bvh
-from ...motions.retarget import to_local
 from ..timing import DEFAULT_FPS
 from .animation import AnimationChannel, animated_nodes, frame_rate, frame_times, sample_nodes, select_channels
 from .check import damaged
@@ -73,7 +73,7 @@ def read_skeleton(document: Document, fps: float | None = None, animation: str |
     stretches = np.abs(bones - offsets).max(axis=(0, 2)) > NEGLIGIBLE * np.ptp(rest, axis=0).max()
     moved = {j: bones[:, j] for j in np.flatnonzero(stretches).tolist() if j > 0}
     names = tuple("world" if n == WORLD_NODE else _joint_name(document, n, humanoid) for n in nodes)
-    local = to_local(rotation, parents)
+    local = local_rotations(rotation, parents)
     return Bvh(document.path.stem, names, parents, offsets, {}, local, position[:, 0], float(fps), moved)
 
 

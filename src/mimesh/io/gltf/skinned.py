@@ -24,7 +24,8 @@ from jaxtyping import Bool, Float
 from ...core.animated_rig import INFLUENCES, AnimatedRig, RigAnimation
 from .animation import AnimationChannel, add_animation
 from .build import build_document, stage_transform
-from .draft import ARRAY_BUFFER, Draft
+from .check import ARRAY_BUFFER
+from .draft import Draft
 from .edit import GltfSource, PrimitiveGroup, edit_document, with_normals
 from .keys import KEY_LIMIT, choose_keys, local_quaternions, played_values, rotation_tolerances, without_costly_times
 from .scene import DEFAULT_TRS

@@ -17,8 +17,7 @@ from jaxtyping import Float
 from ...bodies import RiggedBody
 from ...bodies.character_limbs import SIDES
 from ...bodies.sampling import rotvec_to_rotmat
-from ...core.geometry import unit_vectors
-from ...motions.rest_calibration import rotation_between
+from ...core.geometry import rotation_between, unit_vectors
 from .characters import POINTS, CharacterSurface
 
 Shape = Literal["box", "ellipsoid", "cylinder", "cone", "disc"]

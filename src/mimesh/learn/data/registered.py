@@ -33,7 +33,7 @@ from ...io import list_animations, load_clip, load_points
 from ...io.formats import ANIMATED, CACHES, CLIP_READERS, COLLECTIONS, FORMATS, MESH_READERS, MOTIONS
 from ...motions.on_body import is_motion_file
 from .bodies import copied_to, numbers_of_step, on_device, uniform
-from .characters import DAMAGED
+from .clips import DAMAGED
 from .endless import ReflectOptions
 from .people import PairBatch, VertexSampler
 
