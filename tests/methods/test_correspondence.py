@@ -12,7 +12,7 @@ from mimesh.core.geometry import closest_barycentric, face_normals
 from mimesh.core.mesh import Mesh
 from mimesh.core.normalization import bbox_centre, radius
 from mimesh.methods import correspondence
-from mimesh.methods.correspondence import (
+from mimesh.methods.deformation_transfer import (
     IDENTITY_WEIGHT,
     REST_WEIGHT,
     closest_valid,

@@ -6,7 +6,7 @@ from zoo import ZOO, grid
 
 from mimesh.core.geometry import face_areas
 from mimesh.core.mesh import Mesh
-from mimesh.methods.heat_weights import (
+from mimesh.methods.skeleton import (
     HEAT,
     closest_on_segment,
     cotangent_laplacian,

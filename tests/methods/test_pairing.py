@@ -16,7 +16,6 @@ from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import Normalization
 from mimesh.methods import find
 from mimesh.methods.find import find_method
-from mimesh.methods.mime.body_pairs import body_pairs
 from mimesh.pipeline import animate, prepare, transfer
 
 pytest.importorskip("onnx")
@@ -160,7 +159,7 @@ def test_body_pairs_are_near_the_true_places_on_meshes_of_other_faces_and_on_poi
     )
     ranked = canonical_order(identity.vertices)
     for mesh in (driving, Mesh(true.vertices[::-1], np.zeros((0, 3), int))):
-        points = body_pairs(find_method("mime"), identity, mesh).points(mesh.vertices)[ranked.group]
+        points = find_method("mime").body_pairs(identity, mesh).points(mesh.vertices)[ranked.group]
         error = np.linalg.norm(points - true.vertices, axis=1)
         assert error.mean() < 0.03  # of the radius; edges have 0.1
         assert error.mean() < 0.1 * np.linalg.norm(points[::-1] - true.vertices, axis=1).mean()

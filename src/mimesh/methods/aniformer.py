@@ -23,7 +23,7 @@ from ..core.canonical_order import CanonicalOrder, canonical_order, file_order
 from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
 from ..core.surface_points import padded_vertices
-from .base import Drive
+from .base import Drive, Shapes
 from .npt import (
     METRES,
     Corresponding,
@@ -35,7 +35,6 @@ from .npt import (
     generator,
     radii_in_metres,
 )
-from .root_motion import Shapes
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession

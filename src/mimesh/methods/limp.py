@@ -16,9 +16,8 @@ from jaxtyping import Float
 from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import bbox_centre, radius
-from .base import Drive
+from .base import Drive, Shapes
 from .npt import batch_of_one, drive_of
-from .root_motion import Shapes
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession

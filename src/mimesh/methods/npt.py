@@ -23,8 +23,7 @@ from ..core.geometry import edges, spatial_order
 from ..core.mesh import Clip, Mesh, same_mesh
 from ..core.normalization import bbox_centre, radius
 from ..core.surface_points import SurfacePoints, padded_vertices
-from .base import Drive, ShapeMethod
-from .root_motion import Shapes, with_root_motion
+from .base import Drive, ShapeMethod, Shapes, with_root_motion
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession

@@ -19,9 +19,8 @@ from mimesh.evaluate.measure import AXES
 from mimesh.evaluate.metrics import pmd_aligned
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.methods.confidence import mean_angle
-from mimesh.methods.mime import body_fit, limb_search
-from mimesh.methods.mime.body_fit import BodyFit, fit_body, fit_predictions
-from mimesh.methods.mime.surface_sample import SurfaceSample
+from mimesh.methods.mime import body_fit
+from mimesh.methods.mime.body_fit import BodyFit, SurfaceSample, fit_body, fit_predictions
 from mimesh.pipeline import transfer
 
 BODY = load_body()
@@ -199,7 +198,7 @@ def test_a_leg_that_is_off_the_surface_is_searched():
 
 @pytest.mark.slow
 def test_another_prediction_is_taken_where_it_fits_better(monkeypatch):
-    monkeypatch.setattr(limb_search, "SEARCHES", 0)
+    monkeypatch.setattr(body_fit, "SEARCHES", 0)
     surface, good, true = animal(1, noise=0.05)
     one, best = (fit_predictions(surface, with_leg_turned(good), others, "quadruped") for others in ((), (good,)))
     assert max(best.gaps.values()) <= body_fit.STILL_OFF < max(one.gaps.values())

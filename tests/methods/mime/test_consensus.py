@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mimesh.core.rig import Rig
-from mimesh.methods.mime.consensus import agreeing, consensus
+from mimesh.methods.mime.prediction import agreeing, consensus
 
 
 def prediction(degrees, noise=0, joints=4, axis="y"):

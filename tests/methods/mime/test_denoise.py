@@ -7,7 +7,7 @@ from people import person
 
 from mimesh.bodies import load_body
 from mimesh.core.mesh import Mesh
-from mimesh.methods.mime.denoise import NOISY, Denoiser
+from mimesh.methods.mime.prediction import NOISY, Denoiser
 
 BODY = load_body().mesh()
 

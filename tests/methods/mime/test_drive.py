@@ -14,7 +14,7 @@ from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.rig import leg_length
 from mimesh.core.surface_points import SurfacePoints
 from mimesh.methods.find import find_method
-from mimesh.methods.mime.denoise import Denoiser
+from mimesh.methods.mime.prediction import Denoiser
 from mimesh.pipeline import animate, transfer
 
 pytest.importorskip("onnx")
@@ -102,7 +102,7 @@ def test_noisy_mesh_is_predicted_denoised_and_tracked_as_it_is(method):
 
 def test_weights_do_not_depend_on_the_chunk_size(method, monkeypatch):
     whole = moved(method, [DRIVING.vertices])[0]
-    monkeypatch.setattr("mimesh.methods.mime.joint_network.CHUNK", 100)
+    monkeypatch.setattr("mimesh.methods.mime.prediction.CHUNK", 100)
     assert np.allclose(moved(method, [DRIVING.vertices])[0], whole, atol=1e-6)
 
 

@@ -221,7 +221,7 @@ def test_planted_feet_are_those_without_fingers():
 def test_hands_of_any_number_of_vertices_take_bounded_memory(monkeypatch):
     """The network gets a few queries at a time, which changes no weight but for rounding."""
     whole = moved(1, 2, "fist")
-    monkeypatch.setattr("mimesh.methods.mime.hand_network.CHUNK", 300)
+    monkeypatch.setattr("mimesh.methods.mime.hands.CHUNK", 300)
     parts = mimesh.transfer(mesh(1), mesh(2, "fist"), **AXES)
     assert parts.report["fingers"] == ["left", "right"]
     assert np.abs(parts.vertices - whole.vertices).max() < 1e-5

@@ -11,21 +11,21 @@ from people import person, walk
 import mimesh
 from mimesh.methods.find import find_method
 from mimesh.methods.mime.drive import MimeMethod
-from mimesh.methods.mime.joint_network import JointNetwork
 from mimesh.methods.mime.kept_results import keep_results
+from mimesh.methods.mime.prediction import JointNetwork
 
 
 @pytest.fixture
 def predictions(monkeypatch) -> list[int]:
     """Keep results during a test; a list that grows with each prediction of the network."""
     calls: list[int] = []
-    predict = JointNetwork.predict
+    predict = JointNetwork.run
 
     def counted(*args, **options):
         calls.append(1)
         return predict(*args, **options)
 
-    monkeypatch.setattr(JointNetwork, "predict", counted)
+    monkeypatch.setattr(JointNetwork, "run", counted)
     keep_results()
     yield calls
     keep_results(False)

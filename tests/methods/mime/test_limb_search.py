@@ -11,9 +11,7 @@ from mimesh.bodies.joint_ranges import joint_ranges
 from mimesh.bodies.sampled_body import PosedBody
 from mimesh.core.geometry import face_normals
 from mimesh.core.surface_points import interpolate, sample_surface
-from mimesh.methods.mime.body_fit import sampled_body
-from mimesh.methods.mime.limb_search import LIES_ON, LimbPoses, limb_gaps, limbs, search_limbs
-from mimesh.methods.mime.surface_sample import SurfaceSample
+from mimesh.methods.mime.body_fit import LIES_ON, LimbPoses, SurfaceSample, limb_gaps, limbs, sampled_body, search_limbs
 
 BODY, RANGES = sampled_body("quadruped"), joint_ranges("quadruped")
 
@@ -73,7 +71,7 @@ def test_a_predicted_pose_of_a_limb_is_taken():
 
 def test_no_search_where_limbs_lie_on_the_surface(monkeypatch):
     right = standing()
-    monkeypatch.setattr("mimesh.methods.mime.limb_search.LIES_ON", 0.02)
+    monkeypatch.setattr("mimesh.methods.mime.body_fit.LIES_ON", 0.02)
 
     def refused(state):
         raise AssertionError("nothing was to be fitted again")
