@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from animals import BODY, FEET, Animal, animal, bones, coefficients, random_turns
+from animals import BODY, FEET, Animal, animal, bones, coefficients, random_turns, small, small_clip
 from matrix import matrix
 from rigs import of_kind
 
@@ -316,11 +316,11 @@ def test_an_animal_in_a_bvh_is_refused_with_the_format_that_works(tmp_path, caps
 
 @pytest.mark.slow
 def test_the_facing_of_an_animal_without_a_rig_is_noted_only_where_up_is_not_known():
-    driving = gait_clip("dog", "walk", seconds=0.2, fps=10.0)
-    known = mimesh.animate(dataclasses.replace(shipped_animal("cat"), up="+y"), driving, driving_up="+y")
+    driving, cat = small_clip(gait_clip("dog", "walk", seconds=0.2, fps=10.0)), small(shipped_animal("cat"))
+    known = mimesh.animate(dataclasses.replace(cat, up="+y"), driving, driving_up="+y")
     assert known.report["body"] == "quadruped"
     assert not any("facing" in note or "looks like" in note for note in known.notes)
     assert (known.report["identity"]["up"], known.report["identity"]["front"]) == ("+y", "+z")
-    bare = dataclasses.replace(shipped_animal("cat"), up=None)
+    bare = dataclasses.replace(cat, up=None)
     found = mimesh.animate(bare, driving, body="quadruped", driving_up="+y")
     assert any("the facing of cat is uncertain" in note for note in found.notes)

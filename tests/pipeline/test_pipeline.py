@@ -197,13 +197,12 @@ def test_refinement_is_the_models_default_or_the_users_choice(tmp_path):
     assert all(value >= 0 for value in refined.seconds.values())
 
 
-@pytest.mark.slow
 def test_a_vertex_network_is_refined_unless_the_user_says_no(tmp_path):
-    rough = dataclasses.replace(person(0), vertices=person(0).vertices + 0.01 * np.sin(1e4 * person(0).vertices))
     pytest.importorskip("onnx")
-    network = str(write_network(tmp_path / "npt.onnx"))
+    network, axes = str(write_network(tmp_path / "npt.onnx")), {"up": "+y", "front": "+z", "body": "human"}
     default, unrefined, refined = (
-        transfer(person(0), rough, network, refine=refine).vertices for refine in (None, False, True)
+        transfer(person(0), person(1, 0), network, refine=refine, driving_up="+y", driving_front="+z", **axes).vertices
+        for refine in (None, False, True)
     )
     assert np.array_equal(default, refined)
     assert not np.array_equal(default, unrefined)
