@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from matrix import matrix
 from people import person as person_mesh
 
 from mimesh.bodies import load_body
@@ -60,7 +59,7 @@ def notes(mesh):
 
 
 def test_whole_person_has_no_note():
-    assert notes(BODY.mesh()) == ""
+    assert notes(person_mesh(0)) == ""
 
 
 REASONS = {
@@ -70,7 +69,8 @@ REASONS = {
 }
 
 
-@matrix("name", REASONS, quick=["one arm"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", REASONS)
 def test_note_names_the_reason(name):
     kept, reason = REASONS[name]
     note = notes(part_of_body(kept))

@@ -91,11 +91,7 @@ class AniFormerMethod:
         return drive_of(self, identity, driving)
 
     def shapes(self, identity: Mesh, driving: Clip) -> Shapes:
-        """As `ShapeMethod.shapes`.
-
-        Raises:
-            InputError: as `prepare`.
-        """
+        """As `ShapeMethod.shapes`."""
         match = self._in_file_order if self.vertices else self._paired
         ranked, points_at, pairings = match(identity, driving.mesh)
         rest = ranked.merge(identity.vertices)

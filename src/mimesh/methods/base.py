@@ -318,7 +318,8 @@ class SkinnedDrive:
 
     def __call__(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield the identity's vertices for every driving frame; of a known motion, for all frames from its first."""
-        for rotation, positions in self._poses(frames):
+        for t, vertices in enumerate(check_size(frames, self.name)):
+            rotation, positions = self.driving_pose(t, vertices)
             yield self.posed(self._linked(rotation[None], positions[None])[0], self.stride * positions[0])
 
     def at(self, frames: list[int]) -> SkinnedDrive:
@@ -382,9 +383,6 @@ class SkinnedDrive:
     def driving_joints(self) -> tuple[str, ...]:
         """Names of the driving's joints."""
         return self.joints if self.linked is None else self.linked.driving
-
-    def _poses(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Pose]:
-        return (self.driving_pose(t, vertices) for t, vertices in enumerate(check_size(frames, self.name)))
 
     def _linked(
         self, rotation: Float[np.ndarray, "T D 3 3"], positions: Float[np.ndarray, "T D 3"]

@@ -217,7 +217,9 @@ def deformation_solver(
     from scipy.sparse import csr_array
 
     gradient = gradient_operator(vertices, faces)
-    share = match_shares(faces)
+    # One over the number of times that each face occurs: the shares of a face add up to one.
+    _, index, count = np.unique(faces, axis=0, return_inverse=True, return_counts=True)
+    share = 1.0 / count[index.reshape(-1)]
     divergence = csr_array(gradient.T.multiply(np.repeat(share * face_areas(vertices, faces), 3)))
     ties = component_ties(vertices, faces)
     offsets = tie_offsets(vertices, faces, share, rest, ties)
@@ -234,12 +236,6 @@ def deformation_solver(
         return np.concatenate([np.zeros((1, 3)), system.solve(right_side[1:])])
 
     return solve
-
-
-def match_shares(faces: Int[np.ndarray, "P 3"]) -> Float[np.ndarray, " P"]:
-    """Return one over the number of times that each face occurs, so that the shares of a face add up to one."""
-    _, index, count = np.unique(faces, axis=0, return_inverse=True, return_counts=True)
-    return 1.0 / count[index.reshape(-1)]
 
 
 def tie_offsets(

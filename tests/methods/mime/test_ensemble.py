@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from matrix import matrix
 from scipy.spatial.transform import Rotation
 
@@ -48,6 +49,7 @@ def test_predictions_after_a_turn_are_those_of_the_turned_mesh():
     np.testing.assert_allclose(back.weights, direct.weights, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_body_fits_a_reading_better_than_the_same_upside_down():
     samples, vertices = points_of(np.eye(3))
     right = METHOD.network.predict_keyframes(samples, [vertices], [vertices], 0)

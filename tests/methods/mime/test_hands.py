@@ -151,6 +151,7 @@ def test_fingers_are_followed_through_a_clip():
     assert skeleton.deviation(result.clip.vertices) < 5e-3
 
 
+@pytest.mark.slow
 def test_prepared_fingers_are_called_as_by_mixamo():
     method = find_method("mime")
     identity, driving = mesh(1), mesh(2, "point")
