@@ -157,6 +157,13 @@ def test_a_folded_limb_is_noted():
     assert "folded by 165 degrees" in note
 
 
+def test_confidence_is_a_half_at_the_threshold_of_the_note():
+    confidences = [fitted(fit_angle=float(angle)) for angle in np.linspace(1.0, 90.0, 400)]
+    noted = [bool(confidence.notes("person")) for confidence in confidences]
+    assert noted == [confidence.facts()["confidence"] < 0.5 for confidence in confidences]
+    assert set(noted) == {False, True}
+
+
 @pytest.mark.slow
 def test_missing_forearms_are_noted_and_holes_are_not():
     noise = PROTOCOLS["noise"]
@@ -193,7 +200,6 @@ def test_uncertainty_is_above_one_exactly_where_there_is_a_note():
         confidence = random_confidence(np.random.default_rng(seed))
         noted.append(bool(confidence.notes("mesh")))
         assert (confidence.uncertainty > 1) == noted[-1]
-        assert not confidence.fitted or (confidence.facts()["confidence"] < 0.5) == noted[-1]
     assert 50 < sum(noted) < 450, "both happen"
     lost = Confidence(1.0, 0.1, dict.fromkeys(MIN_SHARE, 0.0))
     assert 1 < lost.uncertainty < np.inf

@@ -266,6 +266,7 @@ def surfaces(i: int) -> Pair:
     return QUADRUPED.pair("val", "gaits", i)
 
 
+@pytest.mark.slow
 def test_animals_without_rigs_are_taken_for_animals_and_moved():
     """Nearer to the truth than the identity as it is, in the driving's pose and not on its head."""
     pair = surfaces(0)
