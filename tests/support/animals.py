@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from mimesh.bodies import RiggedBody, load_body
 from mimesh.bodies.character_limbs import SIDES
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.animated_rig import AnimatedRig, RigAnimation
-from mimesh.core.mesh import Mesh
+from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.rig import Rig, homogeneous
 from mimesh.io.gltf.skinned import write_gltf_skinned
 
@@ -200,3 +200,15 @@ def random_turns(seed: int, names: Collection[str], degrees: float = 20.0) -> di
 
     rng = np.random.default_rng(seed)
     return {name: Rotation.from_rotvec(np.radians(degrees) * rng.uniform(-1, 1, 3)).as_matrix() for name in names}
+
+
+def small(mesh: Mesh) -> Mesh:
+    """Take an animal of the shipped body with few faces."""
+    remaining, faces = decimation(FACES, "quadruped")
+    return replace(mesh, vertices=mesh.vertices[remaining], faces=faces)
+
+
+def small_clip(clip: Clip) -> Clip:
+    """Take a clip of an animal of the shipped body with few faces."""
+    remaining, _ = decimation(FACES, "quadruped")
+    return replace(clip, mesh=small(clip.mesh), vertices=clip.vertices[:, remaining])

@@ -21,9 +21,8 @@ from ..core.errors import InputError, RefusedMeshError
 from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, bbox_centre
-from ..methods.base import Method, RigMethod, ShapeMethod, SizedMethod
+from ..methods.base import Method, RigMethod, ShapeMethod, SizedMethod, check_size
 from ..methods.find import find_method, weights_path
-from ..methods.root_motion import check_size
 from ..pipeline import ClipResult, Result, animate, transfer
 from .characters import CharacterPair
 from .clip_protocols import ClipPair, on_template
