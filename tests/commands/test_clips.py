@@ -14,7 +14,7 @@ from mimesh.cli import run
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.gltf.document import open_document
 from mimesh.pipeline.skinned import save_skinned
-from mimesh.tools.driving_clips import choose_clips
+from mimesh.tools.convert import choose_clips
 
 pytest.importorskip("onnx")
 

@@ -21,7 +21,7 @@ from mimesh.commands.terminal import progress
 from mimesh.core.mesh import Material, Part
 from mimesh.core.printable import plain, printable
 from mimesh.io import load_mesh, save_mesh
-from mimesh.jobs.summary import BatchResult
+from mimesh.jobs.run import BatchResult
 from mimesh.jobs.table import BatchJob
 
 NAME = "a\x1b]0;owned\x07\u202eb\n  looks         fine\r\x9b2J\u2066\x00"

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_info
 
 from mimesh.bodies.engine_names import SCHEMES, RestPose
 from mimesh.cli import COMMANDS, command_name, run
-from mimesh.commands import about, common, completion, terminal
+from mimesh.commands import about, common, terminal
 from mimesh.core.errors import did_you_mean
 from mimesh.methods.find import MODELS, PAIRING_CHOICES
 from mimesh.methods.onnx_runtime import THREADS
@@ -75,10 +75,10 @@ def test_near_models_are_suggested_and_far_ones_not(files, capsys):
 
 
 def test_values_that_shells_complete_are_those_that_are_checked():
-    assert set(completion.MODELS) == set(MODELS) == set(about.DESCRIPTIONS)
+    assert set(terminal.MODELS) == set(MODELS) == set(about.DESCRIPTIONS)
     known = {"root": ROOTS, "rig": RIGS, "body": BODIES, "names": SCHEMES, "rest": get_args(RestPose)}
     known["pairing"] = PAIRING_CHOICES
-    assert {option: set(values) for option, values in completion.VALUES.items()} == {
+    assert {option: set(values) for option, values in terminal.VALUES.items()} == {
         option: set(values) for option, values in known.items()
     }
 
@@ -88,10 +88,10 @@ def test_names_of_models_and_networks_are_completed(tmp_path, monkeypatch):
         (tmp_path / name).touch()
     (tmp_path / "nets").mkdir()
     monkeypatch.chdir(tmp_path)
-    assert completion.models("n") == ["npt", "npt-maxpool", "net.onnx", "nets/"]
-    assert completion.models("./net") == ["./net.onnx", "./nets/"]
-    assert completion.models(f"{tmp_path}/.h") == [f"{tmp_path}/.hidden.onnx"]
-    assert completion.models("nowhere/") == []
+    assert terminal.complete_model("n") == ["npt", "npt-maxpool", "net.onnx", "nets/"]
+    assert terminal.complete_model("./net") == ["./net.onnx", "./nets/"]
+    assert terminal.complete_model(f"{tmp_path}/.h") == [f"{tmp_path}/.hidden.onnx"]
+    assert terminal.complete_model("nowhere/") == []
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from mimesh.core.budgets import limits_are_lifted
 from mimesh.core.mesh import Clip
 from mimesh.core.output_size import LARGEST_OUTPUT, check_output_size
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
-from mimesh.jobs.summary import BatchResult
+from mimesh.jobs.run import BatchResult
 from mimesh.jobs.table import filled, find_files, option_values, read_jobs
 
 

@@ -16,8 +16,16 @@ from mimesh.io.formats import CLIP_WRITERS, MESH_WRITERS
 from mimesh.motions import load_motion, window
 from mimesh.pipeline.odd_frames import far_frames_note, first_frame_note
 from mimesh.render.movie import MOVIES
-from mimesh.tools.convert import LARGE, convert, read_driving, size_note, skinned_note, taken_pose_note, taken_rate_note
-from mimesh.tools.driving_clips import DrivingClip
+from mimesh.tools.convert import (
+    LARGE,
+    DrivingClip,
+    convert,
+    read_driving,
+    size_note,
+    skinned_note,
+    taken_pose_note,
+    taken_rate_note,
+)
 
 pytestmark = pytest.mark.usefixtures("in_process")
 

@@ -24,9 +24,9 @@ from starlette.routing import Route
 from ..bodies.engine_rig import Layout
 from ..core.errors import InputError
 from ..io.joint_file import SUFFIX
+from .items import parse_rate
 from .jobs import Cancelled, error_line
-from .joints import describe_file
-from .options import parse_rate
+from .operations import describe_file
 from .session import Session
 from .state import describe, scene
 from .uploads import TooLarge, Upload, clip_name, find_clip, find_meshes
