@@ -209,7 +209,7 @@ def batch(
             record_path(job).unlink(missing_ok=True)
     shown = set(shown_jobs(len(jobs))) if sheet else set()
     tasks = [BatchTask(job, fingerprint(job), k in shown) for k, job in enumerate(jobs)]
-    outcomes = [_recorded(task) or {"state": NOT_RUN} for task in tasks]
+    outcomes = [recorded(task) or {"state": NOT_RUN} for task in tasks]
     workers = workers or usable_cores()
     count = min(workers, sum(outcome["state"] == NOT_RUN for outcome in outcomes))
 
@@ -301,7 +301,7 @@ def _digest(path: Path, modified: int, size: int) -> str:
     return digest.hexdigest()
 
 
-def _recorded(task: BatchTask) -> dict[str, Any] | None:
+def recorded(task: BatchTask) -> dict[str, Any] | None:
     """Return the recorded outcome of a job whose output exists and was made from the same, else None."""
     try:
         record = json.loads(record_path(task.job).read_text(encoding="utf-8"))
@@ -322,7 +322,7 @@ def do_task(task: BatchTask) -> dict[str, Any]:
     job, begin = task.job, time.perf_counter()
     failed: dict[str, Any] = {"state": FAILED}
     try:
-        outcome = _recorded(task) or _do_job(task, begin)
+        outcome = recorded(task) or _do_job(task, begin)
         return {**outcome, "tile": draw_tile(job)} if task.draw else outcome
     except InputError as error:
         failed["error"] = " ".join(str(error).split())
