@@ -112,8 +112,9 @@ def test_chosen_and_dropped_files_become_downloads(fresh, files, tmp_path):
         return path
 
     animate(files / "hero.glb", files / "walk.npz").save_skinned(tmp_path / "expected.glb")
-    back, written = load_clip(download()), load_clip(tmp_path / "expected.glb")
-    assert back.mesh.name == "hero-walk"
+    path = download()
+    assert path.name == "hero-walk.glb"
+    back, written = load_clip(path), load_clip(tmp_path / "expected.glb")
     np.testing.assert_allclose(back.vertices, written.vertices, atol=1e-6)
     assert back.fps == written.fps
     page.click("#bones summary")
