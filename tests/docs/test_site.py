@@ -5,6 +5,7 @@ import shlex
 import subprocess
 import sys
 from contextvars import copy_context
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,12 @@ def test_the_reference_has_every_command_and_option(inserts):
         assert f"## mimesh {command_name(command)}\n" in text
     assert "`--skinned`" in text
     assert "`--driving-front` `AXIS`" in text
+
+
+def test_names_of_the_reference_exist():
+    names = re.findall(r"auto(?:function|class):: (mimesh[\w.]*)\.(\w+)", (DOCS / "api.md").read_text())
+    assert len(names) > 20
+    assert [name for module, name in names if not hasattr(import_module(module), name)] == []
 
 
 def test_every_table_of_the_papers_is_on_their_page():
