@@ -207,6 +207,7 @@ def test_a_program_that_imported_onnxruntime_before_has_decided(tmp_path, monkey
         assert SWITCH not in os.environ
 
 
+@pytest.mark.slow
 def test_opening_a_network_leaves_no_file(place):
     code = "from mimesh.methods import find_method; find_method('npt')"
     subprocess.run([sys.executable, "-c", code], cwd=place.home, env=place.environment, check=True, timeout=SECONDS)

@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zoo
+from typer.main import get_command
 
 import mimesh
-from mimesh.cli import COMMANDS, command_name
+from mimesh.cli import COMMANDS, app, command_name
 from mimesh.core.mesh import Clip, Material, Part
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.methods.find import MODELS
@@ -40,9 +41,10 @@ def test_help_names_every_command_and_imports_nothing_heavy():
 
 
 def test_every_command_has_help_and_json(call):
-    for command in COMMANDS:
-        code, out, _ = call(f"{command_name(command)} --help")
-        assert (code, "--json" in out) == (0, True), command
+    for name, command in get_command(app).commands.items():
+        assert command.help, name
+        assert any("--json" in parameter.opts for parameter in command.params), name
+    assert "--json" in call("look --help").out
 
 
 def test_every_test_set_is_in_the_help():
@@ -257,8 +259,8 @@ def test_bugs_are_reported_and_an_interrupt_exits_with_130(error, files, call, m
     assert len(err.splitlines()) < 15
 
 
-def test_closed_pipe_is_no_error(files):
-    process = subprocess.Popen([MIMESH, "look", *["hero.obj"] * 20], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+def test_closed_pipe_is_no_error():
+    process = subprocess.Popen([MIMESH, "models"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
     process.stdout.close()
     assert process.stderr is not None

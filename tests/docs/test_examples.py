@@ -186,6 +186,7 @@ def test_live(ran, tmp_path):
     assert np.abs(moved.vertices - person(0).vertices).max() > 0.1
 
 
+@pytest.mark.slow
 def test_own_arrays(ran, tmp_path):
     mesh, clip = person(0), walk(frames=3)
     arrays = {"vertices": mesh.vertices, "faces": mesh.faces, "fps": 30.0}
@@ -199,6 +200,7 @@ def test_own_arrays(ran, tmp_path):
     assert example("own_arrays").shipped_arrays()["driving_vertices"].ndim == 3
 
 
+@pytest.mark.slow
 def test_own_arrays_that_cannot_be_used(tmp_path):
     mesh = person(0)
     np.savez(
@@ -215,6 +217,7 @@ def test_own_arrays_that_cannot_be_used(tmp_path):
     assert done.stderr == f"Mesh.vertices: expected shape (V, 3), found {mesh.vertices.T.shape}; give vertices.T\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("content", [b"\x02\0\0\0" + bytes(24), b"GET / HTTP/1.1"])
 def test_live_frames_of_another_mesh_are_left_out(tmp_path, capsys, content):
     """A sender whose mesh has another number of vertices, and one that speaks another protocol."""

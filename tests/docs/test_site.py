@@ -33,6 +33,11 @@ def inserts():
 
 
 @pytest.fixture(scope="module")
+def commands():
+    return get_command(app).commands
+
+
+@pytest.fixture(scope="module")
 def site(tmp_path_factory):
     out = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", str(DOCS), str(out)]
@@ -110,8 +115,8 @@ def command_lines(text: str) -> list[str]:
 
 # The log has commands as they were.
 @pytest.mark.parametrize("page", [ROOT / "README.md", *(page for page in PAGES if page.stem != "LOG")])
-def test_commands_of_a_page_and_their_options_exist(page):
-    commands, wrong = get_command(app).commands, []
+def test_commands_of_a_page_and_their_options_exist(page, commands):
+    wrong = []
     for line in command_lines(page.read_text(encoding="utf-8")):
         if "[OPTIONS]" in line:  # the usage of a command
             continue
