@@ -279,7 +279,9 @@ def output_path(given: str | None, usual: Callable[[], Path], frames: bool = Fal
 
     if given is None:
         return usual()
-    path = given_output(given)
+    if not given.strip():  # as of an unset variable: it would be the current folder
+        raise InputError("--output: expected a path, found an empty text; check variables and quotes")
+    path = Path(given)
     if given.endswith(SEPARATORS):
         if path.exists() and not path.is_dir():
             raise InputError(f"{given}: expected a folder for the output, found a file; leave the slash out")
@@ -287,19 +289,6 @@ def output_path(given: str | None, usual: Callable[[], Path], frames: bool = Fal
     if not path.is_dir() or (frames and any(file.stem[-1:].isdigit() for file in path.iterdir())):
         return path
     return path / usual().name
-
-
-def given_output(text: str) -> Path:
-    """Return the path of an output; an empty one, as of an unset variable, would be the current folder.
-
-    Raises:
-        InputError: it is empty.
-    """
-    from ..core.errors import InputError
-
-    if not text.strip():
-        raise InputError("--output: expected a path, found an empty text; check variables and quotes")
-    return Path(text)
 
 
 def refuse_existing(no_clobber: bool, *outputs: Path | None) -> None:
