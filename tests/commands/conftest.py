@@ -39,6 +39,18 @@ def call(capsys) -> Callable[[str], Ended]:
 
 
 @pytest.fixture
+def refuses(call) -> Callable[[str, str], None]:
+    """A function that checks that a command line is refused, with some words in the message."""
+
+    def check(line: str, words: str) -> None:
+        code, _, err = call(line)
+        assert code == 2, err
+        assert words in err
+
+    return check
+
+
+@pytest.fixture
 def files(tmp_path: Path, monkeypatch) -> Path:
     """The current folder, with hero.obj, pose.obj, pose.ply and walk/ (three frames), all of one topology."""
     monkeypatch.chdir(tmp_path)

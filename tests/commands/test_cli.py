@@ -18,7 +18,7 @@ import zoo
 from typer.main import get_command
 
 import mimesh
-from mimesh.cli import COMMANDS, app, command_name
+from mimesh.cli import COMMANDS, app, command_name, run
 from mimesh.core.mesh import Clip, Material, Part
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.methods.find import MODELS
@@ -112,8 +112,6 @@ def test_open_opens_the_page_in_the_browser(files, call, monkeypatch):
     assert call(TRANSFER + "-q --open") == (0, "", "")
     assert opened == [(files / "hero-pose.preview.html").as_uri()]
     assert "no browser was found" in call(TRANSFER + "-q --open").err
-    code, _, err = call(TRANSFER + "-q --open --no-preview")
-    assert (code, "--open: expected a page" in err) == (2, True)
 
 
 def test_render_writes_a_page_of_any_files(files, call):
@@ -121,9 +119,6 @@ def test_render_writes_a_page_of_any_files(files, call):
     assert '"role":"mesh"' in Path("both.html").read_text()
     assert call("render hero.obj --truth hero.obj -o both.html").code == 0
     assert '"role":"truth"' in Path("both.html").read_text()
-    save_mesh(zoo.tetrahedron(), "other.obj")
-    code, _, err = call("render hero.obj --truth other.obj -o both.html")
-    assert (code, "expected the truth to have 8 vertices, found 4" in err) == (2, True)
 
 
 @pytest.mark.parametrize(
@@ -137,20 +132,18 @@ def test_render_writes_a_page_of_any_files(files, call):
         ("transfer hero.obj pose.ply -m deformation-transfer --markers x.preview.html -o x.obj", "x.preview.html"),
     ],
 )
-def test_inputs_are_not_overwritten(line, name, files, call):
+def test_inputs_are_not_overwritten(line, name, files, refuses):
     Path("link.obj").hardlink_to("hero.obj")
     for given in ("x.obj", "x.preview.html"):
         Path(given).write_text("0 0\n")
     before, names = Path(name).read_bytes(), sorted(files.rglob("*"))
-    code, _, err = call(line)
-    assert (code, "apart from the inputs" in err) == (2, True)
+    refuses(line, "apart from the inputs")
     assert (Path(name).read_bytes(), sorted(files.rglob("*"))) == (before, names)
 
 
-def test_a_mesh_for_a_clip_and_an_empty_path_are_refused_with_the_way(files, call, capsys):
-    code, _, err = call("animate hero.obj pose.ply -o x.obj")
-    assert (code, "name it without a suffix: -o x" in err) == (2, True)
-    assert mimesh.cli.run(["animate", "hero.obj", ""]) == 2
+@pytest.mark.parametrize("words", [["animate", "hero.obj", ""], [*TRANSFER.split(), "-o", " "]])
+def test_empty_paths_are_refused(words, files, capsys):
+    assert run(words) == 2
     assert "expected a path, found an empty text" in capsys.readouterr().err
 
 
@@ -211,11 +204,9 @@ def test_demo_writes_its_files(files, call, monkeypatch):
     assert load_mesh("demo/result.glb").faces.shape == load_mesh("demo/identity.obj").faces.shape
 
 
-def test_the_demo_has_animals_and_refuses_other_bodies(files, call):
+def test_the_demo_has_animals():
     cow, gallop = inputs("quadruped")
     assert (cow.name, gallop.mesh.name) == ("cow", "horse-gallop")
-    code, _, err = call("demo --body fish")
-    assert (code, "expected human or quadruped, found 'fish'" in err) == (2, True)
 
 
 def test_evaluate_prints_a_table_and_json(files, call):
@@ -229,18 +220,9 @@ def test_evaluate_prints_a_table_and_json(files, call):
 @pytest.mark.parametrize(
     ("line", "extra"), [("train npt", "train"), ("export x.safetensors -o x.onnx", "train"), ("studio", "viewer")]
 )
-def test_missing_extra_is_refused_with_the_install_command(line, extra, call, monkeypatch):
+def test_missing_extra_is_refused_with_the_install_command(line, extra, refuses, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    code, _, err = call(line)
-    assert (code, f"pip install 'mimesh[{extra}]'" in err) == (2, True)
-
-
-@pytest.mark.parametrize("line", ["nonsense", "look a.obj --wrong", "render a.obj"])
-def test_wrong_usage_is_one_line(line, call):
-    code, out, err = call(line)
-    assert (code, out, len(err.splitlines())) == (2, "", 1)
-    assert err.startswith("mimesh: ")
-    assert "--help" in err
+    refuses(line, f"pip install 'mimesh[{extra}]'")
 
 
 @pytest.mark.parametrize("error", [RuntimeError("no luck \x1b[31m"), KeyboardInterrupt()], ids=["bug", "interrupt"])

@@ -186,16 +186,9 @@ def test_one_file_of_several_animations_becomes_one_file_of_several_clips(moves,
         ),
     ],
 )
-def test_other_animations_are_refused(moves, files, words, expected, call):
+def test_other_animations_are_refused(moves, files, words, expected, refuses):
     paths = [str(files / word) if "." in word else word for word in ("hero.glb", *words)]
-    code, _, err = call(" ".join(["animate", *paths]))
-    assert (code, expected in err) == (2, True)
-
-
-@pytest.mark.parametrize("command", ["convert {} a.npz", "render {} -o a.png"])
-def test_an_animation_is_chosen_once_where_one_clip_is_taken(command, moves, call):
-    code, _, err = call(command.format(moves) + " --animation Walk --animation Run")
-    assert (code, "--animation: expected it once, found Walk, Run; choose one of them" in err) == (2, True)
+    refuses(" ".join(["animate", *paths]), expected)
 
 
 def test_a_vrma_has_bones_alone(files, tmp_path, call):

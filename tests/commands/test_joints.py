@@ -64,18 +64,21 @@ def test_a_given_file_is_that_beside_the_mesh(files, side_file):
     assert given.described() == (f"LeftLeg as in {side_file}",)
 
 
-def test_models_without_joints_ignore_a_side_file_and_refuse_a_given_one(files, side_file, call):
+def test_models_without_joints_ignore_a_side_file_and_refuse_a_given_one(files, side_file, call, refuses):
     assert "joints:" not in call(LINE.format(files, "copy", "-m copy")).out
-    code, _, err = call(LINE.format(files, "copy", f"-m copy --joints {side_file}"))
-    assert (code, "--joints: expected a model with joints (mime), found copy" in err) == (2, True)
-    code, _, err = call(LINE.format(files, "copy", f"-m copy --save-joints {files}/x.json"))
-    assert (code, "--save-joints: expected a model with joints" in err) == (2, True)
+    refuses(
+        LINE.format(files, "copy", f"-m copy --joints {side_file}"),
+        "--joints: expected a model with joints (mime), found copy",
+    )
+    refuses(
+        LINE.format(files, "copy", f"-m copy --save-joints {files}/x.json"),
+        "--save-joints: expected a model with joints",
+    )
 
 
-def test_a_side_file_of_another_mesh_is_refused(files, side_file, call):
+def test_a_side_file_of_another_mesh_is_refused(files, side_file, refuses):
     side_file.write_text(side_file.read_text().replace(str(len(person().vertices)), "5310"))
-    code, _, err = call(LINE.format(files, "x", ""))
-    assert (code, "vertices, found those of a mesh with 5310" in err) == (2, True)
+    refuses(LINE.format(files, "x", ""), "vertices, found those of a mesh with 5310")
 
 
 @pytest.mark.slow
