@@ -66,14 +66,9 @@ def test_a_given_file_is_that_beside_the_mesh(files, side_file):
 
 def test_models_without_joints_ignore_a_side_file_and_refuse_a_given_one(files, side_file, call, refuses):
     assert "joints:" not in call(LINE.format(files, "copy", "-m copy")).out
-    refuses(
-        LINE.format(files, "copy", f"-m copy --joints {side_file}"),
-        "--joints: expected a model with joints (mime), found copy",
-    )
-    refuses(
-        LINE.format(files, "copy", f"-m copy --save-joints {files}/x.json"),
-        "--save-joints: expected a model with joints",
-    )
+    line = LINE.format(files, "copy", "-m copy")
+    refuses(f"{line} --joints {side_file}", "--joints: expected a model with joints (mime), found copy")
+    refuses(f"{line} --save-joints {files}/x.json", "--save-joints: expected a model with joints")
 
 
 def test_a_side_file_of_another_mesh_is_refused(files, side_file, refuses):
