@@ -594,32 +594,6 @@ def result_facts(
     return facts
 
 
-def print_facts(facts: dict[str, Any], json: bool, quiet: bool) -> dict[str, Any]:
-    """Print facts about a file as JSON, or as a summary, and return them."""
-    if json:
-        print_json(facts)
-    elif not quiet:
-        _print_clips(facts) if "clips" in facts else _print_summary(facts)
-    return facts
-
-
-def _print_summary(facts: dict[str, Any]) -> None:
-    """Print the output, its notes and previews, and a command for the next step."""
-    from ..render.movie import MOVIES
-    from ..tools.convert import frames_at
-
-    length = "" if facts["fps"] is None else f", {frames_at(facts['frames'], facts['fps'])}"
-    seconds = sum(facts["seconds"].values())
-    say(f"{_written(facts)}: {facts['vertices']} vertices{length}, {_moved_by(facts)}, {seconds:.1f} s")
-    for line in facts["report"].get("joints", ()):
-        say(f"joints: {line}")
-    for note in facts["report"]["notes"]:
-        say(f"note: {note}")
-    _print_previews(facts["report"])
-    if Path(facts["output"]).suffix.lower() not in MOVIES:
-        _print_viewing(facts)
-
-
 def joined_facts(facts: Sequence[dict[str, Any]], driving: Sequence[DrivingClip]) -> dict[str, Any]:
     """Return the facts about one file of several clips: sums and unions, and under "clips" those of each."""
     kept = ("frames", "fps", "seconds", "report")
@@ -644,41 +618,41 @@ def joined_facts(facts: Sequence[dict[str, Any]], driving: Sequence[DrivingClip]
     }
 
 
-def _written(facts: dict[str, Any]) -> str:
-    """Name the output, and tell that it took the place of a file."""
-    return facts["output"] + (" (replaced)" if facts["replaced"] else "")
+def print_facts(facts: dict[str, Any], json: bool, quiet: bool) -> dict[str, Any]:
+    """Print facts about a file as JSON, or as a summary, and return them."""
+    if json:
+        print_json(facts)
+    elif not quiet:
+        _print_summary(facts)
+    return facts
 
 
-def _moved_by(facts: dict[str, Any]) -> str:
-    """Name what moved the identity: the model, or the rig of its own file."""
-    return "on its own rig" if facts["report"].get("rig") == "own" else facts["model"]
-
-
-def _print_clips(facts: dict[str, Any]) -> None:
-    """Print a file of several clips: a line for each, notes with the clips that they are about, and the pages."""
+def _print_summary(facts: dict[str, Any]) -> None:
+    """Print the output, its clips if it has several, notes with those that they are about, previews and a next step."""
+    from ..render.movie import MOVIES
     from ..tools.convert import frames_at
 
-    clips, seconds = facts["clips"], sum(facts["seconds"].values())
-    by = _moved_by({**facts, "report": clips[0]["report"]})
-    say(f"{_written(facts)}: {facts['vertices']} vertices, {len(clips)} clips, {by}, {seconds:.1f} s")
+    clips, seconds = facts.get("clips", ()), sum(facts["seconds"].values())
+    reports = [clip["report"] for clip in clips] or [facts["report"]]
+    replaced = " (replaced)" if facts["replaced"] else ""
+    length = "" if facts["fps"] is None else f", {frames_at(facts['frames'], facts['fps'])}"
+    length = f", {len(clips)} clips" if clips else length
+    by = "on its own rig" if reports[0].get("rig") == "own" else facts["model"]
+    say(f"{facts['output']}{replaced}: {facts['vertices']} vertices{length}, {by}, {seconds:.1f} s")
     for clip in clips:
         say(f"clip: {clip['name']}, {frames_at(clip['frames'], clip['fps'])}")
-    for line in dict.fromkeys(line for clip in clips for line in clip["report"].get("joints", ())):
+    for line in dict.fromkeys(line for report in reports for line in report.get("joints", ())):
         say(f"joints: {line}")
     for note in facts["report"]["notes"]:
         about = [clip["name"] for clip in clips if note in clip["report"]["notes"]]
         say(f"note: {note}" if len(about) == len(clips) else f"note: {', '.join(about)}: {note}")
-    for clip in clips:
-        _print_previews(clip["report"])
-    _print_viewing(facts)
-
-
-def _print_previews(report: dict[str, Any]) -> None:
-    """Print the paths of the picture and the page of a result, if they were written."""
-    for path in report["pictures"]:
-        say(f"picture: {path}")
-    if report["page"]:
-        say(f"page: {report['page']}")
+    for report in reports:
+        for path in report["pictures"]:
+            say(f"picture: {path}")
+        if report["page"]:
+            say(f"page: {report['page']}")
+    if Path(facts["output"]).suffix.lower() not in MOVIES:
+        _print_viewing(facts)
 
 
 def _print_viewing(facts: dict[str, Any]) -> None:
