@@ -292,11 +292,7 @@ def output_path(given: str | None, usual: Callable[[], Path], frames: bool = Fal
 
 
 def refuse_existing(no_clobber: bool, *outputs: Path | None) -> None:
-    """Check with --no-clobber that no output exists; None is no output.
-
-    Raises:
-        InputError: one does.
-    """
+    """Check with --no-clobber that no output exists; None is no output."""
     from ..core.errors import InputError
 
     for path in filter(None, outputs):
@@ -327,11 +323,7 @@ def given_path(text: str) -> Path:
 
 
 def refuse_inputs(output: Path, *inputs: Path | None) -> None:
-    """Check that an output would not overwrite an input file or a file in a folder of input frames; None is no input.
-
-    Raises:
-        InputError: the output is one of the inputs or lies in a folder that is one.
-    """
+    """Check that an output would overwrite no input file and no file in a folder of input frames; None is no input."""
     from ..core.errors import InputError
 
     target = output.resolve()
@@ -349,11 +341,7 @@ def refuse_inputs(output: Path, *inputs: Path | None) -> None:
 
 
 def require(extra: str, *modules: str) -> None:
-    """Check that the modules of an optional extra are installed.
-
-    Raises:
-        InputError: one is missing; the message has the install command.
-    """
+    """Check that the modules of an optional extra are installed."""
     from importlib.util import find_spec
 
     from ..core.errors import InputError

@@ -184,11 +184,7 @@ def read_side_file(path: Path | None) -> JointCorrections | None:
 
 
 def check_corrections(item: Item, corrections: JointCorrections) -> None:
-    """Check corrections of a mesh, or of the driving clip in their frame.
-
-    Raises:
-        InputError: they do not belong to it, or it has not been read.
-    """
+    """Check corrections of a mesh, or of the driving clip in their frame."""
     if item.content is None:
         raise InputError(f"{item.name}: expected a mesh that has been read, found none; wait for it")
     vertices = item.content.vertices

@@ -376,10 +376,6 @@ class Session:
 
 
 def check_room(count: int) -> None:
-    """Check the number of meshes to move.
-
-    Raises:
-        InputError: more than MOST_IDENTITIES.
-    """
+    """Check the number of meshes to move."""
     if count > MOST_IDENTITIES:
         raise InputError(f"meshes to move: expected {MOST_IDENTITIES} or fewer, found {count}; remove some")
