@@ -193,7 +193,7 @@ def deadline():
         "transfer PIPE.obj good.obj",
         "animate good.obj PIPE.bvh",
         "convert PIPE.glb b.obj",
-        "batch PIPE.csv",
+        "batch PIPE.csv --quiet",
         "train npt --config PIPE.yaml",
         TRANSFER + "-m deformation-transfer --markers PIPE.txt",
         TRANSFER + "-m PIPE.onnx",

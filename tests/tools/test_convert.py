@@ -20,6 +20,7 @@ from mimesh.tools.convert import (
     LARGE,
     DrivingClip,
     convert,
+    posed_vrm_note,
     read_driving,
     size_note,
     skinned_note,
@@ -238,6 +239,12 @@ def test_notes_tell_which_pose_of_a_moving_file_was_taken(tmp_path):
 def test_bones_alone_are_written_by_another_command(tmp_path):
     with pytest.raises(InputError, match=r"bones alone; write it with mimesh animate CHARACTER a.bvh -o b.vrma"):
         convert(tmp_path / "a.bvh", tmp_path / "b.vrma")
+
+
+def test_a_vrm_in_a_pose_has_a_note(tmp_path):
+    (note,) = posed_vrm_note(tmp_path / "posed.vrm")
+    assert note.startswith("posed.vrm rests in the pose")
+    assert posed_vrm_note(tmp_path / "posed.glb") == ()
 
 
 def test_notes_tell_large_deviations_of_skinned_files():
