@@ -17,7 +17,7 @@ from typing import Annotated
 
 import typer
 
-from .commands import about, learn, measure, move, show, studio
+from .commands import about, learn, measure, move, show
 from .commands.common import Command
 from .commands.terminal import Stop
 from .core.printable import say
@@ -40,7 +40,7 @@ COMMANDS = (
     show.convert,
     show.look,
     show.render,
-    studio.studio,
+    show.studio,
     about.demo,
     about.models,
     about.doctor,

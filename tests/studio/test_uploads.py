@@ -114,8 +114,8 @@ NAMING = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("text", NAMING.values(), ids=NAMING)
+@pytest.mark.usefixtures("in_process")
 def test_layers_and_assets_of_usd_are_confined(folders, text):
     pytest.importorskip("pxr")
     upload, secret = folders
