@@ -15,13 +15,13 @@ from vrm_files import bone_positions, vrm, vrma
 
 import mimesh
 from mimesh.bodies import load_body
+from mimesh.bodies.character_limbs import SIDES
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.io import load_clip
 from mimesh.io.gltf.document import open_document
 from mimesh.motions.bone_motion import T_DIRECTIONS, bone_parents
-from mimesh.motions.humanoid_rig import SIDES
 from mimesh.pipeline.result import ClipResult, Timer
 from mimesh.pipeline.vrma import _bone_motion
 
