@@ -19,7 +19,6 @@ from unittest import mock
 
 import httpx2
 import pytest
-from matrix import matrix
 from people import person, walk
 from waiting import wait_until
 
@@ -248,11 +247,8 @@ def test_a_trace_shows_connections_and_files(place):
     assert trace.outside(place.root) == []
 
 
-@matrix(
-    ("command", "driving"),
-    [("transfer", "pose.obj"), ("animate", "walk.glb")],
-    quick=lambda case: case[0] == "transfer",
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("command", "driving"), [("transfer", "pose.obj"), ("animate", "walk.glb")])
 def test_a_command_connects_to_nothing_and_writes_its_output_alone(command, driving, inputs, place):
     require_strace()
     output = place.output / "result.glb"

@@ -79,6 +79,7 @@ def picture_at(watched, seconds=0.3):
     return watched.picture()
 
 
+@pytest.mark.slow
 def test_playing_pausing_and_seeking_give_the_right_pictures(watched):
     first = watched.picture()
     watched.page.evaluate("mimesh.controls.speed = 0.1")  # slow enough that it is not over before it is paused

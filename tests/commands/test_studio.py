@@ -25,6 +25,7 @@ def program(tmp_path):
     program.communicate()
 
 
+@pytest.mark.slow
 def test_interrupt_ends_the_studio_and_leaves_no_files(program, tmp_path):
     address = json.loads(program.stdout.readline())["address"]
     state = f"{address.partition('?')[0]}api/state"

@@ -71,6 +71,7 @@ def test_training_data_has_the_public_names_and_a_stopped_run_goes_on(model, tmp
     assert (first.stat().st_mtime_ns, lost.read_bytes()) == (before, content)
 
 
+@pytest.mark.slow
 def test_pairs_are_new_people_and_can_be_measured(model, tmp_path, capsys):
     written = generate_command("human-npt", tmp_path, "test", pairs=2, body_model=model)
     assert written["files"] == len(list(tmp_path.rglob("*.*")))

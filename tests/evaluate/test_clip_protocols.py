@@ -116,6 +116,7 @@ def test_motions_that_checkpoints_are_chosen_by_are_later_seconds_and_need_no_fo
     assert degrees_to_training(np.concatenate(splines), seen).min() > 3
 
 
+@pytest.mark.slow
 def test_held_out_and_stress_motions_are_the_middle_second_of_whole_clips(protocol):
     """DeepMimic's are divided between `val` and the stress test; those of `test` are of other files."""
     assert sorted((*GAITS, *STRESS)) == sorted(CLIPS)

@@ -112,6 +112,7 @@ def test_crash_is_an_input_error(run):
     assert "a.xyz: expected a file that can be read, found that its decoder crashed" in message_of(run, "crash")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGXCPU"), reason="a system without limits on processor time")
 def test_endless_loop_is_ended_by_processor_time(run):
     limits = Limits(LIMITS.memory, LIMITS.output, 1, 60.0)
@@ -231,6 +232,7 @@ def test_child_that_is_no_longer_wanted_ends_at_once(run, tmp_path):
     assert not is_running(int((tmp_path / "number").read_text()))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends a child with its parent")
 def test_child_of_a_killed_parent_ends(run, tmp_path):
     program = f"""

@@ -55,6 +55,7 @@ def test_truth_is_aligned_in_every_frame_and_driving_shuffled_on_its_own_alike_i
     assert step < 0.3 * (batch.driving[:, 0] - batch.driving[:, 0].roll(1, 1)).norm(dim=-1).median()
 
 
+@pytest.mark.slow
 def test_frames_are_centred_and_driving_frames_fill_the_unit_sphere():
     whole = WindowSource(CASES[-1], shipped_body(), torch.device("cpu"), 3, 3).batch(2, 1)
     for points in (whole.driving, whole.truth, whole.identity):
@@ -108,6 +109,7 @@ def test_the_regression_head_trains_on_the_middle_frame_and_validates_on_clips(t
     assert set(metrics) == {"seen", "unseen", "procedural", "fresh", "val"}
 
 
+@pytest.mark.slow
 def test_weights_of_a_vertex_are_trained_where_that_vertex_is_drawn(tmp_path):
     """The public code has norms and an embedding for each vertex; of a batch, those of its vertices are used."""
     count = len(shipped_body().vertices)

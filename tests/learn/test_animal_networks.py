@@ -101,6 +101,7 @@ def test_a_network_that_changes_nothing_has_the_error_of_the_identity(network, k
     assert task.trial_error(model, pair) == pytest.approx(pmd_aligned(pair.identity.vertices, pair.truth), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_pairs_have_one_order_and_unit_and_are_reproducible():
     source = PairSource(NPTData("wide", 64, "identity", body="quadruped"), BODY, CPU, 0)
     assert_steps_are_pure(source)

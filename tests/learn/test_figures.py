@@ -5,7 +5,6 @@ import json
 
 import pytest
 import torch
-from matrix import matrix
 from motion_files import write_bvh
 from pools import write_character
 
@@ -34,7 +33,8 @@ def source(pool):
     return SurfaceSource(config, BODY, CPU, 0, TrainingCharacters.read(pool, BODY))
 
 
-@matrix("low_poly", [0.0, 1.0], quick=[1.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("low_poly", [0.0, 1.0])
 def test_an_identity_at_rest_is_moved_to_the_truth_exactly(pool, source, low_poly, monkeypatch):
     """By linear blend skinning with its own joints and weights, whatever its proportions, props and missing joints."""
     monkeypatch.setattr("mimesh.learn.data.figures.OWN_REST", 1.0)

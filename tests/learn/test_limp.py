@@ -92,6 +92,7 @@ def test_the_loss_is_least_where_lengths_are_kept():
     assert limp_loss(MeshAsCode(), mesh, mesh, 1.1 * mesh, pairs, LIMPLossConfig(lengths=0.0), rng) == 0
 
 
+@pytest.mark.slow
 def test_batches_hold_one_person_twice_on_the_templates_vertices():
     source = LIMPTask(config_from(CONFIG, "here"), torch.device("cpu")).source(0)
     batch = source.batch(3, 0)

@@ -1,5 +1,6 @@
 """Overfitting one pair: the error falls thirtyfold in seconds, or something is broken."""
 
+import pytest
 import torch
 
 from mimesh.learn.data.people import PairSource
@@ -23,6 +24,7 @@ def test_npt_overfits_one_pair():
     assert errors[-1] < errors[0] / 30
 
 
+@pytest.mark.slow
 def test_mime_overfits_one_pair():
     body = shipped_body()
     batch = SurfaceSource(MimeData("wide", 48, "identity"), body, torch.device("cpu"), seed=0).batch(1, 0)

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from matrix import matrix
 from trainings import TINY, losses
 
 from mimesh.core.errors import InputError
@@ -46,6 +45,7 @@ def test_resume_continues_exactly(tmp_path, optimizer):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
 
 
+@pytest.mark.slow
 def test_doublings_double_vertices_and_parts(tmp_path):
     """And a training that is resumed between them goes on with those that it had reached."""
     config = dataclasses.replace(TINY, batch=4, doublings=(0.5, 0.75))
@@ -61,6 +61,7 @@ def test_doublings_double_vertices_and_parts(tmp_path):
     assert second.source.batch(1, 0).truth.shape[1] == 256
 
 
+@pytest.mark.slow
 def test_gradients_after_a_doubling_are_means_over_the_batch(tmp_path):
     """Those of a training that has twice the vertices and parts by its configuration, on the same samples."""
     doubled = dataclasses.replace(TINY, batch=4, pairs=8, clip=0.0, doublings=(0.5,))
@@ -107,7 +108,8 @@ def test_a_time_limit_stops_and_saves(tmp_path):
     assert "set minutes" in log
 
 
-@matrix("pairs", [10**9, 2], quick=[2])
+@pytest.mark.slow
+@pytest.mark.parametrize("pairs", [10**9, 2])
 def test_a_time_limit_is_not_overrun_by_a_validation(tmp_path, pairs):
     """A validation that is due where the time ends is left to the training that is resumed, which does it first."""
     config = dataclasses.replace(TINY, pairs=pairs, validate_every=2)
@@ -123,6 +125,7 @@ def test_a_time_limit_is_not_overrun_by_a_validation(tmp_path, pairs):
     assert checkpoint.load(folder / "best.safetensors").step == 1
 
 
+@pytest.mark.slow
 def test_a_checkpoint_is_written_before_every_validation(tmp_path, monkeypatch):
     steps = []
 
@@ -136,6 +139,7 @@ def test_a_checkpoint_is_written_before_every_validation(tmp_path, monkeypatch):
     assert steps == [(4, 4), (8, 8)]
 
 
+@pytest.mark.slow
 def test_a_validation_that_lasts_is_told_with_what_is_left(tmp_path, monkeypatch):
     """With no time between lines, one after each trial and batch but the last, by pairs: a batch is 32 of them."""
     monkeypatch.setattr("mimesh.learn.loop.LOG_SECONDS", 0.0)
@@ -239,6 +243,7 @@ def test_schedule():
     assert schedule(NPTTrainConfig(), 799_999, 0.999) == 1.0
 
 
+@pytest.mark.slow
 def test_a_training_may_last_for_minutes_instead_of_pairs(tmp_path):
     config = dataclasses.replace(TINY, minutes=0.005, pairs=1, validate_every=10**9)
     state = checkpoint.load(train(config, tmp_path / "run") / "last.safetensors")
@@ -248,6 +253,7 @@ def test_a_training_may_last_for_minutes_instead_of_pairs(tmp_path):
     assert again.share() >= 1.0
 
 
+@pytest.mark.slow
 def test_resuming_takes_no_changes_but_those_of_the_schedule(trained, tmp_path):
     with pytest.raises(InputError, match="--resume"):
         train_command("npt", "small", None, trained, None, ["model.width=8"])

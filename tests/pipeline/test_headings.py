@@ -31,7 +31,8 @@ def plain():
     return mimesh.transfer(IDENTITY, DRIVING).mesh.vertices
 
 
-@matrix("degrees", [0.01, 20, -40], quick=[20])
+@pytest.mark.slow
+@pytest.mark.parametrize("degrees", [0.01, 20, -40])
 def test_the_heading_of_the_identity_moves_nothing(plain, degrees):
     result = mimesh.transfer(headed(IDENTITY, degrees), DRIVING)
     assert largest_move(result.mesh.vertices, plain) < LARGEST
