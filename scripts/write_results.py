@@ -1,10 +1,12 @@
-"""Write the tables of docs/results.md and README.md, and docs/results/rows.csv, from the reports in docs/results.
+"""Write the tables of docs/results.md, docs/papers.md and README.md, and docs/results/rows.csv, from stored reports.
 
 python scripts/write_results.py
+python scripts/write_results.py --curves FOLDER    # takes the curves of trainings by scripts/train_on_gpu.py first
 """
 
 from __future__ import annotations
 
+import argparse
 import csv
 import io
 import json
@@ -21,7 +23,7 @@ from mimesh.evaluate.metrics import VERSION
 from mimesh.io.atomic import whole_file
 
 DOCS = Path(__file__).parents[1] / "docs"
-RESULTS = DOCS / "results"
+RESULTS, CURVES = DOCS / "results", DOCS / "curves.json"
 Key = tuple[str, str]
 """Name of a protocol and kind of pair."""
 
@@ -100,12 +102,18 @@ README_METHODS = {
 
 def main() -> None:
     """Write the tables between their marks, and the CSV file."""
-    page, readme, reports = DOCS / "results.md", DOCS.parent / "README.md", read_reports(RESULTS)
-    texts = {
-        page: with_tables(page.read_text(encoding="utf-8"), page_tables(reports)),
-        readme: with_tables(readme.read_text(encoding="utf-8"), {"results": readme_table(reports)}),
-        RESULTS / "rows.csv": rows_csv(reports),
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--curves", type=Path, metavar="FOLDER", help="with NAME.json and NAME-log.jsonl of networks")
+    folder = parser.parse_args().curves
+    curves = json.loads(CURVES.read_text(encoding="utf-8")) if folder is None else read_curves(folder)
+    reports = read_reports(RESULTS)
+    tables = {
+        DOCS / "results.md": page_tables(reports),
+        DOCS / "papers.md": {"curves": curve_table(curves)},
+        DOCS.parent / "README.md": {"results": readme_table(reports)},
     }
+    texts = {page: with_tables(page.read_text(encoding="utf-8"), of_page) for page, of_page in tables.items()}
+    texts |= {RESULTS / "rows.csv": rows_csv(reports), CURVES: json.dumps(curves, indent=1) + "\n"}
     for path, text in texts.items():
         with whole_file(path) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
@@ -183,6 +191,41 @@ def read_reports(folder: Path) -> dict[str, dict[str, Any]]:
                 )
             found[key] = stem
     return reports
+
+
+def read_curves(folder: Path) -> list[dict[str, Any]]:
+    """Read what trainings had on `val` as they went on: from their cards, and their logs beside these."""
+    curves = []
+    for log in sorted(folder.glob("*-log.jsonl")):
+        card = json.loads(log.with_name(log.name.replace("-log.jsonl", ".json")).read_text(encoding="utf-8"))
+        before = card.get("before", ())
+        done = {key: sum(stage[key] for stage in before) for key in ("operations", "pairs", "seconds_trained")}
+        points = []
+        for line in map(json.loads, log.read_text(encoding="utf-8").splitlines()):
+            if line["kind"] == "validation":
+                operations = done["operations"] + card["operations"] * line["pairs"] / card["pairs"]
+                figures = {f"{kind}_pmd_e4": round(line[kind], 3) for kind in ("seen", "unseen", "fresh")}
+                pairs, seconds = done["pairs"] + line["pairs"], round(done["seconds_trained"] + line["seconds"], 1)
+                points.append({"pairs": pairs, "pflop": round(operations / 1e15, 2), "seconds": seconds, **figures})
+        kept = {key: card[key] for key in ("name", "data", "seed", "commit", "hardware", "precision", "config")}
+        curves.append({**kept, "metrics": card["metrics"]["version"], "points": points})
+    return curves
+
+
+def curve_table(curves: list[dict[str, Any]]) -> str:
+    """Format the curves: Eq. 7 on `val` after so many pairs."""
+    lines = [
+        [
+            f"`{curve['name']}`" if k == 0 else "",
+            f"{point['pairs']:,}",
+            f"{point['pflop']:.1f}",
+            f"{point['seconds']:.0f} s",
+            *(f"{point[f'{kind}_pmd_e4']:.1f}" for kind in ("seen", "unseen", "fresh")),
+        ]
+        for curve in curves
+        for k, point in enumerate(curve["points"])
+    ]
+    return markdown_table(["network", "pairs", "PFLOP", "training", "seen", "unseen", "fresh"], lines)
 
 
 def rows_by_set(reports: dict[str, dict[str, Any]]) -> dict[Key, list[dict[str, Any]]]:
