@@ -12,6 +12,8 @@ TYPED := --jaxtyping-packages=mimesh,beartype.beartype
 BLENDER_PYTHON ?= python3.11
 BPY := .clients/bpy/bin/python
 AXE := .clients/axe/node_modules/axe-core/axe.min.js
+# Bytecode is kept: programs that tests start, and pytest itself, would compile every module again.
+unexport PYTHONDONTWRITEBYTECODE
 CODE := src tests scripts research benchmarks blender docs examples
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 
 if TYPE_CHECKING:
-    from mimesh.core.rig import AnimatedRig
+    from mimesh.core.animated_rig import AnimatedRig
 
 
 def key_shapes(keys: bpy.types.Key, name: str, frames: range) -> None:
@@ -51,32 +51,16 @@ def _bone_channels(rig: bpy.types.Object, skeleton: AnimatedRig, origin: np.ndar
     Bones may have any orientation at rest: the transform of a joint from rest to a pose is applied to its bone. A
     channel is relative to the bone at rest and to its parent: inv(rest to parent) @ (posed to posed parent).
     """
-    rest = _transforms(skeleton.rig.rotation, skeleton.rig.joints - origin)
-    posed = _transforms(skeleton.rotation, _joint_positions(skeleton) - origin)
+    to_armature = np.eye(4)
+    to_armature[:3, 3] = -origin
     bones = np.array([rig.data.bones[name].matrix_local for name in skeleton.names], np.float64)
-    posed_bones = posed @ np.linalg.inv(rest) @ bones
+    posed_bones = to_armature @ skeleton.transforms() @ np.linalg.inv(to_armature) @ bones
     parents = list(skeleton.parents[1:])
     channels = np.linalg.inv(bones) @ posed_bones
     channels[:, 1:] = np.linalg.inv(np.linalg.inv(bones[parents]) @ bones[1:]) @ (
         np.linalg.inv(posed_bones[:, parents]) @ posed_bones[:, 1:]
     )
     return _quaternions(channels[..., :3, :3]), channels[:, 0, :3, 3]
-
-
-def _joint_positions(skeleton: AnimatedRig) -> np.ndarray:
-    """Compute the positions of the joints in every frame (T, J, 3)."""
-    positions = [skeleton.root]
-    for j, bone in enumerate(skeleton.rig.bones(skeleton.parents), start=1):
-        parent = skeleton.parents[j]
-        positions.append(positions[parent] + skeleton.rotation[:, parent] @ bone)
-    return np.stack(positions, axis=1)
-
-
-def _transforms(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Build matrices (..., 4, 4) from rotations (..., 3, 3) and positions (..., 3)."""
-    matrices = np.zeros((*position.shape[:-1], 4, 4))
-    matrices[..., :3, :3], matrices[..., :3, 3], matrices[..., 3, 3] = rotation, position, 1.0
-    return matrices
 
 
 def _quaternions(rotation: np.ndarray) -> np.ndarray:

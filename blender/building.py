@@ -14,7 +14,7 @@ from .reading import Identity, rest_copy
 
 if TYPE_CHECKING:
     from mimesh import ClipResult
-    from mimesh.core.rig import AnimatedRig
+    from mimesh.core.animated_rig import AnimatedRig
 
 MIN_BONE = 0.01
 """Smallest length of a bone, as a share of the size of the mesh; Blender deletes bones without length."""
@@ -67,7 +67,7 @@ def build_armature(context: bpy.types.Context, transfer: Transfer) -> bpy.types.
     rig = bpy.data.objects.new(f"{transfer.name} rig", bpy.data.armatures.new(transfer.name))
     rig.location = copy.matrix_world.translation
     _add_beside(context, transfer.source, rig)
-    _select(context, rig)
+    select(context, rig)
     _add_bones(rig, skeleton, origin)
     _add_weights(copy, skeleton)
     copy.parent = rig
@@ -88,7 +88,7 @@ def _copy(context: bpy.types.Context, transfer: Transfer) -> bpy.types.Object:
     _add_beside(context, transfer.source, copy)
     if transfer.identity.baked:
         copy.modifiers.clear()
-    _select(context, copy)
+    select(context, copy)
     _set_points(copy.data.vertices, _local(copy, transfer.identity.mesh.vertices))
     return copy
 
@@ -99,7 +99,7 @@ def _add_beside(context: bpy.types.Context, source: bpy.types.Object, added: bpy
         collection.objects.link(added)
 
 
-def _select(context: bpy.types.Context, selected: bpy.types.Object) -> None:
+def select(context: bpy.types.Context, selected: bpy.types.Object) -> None:
     """Make an object active and the only selected one; updates its world matrix first."""
     context.view_layer.update()
     for other in context.view_layer.objects:

@@ -12,6 +12,7 @@ from mathutils import Matrix
 
 from . import animating
 from .bones import OwnArmature, armature_of
+from .building import select
 
 if TYPE_CHECKING:
     from bpy.types import Constraint, Context, Object, PoseBone
@@ -70,7 +71,7 @@ def build(context: Context, own: OwnArmature, result: ClipResult, frames: range,
                     animating.add_curve(bag, data_path, axis, frames, rows[:, axis])
         for _, constraint in released:
             animating.add_curve(bag, constraint.path_from_id("influence"), 0, frames[:1], [0.0])
-    _select(context, armature)
+    select(context, armature)
     return _constraint_notes(armature, released, single_pose) + _missed_notes(context, motion, frames, single_pose)
 
 
@@ -266,11 +267,3 @@ def _quoted(names: Iterable[str]) -> str:
     names = list(names)
     more = len(names) - QUOTED
     return ", ".join(names[:QUOTED]) + (f" and {more} more" if more > 0 else "")
-
-
-def _select(context: Context, selected: Object) -> None:
-    """Make an object active and the only selected one."""
-    for other in context.view_layer.objects:
-        other.select_set(other == selected)
-    context.view_layer.objects.active = selected
-    context.view_layer.update()

@@ -13,13 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from mimesh.bodies import RiggedBody, load_body
-from mimesh.bodies.character_limbs import SIDES, find_limbs, name_limb_joints
+from mimesh.bodies.character_limbs import SIDES, Limb, find_limbs, name_limb_joints
 from mimesh.bodies.character_pool import PoolCharacter, read_pool
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.mesh import Mesh
-from mimesh.evaluate.limb_calibration import LimbedCharacter, calibration_report
-from mimesh.evaluate.limb_metrics import limb_metrics
+from mimesh.evaluate.limb_metrics import UP, LimbedCharacter, angle_deg, limb_metrics
 
 SPLITS = ("train", "val")
 """The split test is not looked at."""
@@ -48,6 +47,32 @@ def main() -> None:
 def angles_of(character: PoolCharacter) -> dict[str, list[float]]:
     """Measure the axes of a character at rest, in degrees; left and right limbs stand under one name."""
     return merge_sides(calibration_report(character.rig, character.limbs))
+
+
+def calibration_report(character: SkinnedCharacter, limbs: dict[str, Limb]) -> dict[str, float]:
+    """Report how plausible the axes of limbs at rest are, all in degrees; limbs that cannot be measured are left out.
+
+    Keys: `joint <limb>` is the angle between the surface axis and the line of joints; `mirror <limb>` the angle between
+    the left axis and the mirrored right one (`LeftArm` without its side); `down <leg>` and `up <Trunk, Head>` the angle
+    to the vertical; `below <arm>` the angle below the horizontal (0 in a T-pose, about 45 in an A-pose, 90 hanging
+    down); `front <arm>` that to the front of the frontal plane. A maker's T- or A-pose must show in the last rows.
+    """
+    measured = LimbedCharacter(character, limbs).cuts
+    axes = {name: sections.axis for name, sections in measured.items()}
+    report = {
+        f"joint {name}": float(angle_deg(axis, limbs[name].end - limbs[name].start)) for name, axis in axes.items()
+    }
+    for name, axis in axes.items():
+        right = axes.get(name.replace("Left", "Right"))
+        if name.startswith("Left") and right is not None:
+            report[f"mirror {name.removeprefix('Left')}"] = float(angle_deg(axis, right * [-1, 1, 1]))
+        if name.endswith("Leg"):
+            report[f"down {name}"] = float(angle_deg(axis, -UP))
+        elif name.endswith("Arm"):
+            report[f"below {name}"], report[f"front {name}"] = np.degrees(np.arcsin([-axis[1], axis[2]])).tolist()
+        else:
+            report[f"up {name}"] = float(angle_deg(axis, UP))
+    return report
 
 
 def resolution() -> list[dict[str, list[float]]]:

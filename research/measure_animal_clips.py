@@ -27,7 +27,8 @@ from mimesh.evaluate import remesh
 from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
 from mimesh.methods.mime.kept_results import keep_results
-from mimesh.motions.animal_clips import ANIMAL_MOTIONS, LEGS, RUNS, random_style, run
+from mimesh.motions.animal_clips import ANIMAL_MOTIONS, RUNS, random_style, run
+from mimesh.motions.gaits import LEGS
 
 RATE, CYCLES = 240.0, 2
 AIR = 0.005

@@ -20,8 +20,8 @@ from jaxtyping import Float
 from mimesh import transfer
 from mimesh.bodies.character_pool import PoolCharacter, read_pool
 from mimesh.core.geometry import turned
-from mimesh.core.heading import turn
 from mimesh.core.mesh import Mesh
+from mimesh.core.normalization import turn
 from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
 

@@ -41,7 +41,7 @@ from mimesh.bodies.character_pool import PoolCharacter, read_pool
 from mimesh.cli import run
 from mimesh.commands.terminal import progress
 from mimesh.core.mesh import cut_clip
-from mimesh.evaluate.limb_calibration import LimbedCharacter
+from mimesh.evaluate.limb_metrics import LimbedCharacter
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import load_mesh
 from mimesh.io.atomic import whole_file

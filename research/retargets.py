@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from character_write import write_character
 from jaxtyping import Float
 
 from mimesh.bodies import load_body
@@ -20,10 +21,8 @@ from mimesh.bodies.character_limbs import find_limbs, name_limb_joints
 from mimesh.bodies.character_pool import PoolCharacter, facing_rotation
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.mesh import Clip, Mesh
-from mimesh.evaluate.limb_calibration import LimbedCharacter
-from mimesh.evaluate.limb_metrics import PosedLimbs, limb_angles, limb_metrics
+from mimesh.evaluate.limb_metrics import LimbedCharacter, PosedLimbs, limb_angles, limb_metrics
 from mimesh.io import load_clip
-from mimesh.io.gltf.character_write import write_character
 from mimesh.io.gltf.own_rig import GltfJoints, read_own_rig
 from mimesh.methods.find import find_method
 from mimesh.pipeline import animate

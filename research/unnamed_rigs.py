@@ -7,13 +7,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from character_write import write_character
 from retargets import FPS
 
 from mimesh.bodies.character_pool import PoolCharacter
 from mimesh.bodies.joint_names import without_fingers
 from mimesh.core.errors import InputError
 from mimesh.io import load_mesh
-from mimesh.io.gltf.character_write import write_character
 from mimesh.io.gltf.own_rig import read_own_rig
 from mimesh.methods import find_method
 from mimesh.methods.base import RigMethod

@@ -17,12 +17,12 @@ import tempfile
 from pathlib import Path
 
 import write_results
+from write_results import read_reports
 
 from mimesh.core.errors import InputError
 from mimesh.evaluate.measure import measure
 from mimesh.evaluate.metrics import VERSION
 from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.evaluate.results import read_reports
 from mimesh.evaluate.run import fingerprint
 from mimesh.io.atomic import whole_file
 from mimesh.learn import checkpoint

@@ -16,8 +16,7 @@ import pytest
 import zoo
 
 import mimesh
-from mimesh.core.arguments import for_caller, public
-from mimesh.core.array_inputs import as_faces, as_vertices
+from mimesh.core.arguments import as_faces, as_vertices, for_caller, public
 from mimesh.core.errors import command_line_words
 
 CUBE = zoo.cube()

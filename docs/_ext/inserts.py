@@ -12,12 +12,14 @@ import re
 from functools import cache
 from pathlib import Path
 
-from commands import command_reference
-from formats import FORMATS
+import typer
+from typer.main import get_command
+from write_results import read_reports, rows_by_set
 
+from mimesh.cli import app
 from mimesh.commands.about import DESCRIPTIONS
+from mimesh.core import budgets
 from mimesh.evaluate.markdown import markdown_table
-from mimesh.evaluate.results import read_reports, rows_by_set
 from mimesh.evaluate.tables import paper_table
 from mimesh.methods.find import MODELS, SHIPPED_NETWORKS
 from mimesh.zoo import cards
@@ -54,6 +56,17 @@ def _content(mark: re.Match[str]) -> str:
 
 def _drawing(name: str) -> str:
     return f'<div class="drawn">\n{(DOCS / "images" / f"{name}.svg").read_text()}</div>\n'
+
+
+@cache
+def figures_of(name: str) -> dict:
+    """Read a file of measured figures once, by its path in the repository without suffix."""
+    return json.loads((DOCS.parent / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def measured(report: dict) -> str:
+    """Say where figures are from."""
+    return f"Measured at commit {report['commit']}, {report['machine']}."
 
 
 def models() -> str:
@@ -129,7 +142,7 @@ def table(name: str) -> str:
 
 def speed() -> str:
     """Return the table of times per frame, from benchmarks/mime.json."""
-    report = json.loads((DOCS.parent / "benchmarks" / "mime.json").read_text())
+    report = figures_of("benchmarks/mime")
     counts = [key for key in report if key.isdigit()]
     lines = {
         "prepare, for a pose": "prepare_pose_ms",
@@ -142,7 +155,7 @@ def speed() -> str:
     }
     rows = [[label, *(_ms(report[count].get(key)) for count in counts)] for label, key in lines.items()]
     head = ["", *(f"{int(count):,} vertices" for count in counts)]
-    return f"{markdown_table(head, rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
+    return f"{markdown_table(head, rows)}\n\n{measured(report)}"
 
 
 LARGE_CASES = {
@@ -159,7 +172,7 @@ LARGE_CASES = {
 
 def large() -> str:
     """Return the table of large inputs and the fitted exponents, from benchmarks/large.json."""
-    report = json.loads((DOCS.parent / "benchmarks" / "large.json").read_text())
+    report = figures_of("benchmarks/large")
     rows, commits = [], {}
     for case, label in LARGE_CASES.items():
         for figures in report["cases"].get(case, {}).values():
@@ -198,8 +211,8 @@ def _growth(figures: dict) -> str:
 
 def live(part: str) -> str:
     """Return a table of live sessions, from benchmarks/live.json: their errors, or times and memory."""
-    report = json.loads((DOCS.parent / "benchmarks" / "live.json").read_text())
-    measured = f"Measured at commit {report['commit']}, {report['machine']}."
+    report = figures_of("benchmarks/live")
+    origin = measured(report)
     if part == "errors":
         lines = {
             "error, prepared with 1 frame": "1",
@@ -218,7 +231,7 @@ def live(part: str) -> str:
             for label, key in lines.items()
         ]
         head = ["", *(f"{report['pairs']} pairs: {body}" for body in figures)]
-        return f"{markdown_table(head, rows)}\n\n{measured}"
+        return f"{markdown_table(head, rows)}\n\n{origin}"
     assert part == "speed"
     latency, two = report["latency_ms"], report["two_threads_ms"]
     rows = [
@@ -230,13 +243,13 @@ def live(part: str) -> str:
         f"{markdown_table(['a frame', 'median', '90 %', '99 %', 'slowest'], rows)}\n\n"
         f"Both meshes have {report['vertices']:,} vertices; preparing took {report['prepare_s']:.1f} s with "
         f"{report['prepared_frames']} frames. {report['over_5_ms']:,} of {report['frames']:,} frames took more than "
-        f"5 ms. The process had {memory['start']:.0f} MiB before them and {memory['end']:.0f} MiB after. {measured}"
+        f"5 ms. The process had {memory['start']:.0f} MiB before them and {memory['end']:.0f} MiB after. {origin}"
     )
 
 
 def rigs() -> str:
     """Return the table of retargeting on own rigs, from docs/rigs.json."""
-    report = json.loads((DOCS / "rigs.json").read_text())
+    report = figures_of("docs/rigs")
     keys = {
         "limbs, degrees": "limb_deg",
         "ends of limbs": "end_effector",
@@ -257,27 +270,27 @@ def rigs() -> str:
         "soles, over the leg; share of feet; speed of soles while the driving's stand, in heights a second. “copied "
         "rotations” are the same pairs as “clips with a rig”, with each joint's rotation copied from its namesake as "
         "one does by hand.\n\n"
-        f"{markdown_table(['', *keys], rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
+        f"{markdown_table(['', *keys], rows)}\n\n{measured(report)}"
     )
 
 
 def own_clips() -> str:
     """Return the table of files whose own clips were played through the command, from docs/rigs.json."""
-    report = json.loads((DOCS / "rigs.json").read_text())["own"]
+    report = figures_of("docs/rigs")["own"]
     rows = [_own_row(row) for row in report["files"]]
     head = ["file", "joints", "clips", "a person's rig by name", "largest error", "all else unchanged"]
-    return f"{markdown_table(head, rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
+    return f"{markdown_table(head, rows)}\n\n{measured(report)}"
 
 
 def unnamed_rigs() -> str:
     """Return the table of characters whose joints were found without their names, from docs/rigs.json."""
-    report = json.loads((DOCS / "rigs.json").read_text())["unnamed"]
+    report = figures_of("docs/rigs")["unnamed"]
     head = ["pack (split)", "characters", "not used", "all limb joints right", "joints right"]
     rows = [
         [pack, str(row["characters"]), str(row["refused"]), str(row["all limbs"]), f"{row['found']} of {row['joints']}"]
         for pack, row in report["results"].items()
     ]
-    return f"{markdown_table(head, rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
+    return f"{markdown_table(head, rows)}\n\n{measured(report)}"
 
 
 def _own_row(row: dict) -> list[str]:
@@ -309,12 +322,48 @@ def _figure(value: float | None) -> str:
 
 def formats(part: str) -> str:
     """Return a table of the page of formats."""
-    return FORMATS[part]()
+    return {"errors": errors_table, "limits": limits_table, "memory": memory_table}[part]()
+
+
+def errors_table() -> str:
+    """Return the largest errors of each format in Blender, from docs/formats.json (written by `make clients`)."""
+    report = figures_of("docs/formats")
+    rows = []
+    for suffix, figures in sorted(report["formats"].items()):
+        ours = max((error for kind, error in figures.items() if kind.endswith("in Blender")), default=None)
+        errors = (ours, figures.get("Blender's, read"))
+        rows.append([suffix, *("" if error is None else f"{error:.1g}" for error in errors)])
+    made = report["provenance"]
+    table = markdown_table(["format", "our files, in Blender", "Blender's files, read here"], rows)
+    return f"{table}\n\nMeasured at commit {made['commit']} with {made['client']}."
+
+
+def limits_table() -> str:
+    """Return the largest numbers that are read from one file."""
+    found = [value for value in vars(budgets).values() if isinstance(value, budgets.Budget)]
+    rows = [[row.things, f"{row.largest:,}", f"{row.per_byte:.3g}" if row.per_byte else ""] for row in found]
+    return markdown_table(["one file has at most", "number", "or, if that is more, for each byte of the file"], rows)
+
+
+def memory_table() -> str:
+    """Return the peak memory of converting a long clip and a tenth of it, from benchmarks/long_clip.json."""
+    report = figures_of("benchmarks/long_clip")
+    short, long = report["frames"] // 10, report["frames"]
+    rows = []
+    for name, figures in report["formats"].items():
+        cells = [figures[str(count)][key] for key in ("write_mib", "read_mib") for count in (short, long)]
+        cells.append(figures[str(long)]["size_mib"])
+        rows.append([name, *(f"{cell:,.0f}" for cell in cells)])
+    head = ["format", f"write {short:,}", f"{long:,}", f"read {short:,}", f"{long:,}", "size"]
+    return (
+        f"Clips of {report['vertices']:,} vertices, {short:,} or {long:,} frames; peak memory and file size in MiB:\n\n"
+        f"{markdown_table(head, rows)}\n\n{measured(report)}"
+    )
 
 
 def pythons() -> str:
     """Return the table of Python and NumPy versions, from benchmarks/pythons.json."""
-    report = json.loads((DOCS.parent / "benchmarks" / "pythons.json").read_text(encoding="utf-8"))
+    report = figures_of("benchmarks/pythons")
     rows = []
     for row in report["rows"]:
         done = f"{row['distance_mm']:g} mm" if row["ok"] else f"no: {row['error'].removeprefix('ERROR: ')}"
@@ -325,7 +374,7 @@ def pythons() -> str:
 
 def batch_figures() -> str:
     """Return the table of what batches cost, from benchmarks/batch.json."""
-    report = _batch_report()
+    report = figures_of("benchmarks/batch")
     one, two, small = report["workers"]["1"], report["workers"]["2"], report["small"]
     identity, disk = report["identity"], report["identity"]["disk"]
     rows = [
@@ -353,7 +402,7 @@ def batch_figures() -> str:
 
 def batch_plan() -> str:
     """Return the arithmetic of a million clips a day, from benchmarks/batch.json."""
-    report = _batch_report()
+    report = figures_of("benchmarks/batch")
     one, kept = report["workers"]["1"], report["identity"]["mesh"]
     clips, used, per_machine, price = 1_000_000, 0.7, 16, 0.05
     seconds, size = one["cpu_seconds_a_job"], one["output_mib"] / one["jobs"]
@@ -377,16 +426,53 @@ def batch_plan() -> str:
     return markdown_table(["a million clips a day", ""], rows)
 
 
-def _batch_report() -> dict:
-    return json.loads((DOCS.parent / "benchmarks" / "batch.json").read_text())
-
-
 def _kept(figures: dict[str, float]) -> str:
     return f"{figures['alone']:.2f} s, {figures['identity_and_driving_kept']:.2f} s"
 
 
 def _memory(figures: dict[str, float]) -> str:
     return f"{figures['memory_mib_first']:.0f} MiB, {figures['memory_mib_last']:.0f} MiB"
+
+
+def command_reference() -> str:
+    """Return one Markdown section per command: description, usage, arguments, and options with their defaults."""
+    group = get_command(app)
+    context = typer.Context(group, info_name="mimesh")
+    return "\n\n".join(_section(command, context) for command in group.commands.values())
+
+
+def _section(command, parent) -> str:
+    context = typer.Context(command, info_name=command.name, parent=parent)
+    usage = " ".join(command.collect_usage_pieces(context)).replace("{", "").replace("}", "")
+    parts = [f"## mimesh {command.name}", _text(command.help), f"```text\nmimesh {command.name} {usage}\n```"]
+    arguments = [p for p in command.params if p.param_type_name == "argument"]
+    options = [p for p in command.params if p.param_type_name == "option"]
+    if arguments:
+        parts.append(
+            markdown_table(["takes", ""], [[f"`{p.metavar or p.name.upper()}`", _text(p.help)] for p in arguments])
+        )
+    parts.append(markdown_table(["option", "", "unless given"], [_option(p) for p in options]))
+    return "\n\n".join(part for part in parts if part)
+
+
+def _option(option) -> list[str]:
+    """Return the row of an option: names and value, help, default."""
+    names = ", ".join(f"`{name}`" for name in (*option.opts, *option.secondary_opts))
+    takes = "" if option.is_flag else f" `{option.metavar or option.type.name.upper().split()[0]}`"
+    return [names + takes, _text(option.help), _default(option)]
+
+
+def _default(option) -> str:
+    if option.default is None or option.default == "" or option.default == []:
+        return "required" if option.required else ""
+    if option.is_flag:
+        return f"`{(option.opts if option.default else option.secondary_opts)[0]}`" if option.secondary_opts else ""
+    return f"`{option.default}`"
+
+
+def _text(text: str | None) -> str:
+    """Return a help text as the content of a table cell; vertical bars would end the cell."""
+    return (text or "").replace("|", "\\|").strip()
 
 
 INSERTS = {

@@ -24,9 +24,9 @@ from jaxtyping import Float, Int
 from mimesh.bodies import load_body
 from mimesh.bodies.body_model import RiggedBody
 from mimesh.bodies.character_limbs import SIDES
-from mimesh.bodies.hands import Hands, bend_axes, fingertips, hand_joints, hand_weight, save_hands
+from mimesh.bodies.hands import STORED, Hands, fingertips, hand_joints, hand_weight, palm_frame, phalanges
 from mimesh.bodies.joint_names import finger_joints
-from mimesh.core.geometry import closest_on_mesh, rigid_motion
+from mimesh.core.geometry import closest_on_mesh, rigid_motion, unit_vectors
 
 INFLUENCES = 4
 """Largest number of the hand's joints that move a vertex."""
@@ -155,6 +155,40 @@ def parse_args() -> argparse.Namespace:
     parser.add_argument("--people", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     return parser.parse_args()
+
+
+def bend_axes(
+    wrist: Float[np.ndarray, " 3"], joints: Float[np.ndarray, "15 3"], tips: Float[np.ndarray, "5 3"]
+) -> tuple[Float[np.ndarray, "15 3"], Float[np.ndarray, "15 3"]]:
+    """Compute unit axes of flexion and abduction from the joints and fingertips of a left hand at rest.
+
+    Fingers bend towards the palm's normal, and spread in the plane of the palm. The thumb bends across the palm,
+    towards the first joint of the little finger.
+    """
+    bones = unit_vectors(phalanges(joints, tips))
+    goal = np.tile(-palm_frame(wrist, joints)[:, 1], (5, 3, 1))
+    goal[0] = joints[12] - joints[1]
+    flexion = unit_vectors(np.cross(bones, goal))
+    abduction = unit_vectors(np.cross(flexion, bones))
+    return flexion.reshape(15, 3), abduction.reshape(15, 3)
+
+
+def save_hands(path: Path, hands: Hands, influences: int) -> None:
+    """Write a compact `.npz` with the largest shares of each vertex that a finger joint moves.
+
+    Args:
+        influences: number of shares of a vertex.
+    """
+    arrays = {}
+    for s in range(2):
+        moved = np.flatnonzero(hands.shares[s, :, 0] < 1.0)
+        strongest = np.argsort(-hands.shares[s, moved], axis=1)[:, :influences]
+        arrays[f"vertices{s}"] = moved.astype(np.uint16)
+        arrays[f"joints{s}"] = strongest.astype(np.uint8)
+        arrays[f"shares{s}"] = np.take_along_axis(hands.shares[s, moved], strongest, axis=1).astype(np.float16)
+    for name in STORED:
+        arrays[name] = getattr(hands, name).astype(np.float32)
+    np.savez_compressed(path, **arrays)
 
 
 if __name__ == "__main__":

@@ -296,7 +296,7 @@ def character_features(character: PoolCharacter) -> tuple[np.ndarray, np.ndarray
     """Compute the features of a character at rest (1, C) and in standing frames of its clips (F, C), facing +z."""
     from scipy.spatial.transform import Rotation
 
-    from mimesh.evaluate.character_poses import body_pose
+    from mimesh.evaluate.characters import body_pose
 
     rig = character.rig
     moves = [

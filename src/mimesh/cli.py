@@ -13,11 +13,12 @@ import signal
 import sys
 from collections.abc import Callable
 from contextvars import copy_context
-from typing import Annotated
+from functools import cache
+from typing import Annotated, Any
 
 import typer
 
-from .commands import about, learn, measure, move, show, studio
+from .commands import about, learn, measure, move, show
 from .commands.common import Command
 from .commands.terminal import Stop
 from .core.printable import say
@@ -40,7 +41,7 @@ COMMANDS = (
     show.convert,
     show.look,
     show.render,
-    studio.studio,
+    show.studio,
     about.demo,
     about.models,
     about.doctor,
@@ -83,6 +84,12 @@ def _options(
     pass
 
 
+@cache
+def command_line() -> Any:
+    """Build the command line: 0.2 s, which programs that run several commands spend once."""
+    return typer.main.get_command(app)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and exit with its code."""
     signal.signal(signal.SIGTERM, _terminate)
@@ -106,7 +113,7 @@ def run(arguments: list[str]) -> int:
         # Commands return nothing, or the facts that they print.
         # What an option sets for one command, such as --no-limits, ends with it.
         with command_line_words():
-            returned = copy_context().run(app, arguments, prog_name="mimesh", standalone_mode=False)
+            returned = copy_context().run(command_line(), arguments, prog_name="mimesh", standalone_mode=False)
         code = returned if isinstance(returned, int) else 0
         return _print_error("stopped", code) if code == STOPPED else code
     except Stop as stop:

@@ -1,10 +1,13 @@
 """Joints of animals are found by where they are and what they move, whatever they are called."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from animals import BODY, FEET, LEGS, animal, bones
 from creatures import SPIDER, Boxes
 from matrix import matrix
+from people import rigged
 from rigs import figure
 
 from mimesh.bodies.animal_limbs import name_animal_joints
@@ -13,7 +16,7 @@ from mimesh.bodies.character_pool import FACING, facing_rotation
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
-from mimesh.io.gltf.animal import animal_facing
+from mimesh.io.gltf.character import animal_facing
 
 SHAPES = (None, 0, 1, 2)
 OF_TRUNK = {"Spine1", "Spine2", "Spine3", "Spine4", "Chest"}
@@ -28,12 +31,21 @@ def found_in(made, **options) -> dict[str, str]:
 def person() -> SkinnedCharacter:
     """Make a person in a T-pose."""
     made = figure(0)
-    frames = np.tile(np.eye(4), (len(made.names), 1, 1))
-    frames[:, :3, 3] = made.joints
-    mesh = Mesh(made.vertices, np.array([[0, 1, 2]]), name="person")
-    columns = np.tile(np.arange(len(made.names)), (len(made.vertices), 1))
-    points = np.repeat(made.vertices[:, None], len(made.names), axis=1)
-    return SkinnedCharacter(mesh, made.names, made.parents, frames, columns, made.weights, points)
+    return rigged(Mesh(made.vertices, np.array([[0, 1, 2]])), made.names, made.parents, made.joints, made.weights)
+
+
+def with_a_leg_cut_off() -> SkinnedCharacter:
+    """Make an animal whose left foreleg has no surface."""
+    made = animal(0)
+    rig = made.character()
+    legs = [j for j, name in enumerate(made.order) if name.startswith("Left") and name[4:] in LEGS["front"]]
+    keep = np.flatnonzero((rig.weights * np.isin(rig.joint_of, legs)).sum(axis=1) <= 0.1)
+    rank = np.full(len(rig.weights), -1)
+    rank[keep] = np.arange(len(keep))
+    faces = rank[rig.mesh.faces]
+    mesh = Mesh(rig.mesh.vertices[keep], faces[(faces >= 0).all(axis=1)])
+    rows = {name: getattr(rig, name)[keep] for name in ("joint_of", "weights", "points")}
+    return dataclasses.replace(rig, mesh=mesh, **rows)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
@@ -95,53 +107,32 @@ def test_size_place_and_order_of_vertices_do_not_matter():
     expected = name_animal_joints(rig, "a.glb")
     order = np.random.default_rng(0).permutation(len(rig.weights))
     assert name_animal_joints(rig.permuted(order), "a.glb") == expected
-    large, moved = np.diag([30.0, 30.0, 30.0, 1.0]), np.array([5.0, -2.0, 9.0])
-    large[:3, 3] = moved
+    moved = np.array([5.0, -2.0, 9.0])
     frames = rig.T_world_joint.copy()
     frames[:, :3, 3] = 30 * rig.joints + moved
     mesh = Mesh(30 * rig.mesh.vertices + moved, rig.mesh.faces)
-    other = SkinnedCharacter(
-        mesh, rig.joint_names, rig.parents, frames, rig.joint_of, rig.weights, 30 * rig.points + moved
-    )
+    other = dataclasses.replace(rig, mesh=mesh, T_world_joint=frames, points=30 * rig.points + moved)
     assert name_animal_joints(other, "a.glb") == expected
 
 
-def test_a_person_is_refused():
-    with pytest.raises(InputError, match=r"a\.glb: expected .*(feet|legs|person)"):
-        name_animal_joints(person(), "a.glb")
+THREE_LEGS = [name for name in bones(3) if not (name.startswith("Left") and name[4:] in LEGS["front"])]
+OTHERS = {
+    "a person": (person, r"a\.glb: expected .*(feet|legs|person)"),
+    "a spider": (lambda: Boxes.of(SPIDER).character, "expected four legs, found .* of the feet on other joints"),
+    "three rigged legs": (lambda: animal(0, THREE_LEGS).character(), "expected a joint in each of four feet"),
+    "three legs": (with_a_leg_cut_off, "expected four feet on the ground, found none left front"),
+    "several skeletons": (
+        lambda: animal(0, bones(3), detached=("LeftThigh",)).character(),
+        "expected legs that hang on one joint",
+    ),
+}
 
 
-def test_a_spider_is_refused():
-    with pytest.raises(InputError, match=r"expected four legs, found .* of the feet on other joints"):
-        name_animal_joints(Boxes.of(SPIDER).character, "a.glb")
-
-
-def test_an_animal_with_three_rigged_legs_is_refused():
-    three = [name for name in bones(3) if not (name.startswith("Left") and name[4:] in LEGS["front"])]
-    with pytest.raises(InputError, match="expected a joint in each of four feet"):
-        name_animal_joints(animal(0, three).character(), "a.glb")
-
-
-def test_an_animal_whose_fourth_leg_is_cut_off_is_refused():
-    rig = animal(0).character()
-    legs = [j for j, name in enumerate(animal(0).order) if name.startswith("Left") and name[4:] in LEGS["front"]]
-    gone = rig.weights[np.isin(rig.joint_of, legs).any(axis=1)]
-    keep = np.flatnonzero(~((rig.weights * np.isin(rig.joint_of, legs)).sum(axis=1) > 0.1))
-    assert 0 < len(gone) < len(rig.weights)
-    rank = np.full(len(rig.weights), -1)
-    rank[keep] = np.arange(len(keep))
-    faces = rank[rig.mesh.faces]
-    mesh = Mesh(rig.mesh.vertices[keep], faces[(faces >= 0).all(axis=1)])
-    rows = rig.joint_of[keep], rig.weights[keep], rig.points[keep]
-    cut = SkinnedCharacter(mesh, rig.joint_names, rig.parents, rig.T_world_joint, *rows)
-    with pytest.raises(InputError, match="expected four feet on the ground, found none left front"):
-        name_animal_joints(cut, "a.glb")
-
-
-def test_legs_on_several_skeletons_are_refused():
-    made = animal(0, bones(3), detached=("LeftThigh",))
-    with pytest.raises(InputError, match="expected legs that hang on one joint"):
-        name_animal_joints(made.character(), "a.glb")
+@pytest.mark.parametrize("kind", OTHERS)
+def test_what_is_no_animal_on_four_rigged_legs_is_refused(kind):
+    make, message = OTHERS[kind]
+    with pytest.raises(InputError, match=message):
+        name_animal_joints(make(), "a.glb")
 
 
 @pytest.mark.parametrize("facing", [facing for facing in FACING if facing])

@@ -1,19 +1,23 @@
 """Layouts of game engines: the motion stays, names and hierarchy are the documented ones, the rest pose is as asked."""
 
+from dataclasses import replace
+from functools import cache
+
+import engine_rigs
 import numpy as np
 import pytest
-from engine_rigs import ROOTS, expected_parents, moving_rig, posed
+from engine_rigs import ROOTS, expected_parents, posed
 from matrix import matrix
 
 from mimesh.bodies.engine_names import REQUIRED, SCHEMES, check_layout
 from mimesh.bodies.engine_rig import A_ANGLE, engine_rig
 from mimesh.bodies.joint_names import named_fingers, named_joints
-from mimesh.core.animated_rig import AnimatedRig
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import unit_vectors
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.core.rig import Rig
 
+moving_rig = cache(engine_rigs.moving_rig)
 ENGINES = tuple(name for name in SCHEMES if name != "own")
 FACINGS = (("+y", "+z"), ("+z", "-y"), ("+y", "-x"))
 VRM_REQUIRED = (
@@ -55,14 +59,8 @@ def test_every_frame_stays_in_every_layout(names, root_bone, fingers):
 def test_a_rig_in_another_rest_pose_takes_the_mesh_back_to_its_file(names, rest, root_bone):
     """Frame 0 is the pose of the file: there the vertices are exact; other frames deviate a little at the shoulders."""
     rig = moving_rig(1, fingers=True, arms=20.0)
-    still = AnimatedRig(
-        rig.mesh,
-        rig.names,
-        rig.parents,
-        rig.rig,
-        np.concatenate([rig.rig.rotation[None], rig.rotation]),
-        np.concatenate([rig.rig.joints[:1], rig.root]),
-    )
+    rotation = np.concatenate([rig.rig.rotation[None], rig.rotation])
+    still = replace(rig, rotation=rotation, root=np.concatenate([rig.rig.joints[:1], rig.root]))
     laid = engine_rig(still, names, root_bone, rest)
     assert np.abs(posed(laid, 0) - rig.mesh.vertices).max() < 1e-5 * size(rig)
     for t in range(1, len(still.root)):
@@ -154,16 +152,10 @@ def test_other_joints_keep_their_names():
     tail = np.zeros((len(rig.mesh.vertices), 1))
     tail[:3] = 1.0
     weights = np.concatenate([rig.rig.weights * (1 - tail), tail], axis=1)
-    longer = AnimatedRig(
-        rig.mesh,
-        (*rig.names, "Tail"),
-        (*rig.parents, 0),
-        Rig(
-            np.concatenate([rig.rig.rotation, np.eye(3)[None]]), np.append(rig.rig.joints, [[0, 0.9, -0.2]], 0), weights
-        ),
-        np.concatenate([rig.rotation, rig.rotation[:, :1]], axis=1),
-        rig.root,
-    )
+    joints = np.append(rig.rig.joints, [[0, 0.9, -0.2]], 0)
+    rest = Rig(np.concatenate([rig.rig.rotation, np.eye(3)[None]]), joints, weights)
+    rotation = np.concatenate([rig.rotation, rig.rotation[:, :1]], axis=1)
+    longer = replace(rig, names=(*rig.names, "Tail"), parents=(*rig.parents, 0), rig=rest, rotation=rotation)
     assert parent_names(engine_rig(longer, "unreal"))["Tail"] == "pelvis"
 
 
@@ -178,7 +170,7 @@ def test_unknown_layouts_are_refused():
 
 def test_a_rig_that_is_no_person_is_refused():
     rig = moving_rig(0)
-    renamed = AnimatedRig(rig.mesh, tuple(f"bone{j}" for j in range(31)), rig.parents, rig.rig, rig.rotation, rig.root)
+    renamed = replace(rig, names=tuple(f"bone{j}" for j in range(31)))
     with pytest.raises(InputError, match=r"--names godot: expected joints for a whole person, found none for Hips"):
         engine_rig(renamed, "godot")
     with pytest.raises(InputError, match=r"--rest T: expected joints"):
@@ -196,14 +188,7 @@ def test_a_character_that_sits_stands_in_the_rest_pose():
         if parent >= 0:
             world[j] = world[parent] @ turn[j]
             joints[j] = joints[parent] + world[parent] @ (rig.rig.joints[j] - rig.rig.joints[parent])
-    sitting = AnimatedRig(
-        rig.mesh,
-        rig.names,
-        rig.parents,
-        Rig(world @ rig.rig.rotation, joints, rig.rig.weights),
-        rig.rotation,
-        rig.root,
-    )
+    sitting = replace(rig, rig=Rig(world @ rig.rig.rotation, joints, rig.rig.weights))
     laid = engine_rig(sitting, "vrm", rest="T")
     at = dict(zip(laid.names, laid.rig.joints, strict=True))
     assert np.allclose(unit_vectors(at["leftLowerLeg"] - at["leftUpperLeg"]), [0, -1, 0], atol=1e-6)

@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
-from mimesh.bodies.finger_poses import (
+from mimesh.bodies.hands import (
     GESTURES,
+    HAND_PARENTS,
+    body_with_fingers,
     finger_rotations,
+    fingertips,
     gestures,
+    load_hands,
     within_limits,
 )
-from mimesh.bodies.hands import HAND_PARENTS, body_with_fingers, fingertips, load_hands
 from mimesh.bodies.joint_names import FINGERS, finger_joints, named_fingers, with_finger_joints
 from mimesh.core.geometry import MIRROR
 
@@ -60,8 +63,8 @@ def test_fifteen_joints_are_found_by_the_names_of_each_maker(maker):
     found = named_fingers(names, parents, {"LeftHand": 3})
     assert tuple(found) == finger_joints("Left")
     assert found["LeftHandThumb1"] == names.index(CHAINS[maker][0][0])
-    assert found["LeftHandPinky3"] == names.index([name for name in CHAINS[maker][4] if "carpal" not in name.lower()
-                                                   and "palm" not in name][2])  # fmt: skip
+    phalanges = [name for name in CHAINS[maker][4] if "carpal" not in name.lower() and "palm" not in name]
+    assert found["LeftHandPinky3"] == names.index(phalanges[2])
 
 
 def test_a_word_of_the_hands_own_name_is_no_word_of_a_finger():
@@ -72,33 +75,30 @@ def test_a_word_of_the_hands_own_name_is_no_word_of_a_finger():
     assert named_fingers(names, parents, {"LeftHand": 3}) == {n: 4 + k for k, n in enumerate(finger_joints("Left"))}
 
 
-def test_single_joints_of_cmu_are_the_first_of_their_finger():
-    names, parents = left_hand([["LThumb"], ["LeftFingerBase", "LeftHandIndex1"]])
-    found = named_fingers(names, parents, {"LeftHand": 3})
-    assert found == {"LeftHandThumb1": 4, "LeftHandIndex1": 6}
+def named(chains: list[list[str]]) -> dict[str, str]:
+    """Find the finger joints of a hand: the name of each that is found."""
+    names, parents = left_hand(chains)
+    return {joint: names[j] for joint, j in named_fingers(names, parents, {"LeftHand": 3}).items()}
 
 
-def test_stubs_of_the_shipped_body_are_no_fingers_where_there_are_others():
-    """mime writes rigs with both: all joints of the shipped body, two of them without weight, and its fingers."""
-    stubs, joints = [["LeftFingerBase", "LeftHandFinger1"], ["LThumb"]], np.array(finger_joints("Left")).reshape(5, 3)
-    names, parents = left_hand([*stubs, *joints.tolist()])
-    found = named_fingers(names, parents, {"LeftHand": 3})
-    assert {joint: names[j] for joint, j in found.items()} == {name: name for name in finger_joints("Left")}
-    names, parents = left_hand([["LThumb", "LThumb1", "LThumb2"]])
-    assert tuple(named_fingers(names, parents, {"LeftHand": 3}).values()) == (4, 5, 6)
-
-
-def test_words_of_fingers_are_no_parts_of_other_words():
-    names, parents = left_hand([["spring01_l"], ["midway_l"], ["lring1", "lring2"], ["leftindexproximal"], ["LTHUMB1"]])
-    names, parents = (*names, "mixamoriglefthandmiddle1"), (*parents, 3)
-    found = named_fingers(names, parents, {"LeftHand": 3})
-    assert {joint: names[j] for joint, j in found.items()} == {
+def test_single_joints_of_cmu_are_the_first_of_their_finger_and_words_are_no_parts_of_others():
+    found = named([["LThumb"], ["LeftFingerBase", "LeftHandIndex1"]])
+    assert found == {"LeftHandThumb1": "LThumb", "LeftHandIndex1": "LeftHandIndex1"}
+    chains = [["spring01_l"], ["midway_l"], ["lring1", "lring2"], ["leftindexproximal"], ["LTHUMB1"]]
+    assert named([*chains, ["mixamoriglefthandmiddle1"]]) == {
         "LeftHandThumb1": "LTHUMB1",
         "LeftHandIndex1": "leftindexproximal",
         "LeftHandMiddle1": "mixamoriglefthandmiddle1",
         "LeftHandRing1": "lring1",
         "LeftHandRing2": "lring2",
     }
+
+
+def test_stubs_of_the_shipped_body_are_no_fingers_where_there_are_others():
+    """mime writes rigs with both: all joints of the shipped body, two of them without weight, and its fingers."""
+    stubs, joints = [["LeftFingerBase", "LeftHandFinger1"], ["LThumb"]], np.array(finger_joints("Left")).reshape(5, 3)
+    assert named([*stubs, *joints.tolist()]) == {name: name for name in finger_joints("Left")}
+    assert tuple(named([["LThumb", "LThumb1", "LThumb2"]]).values()) == ("LThumb", "LThumb1", "LThumb2")
 
 
 def test_fingers_need_a_hand_and_names_above_it_do_not_count():

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rigs
+from people import rigged
 
 from mimesh.bodies import load_body
-from mimesh.bodies.joint_matching import match_chain, match_joints
-from mimesh.bodies.skinned_character import SkinnedCharacter
+from mimesh.bodies.character_limbs import match_chain, match_joints
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
 from mimesh.core.rig import Rig
@@ -26,18 +26,9 @@ def matched(person: rigs.Figure, seed: int = 0) -> dict[str, str]:
     order = np.lexsort((rng.random(len(depth)), depth))  # parents first, else any
     rank = np.argsort(order)
     parents = tuple(int(rank[person.parents[j]]) if person.parents[j] >= 0 else -1 for j in order)
-    frames = np.tile(np.eye(4), (len(order), 1, 1))
-    frames[:, :3, 3] = person.joints[order]
-    weights = person.weights[:, order]
-    character = SkinnedCharacter(
-        Mesh(person.vertices, load_body().faces),
-        tuple(f"joint_{k}" for k in range(len(order))),
-        parents,
-        frames,
-        np.tile(np.arange(len(order)), (len(weights), 1)),
-        weights,
-        np.broadcast_to(person.vertices[:, None], (*weights.shape, 3)),
-    )
+    names = tuple(f"joint_{k}" for k in range(len(order)))
+    mesh = Mesh(person.vertices, load_body().faces)
+    character = rigged(mesh, names, parents, person.joints[order], person.weights[:, order])
     found = match_joints(character, Rig(np.tile(np.eye(3), (31, 1, 1)), BODY.joints, BODY.weights), "a.glb")
     return {name: person.names[order[joint]] for name, joint in found.items()}
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -78,6 +79,7 @@ def picture_at(watched, seconds=0.3):
     return watched.picture()
 
 
+@pytest.mark.slow
 def test_playing_pausing_and_seeking_give_the_right_pictures(watched):
     first = watched.picture()
     watched.page.evaluate("mimesh.controls.speed = 0.1")  # slow enough that it is not over before it is paused
@@ -111,14 +113,14 @@ def test_playing_does_not_begin_before_the_start(watched):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", ["clay", "stretch", "error"])
-def test_colours_change_the_picture(watched, what):
+def test_colours_change_the_picture(watched):
     before = picture_at(watched)
-    watched.page.click(f".segment[data-name={what}]")
-    assert differ(before, watched.picture())
-    assert watched.page.locator(".legend").is_visible() == (what != "clay")
-    watched.page.click(".segment[data-name=material]")
-    np.testing.assert_array_equal(before, watched.picture())
+    for what in ("clay", "stretch", "error"):
+        watched.page.click(f".segment[data-name={what}]")
+        assert differ(before, watched.picture())
+        assert watched.page.locator(".legend").is_visible() == (what != "clay")
+        watched.page.click(".segment[data-name=material]")
+        np.testing.assert_array_equal(before, watched.picture())
 
 
 @pytest.mark.slow
@@ -172,12 +174,13 @@ def test_a_narrow_dark_touch_screen_is_supported(watch, address):
 
 
 @pytest.mark.slow
-def test_the_download_gives_the_same_bytes(watched):
+def test_the_download_gives_the_same_bytes_and_controls_have_labels(watched):
     with watched.page.expect_download() as waiting:
         watched.page.click(".download")
     assert waiting.value.suggested_filename == "cube.glb"
-    with open(waiting.value.path(), "rb") as file:
-        assert file.read() == CONTENT
+    assert Path(waiting.value.path()).read_bytes() == CONTENT
+    for control in watched.page.locator("button, select, input").all():
+        assert control.get_attribute("aria-label") or control.inner_text()
 
 
 @pytest.mark.slow
@@ -209,12 +212,6 @@ def test_the_shadow_is_below_its_subject(watch, tmp_path):
     middle, below = ((columns * weight).sum() / weight.sum() for weight in (subject, dark))
     assert dark.sum() > 1000
     assert abs(below - middle) < 0.1 * len(dark)
-
-
-@pytest.mark.slow
-def test_every_control_has_a_label(watched):
-    for button in watched.page.locator("button, select, input").all():
-        assert button.get_attribute("aria-label") or button.inner_text()
 
 
 @pytest.mark.slow

@@ -1,11 +1,13 @@
 """The studio's page in a browser, from files that are chosen and dropped to a file that is downloaded."""
 
 import base64
+import contextlib
 import threading
 
 import numpy as np
 import pygltflib
 import pytest
+from creatures import BIRD, Boxes, flapping
 from people import person, walk
 
 from mimesh import animate, load_clip, save_clip, save_mesh
@@ -14,6 +16,7 @@ from mimesh.motions.animal_clips import gait_clip
 
 pytestmark = pytest.mark.slow
 
+SIZE = {"width": 760, "height": 480}
 HERO = ".row[data-state='done']:has-text('hero.glb')"
 DROP = """([role, name, text]) => {
   const transfer = new DataTransfer();
@@ -45,7 +48,7 @@ def studio_page(studio, watch_all):
     """The page, opened once; it must send no request to other machines and log no error."""
     origin, token, _ = studio
     # Without motion, so that drawing in software leaves time for the rest.
-    options = {"viewport": {"width": 760, "height": 480}, "reduced_motion": "reduce"}
+    options = {"viewport": SIZE, "reduced_motion": "reduce"}
     return watch_all(f"{origin}/?token={token}", allowed=(origin, "data:", "blob:"), **options)
 
 
@@ -81,7 +84,15 @@ def changed_pixels(before, after):
     return int((np.abs(before - after).max(axis=-1) > 24).sum())
 
 
-def test_chosen_and_dropped_files_become_a_download(fresh, files, tmp_path):
+@contextlib.contextmanager
+def sized(page, width, height):
+    """Give the window another size for a while."""
+    page.set_viewport_size({"width": width, "height": height})
+    yield
+    page.set_viewport_size(SIZE)
+
+
+def test_chosen_and_dropped_files_become_downloads(fresh, files, tmp_path):
     page = fresh.page
     page.select_option("#model select", "mime")
     choose(page, "identity", files / "hero.glb")
@@ -92,100 +103,76 @@ def test_chosen_and_dropped_files_become_a_download(fresh, files, tmp_path):
     first = fresh.picture()
     page.evaluate("() => mimesh.stage.setTime(mimesh.stage.duration)")
     assert changed_pixels(first, fresh.picture()) > 2000, "the result plays"
-    with page.expect_download() as download:
-        page.click("#write")
-    download.value.save_as(tmp_path / "back.glb")
-    assert download.value.suggested_filename == "hero-walk.glb"
-    expected = animate(files / "hero.glb", files / "walk.npz")
-    expected.save_skinned(tmp_path / "expected.glb")
-    back, written = load_clip(tmp_path / "back.glb"), load_clip(tmp_path / "expected.glb")
+
+    def download():
+        with page.expect_download() as waiting:
+            page.click("#write")
+        path = tmp_path / waiting.value.suggested_filename
+        waiting.value.save_as(path)
+        return path
+
+    animate(files / "hero.glb", files / "walk.npz").save_skinned(tmp_path / "expected.glb")
+    path = download()
+    assert path.name == "hero-walk.glb"
+    back, written = load_clip(path), load_clip(tmp_path / "expected.glb")
     np.testing.assert_allclose(back.vertices, written.vertices, atol=1e-6)
     assert back.fps == written.fps
-
-
-def test_names_of_bones_are_chosen_for_the_export(fresh, files, tmp_path):
-    page = fresh.page
-    page.select_option("#model select", "mime")
-    choose(page, "identity", files / "hero.glb")
-    drop(page, "driving", files / "walk.npz")
-    page.wait_for_selector(HERO)
     page.click("#bones summary")
     page.get_by_label("Bone names").select_option("unreal")
     page.get_by_label("Root bone").check()
-    with page.expect_download() as download:
-        page.click("#write")
-    names = {node.get("name") for node in pygltflib.GLTF2().load_binary(download.value.path()).to_dict()["nodes"]}
+    names = {node.name for node in pygltflib.GLTF2().load(download()).nodes}
     assert {"root", "pelvis", "upperarm_l"} <= names
     page.get_by_label("Root bone").uncheck()
     page.get_by_label("Bone names").select_option("own")
     page.get_by_label("Format").select_option(".vrma")
     assert page.get_by_label("Bone names").is_disabled(), "those of VRM"
-    with page.expect_download() as download:
-        page.click("#write")
-    assert download.value.suggested_filename == "hero-walk.vrma"
+    assert download().name == "hero-walk.vrma"
     page.get_by_label("Format").select_option(".obj" if page.locator("option[value='.obj']").count() else ".npz")
     assert page.get_by_label("With bones").is_disabled()
     page.get_by_label("Format").select_option(".glb")
     page.click("#bones summary")
+    page.reload()
+    page.wait_for_selector(HERO)
+    assert page.locator("#model select").first.input_value() == "mime", "reloading loses nothing"
 
 
 def test_export_stays_in_sight_below_many_meshes(fresh, files, studio):
     page = fresh.page
-    page.set_viewport_size({"width": 1366, "height": 768})
-    studio[2].add_identities(4 * [files / "hero.obj"])
-    page.wait_for_function("() => document.querySelectorAll('#identities .row').length === 4")
-    box = page.locator("#write").bounding_box()
-    assert box["y"] + box["height"] <= 768
-    first = page.locator("#side h2").all_inner_texts()
-    assert [title.split("\n")[-1] for title in first[:3]] == ["Meshes to move", "Driving motion", "Export"]
-    page.set_viewport_size({"width": 760, "height": 480})
+    with sized(page, 1366, 768):
+        studio[2].add_identities(4 * [files / "hero.obj"])
+        page.wait_for_function("() => document.querySelectorAll('#identities .row').length === 4")
+        box = page.locator("#write").bounding_box()
+        assert box["y"] + box["height"] <= 768
+        first = page.locator("#side h2").all_inner_texts()
+        assert [title.split("\n")[-1] for title in first[:3]] == ["Meshes to move", "Driving motion", "Export"]
 
 
-def test_changing_the_model_updates_result_and_options(fresh, files):
-    page = fresh.page
-    choose(page, "identity", files / "hero.obj")
-    choose(page, "driving", files / "hero.obj")
-    page.wait_for_selector("#identities .row[data-state='done']")
-    assert page.locator("#model input[type=checkbox]").is_disabled()
-    page.select_option("#model select", "mime")
-    page.wait_for_function("() => mimesh.live.state.identities[0].outcome.model === 'mime'")
-    assert page.locator("#model input[type=checkbox]").is_enabled()
-    page.reload()
-    page.wait_for_selector("#identities .row[data-state='done']")
-    assert page.locator("#model select").first.input_value() == "mime", "reloading loses nothing"
-
-
-def test_animals_are_found_chosen_and_refused_with_people(fresh, files, tmp_path):
+def test_animals_are_found_and_refused_with_people(fresh, files, tmp_path):
+    dog = gait_clip("dog", "walk", seconds=0.1, fps=10.0)
     save_mesh(animal("cat"), tmp_path / "cat.glb")
-    save_clip(gait_clip("dog", "walk", seconds=0.2, fps=10.0), tmp_path / "dog.npz")
+    save_mesh(dog.mesh.with_vertices(dog.vertices[0]), tmp_path / "dog.ply")
     page = fresh.page
-    body = page.get_by_label("Both meshes are")
+    body, smoothing = page.get_by_label("Both meshes are"), page.locator("#model input[type=checkbox]")
     assert body.is_disabled(), "only mime has several bodies"
+    assert smoothing.is_disabled()
     page.select_option("#model select", "mime")
     choose(page, "identity", tmp_path / "cat.glb")
-    drop(page, "driving", tmp_path / "dog.npz")
+    drop(page, "driving", tmp_path / "dog.ply")
     row = "#identities .row:has-text('cat.glb')"
     page.wait_for_selector(f"{row}[data-state=done]:has-text('moved as a four-legged animal in')")
+    assert body.is_enabled()
+    assert smoothing.is_enabled()
     wait_and_pause(page)
-    page.set_viewport_size({"width": 1100, "height": 600})
-    page.click("[data-name=joints]")
-    page.wait_for_selector("svg.joints circle[aria-label^='LeftThigh']")
-    assert page.locator("svg.joints").count() == 2
-    page.get_by_label("Joint", exact=True).select_option("identity LeftToes")
-    page.keyboard.press("Shift+ArrowUp")
-    page.wait_for_selector(f"{row}:has-text('Corrected by hand: LeftToes')[data-state=done]")
-    page.get_by_role("button", name="Reset all").click()
-    page.wait_for_selector(f"{row}[data-state=done]:not(:has-text('Corrected'))")
-    page.click("[data-name=joints]")
-    body.select_option("human")
-    page.wait_for_selector(f"{row}[data-state=done]:has-text('moved as a person in')")
-    body.select_option("auto")
-    choose(page, "identity", files / "hero.glb")
-    error = page.wait_for_selector("#identities .row:has-text('hero.glb') .error:visible").inner_text()
-    assert "hero is taken for a person, and dog for a four-legged animal" in error
-    assert "choose the body" in error
-    assert page.locator(row).get_attribute("data-state") == "done", "the other mesh is still moved"
-    page.set_viewport_size({"width": 760, "height": 480})
+    with sized(page, 1100, 600):
+        page.click("[data-name=joints]")
+        page.wait_for_selector("svg.joints circle[aria-label^='LeftThigh']")
+        assert page.locator("svg.joints").count() == 2
+        page.click("[data-name=joints]")
+        choose(page, "identity", files / "hero.glb")
+        error = page.wait_for_selector("#identities .row:has-text('hero.glb') .error:visible").inner_text()
+        assert "hero is taken for a person, and dog for a four-legged animal" in error
+        assert "choose the body" in error
+        assert page.locator(row).get_attribute("data-state") == "done", "the other mesh is still moved"
 
 
 def test_unreadable_files_give_messages_and_the_page_stays_usable(fresh, files):
@@ -270,35 +257,29 @@ def test_keyboard_theme_and_narrow_windows_work(fresh, monkeypatch):
     page.keyboard.press("d")
     assert changed_pixels(light, fresh.picture("#side")) > 10_000
     page.keyboard.press("d")
-    page.set_viewport_size({"width": 400, "height": 760})
-    assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth"), "nothing exceeds the window"
-    page.set_viewport_size({"width": 760, "height": 480})
+    with sized(page, 400, 760):
+        assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth"), "nothing exceeds the window"
 
 
 def test_animals_and_other_creatures_are_chosen_and_moved(fresh, tmp_path):
-    from creatures import BIRD, Boxes, flapping
-
     page = fresh.page
-    page.set_viewport_size({"width": 1100, "height": 600})
-    page.get_by_role("button", name="Try animals").click()
-    page.wait_for_selector("#identities .row[data-state=done]:has-text('cow')")
-    assert "horse gallop" in page.inner_text("#driving .rows")
-    page.select_option("#model select", "mime")
-    large = Boxes.of(BIRD, size=3.0).renamed(1)
-    bird = Boxes.of(BIRD).write(tmp_path / "bird.glb")
-    flight = large.write(tmp_path / "large.glb", flapping(large.names))
-    page.get_by_label("Remove cow").click()
-    page.get_by_label("Both meshes are").select_option("other")
-    choose(page, "driving", flight)
-    choose(page, "identity", bird)
-    page.wait_for_selector("#identities .row:has-text('moved as a creature (confidence 0.84) in')")
-    assert "8 joints follow those of large.glb" in page.inner_text("#identities .note")
-    wait_and_pause(page)
-    page.click("[data-name=joints]")
-    page.wait_for_selector("text=These rigs are followed as they are: no joints to correct.")
-    page.click("[data-name=joints]")
-    page.get_by_label("Both meshes are").select_option("auto")
-    page.set_viewport_size({"width": 760, "height": 480})
+    with sized(page, 1100, 600):
+        page.get_by_role("button", name="Try animals").click()
+        page.wait_for_selector("#identities .row:has-text('cow')")
+        page.wait_for_selector("#driving .rows:has-text('horse gallop')")
+        page.get_by_label("Remove cow").click()
+        page.select_option("#model select", "mime")
+        page.get_by_label("Both meshes are").select_option("other")
+        large = Boxes.of(BIRD, size=3.0).renamed(1)
+        choose(page, "driving", large.write(tmp_path / "large.glb", flapping(large.names)))
+        choose(page, "identity", Boxes.of(BIRD).write(tmp_path / "bird.glb"))
+        page.wait_for_selector("#identities .row:has-text('moved as a creature (confidence 0.84) in')")
+        assert "8 joints follow those of large.glb" in page.inner_text("#identities .note")
+        wait_and_pause(page)
+        page.click("[data-name=joints]")
+        page.wait_for_selector("text=These rigs are followed as they are: no joints to correct.")
+        page.click("[data-name=joints]")
+        page.get_by_label("Both meshes are").select_option("auto")
 
 
 def joint_place(page, name, panel="identity"):

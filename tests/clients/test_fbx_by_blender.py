@@ -21,8 +21,7 @@ import mimesh
 from mimesh.bodies.engine_rig import engine_rig
 from mimesh.core.animated_rig import RigAnimation
 from mimesh.io import load_clip, load_mesh, save_as_fbx, save_rig_animations
-from mimesh.io.gltf.animation import animation_names, read_channels
-from mimesh.io.gltf.bake import frame_times, sample_nodes
+from mimesh.io.gltf.animation import animation_names, frame_times, read_channels, sample_nodes
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.scene import node_parents
 from mimesh.pipeline.skinned import save_skinned

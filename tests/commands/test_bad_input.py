@@ -1,11 +1,13 @@
-"""Wrong input to the command: exit code 2, one line that says what to do, no traceback, no files left."""
+"""Wrong input to the command: exit code 2, one line that says what to do, no traceback, no files left, no waiting."""
 
 from __future__ import annotations
 
 import dataclasses
+import os
+import signal
 import subprocess
 import sys
-from itertools import cycle, product
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +15,9 @@ import pytest
 import zoo
 from matrix import matrix
 
-from mimesh.cli import run
 from mimesh.core.mesh import Clip
 from mimesh.io import save_clip, save_mesh
 
-MIMESH = Path(sys.executable).with_name("mimesh")
 BAD_MESHES = {
     "nowhere.obj": None,
     "empty.obj": b"# nothing here\n",
@@ -34,16 +34,10 @@ BAD_MESHES = {
     "half.ply": "cut",
 }
 """File name -> contents; None for no file, "cut" for the first half of a sound one."""
-BAD_CLIPS = ("notes", "mixed")
-"""Folders: one without meshes, and one of frames of different topology."""
-COMMANDS = {
-    "identity": ["transfer", "BAD", "good.obj", "-m", "copy"],
-    "driving": ["transfer", "good.obj", "BAD", "-m", "copy", "--json"],
-    "clip": ["animate", "good.obj", "BAD", "-m", "copy"],
-    "look": ["look", "BAD"],
-    "render": ["render", "BAD", "-o", "x.png"],
-}
-CLIPS_TOO = ("clip", "look", "render")
+REFUSING = ("transfer BAD good.obj -m copy", "transfer good.obj BAD -m copy --json", "look BAD", "render BAD -o x.png")
+ANIMATION = "animate good.obj BAD -m copy"
+BAD_FILES = [*zip(cycle((*REFUSING, ANIMATION)), BAD_MESHES, strict=False), (ANIMATION, "mixed"), ("look BAD", "notes")]
+"""A command line for each bad file: all commands read files by the same functions."""
 
 
 @pytest.fixture
@@ -55,8 +49,8 @@ def good(tmp_path: Path, monkeypatch) -> Path:
 
 
 def write_bad(name: str) -> None:
-    """Write one of BAD_MESHES or BAD_CLIPS."""
-    if name in BAD_CLIPS:
+    """Write one of BAD_MESHES, or a folder without meshes, or one of frames of different topology."""
+    if name in ("notes", "mixed"):
         Path(name).mkdir()
         Path(name, "readme.txt").write_text("nothing to see")
         for t, mesh in enumerate((zoo.cube(), zoo.cube(), zoo.tetrahedron()) if name == "mixed" else ()):
@@ -69,30 +63,21 @@ def write_bad(name: str) -> None:
         Path(name).write_bytes(BAD_MESHES[name])
 
 
-@matrix(
-    ("command", "name"),
-    [*product(COMMANDS, BAD_MESHES), *product(CLIPS_TOO, BAD_CLIPS)],
-    quick=[*zip(cycle(COMMANDS), BAD_MESHES, strict=False), ("clip", "mixed"), ("look", "notes")],
-)
-def test_a_bad_file_is_refused_by_every_command(command, name, good, capsys):
+def refused(line: str, call, folder: Path) -> str:
+    """Run a command that fails; return the one line that it prints, after which no file is left."""
+    before = sorted(folder.rglob("*"))
+    code, out, err = call(line)
+    assert (code, out, len(err.splitlines())) == (2, "", 1)
+    assert err.startswith("mimesh: ")
+    assert sorted(folder.rglob("*")) == before
+    return err
+
+
+@pytest.mark.parametrize(("line", "name"), BAD_FILES)
+def test_a_bad_file_is_refused(line, name, good, call):
     write_bad(name)
-    before = sorted(good.rglob("*"))
-    assert run([name if word == "BAD" else word for word in COMMANDS[command]]) == 2
-    text = capsys.readouterr()
-    assert text.out == ""
-    assert text.err.startswith("mimesh: ")
-    assert len(text.err.splitlines()) == 1
-    assert all(word in text.err for word in (name, "expected", "found", ";"))
-    assert sorted(good.rglob("*")) == before
-
-
-def test_bad_input_in_a_separate_process(good):
-    write_bad("mixed")
-    before = sorted(good.rglob("*"))
-    done = subprocess.run([MIMESH, "animate", "good.obj", "mixed", "-m", "copy"], capture_output=True, text=True)
-    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
-    assert "mixed" in done.stderr
-    assert sorted(good.rglob("*")) == before
+    message = refused(line.replace("BAD", name), call, good)
+    assert all(word in message for word in (name, "expected", "found", ";"))
 
 
 TRANSFER = "transfer good.obj good.obj -o x.obj "
@@ -107,6 +92,10 @@ REFUSED = {
     TRANSFER + "-m copy --ensemble 0": "--ensemble",
     TRANSFER + "-m copy --seed -1": "--seed",
     TRANSFER + "-m copy -o good.obj/x.obj": "good.obj",
+    TRANSFER + "-m copy -o good.obj/": "expected a folder for the output, found a file",
+    TRANSFER + "-m copy --open --no-preview": "--open: expected a page",
+    TRANSFER + "-m copy --log-level loud": "--log-level: expected debug, info, warning, error, found 'loud'",
+    TRANSFER + "-m copy --threads 0": "--threads: expected 1 or more, found 0",
     TRANSFER + "-m deformation-transfer": "--reference",
     TRANSFER + "-m deformation-transfer --reference gone.obj": "gone.obj",
     TRANSFER + "-m deformation-transfer --reference good.obj --markers gone.txt": "gone.txt: expected a file of",
@@ -117,6 +106,14 @@ REFUSED = {
     "animate .. good.obj": "expected the file of the mesh to move",
     "animate good.obj nope": "nothing of that name",
     "animate good.obj good.obj -m copy -o x.avi": "x.avi",
+    "animate good.obj good.obj -m copy -o x.obj": "name it without a suffix: -o x",
+    "convert walk.glb x.npz --animation Walk --animation Run": "--animation: expected it once, found Walk, Run",
+    "render walk.glb -o x.png --animation Walk --animation Run": "--animation: expected it once, found Walk, Run",
+    "render good.obj --truth other.obj -o x.html": "expected the truth to have 8 vertices, found 4",
+    "demo --body fish": "expected human or quadruped, found 'fish'",
+    "nonsense": "--help",
+    "look good.obj --wrong": "--help",
+    "render good.obj": "--help",
     ANIMATE + "-m copy --fps 0": "--fps",
     ANIMATE + "-m copy --start 7": "walk: expected --start and --stop within its 2 frames, found 7 to the end",
     ANIMATE + "-m copy --step 0": "--step",
@@ -165,15 +162,55 @@ REFUSED = {
 
 
 @matrix("line", REFUSED, quick=lambda line: line.split()[0] not in ("export", "train"))  # which load PyTorch
-def test_bad_option(line, good, capsys):
+def test_bad_option(line, good, call):
     cube = zoo.cube()
     for name in ("walk.glb", "run.npz"):
         save_clip(Clip(cube, np.stack([cube.vertices, cube.vertices + 1])), good / name)
     save_mesh(zoo.tetrahedron(), good / "other.obj")
-    before = sorted(good.rglob("*"))
-    assert run(line.split()) == 2
-    text = capsys.readouterr()
-    assert (text.out, len(text.err.splitlines())) == ("", 1)
-    assert text.err.startswith("mimesh: ")
-    assert REFUSED[line] in text.err
-    assert sorted(good.rglob("*")) == before
+    assert REFUSED[line] in refused(line, call, good)
+
+
+@pytest.fixture
+def deadline():
+    """Fail where a pipe is waited for."""
+
+    def fail(*_):
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, fail)
+    signal.alarm(120)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes in folders")
+@matrix(
+    "line",
+    [
+        "look PIPE.npz",
+        "look /dev/zero",
+        "transfer PIPE.obj good.obj",
+        "animate good.obj PIPE.bvh",
+        "convert PIPE.glb b.obj",
+        "batch PIPE.csv --quiet",
+        "train npt --config PIPE.yaml",
+        TRANSFER + "-m deformation-transfer --markers PIPE.txt",
+        TRANSFER + "-m PIPE.onnx",
+        TRANSFER + "--joints PIPE.json",
+    ],
+    quick=lambda line: not line.startswith("train"),  # which loads PyTorch
+)
+def test_pipes_and_devices_are_refused_and_never_waited_for(line, good, deadline, call):
+    for word in line.split():
+        if word.startswith("PIPE"):
+            os.mkfifo(word)
+    message = refused(line, call, good)
+    assert "found a pipe or a device; save what comes from it as a file first" in message
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such device")
+def test_stdin_may_be_a_file_but_not_a_pipe():
+    command = [sys.executable, "-m", "mimesh", "look", "/dev/stdin"]
+    done = subprocess.run(command, input=b"v 0 0 0\n", capture_output=True, timeout=60)
+    assert (done.returncode, b"found a pipe or a device" in done.stderr) == (2, True)

@@ -1,8 +1,9 @@
-"""`mimesh animate`: joints by default, frames with --morphs, and several clips in one file."""
+"""`mimesh animate`: joints by default, frames with --morphs, names of engines, and several clips in one file."""
 
 import json
 
 import numpy as np
+import pygltflib
 import pytest
 import rigs
 from networks import write_mime_network
@@ -10,11 +11,11 @@ from people import person, walk
 from vrm_files import bone_positions, vrm, vrma
 
 import mimesh
-from mimesh.cli import run
+from mimesh.commands.move import print_facts
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.gltf.document import open_document
 from mimesh.pipeline.skinned import save_skinned
-from mimesh.tools.driving_clips import choose_clips
+from mimesh.tools.convert import choose_clips
 
 pytest.importorskip("onnx")
 
@@ -32,15 +33,21 @@ def files(tmp_path_factory):
     return folder
 
 
-def animate(files, *words, model="mime.onnx"):
-    model = str(files / model) if model.endswith(".onnx") else model
-    paths = [str(files / word) if "." in str(word) else str(word) for word in words]
-    return run(["animate", str(files / "hero.glb"), *paths, "-m", model])
+def animate(files, call, *words, model="mime.onnx"):
+    """Animate hero.glb by files of the folder; words with a dot are their names."""
+    paths = [str(files / word) if "." in word else word for word in ("hero.glb", *words, "-m", model)]
+    ended = call(" ".join(["animate", *paths]))
+    assert ended.code == 0, ended.err
+    return ended
 
 
-def test_joints_are_the_default_of_a_glb(files, capsys):
-    assert animate(files, "walk.glb", "-o", "a.glb", "--no-preview", "--json") == 0
-    report = json.loads(capsys.readouterr().out)["report"]
+def written(files, call, *words, **options):
+    """Animate, and return the facts that are printed as JSON."""
+    return json.loads(animate(files, call, *words, "--json", **options).out)
+
+
+def test_joints_are_the_default_of_a_glb(files, call):
+    report = written(files, call, "walk.glb", "-o", "a.glb", "--no-preview")["report"]
     assert report["skinned_deviation"] < 1e-4
     assert report["influence_deviation"] < 1e-5  # three joints are fewer than four
     gltf = open_document(files / "a.glb").gltf
@@ -48,55 +55,86 @@ def test_joints_are_the_default_of_a_glb(files, capsys):
     assert [animation["name"] for animation in gltf["animations"]] == ["walk"]
 
 
-def test_morph_targets_and_other_formats_have_frames(files, capsys):
+def test_morph_targets_and_other_formats_have_frames(files, call):
     for words in (["-o", "b.glb", "--morphs"], ["-o", "c.glb", "--blendshapes", "2"], ["-o", "d.npz"]):
-        assert animate(files, "walk.glb", *words, "--no-preview", "--json") == 0
-        assert "skinned_deviation" not in json.loads(capsys.readouterr().out)["report"]
+        assert "skinned_deviation" not in written(files, call, "walk.glb", *words, "--no-preview")["report"]
     assert "skins" not in open_document(files / "b.glb").gltf
     assert np.allclose(load_clip(files / "b.glb").vertices, load_clip(files / "d.npz").vertices, atol=1e-4)
 
 
-def test_a_model_without_joints_and_a_pose_have_frames(files):
-    assert animate(files, "twin.npz", "-o", "e.glb", "--no-preview", "-q", model="copy") == 0
-    assert animate(files, "pose.obj", "-o", "f.glb", "--no-preview", "-q") == 0
-    assert animate(files, "pose.obj", "-o", "g.glb", "--no-preview", "-q", "--skinned") == 0
+def test_a_model_without_joints_and_a_pose_have_frames(files, call):
+    animate(files, call, "twin.npz", "-o", "e.glb", "--no-preview", model="copy")
+    animate(files, call, "pose.obj", "-o", "f.glb", "--no-preview")
+    animate(files, call, "pose.obj", "-o", "g.glb", "--no-preview", "--skinned")
     assert ["skins" in open_document(files / f"{name}.glb").gltf for name in "efg"] == [False, False, True]
 
 
-def test_a_copied_animation_has_a_preview(files, capsys):
-    path = str(rigs.of_kind(files / "mover.glb", "T-pose")[0])
-    assert run(["animate", path, path, "-o", str(files / "i.glb"), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)["report"]
-    assert report["copied"]
-    assert [report[which]["up_from"] for which in ("identity", "driving")] == ["joints", "file"]
-    assert report["identity"]["up"] == report["driving"]["up"] == "+y"
-    assert (files / "i.preview.html").exists()
-
-
-def test_a_pose_is_put_on_the_bones_of_a_rigged_file(files):
+def test_a_pose_is_put_on_the_bones_of_a_rigged_file(files, call):
     rigged = rigs.of_kind(files / "rigged.glb", "T-pose", moving=False)[0]
     pose = rigs.of_kind(files / "standing.glb", "A-pose", moving=False)[0]
-    assert run(["animate", str(rigged), str(pose), "-o", str(files / "h.glb"), "--no-preview", "-q"]) == 0
+    assert call(f"animate {rigged} {pose} -o {files / 'h.glb'} --no-preview").code == 0
     assert open_document(files / "h.glb").gltf["skins"] == open_document(rigged).gltf["skins"]
 
 
-def test_several_clips_become_animations_of_one_file(files, capsys):
-    assert animate(files, "walk.glb", "run.npz", "walk.glb", "--json") == 0
-    facts = json.loads(capsys.readouterr().out)
+def test_several_clips_become_animations_of_one_file(files, call, capsys):
+    facts = written(files, call, "walk.glb", "run.npz", "walk.glb")
     assert facts["output"] == str(files / "hero-clips.glb")
     assert (facts["frames"], facts["fps"]) == (13, 10)
     assert [(clip["frames"], clip["fps"]) for clip in facts["clips"]] == [(4, 10), (5, 10), (4, 10)]
-    assert [clip["name"] for clip in facts["clips"]] == ["walk", "run", "walk-2"]
+    names = ["walk", "run", "walk-2"]
+    assert [clip["name"] for clip in facts["clips"]] == names
     assert all(clip["report"]["skinned_deviation"] < 1e-4 for clip in facts["clips"])
-    assert load_mesh(files / "hero-clips.glb").source.animations == ("walk", "run", "walk-2")
+    assert load_mesh(files / "hero-clips.glb").source.animations == tuple(names)
     assert len(load_clip(files / "hero-clips.glb", animation="run")) == 5
-    for name in ("walk", "run", "walk-2"):
-        assert (files / f"hero-clips-{name}.preview.html").exists()
-    assert animate(files, "walk.glb", "run.npz", "--no-preview") == 0
+    pages = [files / f"hero-clips-{name}.preview" for name in names]
+    assert all(page.with_suffix(".preview.html").exists() for page in pages)
+    print_facts(facts, json=False, quiet=False)
     text = capsys.readouterr().out
-    assert "2 clips" in text
+    assert "3 clips" in text
     assert "clip: run, 5 frames at 10 per second" in text
     assert "note: run: " not in text
+    assert f"picture: {pages[0]}.png\npage: {pages[0]}.html\n" in text
+    assert f"next: open {pages[0]}.html in a browser" in text
+
+
+def test_engine_names_root_bone_rest_and_rate(files, call):
+    options = ("--names", "unreal", "--root-bone", "--rest", "A", "--output-fps", "60")
+    text = animate(files, call, "walk.glb", "-o", "j.glb", "--no-preview", "--stop", "3", *options, model="mime").out
+    assert ", 13 frames at 60 per second, " in text
+    assert "note: sampled from 3 frames at 10 per second\n" in text
+    gltf = open_document(files / "j.glb").gltf
+    names = [gltf["nodes"][joint]["name"] for joint in gltf["skins"][0]["joints"]]
+    assert names[:3] == ["root", "pelvis", "spine_01"]
+    times = [gltf["accessors"][sampler["input"]] for sampler in gltf["animations"][0]["samplers"]]
+    assert max((entry["count"], round(entry["max"][0], 6)) for entry in times) == (13, 0.2)
+    text = animate(files, call, "walk.glb", "-o", "k.glb", "--no-preview", "--step", "2", "--output-fps", "5").out
+    assert ", 2 frames at 5 per second, " in text, "the rate of the frames that are taken: nothing is sampled"
+    assert "sampled from" not in text
+
+
+@pytest.mark.slow
+def test_thighs_beside_the_hips_of_an_own_rig_are_noted_with_a_scheme(files, call):
+    animate(files, call, "walk.glb", "-o", "out.glb", "--no-preview", model="mime")
+    gltf = pygltflib.GLTF2().load(str(files / "out.glb"))
+    nodes = {node.name: (number, node) for number, node in enumerate(gltf.nodes)}
+    (hips, hips_node), root = nodes["Hips"], pygltflib.Node(name="Body", children=[])
+    for joint, thigh in (("LHipJoint", "LeftUpLeg"), ("RHipJoint", "RightUpLeg")):
+        number, node = nodes[thigh]
+        above = [hips_node.translation, nodes[joint][1].translation]
+        node.translation = np.sum([node.translation, *above], axis=0).tolist()  # no bone is turned at rest
+        nodes[joint][1].children.remove(number)
+        root.children.append(number)
+    root.children.append(hips)
+    gltf.animations = []
+    gltf.nodes.append(root)
+    gltf.scenes[0].nodes = [n for n in gltf.scenes[0].nodes if n != hips] + [len(gltf.nodes) - 1]
+    gltf.save(str(files / "body.glb"))
+    line = f"animate {files / 'body.glb'} {files / 'walk.glb'} -o {files / 'moved.glb'} --no-preview"
+    assert "thighs" not in call(line).out
+    assert (
+        "note: body: in the hierarchy of its rig the thighs are not children of the hips"
+        in call(f"{line} --names vrm").out
+    )
 
 
 @pytest.fixture(scope="module")
@@ -127,16 +165,14 @@ def test_animations_of_driving_files_are_chosen_and_named(moves, words, names):
 
 
 @pytest.mark.slow
-def test_one_file_of_several_animations_becomes_one_file_of_several_clips(moves, tmp_path, capsys):
-    words = ["animate", str(moves), str(moves), "-o", str(tmp_path / "a.glb"), "--json"]
-    assert run([*words, "--animation", "Walk", "--animation", "Run"]) == 0
-    assert [clip["name"] for clip in json.loads(capsys.readouterr().out)["clips"]] == ["Walk", "Run"]
-    assert load_mesh(tmp_path / "a.glb").source.animations[:2] == ("Walk", "Run")
-    assert (tmp_path / "a-Run.preview.html").exists()
-    assert run([*words[:-1], "--animation", "Walk", "--animation", "Run"]) == 0
-    text = capsys.readouterr().out
-    assert f"picture: {tmp_path / 'a-Walk.preview.png'}\npage: {tmp_path / 'a-Walk.preview.html'}\n" in text
-    assert f"next: open {tmp_path / 'a-Walk.preview.html'} in a browser" in text
+def test_one_file_of_several_animations_becomes_one_file_of_several_clips(moves, tmp_path, call):
+    out = tmp_path / "a.glb"
+    facts = json.loads(
+        call(f"animate {moves} {moves} -o {out} --no-preview --json --animation Walk --animation Run").out
+    )
+    assert [clip["name"] for clip in facts["clips"]] == ["Walk", "Run"]
+    assert all(clip["report"]["copied"] for clip in facts["clips"])
+    assert load_mesh(out).source.animations[:2] == ("Walk", "Run")
 
 
 @pytest.mark.parametrize(
@@ -150,42 +186,18 @@ def test_one_file_of_several_animations_becomes_one_file_of_several_clips(moves,
         ),
     ],
 )
-def test_other_animations_are_refused(moves, files, words, expected, capsys):
-    assert animate(files, *words) == 2
-    assert expected in capsys.readouterr().err
+def test_other_animations_are_refused(moves, files, words, expected, refuses):
+    paths = [str(files / word) if "." in word else word for word in ("hero.glb", *words)]
+    refuses(" ".join(["animate", *paths]), expected)
 
 
-def test_an_animation_is_chosen_once_where_one_clip_is_taken(moves, tmp_path, capsys):
-    words = ["--animation", "Walk", "--animation", "Run"]
-    assert run(["convert", str(moves), str(tmp_path / "a.npz"), *words]) == 2
-    assert run(["render", str(moves), "-o", str(tmp_path / "a.png"), *words]) == 2
-    assert capsys.readouterr().err.count("--animation: expected it once, found Walk, Run; choose one of them") == 2
-
-
-def test_a_vrma_has_bones_alone(files, tmp_path, capsys):
+def test_a_vrma_has_bones_alone(files, tmp_path, call):
     path, _, _ = vrm(tmp_path / "avatar.vrm")
-    words = ["animate", str(path), str(files / "pose.vrma"), "--no-preview", "--json", "-o"]
-    drive(files / "pose.vrma")
-    assert run([*words, str(tmp_path / "a.vrma"), "--output-fps", "60"]) == 0
-    assert json.loads(capsys.readouterr().out)["report"]["rig"] == "own"
-    assert load_clip(tmp_path / "a.vrma").fps == 60
-    assert run([*words, str(tmp_path / "b.vrma"), "--names", "mixamo"]) == 2
-    assert "which has the bones of VRM; leave them out" in capsys.readouterr().err
-    assert run([*words, str(tmp_path / "b.vrm")]) == 2
-    assert "found .vrm, which holds none by its specification; write b.vrma" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_vrm_in_a_pose_has_a_note(files, tmp_path, capsys):
-    path, _, _ = vrm(tmp_path / "avatar.vrm")
-    drive(files / "pose.vrma")
-    posed = str(tmp_path / "posed.vrm")
-    assert run(["transfer", str(path), str(files / "pose.vrma"), "-o", posed, "--no-preview", "--json"]) == 0
-    notes = json.loads(capsys.readouterr().out)["report"]["notes"]
-    assert any(note.startswith("posed.vrm rests in the pose") for note in notes)
-
-
-def drive(path):
-    """Write a VRM animation of the skeleton of a generated VRM."""
-    _, rig, _ = vrm(path.with_name("skeleton.vrm"))
-    vrma(path, bone_positions(rig), spread=0.1)
+    _, rig, _ = vrm(tmp_path / "skeleton.vrm")
+    vrma(tmp_path / "pose.vrma", bone_positions(rig), spread=0.1)
+    line = f"animate {path} {tmp_path / 'pose.vrma'} --no-preview --json -o {tmp_path}"
+    facts = json.loads(call(f"{line}/a.vrma --output-fps 60").out)
+    assert (facts["report"]["rig"], facts["fps"]) == ("own", 60)
+    assert "meshes" not in open_document(tmp_path / "a.vrma").gltf
+    assert "which has the bones of VRM; leave them out" in call(f"{line}/b.vrma --names mixamo").err
+    assert "found .vrm, which holds none by its specification; write b.vrma" in call(f"{line}/b.vrm").err

@@ -21,7 +21,7 @@ from mimesh.commands.terminal import progress
 from mimesh.core.mesh import Material, Part
 from mimesh.core.printable import plain, printable
 from mimesh.io import load_mesh, save_mesh
-from mimesh.jobs.summary import BatchResult
+from mimesh.jobs.run import BatchResult
 from mimesh.jobs.table import BatchJob
 
 NAME = "a\x1b]0;owned\x07\u202eb\n  looks         fine\r\x9b2J\u2066\x00"
@@ -38,40 +38,19 @@ def hostile(tmp_path):
     return tmp_path / "cube.glb"
 
 
-def test_look_escapes_names(hostile, capsys):
-    assert run(["look", str(hostile)]) == 0
-    out = capsys.readouterr().out
+def test_all_lines_escape_names(hostile, call, monkeypatch):
+    monkeypatch.chdir(hostile.parent)
+    code, out, _ = call("look cube.glb")
+    assert code == 0
     assert not BAD & set(out)
     assert "a\\x1b]0;owned\\x07\\u202eb\\n  looks" in out
     assert "\n  looks         fine" not in out
-
-
-def test_errors_escape_names(tmp_path, capsys):
-    assert run(["look", str(tmp_path / "no\x1b[31m\u202efile.obj")]) == 2
-    assert "no\\x1b[31m\\u202efile.obj: expected" in capsys.readouterr().err
-
-
-def test_usage_errors_escape_values(capsys):
-    assert run(["render", "--size", "\x1b[31m", "a.obj", "-o", "b.png"]) == 2
-    assert not BAD & set(capsys.readouterr().err)
-
-
-def test_bugs_escape_names(monkeypatch, capsys):
-    def fail(*_):
-        raise RuntimeError("\x1b[31m")
-
-    monkeypatch.setattr("mimesh.tools.inspect.inspect_file", fail)
-    assert run(["look", str(SOURCE)]) == 1
-    assert "RuntimeError: \\x1b[31m\n" in capsys.readouterr().err
-
-
-def test_file_names_are_escaped_in_all_lines(hostile, capsys):
-    named = hostile.with_name("h\x1bo\u202e.glb")
-    hostile.rename(named)
-    assert run(["convert", str(named), str(named.with_name("h\x1b.off"))]) == 0
-    printed = capsys.readouterr()
-    assert not BAD & set(printed.out + printed.err)
-    assert "next: mimesh look" in printed.out
+    assert "no\\x1b[31m\\u202efile.obj: expected" in call("look no\x1b[31m\u202efile.obj").err
+    assert not BAD & set(call("render --size \x1b[31m a.obj -o b.png").err)  # an error of usage
+    hostile.rename("h\x1bo\u202e.glb")
+    code, out, err = call("convert h\x1bo\u202e.glb h\x1b.off")
+    assert (code, BAD & set(out + err)) == (0, set())
+    assert "next: mimesh look" in out
 
 
 @pytest.mark.parametrize("title", ["{0}", "{task.nothing}", "[red]x[/nothing]", "\x1b]0;t\x07"])
@@ -138,9 +117,8 @@ def test_plain_names_keep_their_length_and_other_scripts():
 
 @pytest.mark.skipif(os.name == "nt", reason="a pipe for stdout")
 def test_a_narrow_encoding_of_stdout_prints_escapes(hostile):
-    named = hostile.with_name("h袖.glb")
-    hostile.rename(named)
     environment = {**os.environ, "PYTHONIOENCODING": "cp1252", "PYTHONUTF8": "0"}
-    done = subprocess.run([sys.executable, "-m", "mimesh", "look", str(named)], env=environment, capture_output=True)
+    command = [sys.executable, "-m", "mimesh", "convert", str(hostile), str(hostile.with_name("h袖.off"))]
+    done = subprocess.run(command, env=environment, capture_output=True)
     assert done.returncode == 0, done.stderr
-    assert b"h\\u8896.glb" in done.stdout
+    assert b"h\\u8896.off" in done.stdout

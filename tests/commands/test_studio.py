@@ -7,11 +7,11 @@ import subprocess
 import sys
 import time
 import urllib.request
-from pathlib import Path
 
 import pytest
 
-from mimesh.cli import run
+from mimesh.studio import make_session
+from mimesh.studio.uploads import remove_leftovers
 
 
 @pytest.fixture
@@ -25,6 +25,7 @@ def program(tmp_path):
     program.communicate()
 
 
+@pytest.mark.slow
 def test_interrupt_ends_the_studio_and_leaves_no_files(program, tmp_path):
     address = json.loads(program.stdout.readline())["address"]
     state = f"{address.partition('?')[0]}api/state"
@@ -42,8 +43,6 @@ def test_interrupt_ends_the_studio_and_leaves_no_files(program, tmp_path):
 
 
 def test_leftovers_of_a_killed_studio_are_removed(tmp_path):
-    from mimesh.studio.uploads import remove_leftovers
-
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     names = [f"mimesh-studio-{ended.pid}-x", f"mimesh-studio-{os.getpid()}-x", "mimesh-studio-old", "other-1-x"]
@@ -57,41 +56,24 @@ def test_leftovers_of_a_killed_studio_are_removed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("line", "words"),
     [
-        (["missing.glb"], "expected a file or folder"),
-        (["--host", "203.0.113.1"], "expected a free port"),
-        (["-m", "nothing"], "--model: expected one of"),
+        ("missing.glb", "expected a file or folder"),
+        ("--host 203.0.113.1", "expected a free port"),
+        ("-m nothing", "--model: expected one of"),
     ],
 )
-def test_wrong_arguments_are_refused(arguments, words, capsys, tmp_path, monkeypatch):
+def test_wrong_arguments_are_refused(line, words, call, tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    assert run(["studio", "--no-open", *arguments]) == 2
-    error = capsys.readouterr().err.strip().splitlines()[-1]
-    assert words in error
+    code, _, err = call(f"studio --no-open {line}")
+    assert (code, words in err.splitlines()[-1]) == (2, True)
 
 
-def test_missing_extra_is_refused_with_the_install_command(capsys, monkeypatch):
-    import importlib.util
-
-    find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "uvicorn" else find(name))
-    assert run(["studio"]) == 2
-    assert "pip install 'mimesh[viewer]'" in capsys.readouterr().err
-
-
-def test_files_of_the_command_are_loaded(tmp_path):
-    from mimesh.studio import make_session
-
-    triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-    folder = tmp_path / "walk"
-    folder.mkdir()
-    for path in (tmp_path / "a.obj", tmp_path / "b.obj", folder / "1.obj", folder / "2.obj"):
-        path.write_text(triangle)
-    before = {path: path.stat().st_mtime_ns for path in Path(tmp_path).rglob("*")}
-    session = make_session([tmp_path / "a.obj", tmp_path / "b.obj", folder], 2**20, "copy")
-    assert [item.name for item in session.identities.values()] == ["a.obj", "b.obj"]
+def test_files_of_the_command_are_loaded(files):
+    before = {path: path.stat().st_mtime_ns for path in files.rglob("*")}
+    session = make_session([files / "hero.obj", files / "pose.ply", files / "walk"], 2**20, "copy")
+    assert [item.name for item in session.identities.values()] == ["hero.obj", "pose.ply"]
     assert session.driving is not None
     assert session.driving.name == "walk"
     session.close()
-    assert {path: path.stat().st_mtime_ns for path in Path(tmp_path).rglob("*")} == before
+    assert {path: path.stat().st_mtime_ns for path in files.rglob("*")} == before

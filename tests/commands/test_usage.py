@@ -1,13 +1,13 @@
-"""What is printed about usage: help, what is missing, near names, completion, the log and the progress."""
+"""What is printed about usage: help, what is missing, near names, completion, the log, the progress and tables."""
 
 from __future__ import annotations
 
 import logging
 import os
+import re
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import get_args
 
 import pytest
@@ -15,8 +15,8 @@ from matrix import matrix
 from threadpoolctl import threadpool_info
 
 from mimesh.bodies.engine_names import SCHEMES, RestPose
-from mimesh.cli import COMMANDS, command_name, run
-from mimesh.commands import about, common, completion, terminal
+from mimesh.cli import COMMANDS, command_name
+from mimesh.commands import about, common, terminal
 from mimesh.core.errors import did_you_mean
 from mimesh.methods.find import MODELS, PAIRING_CHOICES
 from mimesh.methods.onnx_runtime import THREADS
@@ -24,63 +24,59 @@ from mimesh.pipeline.body_choice import BODIES
 from mimesh.pipeline.prepared import ROOTS
 from mimesh.pipeline.rigs import RIGS
 
-
-def copied(files: Path) -> list[str]:
-    """Arguments of a transfer that needs no network."""
-    return ["transfer", str(files / "hero.obj"), str(files / "pose.obj"), "-m", "copy", "--no-preview"]
+COPIED = "transfer hero.obj pose.obj -m copy --no-preview "
+"""A transfer that needs no network."""
 
 
-def test_no_command_prints_the_help_in_lines(capsys):
-    assert run([]) == 2
-    text = capsys.readouterr()
-    assert text.out == ""
-    assert text.err.startswith("Usage: mimesh")
-    assert all(f"\n  {command_name(command)} " in text.err for command in COMMANDS)
+def test_no_command_prints_the_help_in_lines(call):
+    code, out, err = call("")
+    assert (code, out) == (2, "")
+    assert err.startswith("Usage: mimesh")
+    assert all(f"\n  {command_name(command)} " in err for command in COMMANDS)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "missing"),
-    [(["transfer"], "IDENTITY} and {DRIVING"), (["transfer", "a"], "DRIVING"), (["look"], "FILE...")],
+    ("line", "missing"),
+    [("transfer", "IDENTITY} and {DRIVING"), ("transfer a", "DRIVING"), ("look", "FILE...")],
 )
-def test_missing_arguments_are_named_in_one_line_before_the_usage(arguments, missing, capsys):
-    assert run(arguments) == 2
-    first, *usage = capsys.readouterr().err.splitlines()
+def test_missing_arguments_are_named_in_one_line_before_the_usage(line, missing, call):
+    code, _, err = call(line)
+    first, *usage = err.splitlines()
+    assert code == 2
     assert missing.replace("{", "").replace("}", "") in first.replace("{", "").replace("}", "")
     assert first.startswith("mimesh: expected ")
-    assert usage[0].startswith(f"Usage: mimesh {arguments[0]} [OPTIONS]")
+    assert usage[0].startswith(f"Usage: mimesh {line.split()[0]} [OPTIONS]")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "meant"),
+    ("line", "meant"),
     [
-        (["trnasfer", "a", "b"], "transfer"),
-        (["transfer", "a", "b", "--ouput", "c"], "--output"),
-        (["transfer", "a", "b", "--no-prview"], "--no-preview"),
-        (["table", "npt1"], "npt-1"),
-        (["figure", "npt6", "-o", "a.png"], "npt-6"),
-        (["evaluate", "human-npt", "-m", "nptt"], "npt"),
+        ("trnasfer a b", "transfer"),
+        ("transfer a b --ouput c", "--output"),
+        ("transfer a b --no-prview", "--no-preview"),
+        ("table npt1", "npt-1"),
+        ("figure npt6 -o a.png", "npt-6"),
+        ("evaluate human-npt -m nptt", "npt"),
+        (COPIED + "-m skelton", "skeleton"),
     ],
 )
-def test_near_names_are_suggested(arguments, meant, capsys):
-    assert run(arguments) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert f"did you mean {meant}?" in line.replace("'", "").replace("Did", "did")
+def test_near_names_are_suggested(line, meant, files, call):
+    code, _, err = call(line)
+    (line,) = err.splitlines()
+    assert (code, f"did you mean {meant}?" in line.replace("'", "").replace("Did", "did")) == (2, True)
 
 
-def test_near_models_are_suggested_and_far_ones_not(files, capsys):
-    assert run([*copied(files), "-m", "skelton"]) == 2
-    assert "did you mean skeleton?" in capsys.readouterr().err
+def test_far_names_are_not_suggested():
     assert did_you_mean("xyz", MODELS) == ""
     assert did_you_mean("MIME", MODELS) == "; did you mean mime?"
 
 
 def test_values_that_shells_complete_are_those_that_are_checked():
-    assert set(completion.MODELS) == set(MODELS) == set(about.DESCRIPTIONS)
+    assert set(terminal.MODELS) == set(MODELS) == set(about.DESCRIPTIONS)
     known = {"root": ROOTS, "rig": RIGS, "body": BODIES, "names": SCHEMES, "rest": get_args(RestPose)}
-    known["pairing"] = PAIRING_CHOICES
-    assert {option: set(values) for option, values in completion.VALUES.items()} == {
-        option: set(values) for option, values in known.items()
-    }
+    known |= {"pairing": PAIRING_CHOICES}
+    assert terminal.VALUES.keys() == known.keys()
+    assert all(set(terminal.VALUES[option]) == set(values) for option, values in known.items())
 
 
 def test_names_of_models_and_networks_are_completed(tmp_path, monkeypatch):
@@ -88,10 +84,10 @@ def test_names_of_models_and_networks_are_completed(tmp_path, monkeypatch):
         (tmp_path / name).touch()
     (tmp_path / "nets").mkdir()
     monkeypatch.chdir(tmp_path)
-    assert completion.models("n") == ["npt", "npt-maxpool", "net.onnx", "nets/"]
-    assert completion.models("./net") == ["./net.onnx", "./nets/"]
-    assert completion.models(f"{tmp_path}/.h") == [f"{tmp_path}/.hidden.onnx"]
-    assert completion.models("nowhere/") == []
+    assert terminal.complete_model("n") == ["npt", "npt-maxpool", "net.onnx", "nets/"]
+    assert terminal.complete_model("./net") == ["./net.onnx", "./nets/"]
+    assert terminal.complete_model(f"{tmp_path}/.h") == [f"{tmp_path}/.hidden.onnx"]
+    assert terminal.complete_model("nowhere/") == []
 
 
 @pytest.mark.parametrize(
@@ -103,13 +99,12 @@ def test_names_of_models_and_networks_are_completed(tmp_path, monkeypatch):
         ("mimesh tran", ["transfer"]),
     ],
 )
-def test_a_shell_gets_completions(words, expected, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_shell_gets_completions(words, expected, files, call, monkeypatch):
     monkeypatch.setenv("_MIMESH_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", words)
     monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
-    assert run([]) == 0
-    assert capsys.readouterr().out.split() == expected
+    code, out, _ = call("")
+    assert (code, out.split()) == (0, expected)
 
 
 def test_completion_is_installed_only_when_asked(tmp_path):
@@ -127,25 +122,16 @@ def test_completion_is_installed_only_when_asked(tmp_path):
     assert ".bash_completions" in (tmp_path / ".bashrc").read_text()
 
 
-def test_verbose_tells_times_axes_and_method_on_stderr(files, capsys):
-    assert run([*copied(files), "-v"]) == 0
-    text = capsys.readouterr()
-    lines = text.err.splitlines()
+def test_verbose_tells_times_axes_and_method_on_stderr(files, call):
+    code, out, err = call(COPIED + "-v")
+    lines = err.splitlines()
+    assert (code, "info:" in out) == (0, False)
     assert lines[0].startswith("info: times: load ")
     assert any(line.startswith("info: identity: up ") for line in lines)
     assert any(line.startswith("info: driving: up ") for line in lines)
     assert "info: method: copy (given by -m)" in lines
-    assert "info:" not in text.out
-    assert run(copied(files)) == 0
-    assert capsys.readouterr().err == ""
+    assert call(COPIED).err == call(COPIED + "--log-level warning").err == ""
     assert logging.getLogger(common.LOGGER).handlers == []
-
-
-def test_levels_of_the_log(files, capsys):
-    assert run([*copied(files), "--log-level", "warning"]) == 0
-    assert capsys.readouterr().err == ""
-    assert run([*copied(files), "--log-level", "loud"]) == 2
-    assert "--log-level: expected debug, info, warning, error, found 'loud'" in capsys.readouterr().err
 
 
 THREADS_OF = """
@@ -174,7 +160,7 @@ def test_threads_before_libraries_are_loaded(arguments, given, expected):
     assert done.stdout.splitlines()[-1] == expected
 
 
-def test_threads_of_loaded_libraries_are_set_back(files, capsys, monkeypatch):
+def test_threads_of_loaded_libraries_are_set_back(files, call, monkeypatch):
     assert common.NETWORKS == THREADS
     monkeypatch.delenv(THREADS, raising=False)
 
@@ -183,12 +169,9 @@ def test_threads_of_loaded_libraries_are_set_back(files, capsys, monkeypatch):
 
     before, during = threads(), []
     monkeypatch.setattr("mimesh.pipeline.transfer", lambda *_, **__: during.append((threads(), os.environ[THREADS])))
-    assert run([*copied(files), "--threads", "3"]) == 1  # nothing is a result
+    assert call(COPIED + "--threads 3").code == 1  # nothing is a result
     assert during == [([3] * len(before), "3")]
     assert (threads(), THREADS in os.environ) == (before, False)
-    capsys.readouterr()
-    assert run([*copied(files), "--threads", "0"]) == 2
-    assert "--threads: expected 1 or more, found 0" in capsys.readouterr().err
 
 
 def test_progress_is_told_in_lines_where_there_is_no_terminal(capsys, monkeypatch):
@@ -204,3 +187,22 @@ def test_progress_is_told_in_lines_where_there_is_no_terminal(capsys, monkeypatc
     with terminal.progress("frames", quiet=True) as advance:
         time.sleep(0.05)
     assert (advance, capsys.readouterr().err) == (None, "")
+
+
+TABLE = "Of one test:\n\n| row | figure [e4] |\n|---|---|\n| `copy` of the driving vertices | 1.5 ± 0.2 |\n\nEnd."
+
+
+def test_a_table_in_a_pipe_is_markdown(capsys):
+    terminal.say_tables(TABLE)
+    assert capsys.readouterr().out == TABLE + "\n"
+
+
+@pytest.mark.parametrize("width", [30, 100])
+def test_a_table_on_a_terminal_fits_it_and_loses_nothing(width, capsys, monkeypatch):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", str(width))
+    terminal.say_tables(TABLE)
+    out = re.sub(r"\x1b\[\d*m", "", capsys.readouterr().out)
+    assert max(map(len, out.splitlines())) <= width
+    assert "|" not in out
+    assert {"Of", "End.", "row", "figure", "[e4]", "copy", "vertices", "1.5", "±", "0.2"} <= set(out.split())

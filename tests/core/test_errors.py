@@ -5,13 +5,9 @@ import pickle
 from mimesh.core.errors import LONGEST_MESSAGE, InputError
 
 
-def test_message_is_one_line():
+def test_message_is_one_line_and_a_short_one_stays():
     assert str(InputError("a: expected b,\nfound c\r\n\u2028d; do e")) == "a: expected b, found c  d; do e"
-
-
-def test_short_message_stays():
-    message = "x" * LONGEST_MESSAGE
-    assert str(InputError(message)) == message
+    assert str(InputError("x" * LONGEST_MESSAGE)) == "x" * LONGEST_MESSAGE
 
 
 def test_long_message_keeps_its_start_and_its_end():

@@ -38,7 +38,7 @@ def test_pages_of_a_long_clip_are_released():
         with open("/proc/self/statm") as file:
             return int(file.read().split()[1]) * 4096
 
-    frames = allocate_frames(4, 2 * LARGE // 12, np.float32)
+    frames = allocate_frames(4, LARGE // 36, np.float32)
     before = resident()
     for t in range(4):
         frames[t] = t

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from people import rigged
 
 from mimesh.bodies import load_body
-from mimesh.bodies.body_parameters import BodyParameters, posed_and_pullback, thin_body, to_vector
+from mimesh.bodies.chamfer_fit import BodyParameters, posed_and_pullback, thin_body, to_vector
 from mimesh.bodies.sampled_body import BodyState, PosedBody, SampledBody
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
-from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.rig import Rig, descendant_matrix, descendants
 from mimesh.core.skinning import SkinnedMesh, place_joints, skin_points, skin_poses, skinning_transforms
 from mimesh.core.surface_points import at_barycentric, interpolate, sample_surface
@@ -53,46 +53,33 @@ def test_batches_of_people_and_poses_broadcast(people, poses):
         assert_equal(posed[1], last)
 
 
-def test_skinning_of_poses_is_that_of_points():
+def test_skinning_of_poses_is_that_of_points_and_joints_from_world_rotations_are_those_of_the_transforms():
     assert_equal(skin_poses(VERTICES, BODY.weights, ROTATION, TRANSLATION), POSED)
-
-
-def test_joints_from_world_rotations_are_those_of_the_transforms():
     bones = JOINTS[1:] - JOINTS[list(BODY.parents[1:])]
     assert_equal(place_joints(JOINTS[0] + ROOT, bones, ROTATION, BODY.parents), POSITIONS)
 
 
 def test_a_packed_mesh_is_the_skinned_points_in_single_precision():
-    skinned = SkinnedMesh.of(VERTICES, Rig(np.tile(np.eye(3), (len(JOINTS), 1, 1)), JOINTS, BODY.weights), BODY.parents)
-    assert_equal(skinned.joint_positions(ROTATION, POSITIONS[0]), POSITIONS)
-    np.testing.assert_allclose(skinned.posed(ROTATION, POSITIONS[0]), POSED, rtol=0, atol=2e-6)
-
-
-def test_a_packed_mesh_in_its_own_pose_is_the_mesh():
-    """Joint frames of a rig need not have the world's axes."""
-    skinned = SkinnedMesh.of(POSED, Rig(ROTATION, POSITIONS, BODY.weights), BODY.parents)
-    np.testing.assert_allclose(skinned.posed(ROTATION, POSITIONS[0]), POSED, rtol=0, atol=2e-6)
-
-
-def test_a_part_of_a_packed_mesh_is_its_vertices_in_any_order():
+    """So is a part of its vertices in any order, and a mesh whose joint frames have not the world's axes."""
     rig = Rig(np.tile(np.eye(3), (len(JOINTS), 1, 1)), JOINTS, BODY.weights)
-    skinned, chosen = SkinnedMesh.of(VERTICES, rig, BODY.parents), np.array([7, 3, 3, len(VERTICES) - 1, 0])
-    posed = skinned.part(chosen).posed(ROTATION, POSITIONS[0])
-    np.testing.assert_allclose(posed, skinned.posed(ROTATION, POSITIONS[0])[chosen], rtol=0, atol=1e-6)
+    skinned = SkinnedMesh.of(VERTICES, rig, BODY.parents)
+    assert_equal(skinned.joint_positions(ROTATION, POSITIONS[0]), POSITIONS)
+    chosen = np.array([7, 3, 3, len(VERTICES) - 1, 0])
+    turned = SkinnedMesh.of(POSED, Rig(ROTATION, POSITIONS, BODY.weights), BODY.parents)
+    for mesh, expected in ((skinned, POSED), (skinned.part(chosen), POSED[chosen]), (turned, POSED)):
+        np.testing.assert_allclose(mesh.posed(ROTATION, POSITIONS[0]), expected, rtol=0, atol=2e-6)
 
 
-def test_points_of_body_parameters_are_the_skinned_points():
-    parameters = BodyParameters(1.0, ROOT, SHAPE, ROTVEC)
-    assert_equal(posed_and_pullback(BODY, to_vector(parameters))[0], POSED)
-    assert_equal(parameters.points(BODY), POSED)
-    assert_equal(parameters.joints(BODY), POSITIONS)
-    assert_equal(parameters.rotations(BODY), ROTATION)
-
-
-def test_a_thinned_body_is_posed_as_the_body():
-    """Interpolating on the surface and skinning cannot be exchanged, but joints are the same."""
-    thin = thin_body(BODY, 50, len(BODY.components))
-    assert_equal(BodyParameters(1.0, ROOT, SHAPE, ROTVEC).joints(thin), POSITIONS)
+@pytest.mark.parametrize(("scale", "moved"), [(1.0, ROOT), (0.7, np.array([1.0, 2, 3]))])
+def test_body_parameters_give_the_skinned_points_scaled_and_moved(scale, moved):
+    """Interpolating on the surface and skinning cannot be exchanged, but a thinned body has the same joints."""
+    parameters = BodyParameters(scale, moved, SHAPE, ROTVEC)
+    expected = scale * (POSED - ROOT) + moved
+    assert_equal(posed_and_pullback(BODY, to_vector(parameters))[0], expected)
+    assert_equal(parameters.points(BODY), expected)
+    for body in (BODY, thin_body(BODY, 50, len(BODY.components))):
+        assert_equal(parameters.joints(body), scale * (POSITIONS - ROOT) + moved)
+        assert_equal(parameters.rotations(body), ROTATION)
 
 
 def test_a_sampled_body_is_the_skinned_points_for_any_proportions():
@@ -110,14 +97,7 @@ def test_a_sampled_body_is_the_skinned_points_for_any_proportions():
 
 
 def test_a_character_with_one_rest_point_per_vertex_is_the_skinned_body():
-    count = len(BODY.parents)
-    transforms = np.tile(np.eye(4), (count, 1, 1))
-    transforms[:, :3, 3] = JOINTS
-    influences = np.tile(np.arange(count), (len(VERTICES), 1))
-    points = np.repeat(VERTICES[:, None], count, axis=1)
-    character = SkinnedCharacter(
-        BODY.mesh(VERTICES), BODY.joint_names, BODY.parents, transforms, influences, BODY.weights, points
-    )
+    character = rigged(BODY.mesh(VERTICES), BODY.joint_names, BODY.parents, JOINTS, BODY.weights)
     assert_equal(character.posed(ROTMAT, ROOT), POSED)
 
 

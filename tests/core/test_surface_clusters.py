@@ -69,13 +69,10 @@ def test_corners_and_parts_stay_with_their_triangles():
     parts = (Part("a", 0, 100, Material("red")), Part("b", 100, len(mesh.faces)))
     colors = np.linspace(0, 1, 4 * len(mesh.vertices)).reshape(-1, 4)
     whole = dataclasses.replace(mesh, corner_uv=corners, parts=parts, vertex_colors=colors, up="+y")
-    found = clustered_mesh(whole, 200)
-    kept = clusters(mesh.vertices, mesh.faces, 200).kept
-    vertices = clusters(mesh.vertices, mesh.faces, 200).vertices
-    assert found.corner_uv is not None
-    assert found.vertex_colors is not None
-    assert (found.corner_uv == corners[kept]).all()
-    assert (found.vertex_colors == colors[vertices]).all()
+    found, reduced = clustered_mesh(whole, 200), clusters(mesh.vertices, mesh.faces, 200)
+    kept = reduced.kept
+    np.testing.assert_array_equal(found.corner_uv, corners[kept])
+    np.testing.assert_array_equal(found.vertex_colors, colors[reduced.vertices])
     assert found.parts[0].stop == (kept < 100).sum() == found.parts[1].start
     assert [part.name for part in found.parts] == ["a", "b"]
     assert found.parts[-1].stop == len(found.faces)

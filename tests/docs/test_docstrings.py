@@ -68,38 +68,38 @@ def fields(owner: type) -> dict[str, tuple[str, str]]:
     return found
 
 
-@pytest.mark.parametrize("documented", ALL, ids=lambda each: each.name)
-def test_there_is_a_docstring(documented):
-    assert re.match(r"[A-Z\"(].*\.|Joint -> ", documented.text.split("\n\n")[0].replace("\n", " ")), documented.text
+def test_there_are_docstrings():
+    first = re.compile(r"[A-Z\"(].*\.|Joint -> ")
+    assert [each.name for each in ALL if not first.match(each.text.split("\n\n")[0].replace("\n", " "))] == []
 
 
-@pytest.mark.parametrize("documented", CALLED, ids=lambda each: each.name)
-def test_arguments_errors_and_an_example_are_documented(documented):
-    names = [name for name in inspect.signature(documented.value).parameters if name not in ("self", "cls")]
-    args = documented.text.partition("Args:")[2].partition("Raises:")[0]
-    described = {name for line in re.findall(r"^ +([\w, ]+):", args, re.M) for name in line.split(", ")}
-    assert set(names) <= described
-    assert ">>> " in documented.text
-    assert "Raises:" in documented.text or not names
+def test_arguments_errors_and_an_example_are_documented():
+    for each in CALLED:
+        names = [name for name in inspect.signature(each.value).parameters if name not in ("self", "cls")]
+        args = each.text.partition("Args:")[2].partition("Raises:")[0]
+        described = {name for line in re.findall(r"^ +([\w, ]+):", args, re.M) for name in line.split(", ")}
+        assert set(names) <= described, each.name
+        assert ">>> " in each.text, each.name
+        assert "Raises:" in each.text or not names, each.name
 
 
-@pytest.mark.parametrize("documented", FUNCTIONS + METHODS, ids=lambda each: each.name)
-def test_arrays_have_shapes(documented):
-    function = documented.value.fget if isinstance(documented.value, property) else documented.value
-    annotations = [*inspect.get_annotations(function).values()]
-    bare = [text for text in annotations if re.search(r"(?<!\[)np\.ndarray", str(text))]
-    assert not bare
+def test_arrays_have_shapes():
+    for each in FUNCTIONS + METHODS:
+        function = each.value.fget if isinstance(each.value, property) else each.value
+        annotations = inspect.get_annotations(function).values()
+        assert [text for text in annotations if re.search(r"(?<!\[)np\.ndarray", str(text))] == [], each.name
 
 
-@pytest.mark.parametrize("owner", CLASSES, ids=lambda owner: owner.__name__)
-def test_fields_have_docstrings_shapes_and_units(owner):
-    for name, (annotation, text) in fields(owner).items():
-        assert text.endswith((".", ")")), f"{name}: {text}"
-        assert not re.search(r"(?<!\[)np\.ndarray", annotation), name
-        if re.search(r"\bfloat\b", annotation):
-            assert re.search(UNITS, text), f"{name}: {text}"
+def test_fields_have_docstrings_shapes_and_units():
+    for owner in CLASSES:
+        for name, (annotation, text) in fields(owner).items():
+            where = f"{owner.__name__}.{name}: {text}"
+            assert text.endswith((".", ")")), where
+            assert not re.search(r"(?<!\[)np\.ndarray", annotation), where
+            assert re.search(UNITS, text) or not re.search(r"\bfloat\b", annotation), where
 
 
+@pytest.mark.slow
 def test_examples_run(tmp_path, monkeypatch):
     """In one process and in this order: the first ones make `result`, `moving` and `session`."""
     monkeypatch.chdir(tmp_path)

@@ -9,7 +9,7 @@ nbformat = pytest.importorskip("nbformat")
 nbclient = pytest.importorskip("nbclient")
 pytest.importorskip("ipykernel")
 
-FEWER = {"step=2": "step=20", "step=6": "step=40", '("scale", "keep", "drop")': '("keep",)'}
+FEWER = {"step=2": "step=40", "step=6": "step=60", '("scale", "keep", "drop")': '("keep",)'}
 """Replacements that reduce the number of frames and clips, to save time; each key is in the notebook."""
 NOTEBOOK = Path(__file__).parents[2] / "examples" / "mimesh.ipynb"
 

@@ -5,6 +5,7 @@ import shlex
 import subprocess
 import sys
 from contextvars import copy_context
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,11 @@ def inserts():
 
     yield inserts
     sys.path.remove(str(DOCS / "_ext"))
+
+
+@pytest.fixture(scope="module")
+def commands():
+    return get_command(app).commands
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +74,12 @@ def test_the_reference_has_every_command_and_option(inserts):
     assert "`--driving-front` `AXIS`" in text
 
 
+def test_names_of_the_reference_exist():
+    names = re.findall(r"auto(?:function|class):: (mimesh[\w.]*)\.(\w+)", (DOCS / "api.md").read_text())
+    assert len(names) > 20
+    assert [name for module, name in names if not hasattr(import_module(module), name)] == []
+
+
 def test_every_table_of_the_papers_is_on_their_page():
     used = set(re.findall(r"<!-- insert: table (\S+) -->", (DOCS / "papers.md").read_text()))
     assert used == set(TABLES)
@@ -103,8 +115,8 @@ def command_lines(text: str) -> list[str]:
 
 # The log has commands as they were.
 @pytest.mark.parametrize("page", [ROOT / "README.md", *(page for page in PAGES if page.stem != "LOG")])
-def test_commands_of_a_page_and_their_options_exist(page):
-    commands, wrong = get_command(app).commands, []
+def test_commands_of_a_page_and_their_options_exist(page, commands):
+    wrong = []
     for line in command_lines(page.read_text(encoding="utf-8")):
         if "[OPTIONS]" in line:  # the usage of a command
             continue

@@ -13,8 +13,9 @@ from smpl_files import loop_vertices, small_arrays, write_model
 from mimesh.bodies.sampling import TABLE_6
 from mimesh.cli import run
 from mimesh.core.errors import InputError
-from mimesh.evaluate.body_models import COMPONENTS, on_body_model
-from mimesh.evaluate.generate import generate_command
+from mimesh.evaluate.clip_protocols import ClipPair
+from mimesh.evaluate.generate import COMPONENTS, generate_command, on_body_model
+from mimesh.evaluate.measure import measure, measure_clip
 from mimesh.io import load_clip, load_mesh
 
 FRAMES = 30
@@ -70,6 +71,7 @@ def test_training_data_has_the_public_names_and_a_stopped_run_goes_on(model, tmp
     assert (first.stat().st_mtime_ns, lost.read_bytes()) == (before, content)
 
 
+@pytest.mark.slow
 def test_pairs_are_new_people_and_can_be_measured(model, tmp_path, capsys):
     written = generate_command("human-npt", tmp_path, "test", pairs=2, body_model=model)
     assert written["files"] == len(list(tmp_path.rglob("*.*")))
@@ -86,7 +88,27 @@ def test_pairs_are_new_people_and_can_be_measured(model, tmp_path, capsys):
             assert identity.name.split("_")[0] == f"id{person}"
     heights = json.loads((tmp_path / "test-seen.heights.json").read_text())
     assert all(height > 0 for height in heights.values())
-    assert run(["evaluate", str(tmp_path), "-m", "copy", "--json"]) == 0
+    capsys.readouterr()
+    assert run(["evaluate", str(tmp_path), "-m", "copy,identity", "--json"]) == 0
+    assert_same_figures(json.loads(capsys.readouterr().out), protocol, "test-")
+
+
+def assert_same_figures(report, protocol, prefix):
+    """Assert that a report on the generated files has the figures of the protocol, whose vertices have other orders."""
+    assert report["results"]
+    for row in report["results"]:
+        assert row["pairs"] > 0
+        for i in range(row["pairs"]):
+            trial = protocol.pair("test", row["split"].removeprefix(prefix), i)
+            measured = measure_clip if isinstance(trial, ClipPair) else measure
+            expected = measured(trial, row["method"]) | dict(zip(("identity", "driving"), trial.groups, strict=True))
+            assert {"seconds", "pmd_e4", "pmd_public_e4", "mm"} < expected.keys()
+            for metric in expected.keys() - {"seconds", "still_mm"}:
+                value = row["each"][metric][i]
+                if metric in ("identity", "driving") or value is None:
+                    assert value == expected[metric]
+                else:
+                    assert value == pytest.approx(expected[metric], rel=1e-4, abs=1e-6), metric
 
 
 def test_an_animal_is_posed_at_random_but_for_its_root(tmp_path):
@@ -117,9 +139,12 @@ def test_every_person_makes_every_recorded_motion(model, tmp_path):
     assert not np.allclose(other.vertices, clip.vertices)
 
 
-def test_pairs_of_clips_have_the_truth_of_another_person(model, tmp_path):
+@pytest.mark.parametrize("frames_as", [None, ".obj"])
+def test_pairs_of_clips_have_the_truth_of_another_person(model, tmp_path, frames_as, capsys):
     takes = write_takes(tmp_path / "takes")
-    generate_command("clips-aniformer", tmp_path / "out", "test", data=takes, body_model=model)
+    options = {"data": takes, "body_model": model, "frames_as": frames_as}
+    written = generate_command("clips-aniformer", tmp_path / "out", "test", **options)
+    assert written["files"] == sum(path.is_file() for path in (tmp_path / "out").rglob("*"))
     lines = (tmp_path / "out" / "test-takes.txt").read_text().splitlines()
     assert len(lines) == 2
     protocol = on_body_model("clips-aniformer", model, takes)
@@ -127,11 +152,14 @@ def test_pairs_of_clips_have_the_truth_of_another_person(model, tmp_path):
         identity, driving, truth = (tmp_path / "out" / word for word in line.split())
         person = identity.stem.split("_")[0].removeprefix("id")
         assert truth.stem == f"id{person}_{take.stem}"
+        assert truth.is_dir() == (frames_as is not None)
         assert driving.stem.endswith(take.stem)
         assert not driving.stem.startswith(f"id{person}_")
         expected = protocol.clip(protocol.person("test", int(person)), take)
         np.testing.assert_array_equal(load_clip(truth).vertices, expected.vertices)
-    assert run(["evaluate", str(tmp_path / "out"), "-m", "copy", "--json"]) == 0
+    rate = ["--fps", str(protocol.pair("test", "takes", 0).clip.fps)]  # folders of frames have none
+    assert run(["evaluate", str(tmp_path / "out"), "-m", "copy,identity", "--json", *rate]) == 0
+    assert_same_figures(json.loads(capsys.readouterr().out), protocol, "test-")
 
 
 def test_what_does_not_go_together_is_refused(model, tmp_path):

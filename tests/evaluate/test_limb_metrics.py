@@ -11,9 +11,7 @@ from mimesh.bodies.character_limbs import Limb
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.mesh import Mesh
-from mimesh.evaluate.limb_calibration import LimbedCharacter, calibration_report
-from mimesh.evaluate.limb_metrics import PosedLimbs, limb_metrics
-from mimesh.evaluate.self_penetration import LimbSamples
+from mimesh.evaluate.limb_metrics import LimbedCharacter, LimbSamples, PosedLimbs, limb_metrics
 
 FIGURES = ("limb_deg", "end_effector", "joint_pct", "sole_height", "penetration")
 ENDS = {"LeftArm": "LeftForeArm", "LeftForeArm": "LeftHand", "LeftUpLeg": "LeftLeg", "LeftLeg": "LeftFoot"}
@@ -58,8 +56,8 @@ def character(vertices, faces, joint_names, parents, joints, weights) -> Skinned
     return SkinnedCharacter(Mesh(vertices, faces), joint_names, parents, transforms, all_joints, weights, points)
 
 
-def prisms(without: tuple[str, ...] = (), arms: float = 1.0) -> LimbedCharacter:
-    """Make a character of rigid prisms; limbs in `without` are part of the limb above, `arms` scales upper arms."""
+def prisms(without: tuple[str, ...] = ()) -> LimbedCharacter:
+    """Make a character of rigid prisms; limbs in `without` are part of the limb above."""
     names = [name for name in PRISMS if name not in without]
     vertices, faces, owner, limbs, count = [], [], [], {}, 0
     for j, name in enumerate(names):
@@ -68,11 +66,6 @@ def prisms(without: tuple[str, ...] = (), arms: float = 1.0) -> LimbedCharacter:
         below = next((name.replace(up, low) for up, low in lower.items() if name[-len(up) :] == up), None)
         if below in without:
             end = np.array(PRISMS[below][2], float)
-        if name.endswith("Arm"):  # other proportions of upper arm and forearm, as long as before
-            elbow = np.sign(start[0]) * (0.2 + 0.3 * arms)
-            start[0], end[0] = (start[0], elbow) if not name.endswith("ForeArm") else (elbow, end[0])
-            if below in without:
-                end[0] = PRISMS[below][2][0]
         limbs[name] = Limb(j, start, end)
         points, triangles = prism(start, end, PRISMS[name][3])
         vertices.append(points), faces.append(triangles + count), owner.extend([j] * len(points))
@@ -130,21 +123,6 @@ def test_the_same_character_in_the_same_pose_has_no_error():
     assert set(figure.limbs) == {name.removeprefix("limb_deg ") for name in metrics if name.startswith("limb_deg ")}
 
 
-@pytest.mark.parametrize("name", ["LeftForeArm", "RightLeg"])
-def test_a_turned_limb_has_its_angle_as_error(name):
-    figure = prisms()
-    metrics = limb_metrics(figure, figure, turned(figure, **{name: (0, 0, 20)}), figure.rest)
-    wrong = {key: value for key, value in metrics.items() if key.startswith("limb_deg ") and value > 1e-6}
-    assert wrong == {f"limb_deg {name}": pytest.approx(20)}
-    assert metrics["limb_deg"] == pytest.approx(2)
-
-
-def test_twist_of_a_limb_does_not_count():
-    figure = prisms()
-    metrics = limb_metrics(figure, figure, turned(figure, LeftForeArm=(70, 0, 0)), figure.rest)
-    assert metrics["limb_deg"] == pytest.approx(0, abs=1e-6)
-
-
 @pytest.mark.slow
 def test_two_people_in_one_pose_are_near():
     """Not 0: shapes turn the axes of their surfaces (thighs most), and bones have other proportions."""
@@ -176,39 +154,6 @@ def test_figures_do_not_depend_on_scale_and_translation():
     assert second == {name: pytest.approx(value, rel=1e-6, abs=1e-9) for name, value in first.items()}
 
 
-def test_joints_beside_the_middle_of_a_limb_do_not_turn_its_axis():
-    """The elbow is 2 cm in front, the wrist 2 cm behind: the line of joints of the forearm is turned by 8 degrees."""
-    figure = human()
-    limb = figure.limbs["LeftForeArm"]
-    moved = Limb(limb.joint, limb.start + [0, 0, 0.02], limb.end - [0, 0, 0.02])
-    other = LimbedCharacter(figure.character, {**figure.limbs, "LeftForeArm": moved})
-    assert np.degrees(np.arctan2(0.04, np.linalg.norm(limb.end - limb.start))) > 7
-    assert limb_metrics(other, figure, figure.rest, figure.rest)["limb_deg LeftForeArm"] < 1
-    report = calibration_report(figure.character, other.limbs)
-    assert report["joint LeftForeArm"] > 6
-
-
-@pytest.mark.parametrize("degrees", [0, 45])
-def test_calibration_shows_the_pose_of_the_file(degrees):
-    """A T-pose and an A-pose."""
-    figure = prisms()
-    rest = turned(figure, LeftArm=(0, 0, -degrees), RightArm=(0, 0, degrees))
-    turn = np.radians(degrees)
-    direction = np.array([np.cos(turn), -np.sin(turn), 0])
-    limbs = dict(figure.limbs)
-    for side in ("Left", "Right"):
-        mirror = direction * ([1, 1, 1] if side == "Left" else [-1, 1, 1])
-        shoulder = limbs[f"{side}Arm"].start
-        elbow, wrist = shoulder + 0.3 * mirror, shoulder + 0.6 * mirror
-        limbs[f"{side}Arm"] = Limb(limbs[f"{side}Arm"].joint, shoulder, elbow)
-        limbs[f"{side}ForeArm"] = Limb(limbs[f"{side}ForeArm"].joint, elbow, wrist)
-    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(figure.character.mesh, vertices=rest))
-    report = calibration_report(rig, limbs)
-    assert [report[name] for name in report if name.startswith("below")] == pytest.approx([degrees] * 4, abs=1e-6)
-    straight = [report[name] for name in report if name.split()[0] in ("joint", "mirror", "down", "up", "front")]
-    np.testing.assert_allclose(straight, 0, atol=1e-5)
-
-
 def test_an_arm_of_one_joint_is_compared_as_a_whole():
     whole, parts = prisms(without=("LeftForeArm", "RightForeArm")), prisms()
     bent = turned(parts, LeftForeArm=(0, 0, 90))  # from the shoulder: 0.3 to the side, then 0.3 up
@@ -238,28 +183,6 @@ def test_a_lifted_foot_changes_the_sole_and_a_knee_is_none():
     metrics = limb_metrics(figure, figure, turned(figure, LeftLeg=(120, 0, 0)), figure.rest)
     foot = 0.5 + 0.5 * np.sin(np.pi / 6) - 0.06 * np.sin(np.pi / 3)  # the knee is at 0.5, the foot above it
     assert metrics["sole_height"] == pytest.approx(foot / 2, abs=1e-6)
-
-
-def test_a_shield_does_not_turn_the_arm():
-    """It is a large plate in front of the outer half of the forearm, weighted to its joint."""
-    figure = prisms()
-    rig, joint = figure.character, figure.limbs["LeftForeArm"].joint
-    points, faces = prism(np.array([0.7, 1.45, 0.3]), np.array([0.95, 1.45, 0.3]), 0.15)
-    mesh = Mesh(np.concatenate([figure.rest, points]), np.concatenate([rig.mesh.faces, len(figure.rest) + faces]))
-    weights = np.concatenate([rig.weights, np.tile(np.eye(len(rig.parents))[joint], (len(points), 1))])
-    armed = character(mesh.vertices, mesh.faces, rig.joint_names, rig.parents, rig.joints, weights)
-    assert calibration_report(armed, figure.limbs)["joint LeftForeArm"] < 1
-
-
-def test_a_belly_does_not_turn_the_trunk():
-    figure = prisms()
-    mesh = figure.character.mesh
-    low = (figure.weights[:, list(figure.limbs).index("Trunk")] > 0.5) & (mesh.vertices[:, 1] < 1.2)
-    belly = np.where(low[:, None], mesh.vertices + [0, 0, 0.1], mesh.vertices)
-    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(mesh, vertices=belly))
-    assert calibration_report(rig, figure.limbs)["up Trunk"] > 5
-    metrics = limb_metrics(LimbedCharacter(rig, figure.limbs), figure, belly, figure.rest)
-    assert metrics["limb_deg Trunk"] == pytest.approx(0, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -296,36 +219,6 @@ def test_penetration_is_compared_only_if_both_figures_have_the_same_chains(lower
     assert limb_metrics(one_side, whole, one_side.rest, whole.rest)["penetration"] is None
 
 
-def test_penetration_is_the_share_of_the_surface_inside():
-    """The outer half of a forearm is in the trunk."""
-    figure = prisms()
-    moved = figure.rest.copy()
-    forearm = figure.weights[:, list(figure.limbs).index("LeftForeArm")] > 0.5
-    # From x = 0.3 to 0: half is in the trunk of radius 0.15.
-    moved[forearm] = moved[forearm] * [-1, 1, 1] + [0.8, -0.2, 0.0]
-    # The mirrored prism keeps its area; its normals do not matter, only those of the trunk.
-    area = 0.04 * 16 * np.sin(np.pi / 8) * 0.15
-    total = sum(16 * r * np.sin(np.pi / 8) * np.linalg.norm(np.subtract(b, a)) + 2 * 4 * r**2 * np.sin(np.pi / 4)
-                for _, a, b, r in PRISMS.values())  # fmt: skip
-    expected = 100 * area / total
-    assert PosedLimbs(figure, moved).penetration == pytest.approx(expected, rel=0.35)
-
-
-def test_limbs_with_too_little_surface_are_left_out():
-    """Of the forearm a triangle is left, which does not say how the limb is turned about it."""
-    figure = prisms()
-    forearm = figure.weights[:, list(figure.limbs).index("LeftForeArm")] > 0.5
-    mesh = figure.character.mesh
-    removed = np.flatnonzero(forearm[mesh.faces].all(axis=1))[1:]
-    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(mesh, faces=np.delete(mesh.faces, removed, 0)))
-    bare = LimbedCharacter(rig, figure.limbs)
-    metrics = limb_metrics(bare, figure, bare.rest, figure.rest)
-    assert bare.left_out == ["LeftForeArm"]
-    assert metrics["limbs_left_out"] == 1
-    assert "limb_deg LeftForeArm" not in metrics
-    assert metrics["limb_deg"] == pytest.approx(0, abs=1e-6)
-
-
 def test_a_character_without_measurable_limbs_has_no_figures_and_a_result_at_one_point_has():
     figure = prisms()
     empty = LimbedCharacter(figure.character, {})
@@ -335,34 +228,98 @@ def test_a_character_without_measurable_limbs_has_no_figures_and_a_result_at_one
     assert at_a_point["limb_deg"] > 5
 
 
+def vertices_of(figure: LimbedCharacter, name: str) -> np.ndarray:
+    """Vertices that a limb carries."""
+    return figure.weights[:, list(figure.limbs).index(name)] > 0.5
+
+
+def with_surface(figure: LimbedCharacter, points, faces, weights) -> LimbedCharacter:
+    """Add a surface to a character, weighted to its joints."""
+    rig = figure.character
+    vertices = np.concatenate([figure.rest, points])
+    faces = np.concatenate([rig.mesh.faces, len(figure.rest) + faces])
+    weights = np.concatenate([rig.weights, np.tile(weights, (len(points), 1))])
+    return LimbedCharacter(character(vertices, faces, rig.joint_names, rig.parents, rig.joints, weights), figure.limbs)
+
+
+def with_mesh(figure: LimbedCharacter, **changes) -> LimbedCharacter:
+    """Change the mesh of a character."""
+    rig = figure.character
+    return LimbedCharacter(dataclasses.replace(rig, mesh=dataclasses.replace(rig.mesh, **changes)), figure.limbs)
+
+
+@pytest.mark.parametrize("name", ["LeftForeArm", "RightLeg"])
+def test_a_turned_limb_has_its_angle_as_error_and_its_twist_does_not_count(name):
+    figure = prisms()
+    metrics = limb_metrics(figure, figure, turned(figure, **{name: (0, 0, 20)}), figure.rest)
+    wrong = {key: value for key, value in metrics.items() if key.startswith("limb_deg ") and value > 1e-6}
+    assert wrong == {f"limb_deg {name}": pytest.approx(20)}
+    assert metrics["limb_deg"] == pytest.approx(2)
+    twist = (70, 0, 0) if name == "LeftForeArm" else (0, 70, 0)
+    metrics = limb_metrics(figure, figure, turned(figure, **{name: twist}), figure.rest)
+    assert metrics["limb_deg"] == pytest.approx(0, abs=1e-6)
+
+
+def test_joints_beside_the_middle_of_a_limb_do_not_turn_its_axis():
+    """The elbow is 2 cm in front, the wrist 2 cm behind: the line of joints of the forearm is turned by 8 degrees."""
+    figure = human()
+    limb = figure.limbs["LeftForeArm"]
+    moved = Limb(limb.joint, limb.start + [0, 0, 0.02], limb.end - [0, 0, 0.02])
+    other = LimbedCharacter(figure.character, {**figure.limbs, "LeftForeArm": moved})
+    assert np.degrees(np.arctan2(0.04, np.linalg.norm(limb.end - limb.start))) > 7
+    assert limb_metrics(other, figure, figure.rest, figure.rest)["limb_deg LeftForeArm"] < 1
+
+
+def test_what_is_beside_a_limb_does_not_turn_its_axis():
+    """A shield in front of the outer half of the forearm, a strip of cloth from there to the trunk, a belly."""
+    figure = prisms()
+    joint = figure.limbs["LeftForeArm"].joint
+    ones = np.eye(len(figure.character.parents))
+    shield = prism(np.array([0.7, 1.45, 0.3]), np.array([0.95, 1.45, 0.3]), 0.15)
+    armed = with_surface(figure, *shield, ones[joint])
+    assert limb_metrics(armed, figure, armed.rest, figure.rest)["limb_deg LeftForeArm"] < 1
+    strip = np.array([[x, y, 0] for x in (0.5, 0.8) for y in (1.45, 1.37)])
+    cloth = with_surface(figure, strip, np.array([[0, 1, 2], [2, 1, 3]]), (ones[joint] + ones[0]) / 2)
+    bent = {"LeftForeArm": (0, 0, 60)}
+    metrics = limb_metrics(cloth, figure, turned(cloth, **bent), turned(figure, **bent))
+    assert metrics["limb_deg LeftForeArm"] < 3
+    low = vertices_of(figure, "Trunk") & (figure.rest[:, 1] < 1.2)
+    fat = with_mesh(figure, vertices=np.where(low[:, None], figure.rest + [0, 0, 0.1], figure.rest))
+    assert np.degrees(np.arccos(fat.cuts["Trunk"].axis[1])) > 5
+    assert limb_metrics(fat, figure, fat.rest, figure.rest)["limb_deg Trunk"] == pytest.approx(0, abs=1e-6)
+
+
+def test_limbs_with_too_little_surface_are_left_out():
+    """Of the forearm a triangle is left, which does not say how the limb is turned about it."""
+    figure = prisms()
+    faces = figure.character.mesh.faces
+    removed = np.flatnonzero(vertices_of(figure, "LeftForeArm")[faces].all(axis=1))[1:]
+    bare = with_mesh(figure, faces=np.delete(faces, removed, 0))
+    metrics = limb_metrics(bare, figure, bare.rest, figure.rest)
+    assert bare.left_out == ["LeftForeArm"]
+    assert metrics["limbs_left_out"] == 1
+    assert "limb_deg LeftForeArm" not in metrics
+    assert metrics["limb_deg"] == pytest.approx(0, abs=1e-6)
+
+
+def test_penetration_is_the_share_of_the_surface_inside_that_the_driving_has_not():
+    """The outer half of a forearm is in the trunk. Less than the driving has would cancel other pairs in a mean."""
+    figure = prisms()
+    moved, forearm = figure.rest.copy(), vertices_of(figure, "LeftForeArm")
+    # From x = 0.3 to 0: half is in the trunk of radius 0.15.
+    moved[forearm] = moved[forearm] * [-1, 1, 1] + [0.8, -0.2, 0.0]
+    # The mirrored prism keeps its area; its normals do not matter, only those of the trunk.
+    area = 0.04 * 16 * np.sin(np.pi / 8) * 0.15
+    total = sum(16 * r * np.sin(np.pi / 8) * np.linalg.norm(np.subtract(b, a)) + 2 * 4 * r**2 * np.sin(np.pi / 4)
+                for _, a, b, r in PRISMS.values())  # fmt: skip
+    expected = 100 * area / total
+    assert PosedLimbs(figure, moved).penetration == pytest.approx(expected, rel=0.35)
+    assert limb_metrics(figure, figure, moved, figure.rest)["penetration"] == pytest.approx(expected, rel=0.35)
+    assert limb_metrics(figure, figure, figure.rest, moved)["penetration"] == 0
+
+
 @pytest.mark.slow
 def test_shape_hardly_turns_the_thigh():
     """Fat above the thigh is shared with the trunk; counted like the rest, it turns the axis by 5 degrees."""
-    axes = np.array([human(i).cuts["LeftUpLeg"].axis for i in range(24)])
-    assert np.median(np.degrees(np.arccos((axes[:12] * axes[12:]).sum(axis=1)))) < 4.4
-
-
-def test_cloth_between_limbs_does_not_turn_them():
-    """A strip of cloth from the forearm to the trunk follows each by a half."""
-    figure = prisms()
-    rig, forearm = figure.character, figure.limbs["LeftForeArm"]
-    strip = np.array([[x, y, 0] for x in (0.5, 0.8) for y in (1.45, 1.37)])
-    mesh = Mesh(
-        np.concatenate([figure.rest, strip]),
-        np.concatenate([rig.mesh.faces, len(figure.rest) + np.array([[0, 1, 2], [2, 1, 3]])]),
-    )
-    weights = np.concatenate([rig.weights, np.zeros((4, len(rig.parents)))])
-    weights[-4:, [forearm.joint, 0]] = 0.5
-    names, parents = rig.joint_names, rig.parents
-    cloth = LimbedCharacter(character(mesh.vertices, mesh.faces, names, parents, rig.joints, weights), figure.limbs)
-    metrics = limb_metrics(cloth, figure, turned(cloth, LeftForeArm=(0, 0, 60)), turned(figure, LeftForeArm=(0, 0, 60)))
-    assert metrics["limb_deg LeftForeArm"] < 3
-
-
-def test_less_penetration_than_the_driving_mesh_does_not_count():
-    """Negative figures would cancel the penetration of other pairs in a mean."""
-    figure = prisms()
-    inside = figure.rest.copy()
-    inside[figure.weights[:, list(figure.limbs).index("LeftForeArm")] > 0.5] += [-0.75, -0.2, 0.0]
-    assert PosedLimbs(figure, inside).penetration > 1
-    assert limb_metrics(figure, figure, figure.rest, inside)["penetration"] == 0
+    axes = np.array([human(i).cuts["LeftUpLeg"].axis for i in (*range(8), *range(30, 38))])
+    assert np.median(np.degrees(np.arccos((axes[:8] * axes[8:]).sum(axis=1)))) < 4.4

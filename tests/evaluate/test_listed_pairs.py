@@ -1,79 +1,37 @@
-"""Measuring on lists of files: the figures of a protocol again from its files, and files that do not fit together."""
+"""Lists of files, as people write them: lines, names, heights, figures, and files that do not fit together."""
 
 import dataclasses
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-from deepmimic_files import write_folder
-from matrix import matrix
-from networks import write_sequence_network
 from people import person
 
 from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.normalization import bbox_centre
-from mimesh.evaluate.clip_protocols import ClipPair, clips_aniformer
-from mimesh.evaluate.listed_pairs import HEIGHT, ListedClips, listed_pairs
+from mimesh.evaluate.clip_protocols import ClipPair
+from mimesh.evaluate.listed_pairs import (
+    HEIGHT,
+    ListedClips,
+    find_lists,
+    listed_pairs,
+    read_heights,
+    read_list,
+    write_list,
+)
 from mimesh.evaluate.markdown import markdown
 from mimesh.evaluate.measure import measure, measure_clip
-from mimesh.evaluate.run import evaluate_command, measure_trial
+from mimesh.evaluate.protocols import CONTACT
+from mimesh.evaluate.run import evaluate_command, find_protocol
 from mimesh.io import save_clip, save_mesh
 
 ROOT = Path(__file__).parents[2]
 RNG = np.random.default_rng(0)
 """Not used where pairs are read from files."""
-
-
-def assert_same_figures(row, expected):
-    """Assert that a row of a report has the figures of pairs of a protocol; their vertices were in other orders."""
-    assert row["pairs"] == len(expected) > 0
-    for metric in expected[0].keys() - {"pair", "seconds", "still_mm"}:
-        values = [figures[metric] for figures in expected]
-        if metric in ("identity", "driving") or None in values:
-            assert row["each"][metric] == values
-        else:
-            assert row["each"][metric] == pytest.approx(values, rel=1e-4, abs=1e-6), metric
-
-
-@pytest.mark.slow
-def test_generated_pairs_have_the_figures_of_their_protocol(tmp_path):
-    assert run(["generate", "human-npt", "-o", str(tmp_path / "meshes"), "--pairs", "1", "-q"]) == 0
-    out = tmp_path / "figures.json"
-    assert run(["evaluate", str(tmp_path / "meshes"), "-m", "copy,npt", "-o", str(out), "-q"]) == 0
-    report, protocol = json.loads(out.read_text()), evaluate_command("human-npt", ["copy", "npt"], pairs=1)
-    rows = {(row["method"], row["split"]): row for row in report["results"]}
-    assert report["protocol"] == "meshes/"
-    assert {facts["role"] for facts in report["sets"].values()} == {"own files"}
-    for named in protocol["results"]:
-        row = rows.pop((named["method"], f"test-{named['split']}"))
-        assert_same_figures(row, [{name: column[0] for name, column in named["each"].items()}])
-    assert not rows
-
-
-@pytest.fixture(scope="module")
-def motions(tmp_path_factory):
-    return write_folder(tmp_path_factory.mktemp("motions"))
-
-
-@matrix("frames_as", [None, "obj"], quick=[None])
-def test_generated_clips_are_those_of_the_protocol(motions, tmp_path, monkeypatch, frames_as):
-    protocol = dataclasses.replace(clips_aniformer(motions), kinds=("seen",))
-    monkeypatch.setattr("mimesh.evaluate.generate.find_protocol", lambda *_: protocol)
-    option = [] if frames_as is None else ["--frames-as", frames_as]
-    given = ["generate", "clips-aniformer", "--split", "val", "--data", str(motions), "--pairs", "1"]
-    assert run([*given, "-o", str(tmp_path), *option, "-q"]) == 0
-    trial = protocol.unshuffled_pair("val", "seen", 0, protocol.rng("val", "seen", 0))
-    files = listed_pairs(tmp_path)
-    read = files.unshuffled_pair("test", "val-seen", 0, files.rng("test", "val-seen", 0))
-    assert read.clip.fps == trial.clip.fps == 30.0
-    assert (read.height, read.groups) == (trial.height, trial.groups)
-    np.testing.assert_array_equal(read.identity.faces, trial.identity.faces)
-    for name in ("truth_frames", "aligned_frames"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(trial, name))
-    np.testing.assert_array_equal(read.clip.vertices, trial.clip.vertices)
 
 
 def figure(seed=0, faces=True):
@@ -121,17 +79,15 @@ def test_report_has_every_pair_and_where_the_files_come_from(folder, tmp_path, c
     fewer = evaluate_command(str(folder / "seen.txt"), ["copy"], pairs=2)
     assert fewer["results"][0]["each"]["pmd_e4"] == rows["copy"]["each"]["pmd_e4"][:2]
     assert evaluate_command(str(folder / "seen.txt"), ["copy"], pairs=50)["results"][0]["pairs"] == 3
+    save_mesh(figure(20), folder / "id0_1.obj")  # figures of other files are not continued: their question is another
+    changed = evaluate_command(str(folder / "seen.txt"), ["identity"])["provenance"]["config"]
+    assert changed["lists"] == config["lists"]
+    assert changed["data"] != config["data"]
 
 
-UPS = [
-    ("", None),
-    ("identity", "identity +z, driving +y, truth +y"),
-    ("driving truth", "identity +y, driving +z, truth +z"),
-    ("identity driving truth", "identity +z, driving +z, truth +z"),
-]
-
-
-@matrix(("turned", "found"), UPS, quick=[UPS[0], UPS[2]])
+@pytest.mark.parametrize(
+    ("turned", "found"), [("", None), ("driving truth", "identity +y, driving +z, truth +z")], ids=["y", "z"]
+)
 def test_files_with_z_up_get_a_note(turned, found, tmp_path, capsys):
     for k in range(3):
         for role, mesh in (("identity", person(k)), ("driving", person(k + 1, k)), ("truth", person(k, k))):
@@ -159,28 +115,6 @@ def test_one_person_who_lies_among_three_gets_no_note(tmp_path):
     assert note.startswith("c: by the shapes of most files up is identity +y, driving ")
 
 
-def test_interrupted_list_is_continued_until_a_file_changes(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("mimesh.evaluate.run.commit", lambda: "abc")
-    out, measured = tmp_path / "out" / "figures.json", []
-    out.parent.mkdir()
-
-    def counted(pair, method, **options):
-        measured.append(pair.truth_name)
-        if len(measured) in (3, 5):
-            raise KeyboardInterrupt
-        return measure(pair, method, **options)
-
-    monkeypatch.setattr("mimesh.evaluate.run.measure", counted)
-    for _ in range(2):
-        with pytest.raises(KeyboardInterrupt):
-            evaluate_command(str(folder / "seen.txt"), ["copy", "identity"], out)
-    assert measured == ["id0_1", "id0_2", "id0_3", "id0_3", "id0_1"]
-    save_mesh(figure(20), folder / "id0_1.obj")
-    evaluate_command(str(folder / "seen.txt"), ["copy", "identity"], out)
-    assert measured[5:] == ["id0_1", "id0_2", "id0_3"] * 2
-    assert out.with_name("figures.json.partial.old").exists()
-
-
 def test_methods_get_shuffled_vertices_and_the_truth_follows_the_identity(folder):
     protocol = listed_pairs(folder / "seen.txt")
     plain, pair = protocol.unshuffled_pair("", "seen", 1, RNG), protocol.pair("", "seen", 1)
@@ -200,6 +134,8 @@ def test_methods_that_need_a_correspondence_are_not_applicable_without_one(folde
     methods = ["copy", "deformation-transfer-dense", "deformation-transfer-13", "truth"]
     report = evaluate_command(str(tmp_path / "one.txt"), methods)
     assert [row["pairs"] for row in report["results"]] == [0, 0, 0, 1]
+    assert report["results"][0]["not_applicable"] == 1
+    assert "found none in this test set" in report["results"][0]["why"]
     assert "Not applicable: `copy`, 1 of 1 pairs of one" in markdown(report)
     (tmp_path / "b.obj").unlink()
     cloud = one_pair(tmp_path, figure(0), figure(5, faces=False), figure(1))
@@ -299,8 +235,8 @@ def test_options_that_do_not_fit_are_refused(folder, arguments, message, monkeyp
 def test_a_protocol_goes_before_a_folder_of_its_name(folder, monkeypatch):
     monkeypatch.chdir(folder.parent)
     folder.rename("contact")
-    assert evaluate_command("contact", ["copy"], pairs=1)["version"] == 1
-    assert evaluate_command("./contact", ["copy"], pairs=1)["protocol"] == "contact/"
+    assert find_protocol("contact") is CONTACT
+    assert find_protocol("./contact").name == "contact/"
 
 
 @pytest.fixture
@@ -328,16 +264,6 @@ def test_clips_are_measured_as_clips(clips, tmp_path):
         [row["each"]["jitter"][0], 4 * row["each"]["jitter"][1]],
         rel=1e-5,  # reports have six digits
     )
-
-
-def test_clips_in_one_vertex_order_are_shuffled_frame_by_frame_alike(clips):
-    trial = listed_pairs(clips / "own.txt").pair("", "own", 0)
-    steps = np.diff(trial.truth_frames, axis=0)
-    np.testing.assert_allclose(steps, np.broadcast_to(steps[:, :1], steps.shape), atol=1e-12)
-    plain = listed_pairs(clips / "own.txt").unshuffled_pair("", "own", 0, RNG)
-    order = [np.flatnonzero((plain.identity.vertices == p).all(axis=1))[0] for p in trial.identity.vertices]
-    np.testing.assert_array_equal(trial.truth_frames, plain.truth_frames[:, order])
-    assert not np.array_equal(trial.clip.vertices, plain.clip.vertices)
 
 
 @pytest.mark.parametrize(
@@ -373,19 +299,181 @@ def test_a_network_of_a_template_is_not_applicable_to_clips_of_other_bodies(clip
     assert measure_clip(listed_pairs(clips / "own.txt").pair("", "own", 0), "copy").keys() == {"why"}
 
 
-@pytest.mark.slow
-def test_generated_clips_have_the_figures_of_their_protocol(motions, tmp_path, capsys):
-    """In kind `seen`, driving people and identities are both counted from 0, and have motions of one name."""
-    clips = tmp_path / "clips"
-    given = ["generate", "clips-aniformer", "--split", "val", "--data", str(motions), "--pairs", "1"]
-    assert run([*given, "-o", str(clips), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["files"] == sum(path.is_file() for path in clips.rglob("*"))
-    out, network = tmp_path / "figures.json", str(write_sequence_network(tmp_path / "tiny.onnx"))
-    assert run(["evaluate", str(clips / "val-seen.txt"), "-m", f"copy,{network}", "-o", str(out), "-q"]) == 0
-    protocol, options = clips_aniformer(motions), {"ensemble": 1, "refine": False}
-    report = json.loads(out.read_text())
-    for row in report["results"]:
-        expected = measure_trial(protocol, protocol.pair("val", "seen", 0), row["method"], options)
-        assert_same_figures(row, [expected])
-    assert {"path_mm", "jitter", "liveliness", "still_mm", "pmd_e4_p90", "mm_median"} <= row.keys()
-    assert "jitter, m/s²" in markdown(report)
+@pytest.fixture
+def files(tmp_path):
+    """A folder with three meshes; nothing reads them."""
+    for name in ("id0_0.obj", "id1_3.obj", "id0_3.obj"):
+        (tmp_path / name).touch()
+    return tmp_path
+
+
+def listed(files, content):
+    """Write a list and return its triples."""
+    path = files / "seen.txt"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return read_list(path)
+
+
+def names(triples):
+    return [tuple(path.name for path in triple.paths) for triple in triples]
+
+
+PUBLIC = ("id0_0.obj", "id1_3.obj", "id0_3.obj")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "id0_0.obj id1_3.obj id0_3.obj\n",
+        "id0_0 id1_3 id0_3",
+        "  id0_0.obj\tid1_3\t id0_3.obj  \r\n",
+        "# people\n\n   \nid0_0.obj id1_3.obj id0_3.obj # the first\n\n",
+        "# people\r\n\r\nid0_0.obj id1_3.obj id0_3.obj\r\n",
+        "# people\rid0_0.obj id1_3.obj id0_3.obj\r",
+        b"\xef\xbb\xbfid0_0.obj id1_3.obj id0_3.obj\n",
+        '"id0_0.obj" id1_3.obj "id0_3"\n',
+        ".\\id0_0.obj ./id1_3 .\\id0_3\n",
+        b"# M\xfcller, in Latin-1\nid0_0.obj id1_3.obj id0_3.obj\n",
+    ],
+    ids=["plain", "no-suffix", "tabs", "comments", "windows", "old-mac", "mark", "quotes", "backslashes", "latin-1"],
+)
+def test_a_line_names_three_files(files, content):
+    triples = listed(files, content)
+    assert names(triples) == [PUBLIC]
+    assert all(path.is_file() for path in triples[0].paths)
+
+
+def test_names_may_have_blanks_quotes_folders_and_other_letters(files):
+    (files / "set one").mkdir()
+    for name in ("set one/a person.obj", "bob's.obj", "Jürgen#2.obj"):
+        (files / name).touch()
+    line = '"set one/a person" bob\'s.obj Jürgen#2.obj\n'
+    for encoding in ("utf-8", "latin-1"):
+        assert names(listed(files, line.encode(encoding))) == [("a person.obj", "bob's.obj", "Jürgen#2.obj")]
+
+
+def test_names_are_absolute_or_relative_to_the_folder_that_is_given(files, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("lists")
+    absolute = " ".join(str(files / name) for name in PUBLIC)
+    assert names(listed(elsewhere, absolute)) == [PUBLIC]
+    (elsewhere / "seen.txt").write_text(" ".join(PUBLIC))
+    assert names(read_list(elsewhere / "seen.txt", files)) == [PUBLIC]
+    with pytest.raises(InputError, match=r"seen\.txt, line 1: expected the file 'id0_0\.obj' in .*--data"):
+        read_list(elsewhere / "seen.txt")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "expected lines of identity, driving and truth, found none"),
+        ("# nothing\n\n", "expected lines of identity, driving and truth, found none"),
+        ("\nid0_0.obj id1_3.obj\n", "line 2: expected three names .*, found 2 in 'id0_0.obj id1_3.obj'"),
+        ("id0_0 id1_3 id0_3\r\na person.obj id1_3 id0_3\r\n", "line 2: expected three names .* double quotes"),
+        ("id0_0 id1_3 id0_3\nid0_0 id1_3 id0_4\n", "line 2: expected the file 'id0_4'"),
+        ('id0_0 "" id0_3', "line 1: expected the file ''"),
+        (f"id0_0 {'x' * 5000} id0_3", "line 1: expected the file 'xxx"),
+        ("id0_0 id1_3 id0_3".encode("utf-16"), "found binary data or UTF-16; save it as UTF-8"),
+    ],
+    ids=["empty", "comments", "two", "blanks", "missing", "no-name", "long", "utf-16"],
+)
+def test_damaged_lists_are_refused_with_the_line(files, content, message):
+    with pytest.raises(InputError, match=rf"seen\.txt.*{message}"):
+        listed(files, content)
+
+
+def test_a_name_without_suffix_must_fit_one_file(files):
+    (files / "id0_0.ply").touch()
+    with pytest.raises(InputError, match=r"line 1: expected one file called 'id0_0', found .*write the suffix"):
+        listed(files, "id0_0 id1_3 id0_3")
+    assert names(listed(files, "id0_0.ply id1_3 id0_3")) == [("id0_0.ply", *PUBLIC[1:])]
+
+
+def test_lists_of_a_folder_are_found(tmp_path):
+    with pytest.raises(InputError, match="found nothing"):
+        find_lists(tmp_path / "gone.txt")
+    with pytest.raises(InputError, match="found none in the folder"):
+        find_lists(tmp_path)
+    for name in ("unseen.txt", "seen.txt", ".hidden.txt", "seen.heights.json"):
+        (tmp_path / name).touch()
+    assert [path.name for path in find_lists(tmp_path)] == ["seen.txt", "unseen.txt"]
+    assert find_lists(tmp_path / "seen.txt") == [tmp_path / "seen.txt"]
+
+
+def test_written_lists_are_read_again(files):
+    (files / "a b.obj").touch()
+    (files / "#3.obj").touch()
+    triples = [PUBLIC, ("a b.obj", "#3.obj", "id0_3.obj")]
+    heights = {"id0_0.obj": 1.71234567890123, "a b.obj": 1.5}
+    write_list(files / "seen.txt", triples, heights)
+    assert [triple.names for triple in read_list(files / "seen.txt")] == triples
+    assert read_heights(files / "seen.txt") == heights
+    assert read_heights(files / "unseen.txt") is None
+    assert sorted(os.listdir(files))[-2:] == ["seen.heights.json", "seen.txt"]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "{",
+        "[1.7]",
+        "1.7",
+        '{"id0_0.obj": "tall"}',
+        '{"id0_0.obj": -1}',
+        '{"id0_0.obj": true}',
+        '{"id0_0.obj": 1' + "0" * 400 + "}",
+        "\0",
+    ],
+)
+def test_damaged_heights_are_refused(tmp_path, content):
+    (tmp_path / "seen.heights.json").write_text(content)
+    with pytest.raises(InputError, match=r"seen\.heights\.json: expected"):
+        read_heights(tmp_path / "seen.txt")
+
+
+@pytest.mark.parametrize(("commit", "again"), [("abc", 1), ("abc-dirty", 6)])
+def test_interrupted_run_is_continued_with_the_same_commit(commit, again, folder, tmp_path, monkeypatch):
+    def counted(pair, method, **options):
+        measured.append(method)
+        if len(measured) == 3:
+            raise KeyboardInterrupt
+        return measure(pair, method, **options)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mimesh.evaluate.run.commit", lambda: commit)
+    given, out, measured = str(folder / "seen.txt"), tmp_path / "out" / "figures.json", []
+    out.parent.mkdir()
+    uninterrupted = evaluate_command(given, ["copy"])
+    monkeypatch.setattr("mimesh.evaluate.run.measure", counted)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_command(given, ["copy"], out)
+    assert not out.exists()
+    with (out.parent / "figures.json.partial").open("a") as file:
+        file.write('[["copy", 0, "seen", 2], {"pmd')  # a line cut off when the process was killed
+    with monkeypatch.context() as patch:
+        patch.setattr("mimesh.evaluate.run.summary", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            evaluate_command(given, ["copy"], out)
+    resumed = evaluate_command(given, ["copy"], out)
+    assert len(measured) == 3 + again
+    assert resumed["results"][0]["pmd_e4"] == uninterrupted["results"][0]["pmd_e4"]
+    assert {path.name for path in out.parent.iterdir()} - {"figures.json.partial.old"} == {out.name}
+    assert (out.parent / "figures.json.partial.old").exists() == (commit == "abc-dirty")
+
+
+def test_a_report_of_another_question_is_not_replaced_and_its_figures_are_not_used(folder, tmp_path):
+    given, out = str(folder / "seen.txt"), tmp_path / "out" / "figures.json"
+    out.parent.mkdir()
+    kept = json.dumps([["copy", 0, "seen", 0], {"pmd_e4": 0.0}])
+    (out.parent / "figures.json.partial").write_text(f'{{"split": "test"}}\n{kept}\n')
+    assert evaluate_command(given, ["copy"], out)["results"][0]["pmd_e4"] > 0
+    assert (out.parent / "figures.json.partial.old").exists()
+    evaluate_command(given, ["copy", "identity"], out)  # of the same pairs: more methods
+    for other in ({"pairs": 2}, {"mirror": True}):
+        with pytest.raises(InputError, match="expected no file, or a report of the same test set"):
+            evaluate_command(given, ["copy"], out, **other)
+    out.write_text("notes of mine")
+    with pytest.raises(InputError, match="choose another name"):
+        evaluate_command(given, ["copy"], out)
+    assert out.read_text() == "notes of mine"

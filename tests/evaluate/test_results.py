@@ -7,10 +7,10 @@ import zlib
 from pathlib import Path
 
 import pytest
+from write_results import TABLES, page_tables, read_reports, readme_table, rows_csv, with_tables
 
 from mimesh.core.errors import InputError
 from mimesh.evaluate.metrics import VERSION
-from mimesh.evaluate.results import TABLES, page_tables, read_reports, readme_table, rows_csv, with_tables
 from mimesh.evaluate.run import fingerprint
 from mimesh.methods.find import is_table_model, weights_path
 

@@ -4,9 +4,12 @@ import json
 
 import numpy as np
 import pytest
+from write_results import warnings_count
 
+from mimesh.evaluate.markdown import markdown
+from mimesh.evaluate.protocols import QUADRUPED
 from mimesh.evaluate.run import evaluate_command, report_text
-from mimesh.evaluate.summary import half_interval, summary, warnings_count, win_share
+from mimesh.evaluate.summary import half_interval, summary, win_share
 
 
 def figures(pmd, pair="", identity="a", driving="b", **more):
@@ -18,8 +21,15 @@ def row(errors, **more):
     return summary("copy", "seen", [figures(error, **more) for error in errors])
 
 
-def test_a_report_has_the_figures_of_every_pair_and_their_statistics():
-    result = evaluate_command("human-npt", ["copy", "identity"], split="val", pairs=2)
+def test_a_report_has_the_figures_of_every_pair_their_statistics_and_provenance(tmp_path):
+    out, calls = tmp_path / "figures.json", []
+    options = {"split": "val", "pairs": 2, "progress": lambda done, total: calls.append((done, total))}
+    result = evaluate_command("human-npt", ["copy", "identity"], out, **options)
+    assert json.loads(out.read_text()) == result
+    assert list(tmp_path.iterdir()) == [out]
+    assert calls == [(k + 1, 8) for k in range(8)]
+    assert {"seed", "config", "commit", "machine", "date"} <= set(result["provenance"])
+    assert "| `copy` |" in markdown(result)
     for line in result["results"]:
         each = line["each"]
         assert {len(column) for column in each.values()} == {2}
@@ -80,3 +90,12 @@ def test_lists_of_a_report_are_on_one_line_and_unchanged():
     text = report_text(report)
     assert json.loads(text) == report
     assert '"mm": [1.5, null]' in text
+
+
+def test_mime_on_animals_is_described_by_the_network_that_it_opens():
+    nothing_measured = [{"why": "left out"}]
+    row = summary("mime", "gaits", nothing_measured, QUADRUPED.body)
+    assert row["given"] == "trained on our quadruped, which it fits"
+    assert "animals" in row["trained"]
+    assert summary("mime", "limits", nothing_measured)["given"] == "trained on our body, which it fits"
+    assert summary("npt", "gaits", nothing_measured, QUADRUPED.body)["given"] == "trained on our body"

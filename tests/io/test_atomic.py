@@ -105,7 +105,7 @@ def pair(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("command", ["transfer", "animate"])
+@matrix("command", ["transfer", "animate"], quick=["transfer"])
 def test_a_result_without_its_page_does_not_appear(command, pair, capsys):
     output = {"transfer": "out.obj", "animate": "out.glb"}[command]
     (pair / "out.preview.html").mkdir()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import struct
 
@@ -11,15 +10,17 @@ import pytest
 import zoo
 
 from mimesh.core.errors import InputError
-from mimesh.core.mesh import Clip
+from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import clip_suffixes, load_clip, load_mesh, mesh_suffixes, save_clip, save_mesh
-from mimesh.io.formats import CLIP_WRITERS, MESH_READERS, MESH_WRITERS
+from mimesh.io.formats import CLIP_WRITERS, MESH_WRITERS
 
 FORMATS = (".npz", ".obj", ".off", ".ply", ".stl")
 ASCII_PLY = (
     "ply\nformat ascii 1.0\nelement vertex {v}\nproperty float x\nproperty float y\nproperty float z\n"
     "element face {f}\nproperty list uchar int vertex_indices\nend_header\n"
 )
+THREE, OFF_POINTS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n"
+PLY_POINTS = ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n"
 
 
 def input_error_of(call, *arguments, **options) -> str:
@@ -46,25 +47,16 @@ def good_file(folder, suffix: str):
     return folder / f"good{suffix}"
 
 
-@pytest.mark.parametrize("suffix", MESH_READERS)
 @pytest.mark.parametrize("load", [load_mesh, load_clip])
-def test_missing_file_is_refused(load, suffix, tmp_path):
-    assert "found nothing of that name; check the path" in input_error_of(load, tmp_path / f"none{suffix}")
-
-
-@pytest.mark.parametrize("suffix", MESH_READERS)
-@pytest.mark.parametrize("load", [load_mesh, load_clip])
-def test_empty_file_is_refused(load, suffix, tmp_path):
-    (tmp_path / f"a{suffix}").write_bytes(b"")
-    assert "found an empty file of 0 bytes" in input_error_of(load, tmp_path / f"a{suffix}")
-
-
-@pytest.mark.parametrize("name", ["a.blend", "a", "a.obj.zip", "a.OBJ.txt"])
-@pytest.mark.parametrize("load", [load_mesh, load_clip])
-def test_unknown_suffix_lists_the_supported_ones(load, name, tmp_path):
-    (tmp_path / name).write_bytes(b"x")
-    message = input_error_of(load, tmp_path / name)
-    assert all(suffix in message for suffix in mesh_suffixes())
+def test_missing_empty_and_unknown_files_are_refused(load, tmp_path):
+    assert "found nothing of that name; check the path" in input_error_of(load, tmp_path / "none.obj")
+    for suffix in (".obj", ".vrm", ".usda", ".npy"):
+        (tmp_path / f"a{suffix}").write_bytes(b"")
+        assert "found an empty file of 0 bytes" in input_error_of(load, tmp_path / f"a{suffix}")
+    for name in ("a.blend", "a", "a.obj.zip", "a.OBJ.txt"):
+        (tmp_path / name).write_bytes(b"x")
+        message = input_error_of(load, tmp_path / name)
+        assert all(suffix in message for suffix in mesh_suffixes())
 
 
 def test_folder_is_refused_as_a_mesh(tmp_path):
@@ -78,59 +70,38 @@ def test_folder_without_meshes_is_refused(tmp_path):
     assert "found 1 meshes without a number" in input_error_of(load_clip, tmp_path)
 
 
-@pytest.mark.parametrize("fps", [0.0, -1.0, float("nan")])
-def test_frame_rate_must_be_positive(fps, tmp_path):
-    assert "expected a positive frame rate" in input_error_of(load_clip, good_file(tmp_path, ".obj"), fps=fps)
-    np.savez(tmp_path / "a.npz", vertices=np.eye(3)[None], fps=fps)
-    assert "expected a positive frame rate" in input_error_of(load_clip, tmp_path / "a.npz")
+def test_frame_rate_must_be_positive(tmp_path):
+    for fps in (0.0, -1.0, np.nan):
+        assert "expected a positive frame rate" in input_error_of(load_clip, good_file(tmp_path, ".obj"), fps=fps)
+        np.savez(tmp_path / "a.npz", vertices=np.eye(3)[None], fps=fps)
+        assert "expected a positive frame rate" in input_error_of(load_clip, tmp_path / "a.npz")
 
 
-@pytest.mark.parametrize("fraction", [0.2, 0.5, 0.8, 0.97])
-def test_truncated_files_are_refused(suffix, fraction, tmp_path):
-    if suffix == ".obj":
-        pytest.skip("an OBJ file does not say how long it is; see below")
+@pytest.mark.parametrize("suffix", sorted({*FORMATS} - {".obj"}))  # an OBJ file does not say how long it is
+def test_truncated_files_are_refused(suffix, tmp_path):
     data = good_file(tmp_path, suffix).read_bytes()
-    (tmp_path / f"cut{suffix}").write_bytes(data[: int(fraction * len(data))])
-    input_error_of(load_mesh, tmp_path / f"cut{suffix}")
+    for fraction in (0.2, 0.5, 0.8, 0.97):
+        (tmp_path / f"cut{suffix}").write_bytes(data[: int(fraction * len(data))])
+        input_error_of(load_mesh, tmp_path / f"cut{suffix}")
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_nan_and_infinity_are_refused(suffix, value, tmp_path, monkeypatch):
+def test_nan_and_infinity_are_refused(suffix, tmp_path, monkeypatch):
     monkeypatch.setattr("mimesh.io.save.check_numbers", lambda *_: None)  # so that such a file is written
-    mesh = zoo.cube()
-    mesh.vertices[3, 1] = value
-    with np.errstate(invalid="ignore"):  # the writers are not the ones to check
-        save_mesh(mesh, tmp_path / f"a{suffix}")
-    assert "found NaN or infinity in" in input_error_of(load_mesh, tmp_path / f"a{suffix}")
+    for value in (np.nan, np.inf):
+        mesh = zoo.cube()
+        mesh.vertices[3, 1] = value
+        with np.errstate(invalid="ignore"):  # the writers are not the ones to check
+            save_mesh(mesh, tmp_path / f"a{suffix}")
+        assert "found NaN or infinity in" in input_error_of(load_mesh, tmp_path / f"a{suffix}")
 
 
-@pytest.mark.parametrize("index", [8, -9, 70000])
-def test_face_index_out_of_range_is_refused(suffix, index, tmp_path, monkeypatch):
+def test_face_index_out_of_range_is_refused(suffix, tmp_path, monkeypatch):
     monkeypatch.setattr("mimesh.io.save.check_numbers", lambda *_: None)  # so that such a file is written
-    if suffix == ".stl" or (suffix == ".obj" and index < 0):
-        pytest.skip("STL has no indices, and negative ones mean something in OBJ")
-    faces = zoo.cube().faces.copy()
-    faces[4, 2] = index
-    save_mesh(zoo.cube().__class__(zoo.cube().vertices, faces), tmp_path / f"a{suffix}")
-    input_error_of(load_mesh, tmp_path / f"a{suffix}")
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_random_bytes_are_refused(suffix, seed, tmp_path):
-    (tmp_path / f"a{suffix}").write_bytes(np.random.default_rng(seed).bytes(5 + 60 * seed**2))
-    input_error_of(load_mesh, tmp_path / f"a{suffix}")
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_damaged_files_are_read_or_refused_with_an_input_error(suffix, seed, tmp_path):
-    """Overwrite a few random bytes: the result is a mesh or an InputError, never another exception."""
-    rng = np.random.default_rng(seed)
-    data = bytearray(good_file(tmp_path, suffix).read_bytes())
-    for place in rng.integers(len(data), size=1 + seed % 4):
-        data[place] = rng.integers(256)
-    (tmp_path / f"a{suffix}").write_bytes(data)
-    with contextlib.suppress(InputError):
-        assert np.isfinite(load_mesh(tmp_path / f"a{suffix}").vertices).all()
+    for index in {".stl": (), ".obj": (8, 70000)}.get(suffix, (8, -9, 70000)):  # OBJ counts back, STL has no indices
+        faces = zoo.cube().faces.copy()
+        faces[4, 2] = index
+        save_mesh(Mesh(zoo.cube().vertices, faces), tmp_path / f"a{suffix}")
+        input_error_of(load_mesh, tmp_path / f"a{suffix}")
 
 
 MISTAKES = {
@@ -138,17 +109,17 @@ MISTAKES = {
         ("v 0 0 0\nv 1 0\n", "expected 3 numbers in line 2, found 'v 1 0'"),
         ("v 0 0 0\n\n# x\nv 1 0 zero\n", "expected 3 numbers in line 4, found 'v 1 0 zero'"),
         ("v 0 0 \\\n 0\nv 1 0 1.0.0\n", "in line 3, found 'v 1 0 1.0.0'"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nvn 0 1\n", "in line 5, found 'vn 0 1'"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt a b\nf 1/1 2/1 3/1\n", "in line 4, found 'vt a b'"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 x\n", "in line 4, found '1 2 x'"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3/4/5/6\n", "in line 4, found '1 2 3/4/5/6'"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 /3\n", "in line 4, found '1 2 /3'"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 1.5\n", "in line 4, found '1 2 1.5'"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "expected indices in 1..3, found 4 in line 4"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 -4\n", "expected indices in 1..3, found -4 in line 5"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "found 0 in line 4"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/2\n", "expected indices in 1..1, found 2 in line 5"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1 3//2\n", "found 2 in line 5"),
+        (THREE + "f 1 2 3\nvn 0 1\n", "in line 5, found 'vn 0 1'"),
+        (THREE + "vt a b\nf 1/1 2/1 3/1\n", "in line 4, found 'vt a b'"),
+        (THREE + "f 1 2 x\n", "in line 4, found '1 2 x'"),
+        (THREE + "f 1 2 3/4/5/6\n", "in line 4, found '1 2 3/4/5/6'"),
+        (THREE + "f 1 2 /3\n", "in line 4, found '1 2 /3'"),
+        (THREE + "f 1 2 1.5\n", "in line 4, found '1 2 1.5'"),
+        (THREE + "f 1 2 4\n", "expected indices in 1..3, found 4 in line 4"),
+        (THREE + "f 1 2 3\nf 1 2 -4\n", "expected indices in 1..3, found -4 in line 5"),
+        (THREE + "f 0 1 2\n", "found 0 in line 4"),
+        (THREE + "vt 0 0\nf 1/1 2/1 3/2\n", "expected indices in 1..1, found 2 in line 5"),
+        (THREE + "vn 0 0 1\nf 1//1 2//1 3//2\n", "found 2 in line 5"),
         ("# nothing\n", "found no vertices"),
         ("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "all 3 vertices at one point"),
         ("v inf 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1 3\n", "found NaN or infinity in 1 of 3"),
@@ -175,11 +146,11 @@ MISTAKES = {
         (ASCII_PLY.format(v=10**9, f=1) + "0 0 0\n", "expected 1000000000 rows of element 'vertex'"),
         (ASCII_PLY.format(v=3, f=10**9) + "0 0 0 1 0 0 0 1 0\n3 0 1 2\n", "rows of element 'face'"),
         (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 zero\n3 0 1 2\n", "expected numbers after the header"),
-        (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n-3 0 1 2\n", "found the file cut short"),
-        (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\nnan 0 1 2\n", "found the file cut short"),
-        (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n3 0 1 3\n", "expected face indices in 0..2, found 3"),
-        (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n3 0 1 nan\n", "expected face indices in 0..2, found -"),
-        (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n3 0 1 1e300\n", "expected face indices in 0..2, found -"),
+        (PLY_POINTS + "-3 0 1 2\n", "found the file cut short"),
+        (PLY_POINTS + "nan 0 1 2\n", "found the file cut short"),
+        (PLY_POINTS + "3 0 1 3\n", "expected face indices in 0..2, found 3"),
+        (PLY_POINTS + "3 0 1 nan\n", "expected face indices in 0..2, found -"),
+        (PLY_POINTS + "3 0 1 1e300\n", "expected face indices in 0..2, found -"),
         (
             ASCII_PLY.replace("vertex_indices", "corners").format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n3 0 1 2",
             "found corners",
@@ -198,10 +169,10 @@ MISTAKES = {
         ("nOFF\n3\n3 1 0\n", "found 'nOFF'"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n", "expected 3 vertex and 1 face lines, found 2 in all"),
         ("OFF\n3 1 0\n0 0 0\n1 0\n0 1 0\n3 0 1 2\n", "expected 3 numbers in line 4"),
-        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1\n", "found '3 0 1' in line 6"),
-        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n", "indices in 0..2, found '3 0 1 3' in line 6"),
-        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 b\n", "expected whole numbers in face lines"),
-        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n-3 0 1 2\n", "expected a corner count"),
+        (OFF_POINTS + "3 0 1\n", "found '3 0 1' in line 6"),
+        (OFF_POINTS + "3 0 1 3\n", "indices in 0..2, found '3 0 1 3' in line 6"),
+        (OFF_POINTS + "3 0 1 b\n", "expected whole numbers in face lines"),
+        (OFF_POINTS + "-3 0 1 2\n", "expected a corner count"),
         ("NOFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "expected 3 numbers in line 3"),
     ],
     ".stl": [
@@ -258,25 +229,21 @@ def test_clip_in_a_mesh_format_is_refused(tmp_path):
     assert "found a file; choose another name" in input_error_of(save_clip, clip, tmp_path / "file")
 
 
-@pytest.mark.parametrize("suffix", MESH_WRITERS)
-def test_unwritable_mesh_path_is_refused(suffix, tmp_path):
+@pytest.mark.parametrize("suffix", [".obj", ".glb", ".usda", ".abc"])
+def test_unwritable_path_is_refused(suffix, tmp_path):
     (tmp_path / "file").write_text("x")
     input_error_of(save_mesh, zoo.cube(), tmp_path / "file" / f"a{suffix}")
+    if suffix in CLIP_WRITERS:
+        input_error_of(save_clip, Clip.still(zoo.cube()), tmp_path / "file" / f"a{suffix}")
     (tmp_path / f"folder{suffix}").mkdir()
     input_error_of(save_mesh, zoo.cube(), tmp_path / f"folder{suffix}")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", f"folder{suffix}"]
 
 
-@pytest.mark.parametrize("suffix", CLIP_WRITERS)
-def test_unwritable_clip_path_is_refused(suffix, tmp_path):
-    (tmp_path / "file").write_text("x")
-    input_error_of(save_clip, Clip(zoo.cube(), zoo.cube().vertices[None]), tmp_path / "file" / f"a{suffix}")
-
-
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_file_without_read_permission_is_refused(suffix, tmp_path):
-    good_file(tmp_path, suffix).chmod(0)
-    assert "check its permissions" in input_error_of(load_mesh, tmp_path / f"good{suffix}")
+def test_file_without_read_permission_is_refused(tmp_path):
+    good_file(tmp_path, ".obj").chmod(0)
+    assert "check its permissions" in input_error_of(load_mesh, tmp_path / "good.obj")
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".obj"])

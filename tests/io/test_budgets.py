@@ -9,12 +9,10 @@ import threading
 import time
 import tracemalloc
 import zipfile
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
-from matrix import matrix
 
 import mimesh.io.gltf  # noqa: F401 (imported before memory is traced)
 from mimesh import cli
@@ -138,7 +136,7 @@ REFUSED = {
     "sparse.glb": (lambda: sparse(80_000_000), "at most 10,000,000 vertices"),
     "sparse small.glb": (lambda: sparse(9_000_000), "at most 4,000,000 values without data"),
     # Archives that unpack to far more than their size.
-    "zeros.npz": (lambda: zeros_archive(60), "bytes when it is unpacked"),
+    "zeros.npz": (lambda: zeros_archive(33), "bytes when it is unpacked"),
     # Frames without vertices, and vertices without frames.
     "empty.npz": (lambda: archive(vertices=array("(100000000000, 0, 3)")), "found (100,000|a clip of)"),
     "empty.npy": (lambda: array("(100000000000, 0, 3)"), "at least one frame with points"),
@@ -147,7 +145,7 @@ REFUSED = {
     "empty.mdd": (lambda: mdd(100_000), "at least one frame with points"),
     # More of something than any file has.
     "deep.glb": (lambda: chain(1_100), "at most 1,000 joints or nodes one below the other"),
-    "nodes.glb": (lambda: chain(30_000), "at most 20,000 joints or nodes"),
+    "nodes.glb": (lambda: chain(20_100), "at most 20,000 joints or nodes"),
     "shown.glb": (lambda: shown(6_000), "at most 5,000 parts of meshes"),
     "morphed.glb": (lambda: morphed(200), "at most 100,000,000 vertices in all morph targets"),
     "polygon.obj": (lambda: obj("f" + " 1 2 3" * 10_000), "at most 20,000 corners of one polygon"),
@@ -161,13 +159,13 @@ REFUSED = {
     ),
     "elements.ply": (
         lambda: ply(
-            f"element vertex 3\n{XYZ}" + "element a 2\nproperty list uchar uchar b\n" * 2_000,
-            TRIANGLE + b"\x01\x01\x02\x01\x01" * 2_000,
+            f"element vertex 3\n{XYZ}" + "element a 2\nproperty list uchar uchar b\n" * 600,
+            TRIANGLE + b"\x01\x01\x02\x01\x01" * 600,
         ),
         "at most 1,000 elements",
     ),
     "deep.bvh": (lambda: bvh("JOINT a\n{\nOFFSET 0 0 0\n" * 1_200 + "}\n" * 1_200, 2), "one below the other"),
-    "joints.bvh": (lambda: bvh("JOINT a\n{\nOFFSET 0 0 0\n}\n" * 9_000, 1_000), "joints in all frames together"),
+    "joints.bvh": (lambda: bvh("JOINT a\n{\nOFFSET 0 0 0\n}\n" * 4_100, 1_000), "joints in all frames together"),
     "motion.npz": (
         lambda: archive(
             poses=array("(300000, 66)", "|i1", bytes(19_800_000)), trans=array("(300000, 3)", "|i1", bytes(900_000))
@@ -232,13 +230,9 @@ def test_hostile_files_are_refused_at_once(hostile):
     assert time.process_time() - begin < SECONDS
 
 
-COMMANDS = ("look", "convert", "transfer", "animate")
-
-
-@matrix(
+@pytest.mark.parametrize(
     ("command", "name"),
-    product(COMMANDS, ["sparse.glb", "empty.npz", "polygon.obj", "index.obj", "motion.npz"]),
-    quick=[("look", "motion.npz"), ("convert", "sparse.glb"), ("transfer", "index.obj"), ("animate", "empty.npz")],
+    [("look", "motion.npz"), ("convert", "sparse.glb"), ("transfer", "index.obj"), ("animate", "empty.npz")],
 )
 def test_commands_refuse_them_with_one_line(command, name, tmp_path, capsys):
     path, good = tmp_path / name, tmp_path / "good.obj"
@@ -258,16 +252,16 @@ def test_commands_refuse_them_with_one_line(command, name, tmp_path, capsys):
 
 
 def test_no_limits_reads_what_is_refused_otherwise(tmp_path, capsys):
-    (tmp_path / "a.glb").write_bytes(chain(1_100))
-    assert cli.run(["look", str(tmp_path / "a.glb")]) == 2
+    (tmp_path / "a.obj").write_bytes(obj("f" + " 1 2 3" * 7_000))
+    command = ["convert", str(tmp_path / "a.obj"), str(tmp_path / "b.ply")]
+    assert cli.run(command) == 2
     assert "add --no-limits" in capsys.readouterr().err
-    assert cli.run(["look", str(tmp_path / "a.glb"), "--no-limits"]) == 0
-    assert cli.run(["convert", str(tmp_path / "a.glb"), str(tmp_path / "b.obj"), "--no-limits"]) == 0
+    assert cli.run([*command, "--no-limits"]) == 0
     with no_limits():
-        assert len(load_mesh(tmp_path / "a.glb").vertices) == 4
+        assert len(load_mesh(tmp_path / "a.obj").vertices) == 4
     # Neither the command nor the block has an effect afterwards.
     with pytest.raises(InputError, match=r"with mimesh\.no_limits"):
-        load_mesh(tmp_path / "a.glb")
+        load_mesh(tmp_path / "a.obj")
 
 
 def test_limits_are_lifted_for_one_thread_alone():

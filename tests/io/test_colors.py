@@ -76,9 +76,8 @@ def test_missing_colours_are_white_and_values_above_one_are_bytes(tmp_path):
     assert np.allclose(srgb_rgba(colors), [[1, 0, 0.2, 1], [1, 1, 1, 1], [0, 1, 0, 1], [1, 1, 1, 1]])
 
 
-@pytest.mark.parametrize("kind", ["double", "ushort", "uchar"])
-def test_ply_colours_of_every_width(kind, tmp_path):
-    full = {"double": 1.0, "ushort": 65535, "uchar": 255}[kind]
+@pytest.mark.parametrize(("kind", "full"), [("double", 1.0), ("ushort", 65535), ("uchar", 255)])
+def test_ply_colours_of_every_width(kind, full, tmp_path):
     rows = "".join(f"{x} {y} 0 {full:g} 0 {full / 5:g}\n" for x, y in ((0, 0), (1, 0), (0, 1)))
     kinds = "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue"))
     header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"

@@ -16,21 +16,31 @@ from typing import Any
 import numpy as np
 import pytest
 import zoo
+from fork_server import ForkServer
 from fuzz_seeds import Seed
 from fuzz_targets import TARGETS, Target, case_of, problem_of, unclear
 from matrix import matrix
 
 from mimesh.core.errors import InputError
+from mimesh.io import child_process
 
-CASES = {"bvh": 80, "amass": 80, "vrma": 60, "glb": 200, "gltf": 200, "vrm": 150, "onnx": 200}
+CASES = {"bvh": 40, "amass": 40, "vrma": 30, "glb": 100, "gltf": 100, "vrm": 75, "onnx": 100}
 """Cases of the slower readers; the limit is a number of cases, so that every machine reads the same."""
-OTHERS, NATIVE = 300, 40
+OTHERS, NATIVE = 150, 40
 """Cases of other readers, and of those whose library decodes each file in a guarded process of its own."""
-
-
 SECONDS = 10.0
 """Processor time that a case may take."""
 PACKAGE = str(Path("src", "mimesh"))
+SERVER = ForkServer()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forked():
+    """Have native decoders run in children that are forked."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(child_process, "_run", SERVER.run)
+        yield
+    SERVER.close()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,7 +99,7 @@ def _place(error: BaseException) -> str:
 
 def _processor_time() -> float:
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return time.process_time() + children.ru_utime + children.ru_stime
+    return time.process_time() + children.ru_utime + children.ru_stime + SERVER.seconds
 
 
 def write_case(case: Seed, target: Target, folder: Path, number: int) -> Path:

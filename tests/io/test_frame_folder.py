@@ -1,22 +1,22 @@
-"""Clips are read from and written to folders of numbered meshes."""
+"""Clips are read from and written to folders of numbered meshes; soups of STL are welded as the first frame."""
 
 from __future__ import annotations
 
 import dataclasses
 import io
+import re
 import shutil
-from itertools import cycle, product
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zoo
-from matrix import matrix
-from nasty import CUBE_SHARED_NORMALS, NASTY_OBJ, bend
+from nasty import CUBE_SHARED_NORMALS, NASTY_OBJ, bend, rotation
 from PIL import Image
 
 from mimesh.core.errors import InputError
-from mimesh.core.mesh import Clip, Material, Part
+from mimesh.core.mesh import Clip, Material, Mesh, Part
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io import obj as obj_module
 
@@ -35,7 +35,7 @@ def write_frames(folder, suffix: str, frames: np.ndarray, name: str = "{}", mesh
         save_mesh((mesh or zoo.cube()).with_vertices(vertices), folder / f"{name.format(t)}{suffix}")
 
 
-@matrix(("name", "suffix"), product(NAMES, FORMATS), quick=[*zip(cycle(NAMES), FORMATS, strict=False)])
+@pytest.mark.parametrize(("name", "suffix"), list(zip(cycle(NAMES), FORMATS, strict=False)))
 def test_frames_are_read_in_the_order_of_their_numbers(suffix, name, tmp_path):
     frames = frames_of(zoo.cube().vertices)
     write_frames(tmp_path / "clip", suffix, frames, name)
@@ -67,14 +67,10 @@ def test_each_frame_is_the_original_file_with_other_points(data, tmp_path):
         assert (tmp_path / "out" / f"{t:04d}.obj").read_bytes() == (tmp_path / "single.obj").read_bytes()
     np.testing.assert_array_equal(load_clip(tmp_path / "out").vertices, frames)
     assert (tmp_path / "out" / "looks.mtl").exists() == (data is NASTY_OBJ)
-
-
-def test_existing_library_is_not_overwritten_in_a_folder_of_frames(tmp_path):
-    test_each_frame_is_the_original_file_with_other_points(NASTY_OBJ, tmp_path)
-    (tmp_path / "out" / "looks.mtl").write_text("mine")
-    mesh = load_mesh(tmp_path / "in" / "hero.obj")
-    save_clip(Clip(mesh, frames_of(mesh.vertices, 3)), tmp_path / "out")
-    assert (tmp_path / "out" / "looks.mtl").read_text() == "mine"
+    if data is NASTY_OBJ:  # a library that is there is not overwritten
+        (tmp_path / "out" / "looks.mtl").write_text("mine")
+        save_clip(Clip(mesh, frames), tmp_path / "out")
+        assert (tmp_path / "out" / "looks.mtl").read_text() == "mine"
 
 
 def test_new_frames_share_one_library(tmp_path):
@@ -161,3 +157,67 @@ def test_nan_in_a_later_frame_is_named_by_its_file(tmp_path):
     (tmp_path / "2.obj").write_text((tmp_path / "0.obj").read_text().replace("v 0.0 0.0 1.0", "v 0.0 nan 1.0"))
     with pytest.raises(InputError, match=r"2\.obj: .* found NaN or infinity in 1 of 8"):
         load_clip(tmp_path)
+
+
+def write_text_stl(path, mesh: Mesh) -> None:
+    lines = ["solid a"]
+    for triangle in mesh.vertices[mesh.faces]:
+        lines += ["facet normal 0 0 0", "outer loop"]
+        lines += [f"vertex {x:.9g} {y:.9g} {z:.9g}" for x, y, z in triangle]
+        lines += ["endloop", "endfacet"]
+    path.write_text("\n".join([*lines, "endsolid a", ""]))
+
+
+@pytest.mark.parametrize("write", [lambda path, mesh: save_mesh(mesh, path), write_text_stl], ids=["binary", "text"])
+def test_vertices_that_touch_in_a_later_frame_stay_separate(write, tmp_path):
+    both = zoo.two_parts()
+    frames = [both.vertices.copy() for _ in range(4)]
+    frames[1][4:] -= [2, 0, 0]  # the cube touches the tetrahedron's corner
+    frames[2][7] = frames[2][5]  # an edge has no length
+    frames[3] = frames_of(both.vertices, 2)[1]
+    for t, vertices in enumerate(frames):
+        write(tmp_path / f"{t}.stl", both.with_vertices(vertices))
+    assert len(load_mesh(tmp_path / "1.stl").vertices) == 11
+    clip = load_clip(tmp_path)
+    assert len(clip.mesh.vertices) == 12
+    np.testing.assert_allclose(clip.vertices[:, clip.mesh.faces], np.stack(frames)[:, both.faces], atol=1e-6)
+
+
+def test_vertex_split_after_the_first_frame_is_explained(tmp_path):
+    both = zoo.two_parts()
+    touching = both.vertices.copy()
+    touching[4:] -= [2, 0, 0]
+    save_mesh(both.with_vertices(touching), tmp_path / "0.stl")
+    save_mesh(both, tmp_path / "1.stl")
+    words = (
+        r"1\.stl: expected triangles that meet in the first frame to stay together, found vertex 2 apart in triangle"
+    )
+    with pytest.raises(InputError, match=words):
+        load_clip(tmp_path)
+
+
+def test_corners_of_one_vertex_may_differ_by_rounding(tmp_path):
+    mesh = zoo.cube().with_vertices(zoo.cube().vertices + 100)
+    write_text_stl(tmp_path / "0.stl", mesh)
+    turned = mesh.vertices @ rotation().T
+    soup = turned[mesh.faces] + 1e-5 * np.random.default_rng(0).random((12, 3, 3))
+    write_text_stl(tmp_path / "1.stl", Mesh(soup.reshape(-1, 3), np.arange(36).reshape(-1, 3)))
+    clip = load_clip(tmp_path)
+    np.testing.assert_allclose(clip.vertices[1, clip.mesh.faces], turned[mesh.faces], atol=2e-5)
+
+
+def test_frame_with_another_number_of_triangles_is_named(tmp_path):
+    save_mesh(zoo.cube(), tmp_path / "0.stl")
+    save_mesh(zoo.two_parts(), tmp_path / "1.stl")
+    with pytest.raises(InputError, match=re.escape("1.stl: expected 12 triangles as in the first frame, found 16")):
+        load_clip(tmp_path)
+
+
+def test_off_frames_keep_vertices_that_touch(tmp_path):
+    both = zoo.two_parts()
+    frames = np.stack([both.vertices, both.vertices, frames_of(both.vertices, 2)[1]])
+    frames[1, 4:] -= [2, 0, 0]
+    for t, vertices in enumerate(frames):
+        save_mesh(both.with_vertices(vertices), tmp_path / f"{t}.off")
+    np.testing.assert_array_equal(load_clip(tmp_path).vertices, frames)
+    np.testing.assert_array_equal(load_clip(tmp_path).mesh.faces, both.faces)

@@ -22,14 +22,11 @@ def test_round_trip(tmp_path):
     assert json.loads(path.read_text())["format"] == "mimesh joints"
 
 
-def test_a_file_without_corrections_is_written_and_read(tmp_path):
+def test_a_file_may_have_no_corrections_or_joints_alone(tmp_path):
     path = save_corrections(JointCorrections(), tmp_path / "a.json")
     assert load_corrections(path).positions == {}
-
-
-def test_only_joints_are_needed(tmp_path):
-    (tmp_path / "a.json").write_text('\ufeff{"joints": {"Head": [1, 2, 3]}}', encoding="utf-8")
-    read = load_corrections(tmp_path / "a.json")
+    path.write_text('\ufeff{"joints": {"Head": [1, 2, 3]}}', encoding="utf-8")
+    read = load_corrections(path)
     assert (read.frame, read.mesh, read.vertices) == (0, "", None)
 
 

@@ -24,8 +24,9 @@ def test_clip_round_trip_is_exact(dtype, tmp_path):
     assert load_clip(tmp_path / "a.npz", fps=60.0).fps == 60
 
 
-@pytest.mark.parametrize("vertices", ["vertices", "v", "verts", "points"])
-@pytest.mark.parametrize("faces", ["faces", "f", "triangles"])
+@pytest.mark.parametrize(
+    ("vertices", "faces"), [("vertices", "faces"), ("v", "f"), ("verts", "triangles"), ("points", "faces")]
+)
 def test_alternative_array_names_are_read(vertices, faces, tmp_path):
     mesh = zoo.cube()
     np.savez(tmp_path / "a.npz", **{vertices: mesh.vertices, faces: mesh.faces.astype(np.uint16)})

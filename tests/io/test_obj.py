@@ -50,15 +50,6 @@ def bend_and_save(source, target):
     return mesh, moved, load_mesh(target)
 
 
-def test_bending_changes_normal_indices_where_corners_share_a_vn(obj, tmp_path):
-    bend_and_save(obj, tmp_path / "b.obj")
-    before, after = (lines_without(path.read_bytes(), b"v", b"vn") for path in (obj, tmp_path / "b.obj"))
-    assert after != before
-    assert [re.sub(rb"(\d/\d*/)-?\d+", rb"\1", line) for line in after] == [
-        re.sub(rb"(\d/\d*/)-?\d+", rb"\1", line) for line in before
-    ]
-
-
 def test_bending_a_smooth_mesh_changes_only_points_and_normals(tmp_path):
     grid = zoo.grid()
     normals = vertex_normals(grid.vertices + np.random.default_rng(0).normal(size=(25, 3)), grid.faces)
@@ -69,17 +60,18 @@ def test_bending_a_smooth_mesh_changes_only_points_and_normals(tmp_path):
     assert lines_without(before, b"v") != lines_without(after, b"v")
 
 
-def test_moved_points_read_back_exactly(obj, tmp_path):
+def test_moved_points_read_back_exactly_with_their_normals_and_only_normal_indices_change(obj, tmp_path):
     mesh, moved, reread = bend_and_save(obj, tmp_path / "moved.obj")
     np.testing.assert_array_equal(reread.vertices, moved.vertices)
     np.testing.assert_array_equal(reread.faces, mesh.faces)
     assert reread.parts == mesh.parts
     if mesh.corner_uv is not None:
         np.testing.assert_array_equal(reread.corner_uv, mesh.corner_uv)
-
-
-def test_written_normals_are_those_of_the_moved_mesh(obj, tmp_path):
-    mesh, moved, _ = bend_and_save(obj, tmp_path / "moved.obj")
+    before, after = (lines_without(path.read_bytes(), b"v", b"vn") for path in (obj, tmp_path / "moved.obj"))
+    assert after != before
+    assert [re.sub(rb"(\d/\d*/)-?\d+", rb"\1", line) for line in after] == [
+        re.sub(rb"(\d/\d*/)-?\d+", rb"\1", line) for line in before
+    ]
     _, polygons, file_normals = naive_obj((tmp_path / "moved.obj").read_bytes())
     assert file_normals.keys() == naive_obj(obj.read_bytes())[2].keys()
     checked = 0
@@ -133,19 +125,12 @@ def test_unmoved_vertices_keep_their_text_and_colours_stay(tmp_path):
     assert b"v 1 1 \\\n  1\n" in text
 
 
-@pytest.mark.parametrize("name", ["cube", "sheets"])
-def test_trimesh_reads_the_moved_file_equally(name, tmp_path):
-    (tmp_path / "a.obj").write_bytes(FILES[name].replace(b"# 5//2", b""))
+def test_trimesh_reads_the_moved_file_equally(tmp_path):
+    (tmp_path / "a.obj").write_bytes(SHEETS_SHARED_NORMALS.replace(b"# 5//2", b""))
     _, _, reread = bend_and_save(tmp_path / "a.obj", tmp_path / "b.obj")
     other = trimesh.load(tmp_path / "b.obj", process=False, force="mesh")
-    area = np.linalg.norm(face_vectors(reread.vertices, reread.faces), axis=1).sum() / 2
     assert len(other.faces) == len(reread.faces)
-    if name == "cube":  # trimesh cuts bent quads along the other diagonal at times
-        np.testing.assert_allclose(
-            sorted(set(map(tuple, np.round(other.vertices, 5)))), sorted(map(tuple, np.round(reread.vertices, 5)))
-        )
-    else:
-        assert np.isclose(other.area, area)
+    assert np.isclose(other.area, np.linalg.norm(face_vectors(reread.vertices, reread.faces), axis=1).sum() / 2)
 
 
 def test_cr_line_ends_and_byte_order_mark_are_kept(tmp_path):
@@ -170,6 +155,7 @@ def test_parts_and_uv_of_the_unusual_file(tmp_path):
     np.testing.assert_array_equal(mesh.corner_uv[0], [[0, 0], [0, 1], [1, 1]])
     np.testing.assert_array_equal(mesh.corner_uv[6], np.zeros((3, 2)))  # 1//4: no texture coordinate
     np.testing.assert_array_equal(mesh.corner_normals[0], [[0, 0, -1]] * 3)  # the file says 0 0 -2
+    assert mesh.parts[0].material == Material("Brick")  # its library is missing
 
 
 @pytest.fixture
@@ -208,11 +194,6 @@ def test_library_and_images_are_copied_without_overwriting(painted, tmp_path):
     assert load_mesh(out / "moved.obj").parts[0] == load_mesh(painted).parts[0]
 
 
-def test_mesh_is_read_without_its_missing_library(tmp_path):
-    (tmp_path / "a.obj").write_bytes(NASTY_OBJ)
-    assert load_mesh(tmp_path / "a.obj").parts[0].material == Material("Brick")
-
-
 @pytest.mark.parametrize("with_uv", [False, True])
 @pytest.mark.parametrize("with_normals", [False, True])
 def test_new_file_keeps_corner_data_and_parts(with_uv, with_normals, tmp_path):
@@ -240,12 +221,3 @@ def test_new_file_keeps_corner_data_and_parts(with_uv, with_normals, tmp_path):
         np.testing.assert_allclose(reread.corner_normals, mesh.corner_normals, atol=2e-6)
     other = trimesh.load(tmp_path / "out" / "cube.obj", process=False, force="mesh")
     np.testing.assert_array_equal(triangle_soup(other.vertices, other.faces), triangle_soup(mesh.vertices, mesh.faces))
-
-
-def test_saving_a_mesh_of_another_size_over_its_source_is_refused(tmp_path):
-    (tmp_path / "a.obj").write_bytes(CUBE_SHARED_NORMALS)
-    mesh = load_mesh(tmp_path / "a.obj")
-    more = np.concatenate([mesh.vertices, mesh.vertices[:1]])
-    with pytest.raises(ValueError, match=r"the file has vertices \(8, 3\)"):
-        save_mesh(dataclasses.replace(mesh, vertices=more), tmp_path / "b.obj")
-    assert not (tmp_path / "b.obj").exists()

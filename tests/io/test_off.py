@@ -43,7 +43,7 @@ def test_moved_points_read_back_exactly_and_faces_stay(off, tmp_path):
     np.testing.assert_array_equal(reread.faces, mesh.faces)
 
 
-def test_polygons_are_fans_in_memory_and_polygons_in_a_new_file(tmp_path):
+def test_polygons_are_fans_in_memory_and_polygons_in_a_new_file_and_normals_are_read(tmp_path):
     (tmp_path / "a.off").write_bytes(PLAIN)
     mesh = load_mesh(tmp_path / "a.off")
     np.testing.assert_array_equal(
@@ -51,8 +51,5 @@ def test_polygons_are_fans_in_memory_and_polygons_in_a_new_file(tmp_path):
     )
     save_mesh(mesh, tmp_path / "b.off")
     assert (tmp_path / "b.off").read_text().splitlines()[-3:] == ["4 3 2 1 0", "3 0 1 4", "5 1 2 3 0 4"]
-
-
-def test_vertex_normals_are_read(tmp_path):
-    (tmp_path / "a.off").write_bytes(NORMALS)
-    np.testing.assert_array_equal(load_mesh(tmp_path / "a.off").corner_normals, [[[0, 0, 1]] * 3])
+    (tmp_path / "c.off").write_bytes(NORMALS)
+    np.testing.assert_array_equal(load_mesh(tmp_path / "c.off").corner_normals, [[[0, 0, 1]] * 3])

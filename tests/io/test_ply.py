@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import struct
 
 import numpy as np
@@ -74,8 +73,12 @@ def ply(request, tmp_path):
     return path
 
 
-def test_moved_mesh_keeps_polygons_normals_and_uv(ply, tmp_path):
+def test_points_polygons_normals_and_uv_are_read_and_written(ply, tmp_path):
     mesh = load_mesh(ply)
+    np.testing.assert_array_equal(mesh.vertices, zoo.cube().vertices / 4)
+    np.testing.assert_array_equal(mesh.faces, [t for polygon in POLYGONS for t in fan_triangles(list(polygon))])
+    np.testing.assert_allclose(mesh.corner_normals, ((zoo.cube().vertices - 0.5) / np.sqrt(0.75))[mesh.faces])
+    np.testing.assert_array_equal(mesh.corner_uv[1], [[0, 1 / 8], [4 / 8, 5 / 8], [6 / 8, 7 / 8]])
     turned = mesh.with_vertices(mesh.vertices @ rotation().T)
     save_mesh(turned, tmp_path / "turned.ply")
     reread = load_mesh(tmp_path / "turned.ply")
@@ -84,14 +87,6 @@ def test_moved_mesh_keeps_polygons_normals_and_uv(ply, tmp_path):
     np.testing.assert_array_equal(reread.source.sizes, mesh.source.sizes)
     np.testing.assert_array_equal(reread.corner_uv, mesh.corner_uv)
     np.testing.assert_allclose(reread.corner_normals, turned.corner_normals, atol=1e-6)
-
-
-def test_points_polygons_normals_and_uv_are_read(ply):
-    mesh = load_mesh(ply)
-    np.testing.assert_array_equal(mesh.vertices, zoo.cube().vertices / 4)
-    np.testing.assert_array_equal(mesh.faces, [t for polygon in POLYGONS for t in fan_triangles(list(polygon))])
-    np.testing.assert_allclose(mesh.corner_normals, ((zoo.cube().vertices - 0.5) / np.sqrt(0.75))[mesh.faces])
-    np.testing.assert_array_equal(mesh.corner_uv[1], [[0, 1 / 8], [4 / 8, 5 / 8], [6 / 8, 7 / 8]])
 
 
 def plain(
@@ -103,16 +98,15 @@ def plain(
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("index", ["uchar int", "int uint32", "ushort short", "char uchar"])
-@pytest.mark.parametrize("polygons", [POLYGONS, POLYGONS[3:], [*POLYGONS, (), (0,)]], ids=["mixed", "quads", "short"])
-def test_every_count_and_index_type_is_read(encoding, index, polygons, tmp_path):
-    (tmp_path / "a.ply").write_bytes(plain(encoding, polygons, index=index))
-    mesh = load_mesh(tmp_path / "a.ply")
-    np.testing.assert_array_equal(mesh.faces, [t for p in polygons for t in fan_triangles(list(p))])
+def test_every_count_and_index_type_is_read(encoding, index, tmp_path):
+    for polygons in (POLYGONS, POLYGONS[3:], [*POLYGONS, (), (0,)]):  # mixed, quads, and with too few corners
+        (tmp_path / "a.ply").write_bytes(plain(encoding, polygons, index=index))
+        mesh = load_mesh(tmp_path / "a.ply")
+        np.testing.assert_array_equal(mesh.faces, [t for p in polygons for t in fan_triangles(list(p))])
 
 
-@pytest.mark.parametrize("encoding", ENCODINGS)
-def test_mesh_far_from_the_origin_is_written_in_double_precision(encoding, tmp_path):
-    (tmp_path / "a.ply").write_bytes(plain(encoding, POLYGONS, coordinate="double"))
+def test_mesh_far_from_the_origin_is_written_in_double_precision(tmp_path):
+    (tmp_path / "a.ply").write_bytes(plain("ascii", POLYGONS, coordinate="double"))
     mesh = load_mesh(tmp_path / "a.ply")
     for number, offset in enumerate((0.0, 4e5)):
         moved = bend(mesh.vertices) + offset
@@ -128,8 +122,6 @@ def test_file_without_faces_is_a_point_cloud(encoding, tmp_path):
     mesh = load_mesh(tmp_path / "a.ply")
     assert mesh.faces.shape == (0, 3)
     np.testing.assert_allclose(mesh.vertices, rows, atol=1e-5)
-    save_mesh(mesh.with_vertices(bend(mesh.vertices)), tmp_path / "b.ply")
-    np.testing.assert_array_equal(load_mesh(tmp_path / "b.ply").vertices, bend(mesh.vertices).astype(np.float32))
 
 
 def test_vertex_normals_rotate_with_the_surface(tmp_path):
@@ -165,9 +157,3 @@ def test_texture_and_uv_per_vertex_are_read(tmp_path):
     assert (tmp_path / "out" / "skin.png").read_bytes() == (tmp_path / "skin.png").read_bytes()
     save_clip(Clip(mesh, np.stack([mesh.vertices, bend(mesh.vertices)])), tmp_path / "clip", suffix=".ply")
     assert sorted(path.name for path in (tmp_path / "clip").iterdir()) == ["0000.ply", "0001.ply", "skin.png"]
-
-
-def test_new_file_keeps_texture_coordinates(tmp_path):
-    mesh = dataclasses.replace(zoo.two_parts(), corner_uv=zoo.two_parts().vertices[zoo.two_parts().faces][..., :2])
-    save_mesh(mesh, tmp_path / "new.ply")
-    np.testing.assert_array_equal(load_mesh(tmp_path / "new.ply").corner_uv, mesh.corner_uv.astype(np.float32))

@@ -63,6 +63,7 @@ def test_obj_that_lists_no_texture_coordinates_or_normals_is_read_without_them(c
     ]
 
 
+@pytest.mark.slow
 def test_bvh_with_a_row_more_than_it_states_is_read_with_a_note(tmp_path, capsys):
     path = tmp_path / "a.bvh"
     motion = window(load_motion("jump"), 0.0, 0.2)
@@ -82,12 +83,12 @@ def test_bvh_with_a_row_more_than_it_states_is_read_with_a_note(tmp_path, capsys
     assert note in animate(clip.mesh, clip, "copy").notes
 
 
-@pytest.mark.parametrize(("points", "faces"), [(2, []), (3, [[0, 1, 2]]), (3, [])])
-def test_two_points_or_a_triangle_are_no_mesh_to_move(points, faces, tmp_path, capsys):
-    mesh = Mesh(np.eye(3)[:points], np.array(faces, int).reshape(-1, 3), name="scrap")
-    for move, driving in ((transfer, zoo.cube()), (animate, Clip.still(zoo.cube()))):
-        with pytest.raises(InputError, match=f"^scrap: expected at least 4 vertices .* found {points}"):
-            move(mesh, driving)
+def test_two_points_or_a_triangle_are_no_mesh_to_move(tmp_path, capsys):
+    for points, faces in ((2, []), (3, []), (3, [[0, 1, 2]])):
+        mesh = Mesh(np.eye(3)[:points], np.array(faces, int).reshape(-1, 3), name="scrap")
+        for move, driving in ((transfer, zoo.cube()), (animate, Clip.still(zoo.cube()))):
+            with pytest.raises(InputError, match=f"^scrap: expected at least 4 vertices .* found {points}"):
+                move(mesh, driving)
     save_mesh(mesh, tmp_path / "scrap.ply")
     save_mesh(zoo.cube(), tmp_path / "cube.obj")
     assert cli.run(["transfer", str(tmp_path / "scrap.ply"), str(tmp_path / "cube.obj")]) == 2
@@ -100,21 +101,21 @@ def test_file_with_a_name_that_is_no_text_is_converted(tmp_path):
         source.write_text(CUBE, "utf-8")
     except OSError:
         pytest.skip("a file system that has no such names")
-    for suffix in (".glb", ".gltf", ".ply", ".stl", ".off", ".npz"):
+    for suffix in (".gltf", ".ply"):
         assert cli.run(["convert", str(source), str(tmp_path / f"{ODD_NAME}{suffix}")]) == 0
         assert len(load_mesh(tmp_path / f"{ODD_NAME}{suffix}").faces) == 4
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
-@pytest.mark.parametrize("attribute", ["corner_uv", "corner_normals", "vertex_colors"])
-def test_other_values_are_checked_like_positions(attribute, value):
-    cube = zoo.cube()
-    shapes = {"corner_uv": (12, 3, 2), "corner_normals": (12, 3, 3), "vertex_colors": (8, 4)}
-    values = np.ones(shapes[attribute])
-    check_mesh(dataclasses.replace(cube, **{attribute: values}), "a")
-    values[5, 1] = value
-    with pytest.raises(InputError, match=r"^a: expected .*finite.*; delete or repair them"):
-        check_mesh(dataclasses.replace(cube, **{attribute: values}), "a")
+@pytest.mark.parametrize(
+    ("attribute", "shape"), [("corner_uv", (12, 3, 2)), ("corner_normals", (12, 3, 3)), ("vertex_colors", (8, 4))]
+)
+def test_other_values_are_checked_like_positions(attribute, shape):
+    mesh = dataclasses.replace(zoo.cube(), **{attribute: np.ones(shape)})
+    check_mesh(mesh, "a")
+    for value in (np.nan, np.inf, 1e30):
+        getattr(mesh, attribute)[5, 1] = value
+        with pytest.raises(InputError, match=r"^a: expected .*finite.*; delete or repair them"):
+            check_mesh(mesh, "a")
 
 
 def test_every_frame_is_checked_for_large_numbers():

@@ -48,7 +48,7 @@ def stl(request, tmp_path):
     return path
 
 
-def test_corners_are_welded_in_order_of_appearance(stl):
+def test_corners_are_welded_and_moved_triangles_keep_their_order_and_get_normals(stl, tmp_path):
     mesh = load_mesh(stl)
     soup = zoo.two_parts().vertices[zoo.two_parts().faces]
     np.testing.assert_array_equal(mesh.vertices[mesh.faces], soup)
@@ -57,10 +57,6 @@ def test_corners_are_welded_in_order_of_appearance(stl):
     assert first_seen == list(range(12))
     solids = [("first half", 0, 2), ("second", 2, 16)] if b"FACET" in stl.read_bytes() else []
     assert [(part.name, part.start, part.stop) for part in mesh.parts] == solids
-
-
-def test_moved_triangles_keep_their_order_and_get_normals(stl, tmp_path):
-    mesh = load_mesh(stl)
     moved = mesh.with_vertices((mesh.vertices @ rotation().T).astype(np.float32).astype(np.float64))
     save_mesh(moved, tmp_path / "b.stl")
     reread = load_mesh(tmp_path / "b.stl")

@@ -5,9 +5,10 @@ import dataclasses
 import pytest
 import torch
 from matrix import matrix
-from trainings import assert_steps_are_pure
+from trainings import assert_steps_are_pure, length_changes
 
 from mimesh.core.errors import InputError
+from mimesh.learn import checkpoint
 from mimesh.learn.aniformer import (
     AniFormerConfig,
     AniFormerData,
@@ -23,7 +24,7 @@ from mimesh.learn.task import shipped_body
 
 CASES = [AniFormerData("clips80", 64), AniFormerData("clips", 64, "identity"), AniFormerData("clips")]
 TINY = AniFormerTrainConfig(
-    model=AniFormerConfig(encoder=(8, 16, 16), layers=(16, 16, 8, 8), heads=2, keys=16),
+    model=AniFormerConfig(encoder=(8, 16, 16), layers=(16, 8), heads=2, keys=16),
     data=AniFormerData("clips80", 32),
     batch=2,
     pairs=8,
@@ -43,22 +44,10 @@ def source(request):
     return WindowSource(request.param, shipped_body(), torch.device("cpu"), 3, 3)
 
 
-def test_truth_is_aligned_with_the_identity_in_every_frame(source):
-    """The classic bug is a shuffle that misaligns truth: then edges would change length wildly."""
-    batch = source.batch(3, 0)
-    for t in range(3):
-        old, new = (edge_lengths(m, batch.edges) for m in (batch.identity, batch.truth[:, t]))
-        scale = (new / old).median(dim=1, keepdim=True).values
-        assert ((new / old / scale - 1).abs().median(dim=1).values < 0.05).all()
-
-
-def edge_lengths(points, edges):
-    ends = [points.gather(1, edges[..., k, None].expand(-1, -1, 3)) for k in range(2)]
-    return (ends[1] - ends[0]).norm(dim=-1)
-
-
-def test_driving_is_shuffled_on_its_own_and_alike_in_all_frames(source):
+def test_truth_is_aligned_in_every_frame_and_driving_shuffled_on_its_own_alike_in_all(source):
     batch = source.batch(4, 0)
+    for t in range(3):
+        assert (length_changes(batch.identity, batch.truth[:, t], batch.edges) < 0.05).all()
     assert batch.driving.shape == batch.truth.shape
     assert (batch.driving - batch.truth).norm(dim=-1).median() > 0.2
     # A vertex stays itself: from frame to frame it moves far less than vertices lie apart.
@@ -66,6 +55,7 @@ def test_driving_is_shuffled_on_its_own_and_alike_in_all_frames(source):
     assert step < 0.3 * (batch.driving[:, 0] - batch.driving[:, 0].roll(1, 1)).norm(dim=-1).median()
 
 
+@pytest.mark.slow
 def test_frames_are_centred_and_driving_frames_fill_the_unit_sphere():
     whole = WindowSource(CASES[-1], shipped_body(), torch.device("cpu"), 3, 3).batch(2, 1)
     for points in (whole.driving, whole.truth, whole.identity):
@@ -85,18 +75,6 @@ def test_appearance_of_the_truth_does_not_depend_on_its_normalisation():
         as_given.append(float(aniformer_loss(*given, **weights)))
     assert found[0] == pytest.approx(found[1], rel=1e-4) == as_given[1]
     assert as_given[0] > 1.5 * found[0]
-
-
-def test_reflection_mirrors_whole_windows():
-    config = AniFormerData("clips80", 64)
-    plain, mirrored = (
-        WindowSource(dataclasses.replace(config, reflect=share), shipped_body(), torch.device("cpu"), 3, 3).batch(2, 0)
-        for share in (0.0, 0.5)
-    )
-    for name in ("identity", "driving", "truth"):
-        before, after = getattr(plain, name), getattr(mirrored, name)
-        assert torch.equal(after[0], before[0] * torch.tensor([-1.0, 1.0, 1.0]))
-        assert torch.equal(after[1], before[1])
 
 
 def test_windows_between_random_poses_replace_a_share_of_the_motions():
@@ -124,23 +102,14 @@ def test_a_step_is_a_pure_function(source):
 
 
 @pytest.mark.slow
-def test_a_training_validates_on_clips(tmp_path):
-    folder = train(TINY, tmp_path / "run")
-    log = (folder / "log.jsonl").read_text()
-    for kind in ("seen", "unseen", "procedural", "fresh", "val"):
-        assert f'"{kind}"' in log
-    assert (folder / "best.safetensors").exists()
+def test_the_regression_head_trains_on_the_middle_frame_and_validates_on_clips(tmp_path):
+    model = dataclasses.replace(TINY.model, head="regression")
+    config = dataclasses.replace(TINY, pairs=2, model=model, losses=ClipLossConfig(motion="off"))
+    metrics = checkpoint.load(train(config, tmp_path / "run") / "best.safetensors").metrics
+    assert set(metrics) == {"seen", "unseen", "procedural", "fresh", "val"}
 
 
 @pytest.mark.slow
-def test_the_regression_head_trains_on_the_middle_frame(tmp_path):
-    model = dataclasses.replace(TINY.model, head="regression")
-    config = dataclasses.replace(TINY, model=model, losses=ClipLossConfig(motion="off"))
-    assert TrainingRun.start(config, tmp_path).advance().isfinite()
-    with pytest.raises(InputError, match=r"losses\.motion"):
-        load_config("table", "aniformer", ["model.head=regression"])
-
-
 def test_weights_of_a_vertex_are_trained_where_that_vertex_is_drawn(tmp_path):
     """The public code has norms and an embedding for each vertex; of a batch, those of its vertices are used."""
     count = len(shipped_body().vertices)
@@ -161,9 +130,7 @@ def test_weights_of_a_vertex_are_trained_where_that_vertex_is_drawn(tmp_path):
     assert torch.allclose(by_number, in_order, atol=1e-5)
 
 
-def test_weights_of_a_vertex_need_one_order_and_the_vertices_of_the_meshes(tmp_path):
-    with pytest.raises(InputError, match=r"expected data.pairing order with model.vertices, found random"):
-        load_config("table", "aniformer", ["model.vertices=6890"])
+def test_weights_of_a_vertex_need_the_vertices_of_the_meshes(tmp_path):
     config = load_config("table", "aniformer", ["model.vertices=100", "data.pairing=order"])
     with pytest.raises(InputError, match=r"model.vertices: expected 0 or 6890"):
         train(config, tmp_path)

@@ -2,10 +2,7 @@
 
 import pytest
 import torch
-from people import person, walk
 
-from mimesh.core.geometry import edges
-from mimesh.core.normalization import bbox_centre, radius
 from mimesh.learn.aniformer import (
     MIN_STEP,
     aniformer_loss,
@@ -19,20 +16,6 @@ from mimesh.learn.aniformer import (
 )
 
 FRAMES = 4
-
-
-@pytest.fixture(scope="module")
-def walking():
-    """Identity, driving and truth of a walk, as the network gets them: truth in units of the identity's radius."""
-    identity = person(0).vertices - bbox_centre(person(0).vertices)
-    size = radius(identity)
-    driving, truth = (
-        torch.stack([torch.from_numpy(frame - bbox_centre(frame)) for frame in walk(shape, FRAMES).vertices])[None]
-        for shape in (1, 0)
-    )
-    driving = driving / driving.norm(dim=-1).amax(dim=2)[..., None, None]
-    pairs = torch.from_numpy(edges(person(0).faces))[None]
-    return torch.from_numpy(identity / size)[None], driving, truth / size, pairs
 
 
 @pytest.fixture
@@ -127,31 +110,6 @@ def test_appearance_is_zero_for_the_identity_turned_and_moved(clips):
     assert appearance_paper(turned, n, pairs) < 1e-12
     assert appearance_ratio(turned, turned * 1.0, pairs) == 0.0
     assert appearance_ratio(2 * turned, turned, pairs) == pytest.approx(1.0)
-
-
-def test_values_at_the_truth_of_a_skinned_body(walking):
-    """Recorded: what each term gives for the truth, for a result that stands still and for one that is a point."""
-    identity, driving, truth, pairs = walking
-    still, point = truth[:, :1].expand_as(truth), torch.zeros_like(truth)
-    found = {
-        name: (
-            reconstruction(result, truth).item() / truth.shape[2],
-            motion_paper(result, driving).item(),
-            motion_velocity(result, truth).item() / truth.shape[2],
-            appearance_paper(result, identity, pairs).item(),
-            appearance_signed(result, identity, pairs).item(),
-            appearance_ratio(result, truth, pairs).item(),
-        )
-        for name, result in (("truth", truth), ("still", still), ("point", point))
-    }
-    assert found == {name: pytest.approx(values, rel=1e-3, abs=1e-9) for name, values in RECORDED.items()}
-
-
-RECORDED = {  # reconstruction, motion, velocity; appearance: paper, as printed, ratio
-    "truth": (0.0, 4.0109e-2, 0.0, 9.4024e-4, -2.0279e-5, 0.0),
-    "still": (5.4985e-2, 0.0, 1.8166e-2, 0.0, 0.0, 5.8814e-3),
-    "point": (0.54236, 0.0, 1.8166e-2, 5.3569e-2, -5.3569e-2, 1.0),
-}
 
 
 @pytest.mark.parametrize("motion", ["paper", "velocity", "off"])

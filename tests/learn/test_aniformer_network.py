@@ -5,13 +5,14 @@ import math
 import numpy as np
 import pytest
 import torch
+from networks import infer_onnx
 from torch.nn import functional
 
 from mimesh.learn.aniformer import AniFormer, AniFormerConfig, AniFormerTask, Attention, FrameAttention, VertexAttention
-from mimesh.learn.export import compress, infer_onnx, to_onnx
+from mimesh.learn.export import compress, to_onnx
 from mimesh.methods.onnx_runtime import import_onnxruntime
 
-TINY = {"encoder": (8, 16, 24), "layers": (24, 16, 16, 8), "heads": 2}
+TINY = {"encoder": (8, 16, 24), "layers": (16, 8), "heads": 2}
 VARIANTS = [
     {},
     {"attention": "frames"},
@@ -67,12 +68,23 @@ def test_arithmetic_beside_the_public_code(switches, ratio):
 
 
 @pytest.mark.parametrize("switches", VARIANTS)
-@torch.no_grad()
-def test_result_shape_and_range(switches):
-    result = tiny(**switches)(*clip(2, 40))
-    assert result.shape == (2, 1 if switches.get("head") == "regression" else 3, 40, 3)
-    assert result.dtype == torch.float32
+def test_results_have_a_shape_and_a_range_and_depend_on_no_order_and_on_no_other_sample(switches):
+    """The order is exact in real numbers as long as every vertex is a key. Half precision is near."""
+    model, order, (identity, driving) = tiny(**switches), torch.randperm(40), clip(3)
+    with torch.no_grad():
+        result = model(identity, driving)
+        shuffled = model(identity[:, order], driving[:, :, order])
+        single = model(identity[1:2], driving[1:2])
+    assert result.shape == (3, 1 if switches.get("head") == "regression" else 3, 40, 3)
     assert result.abs().max() < (2 if switches.get("output") == "2tanh" else 1)
+    torch.testing.assert_close(shuffled, result[:, :, order], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(single, result[1:2], atol=1e-5, rtol=1e-5)
+    with torch.autocast("cpu", torch.bfloat16):
+        half = model(identity, driving)
+    assert result.dtype == half.dtype == torch.float32
+    assert (half.detach() - result).abs().max() < 0.1
+    half.square().sum().backward()
+    assert all(p.grad is None or p.grad.isfinite().all() for p in model.parameters())
 
 
 @torch.no_grad()
@@ -85,17 +97,6 @@ def test_attention_contributes_nothing_at_the_start():
             module.value.weight.fill_(7.0)
             module.query.weight.fill_(-3.0)
     assert torch.equal(model(*given), before)
-
-
-@pytest.mark.parametrize("switches", VARIANTS)
-@torch.no_grad()
-def test_shuffling_both_alike_shuffles_the_result(switches):
-    """Exact in real numbers as long as every vertex is a key."""
-    model, order = tiny(**switches), torch.randperm(40)
-    identity, driving = clip()
-    result = model(identity, driving)
-    shuffled = model(identity[:, order], driving[:, :, order])
-    torch.testing.assert_close(shuffled, result[:, :, order], atol=1e-5, rtol=1e-5)
 
 
 @torch.no_grad()
@@ -131,14 +132,6 @@ def test_the_embedding_distinguishes_frames_of_a_still_clip():
         assert ((result - result[:, :1]).abs().max() > 1e-4) == distinct
     unattended = tiny(gamma=None)(identity, still)
     assert (unattended - unattended[:, :1]).abs().max() < 1e-5, "InstanceNorm removes it without attention"
-
-
-@pytest.mark.parametrize("switches", VARIANTS)
-@torch.no_grad()
-def test_samples_of_a_batch_are_independent(switches):
-    model, (identity, driving) = tiny(**switches), clip(3)
-    whole, single = model(identity, driving)[1:2], model(identity[1:2], driving[1:2])
-    torch.testing.assert_close(whole, single, atol=1e-5, rtol=1e-5)
 
 
 @torch.no_grad()
@@ -188,27 +181,14 @@ def test_every_weight_has_a_gradient():
         assert all(name.endswith("bias") for name in silent), silent
 
 
-@pytest.mark.parametrize("switches", VARIANTS)
-def test_half_precision_runs_and_is_near(switches):
-    model, given = tiny(**switches), clip(2, 30)
-    with torch.autocast("cpu", torch.bfloat16):
-        result = model(*given)
-    assert result.dtype == torch.float32
-    result.square().sum().backward()
-    assert all(p.grad is None or p.grad.isfinite().all() for p in model.parameters())
-    with torch.no_grad():
-        assert (result - model(*given)).abs().max() < 0.1
-
-
 KEYS = 32
-EXPORTED = {"frames": {"frames": 2}, "regression": {"head": "regression", "frames": 2, "attention": "frames"}}
+EXPORTED = {"frames": {}, "regression": {"head": "regression", "attention": "frames"}}
 
 
 @pytest.fixture(scope="module", params=EXPORTED)
 def in_onnx(request):
-    """The exporter takes a minute on one busy core."""
-    pytest.importorskip("onnx")
-    model = tiny(keys=KEYS, **EXPORTED[request.param])
+    """The exporter takes ten seconds for each layer."""
+    model = tiny(keys=KEYS, frames=2, layers=(8,), **EXPORTED[request.param])
     return model, to_onnx(AniFormerTask.onnx_interface(model))
 
 
@@ -230,7 +210,7 @@ def test_the_graph_stores_nothing_larger_than_all_features_or_the_products_of_on
     onnxruntime = import_onnxruntime()
 
     model, network = in_onnx
-    vertices, frames, widest = 3000, model.config.frames, max(model.config.layers)
+    vertices, frames, widest = 3000, model.config.frames, max(*model.config.encoder, *model.config.layers)
     watched = type(network).FromString(network.SerializeToString())
     names = {name for node in watched.graph.node for name in node.output} - {o.name for o in watched.graph.output}
     watched.graph.output.extend(type(watched.graph.output[0])(name=name) for name in sorted(names))

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 import torch
 from animals import BODY, FEET, LEGS, animal, bones, random_turns, write_pool_animal
-from matrix import matrix
 from pools import write_character
 from rigs import character
+from trainings import edge_lengths
 
 from mimesh.bodies.character_limbs import SIDES
 from mimesh.bodies.character_pool import read_pool
 from mimesh.bodies.sampling import rotvec_to_rotmat
-from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
 from mimesh.learn.data.characters import (
     CharacterSurface,
@@ -23,7 +22,6 @@ from mimesh.learn.data.characters import (
 )
 from mimesh.learn.data.endless import pose_sources
 from mimesh.learn.data.figures import CharacterPairSource
-from mimesh.learn.mime import MimeData, SurfaceSource
 from mimesh.learn.npt import NPTData
 from mimesh.learn.start import train_command
 
@@ -61,7 +59,7 @@ def test_a_folder_has_its_animals_and_says_what_is_left_out(folder):
     assert [c.meta.file for c in people.characters] == ["man"]
 
 
-def test_a_pool_has_animals_and_people(tmp_path):
+def test_a_pool_has_animals_and_people_and_refuses_those_of_another_class(tmp_path):
     write_pool_animal(tmp_path, "cow", animal(0), motion(animal(0)))
     write_pool_animal(tmp_path, "goat", animal(1, detached=FEET), motion(animal(1)), split="test")
     write_character(tmp_path, "man", split="train")
@@ -73,10 +71,6 @@ def test_a_pool_has_animals_and_people(tmp_path):
     cow = pool.characters[0]
     for t, frame in enumerate(motion(animal(0))):
         np.testing.assert_allclose(cow.rig.skinned(cow.clip_transforms("dance", t)), animal(0).posed(*frame), atol=1e-5)
-
-
-def test_animals_of_another_class_are_refused(tmp_path):
-    write_pool_animal(tmp_path, "cow", animal(0), motion(animal(0)))
     arrays = dict(np.load(tmp_path / "cow.npz"))
     arrays["meta"] = np.array(json.dumps(json.loads(str(arrays["meta"])) | {"class": "humanoid"}))
     np.savez(tmp_path / "cow.npz", **arrays)
@@ -84,7 +78,7 @@ def test_animals_of_another_class_are_refused(tmp_path):
     assert pool.refused == {"cow": "expected a quadruped, found humanoid; leave it out"}
 
 
-@pytest.mark.parametrize("count", [1, 2, 4])
+@pytest.mark.parametrize("count", [1, 4])
 def test_surfaces_have_the_weights_and_joints_of_the_body(count, tmp_path):
     made = animal(0, bones(count, ("Hips", "Neck1", "Chest", "Head", "Tail1", "Tail3")))
     made.write(tmp_path / "cow.glb", {"dance": motion(made)})
@@ -129,12 +123,6 @@ def test_clips_become_poses_of_the_body(folder):
             assert one @ other / np.linalg.norm(one) / np.linalg.norm(other) > np.cos(np.radians(1)), (t, start)
 
 
-def test_people_are_no_animals_to_train_on(tmp_path):
-    character(tmp_path / "man.glb")
-    with pytest.raises(InputError, match="expected quadrupeds of the split train, found none"):
-        TrainingCharacters.read(tmp_path, BODY)
-
-
 def test_poses_of_training_animals_are_those_of_animals():
     sources = pose_sources(BODY)
     low, high = sources.limits
@@ -147,23 +135,6 @@ def test_poses_of_training_animals_are_those_of_animals():
     assert lowered[head, 1].mean() < BODY.vertices[head, 1].mean() - 0.1
 
 
-@matrix("characters", [0.0, 1.0], quick=[0.0])
-def test_truths_of_a_batch_are_the_identity_in_the_pose_of_the_driving(characters, folder):
-    config = MimeData("wide", 64, "identity", heading=180.0, characters=characters, body="quadruped")
-    surfaces = TrainingCharacters.read(folder, BODY) if characters else None
-    source = SurfaceSource(config, BODY, CPU, 0, surfaces)
-    batch = source.batch(6, 0)
-    assert torch.equal(batch.truth.weights, batch.identity.weights)
-    assert torch.allclose(batch.truth.weights.sum(-1), torch.ones(6, 64), atol=1e-5)
-    assert torch.isfinite(batch.truth.points).all()
-    for name in ("LeftShin", "RightForearm", "Neck2"):
-        a, b = BODY.joint(name), BODY.parents[BODY.joint(name)]
-        one, two = ((m.joints[:, a] - m.joints[:, b]).norm(dim=-1) for m in (batch.identity, batch.truth))
-        assert torch.allclose(one, two, atol=1e-4)
-    assert torch.equal(source.batch(6, 0).truth.points, batch.truth.points)
-    assert not torch.equal(source.batch(6, 1).truth.points, batch.truth.points)
-
-
 @pytest.mark.slow
 def test_npt_takes_rigged_animals_beside_the_shipped_quadruped(folder):
     config = NPTData("wide", 64, "identity", characters=0.5, body="quadruped")
@@ -172,17 +143,13 @@ def test_npt_takes_rigged_animals_beside_the_shipped_quadruped(folder):
     for mesh in (batch.identity, batch.driving, batch.truth):
         assert mesh.shape == (12, 64, 3)
         assert torch.isfinite(mesh).all()
-    ends = [
-        [mesh.gather(1, batch.edges[..., k, None].expand(-1, -1, 3)) for k in (0, 1)]
-        for mesh in (batch.identity, batch.truth)
-    ]
-    before, after = ((b - a).norm(dim=-1) for a, b in ends)
+    before, after = (edge_lengths(mesh, batch.edges) for mesh in (batch.identity, batch.truth))
     assert ((after / before - 1).abs().median(dim=1).values < 0.1).all()
 
 
 @pytest.mark.slow
 def test_a_training_on_animals_takes_steps(folder, tmp_path):
-    out = train_command("mime", "small", tmp_path / "run", None, None, [*TINY, "minutes=0"], None, folder)
+    out = train_command("mime", "small", tmp_path / "run", None, 0.001, TINY, None, folder)
     state = checkpoint.load(out / "last.safetensors")
-    assert state.pairs == 16
+    assert state.pairs >= 8
     assert all(torch.isfinite(value).all() for value in state.tensors.values() if value.is_floating_point())

@@ -8,7 +8,7 @@ from trainings import TINY
 
 from mimesh.learn import checkpoint
 from mimesh.learn.cost import activation_bytes, described_cost, operations_spent, training_operations
-from mimesh.learn.loop import TrainingRun, train
+from mimesh.learn.loop import TrainingRun
 from mimesh.learn.npt import NPTConfig, NPTTask
 from mimesh.learn.start import begin_with
 
@@ -17,6 +17,15 @@ def kept(vertices, precision="fp32", **changes):
     config = dataclasses.replace(TINY, data=dataclasses.replace(TINY.data, vertices=vertices), **changes)
     task = NPTTask(config, torch.device("cpu"), precision)
     return activation_bytes(task, task.make_model(), task.source(0))
+
+
+def spend(config, folder):
+    """Take all steps of a training, from where that in the folder ended; give its checkpoint."""
+    run = TrainingRun.start(config, folder)
+    while run.share() < 1.0:
+        run.advance()
+    run.save(folder / "last.safetensors")
+    return checkpoint.load(folder / "last.safetensors")
 
 
 def test_activations_grow_with_vertices_and_not_with_weights():
@@ -32,13 +41,12 @@ def test_copies_of_weights_in_16_bits_are_not_counted_for_every_pair():
     assert half < full
 
 
-@pytest.mark.slow
 def test_operations_add_up_over_changes_and_earlier_trainings(tmp_path):
     """Meshes of more vertices towards the end count as such; so do the pairs of a training that this one began with."""
     short = dataclasses.replace(TINY, pairs=4)
-    train(short, tmp_path)
+    spend(short, tmp_path)
     dense = dataclasses.replace(short, pairs=8, data=dataclasses.replace(TINY.data, vertices=128))
-    state = checkpoint.load(train(dense, tmp_path) / "last.safetensors")
+    state = spend(dense, tmp_path)
     task = NPTTask(short, torch.device("cpu"))
     first = training_operations(task, task.make_model(), 4)
     assert state.operations == pytest.approx(3 * first)
@@ -47,15 +55,14 @@ def test_operations_add_up_over_changes_and_earlier_trainings(tmp_path):
     assert operations_spent(follower) == pytest.approx(3 * first + 7.0)
 
 
-@pytest.mark.slow
 def test_a_training_from_an_older_checkpoint_counts_with_the_configuration_of_that(tmp_path):
     """Which may have had fewer vertices; it does not say what it has spent."""
     old = dataclasses.replace(TINY, pairs=4)
-    path = train(old, tmp_path / "old") / "last.safetensors"
-    checkpoint.save(path, dataclasses.replace(checkpoint.load(path), operations=None))
+    path = tmp_path / "last.safetensors"
+    checkpoint.save(path, dataclasses.replace(spend(old, tmp_path), operations=None))
     dense = dataclasses.replace(TINY, pairs=4, data=dataclasses.replace(TINY.data, vertices=128))
     begin_with(dense, path, tmp_path / "new")
-    state = checkpoint.load(train(dense, tmp_path / "new") / "last.safetensors")
+    state = spend(dense, tmp_path / "new")
     task = NPTTask(old, torch.device("cpu"))
     first = training_operations(task, task.make_model(), 4)
     assert operations_spent(state) == pytest.approx(3 * first)
@@ -66,9 +73,7 @@ def test_doublings_count_with_their_vertices(tmp_path):
     config = dataclasses.replace(TINY, batch=4, doublings=(0.5, 0.75))
     task = NPTTask(config, torch.device("cpu"))
     expected = training_operations(task, task.make_model(), 8 + 2 * 4 + 4 * 4)
-    run = TrainingRun.start(config, tmp_path)
-    said = described_cost(run)
+    said = described_cost(TrainingRun.start(config, tmp_path))
     for words in ("a step of 4 pairs is", f"{expected / 1e15:.3g} PFLOP in all", "GiB for its gradient"):
         assert words in said
-    state = checkpoint.load(train(config, tmp_path) / "last.safetensors")
-    assert state.operations == pytest.approx(expected)
+    assert spend(config, tmp_path).operations == pytest.approx(expected)

@@ -15,8 +15,9 @@ from mimesh.learn.data.bodies import posed_joints, skinned
 from mimesh.learn.data.characters import TrainingCharacters
 from mimesh.learn.data.figures import FigureSampler
 from mimesh.learn.data.surfaces import repeat_visible, scanned
+from mimesh.learn.data.user_data import Folders, read_user_data
 from mimesh.learn.mime import MimeData, SurfaceSource, mime_loss
-from mimesh.learn.start import train_command
+from mimesh.learn.start import new_config, no_bar, train_command
 from mimesh.learn.task import shipped_body
 from mimesh.motions import walk_motion
 
@@ -33,16 +34,19 @@ def source(pool):
 
 
 @pytest.mark.slow
-def test_an_identity_at_rest_is_moved_to_the_truth_exactly(source, monkeypatch):
+@pytest.mark.parametrize("low_poly", [0.0, 1.0])
+def test_an_identity_at_rest_is_moved_to_the_truth_exactly(pool, source, low_poly, monkeypatch):
     """By linear blend skinning with its own joints and weights, whatever its proportions, props and missing joints."""
     monkeypatch.setattr("mimesh.learn.data.figures.OWN_REST", 1.0)
-    for step in range(3):
-        batch = source.batch(12, step)
-        own, driving, truth = batch.identity, batch.driving, batch.truth
-        joints = posed_joints(own.rotation, own.joints, driving.rotation, truth.joints[:, 0], BODY.parents)
-        moved = skinned(own.points, own.weights, own.rotation, own.joints, driving.rotation, joints)
-        assert (moved - truth.points).norm(dim=-1).max() < 1e-5
-        assert torch.allclose(own.weights.sum(-1), torch.ones(12, 200), atol=1e-5)
+    characters = TrainingCharacters.read(pool, BODY, low_poly=True)
+    batch = SurfaceSource(dataclasses.replace(source.config, low_poly=low_poly), BODY, CPU, 0, characters).batch(12, 0)
+    own, driving, truth = batch.identity, batch.driving, batch.truth
+    joints = posed_joints(own.rotation, own.joints, driving.rotation, truth.joints[:, 0], BODY.parents)
+    moved = skinned(own.points, own.weights, own.rotation, own.joints, driving.rotation, joints)
+    assert (moved - truth.points).norm(dim=-1).max() < 1e-5
+    assert torch.allclose(own.weights.sum(-1), torch.ones(12, 200), atol=1e-5)
+    # Low-poly versions that are not drawn change nothing.
+    assert torch.equal(own.points, source.batch(12, 0).identity.points) == (low_poly == 0.0)
 
 
 def test_joints_that_are_not_known_have_no_loss(source):
@@ -170,11 +174,11 @@ def test_a_training_on_characters_says_whose_they_are_and_resumes_with_the_same(
 def test_a_pack_is_left_out_by_one_option(pool, tmp_path, monkeypatch):
     """A folder alone gives characters half of every batch."""
     monkeypatch.chdir(tmp_path)
-    out = train_command("mime", "small", None, None, 0.001, TINY[1:], None, pool, None, ["toys"])
+    config, out = new_config("mime", "small", None, TINY[1:], Folders(pool), ["toys"])
     assert out.name.endswith("-without-toys")
-    state = checkpoint.load(out / "last.safetensors")
-    assert (state.config.data.characters, state.config.data.leave_out) == (0.5, ("toys",))
-    assert state.characters["left_out"] == {"toys": 1}
+    assert (config.data.characters, config.data.leave_out) == (0.5, ("toys",))
+    found = read_user_data(config, Folders(pool), no_bar)
+    assert found.facts["left_out"] == {"toys": 1}
     with pytest.raises(InputError, match=r"--leave-out toys: expected it with --characters"):
         train_command("mime", "small", tmp_path / "other", None, 0.001, TINY[1:], None, None, None, ["toys"])
 
@@ -187,20 +191,6 @@ def test_clips_alone_join_the_poses_of_people(clips, tmp_path):
     assert state.config.data.characters == 0
     with pytest.raises(InputError, match=r"--clips: expected a model that is trained on them, found npt"):
         train_command("npt", "small", tmp_path / "npt", None, None, [], None, None, clips)
-
-
-def test_low_poly_pairs_are_exact_and_change_no_other_batches(pool, source, monkeypatch):
-    monkeypatch.setattr("mimesh.learn.data.figures.OWN_REST", 1.0)
-    characters = TrainingCharacters.read(pool, BODY, low_poly=True)
-    config = dataclasses.replace(source.config, low_poly=1.0)
-    batch = SurfaceSource(config, BODY, CPU, 0, characters).batch(12, 0)
-    own, driving, truth = batch.identity, batch.driving, batch.truth
-    joints = posed_joints(own.rotation, own.joints, driving.rotation, truth.joints[:, 0], BODY.parents)
-    moved = skinned(own.points, own.weights, own.rotation, own.joints, driving.rotation, joints)
-    assert (moved - truth.points).norm(dim=-1).max() < 1e-5
-    assert not torch.equal(own.points, source.batch(12, 0).identity.points)
-    exact = SurfaceSource(source.config, BODY, CPU, 0, characters).batch(6, 3)
-    assert torch.equal(exact.identity.points, source.batch(6, 3).identity.points)
 
 
 def test_low_poly_people_have_few_normals():

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from importlib import resources
-from typing import Any
 
 import pytest
 import torch
 
 from mimesh.learn.config import load_config
+from mimesh.learn.data.bodies import copied_to
 from mimesh.learn.models import find_task
 from mimesh.learn.optimizers import make_optimizers
 
@@ -19,18 +19,6 @@ PAIRS, VERTICES = 2, 128
 TOLERANCE = {"fp32": (1e-4, 5e-4), "bf16": (5e-2, 5e-2)}
 """Relative difference of losses, and of gradients' norms, between devices: products are summed in another order. Edge
 terms divide by short lengths, so their gradients differ more (1.1e-4 in float32 on an H100)."""
-
-
-def moved(value: Any, device: torch.device) -> Any:
-    """Copy the tensors of a batch to a device."""
-    if isinstance(value, torch.Tensor):
-        return value.to(device)
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {f.name: moved(getattr(value, f.name), device) for f in dataclasses.fields(value) if f.init}
-        return dataclasses.replace(value, **fields)
-    if isinstance(value, (tuple, list)):
-        return type(value)(moved(item, device) for item in value)
-    return value
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
@@ -52,7 +40,7 @@ def test_a_step_on_the_gpu_is_that_on_the_cpu(name: str, precision: str):
         dtype = torch.bfloat16 if precision == "bf16" else torch.float32
         optimizers = make_optimizers(model, config, device, dtype)
         torch.manual_seed(0)
-        loss = task.loss(model, moved(batch, device), 0)
+        loss = task.loss(model, copied_to(device, batch), 0)
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
         for optimizer in optimizers:

@@ -10,7 +10,6 @@ from pools import write_character
 from mimesh.bodies import load_body
 from mimesh.bodies.character_pool import read_pool
 from mimesh.bodies.hands import HAND_PARENTS
-from mimesh.core.errors import InputError
 from mimesh.core.skinning import skinning_transforms
 from mimesh.learn.config import load_config
 from mimesh.learn.data.hands import (
@@ -138,10 +137,3 @@ def test_network_of_hands_learns_and_its_rotations_are_rotations(source):
     assert scores.shape == (8, QUERIES, 16)
     with torch.no_grad():
         assert np.isfinite(task.batch_error(model, batch))
-
-
-def test_data_of_another_kind_is_refused():
-    with pytest.raises(InputError, match=r"kind: expected hands"):
-        load_config("small", "hands", ["data.kind=wide"])
-    with pytest.raises(InputError, match=r"data\.characters"):
-        load_config("small", "hands", ["data.characters=0.9"])

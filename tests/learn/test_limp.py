@@ -6,6 +6,7 @@ import itertools
 import numpy as np
 import pytest
 import torch
+from trainings import edge_lengths, losses
 
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import edges
@@ -15,7 +16,7 @@ from mimesh.evaluate.remesh import template
 from mimesh.learn.config import config_from, load_config
 from mimesh.learn.export import export_command
 from mimesh.learn.limp import LIMP, LIMPConfig, LIMPLossConfig, LIMPTask, limp_loss, relative_change
-from mimesh.learn.loop import train
+from mimesh.learn.loop import TrainingRun
 from mimesh.learn.task import shipped_body
 from mimesh.pipeline import transfer
 
@@ -91,12 +92,12 @@ def test_the_loss_is_least_where_lengths_are_kept():
     assert limp_loss(MeshAsCode(), mesh, mesh, 1.1 * mesh, pairs, LIMPLossConfig(lengths=0.0), rng) == 0
 
 
+@pytest.mark.slow
 def test_batches_hold_one_person_twice_on_the_templates_vertices():
     source = LIMPTask(config_from(CONFIG, "here"), torch.device("cpu")).source(0)
     batch = source.batch(3, 0)
     assert batch.identity.shape == batch.driving.shape == batch.truth.shape == (3, COUNT, 3)
-    lengths = [(mesh[:, batch.edges[0, :, 0]] - mesh[:, batch.edges[0, :, 1]]).norm(dim=-1) for mesh in (
-        batch.identity, batch.truth, batch.driving)]  # fmt: skip
+    lengths = [edge_lengths(mesh, batch.edges) for mesh in (batch.identity, batch.truth, batch.driving)]
     ratios = [(a / b) for a, b in itertools.pairwise(lengths)]
     same, other = ((ratio / ratio.median(1, keepdim=True).values - 1).abs().median() for ratio in ratios)
     assert same < 0.5 * other
@@ -106,7 +107,9 @@ def test_batches_hold_one_person_twice_on_the_templates_vertices():
 
 @pytest.mark.slow
 def test_a_training_becomes_a_method_for_the_template(tmp_path):
-    train(config_from(CONFIG, "here"), tmp_path)
+    run = TrainingRun.start(config_from(CONFIG, "here"), tmp_path)
+    losses(run, 1)
+    run.save(tmp_path / "last.safetensors")
     export_command(tmp_path / "last.safetensors", tmp_path / "limp.onnx", bits=8)
     trial = CLIPS_ANIFORMER.pair("val", "seen", 0)
     clip = dataclasses.replace(

@@ -12,16 +12,17 @@ BODY = shipped_body()
 CPU = torch.device("cpu")
 
 
-@pytest.mark.parametrize("kind", ["table6", "wide"])
-def test_the_truth_is_the_identity_in_the_driving_pose(kind):
-    source = SurfaceSource(MimeData(kind, 64, "identity"), BODY, CPU, 0)
+@pytest.mark.parametrize(("kind", "body"), [("table6", "human"), ("wide", "human"), ("wide", "quadruped")])
+def test_the_truth_is_the_identity_in_the_driving_pose(kind, body):
+    body = shipped_body(body)
+    source = SurfaceSource(MimeData(kind, 64, "identity", body=body.name), body, CPU, 0)
     batch = source.batch(3, 0)
     assert torch.equal(batch.truth.weights, batch.identity.weights)
     assert torch.equal(batch.truth.rotation, batch.driving.rotation)
     # Bones keep their lengths from pose to pose.
-    for a, b in ((1, 2), (2, 3), (10, 11)):
-        one, two = ((m.joints[:, a] - m.joints[:, b]).norm(dim=-1) for m in (batch.identity, batch.truth))
-        assert torch.allclose(one, two, atol=1e-5)
+    above = list(body.parents[1:])
+    one, two = ((m.joints[:, 1:] - m.joints[:, above]).norm(dim=-1) for m in (batch.identity, batch.truth))
+    assert torch.allclose(one, two, atol=1e-5)
     again = source.batch(3, 0)
     assert torch.equal(again.truth.points, batch.truth.points)
     assert not math.isclose(float(source.batch(3, 1).truth.points.mean()), float(batch.truth.points.mean()))

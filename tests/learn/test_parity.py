@@ -87,6 +87,7 @@ def test_public_aniformer_is_its_layout():
     torch.testing.assert_close(model(identity, driving).double(), expected, **TOLERANCE)
 
 
+@pytest.mark.slow
 @torch.no_grad()
 def test_aniformer_with_frame_attention_is_section_3():
     """The same published names, with one embedding a frame for all vertices, and no norm that knows them."""

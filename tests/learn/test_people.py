@@ -3,8 +3,9 @@
 import torch
 
 from mimesh.learn.data import endless
-from mimesh.learn.data.people import BodySampler
-from mimesh.learn.npt import NPTData, PairSource
+from mimesh.learn.data.bodies import numbers_of_step
+from mimesh.learn.data.people import BodySampler, PairSource
+from mimesh.learn.npt import NPTData
 from mimesh.learn.task import STEPS_AHEAD, BatchesAhead, shipped_body
 
 
@@ -108,9 +109,9 @@ def test_ordered_pairs_are_of_the_same_vertices():
             BodySampler(NPTData("table6", vertices, pairing=pairing), body, device, 0)
             for pairing in ("order", "random")
         )
-        index, driving, edges, _ = ordered._sample_vertices(2, ordered._generator(0))
+        index, driving, edges, _ = ordered._sample_vertices(2, numbers_of_step(0, 0, ordered.device))
         assert torch.equal(index, driving)
-        other_index, other, _, _ = random._sample_vertices(2, random._generator(0))
+        other_index, other, _, _ = random._sample_vertices(2, numbers_of_step(0, 0, random.device))
         assert torch.equal(index, other_index)
         assert (other != index).float().mean() > 0.9
         ends = torch.from_numpy(body.faces)
@@ -121,14 +122,16 @@ def test_ordered_pairs_are_of_the_same_vertices():
 def test_mixed_people_have_the_mean_and_the_spread_of_the_people():
     device, body = torch.device("cpu"), shipped_body()
     mixed = BodySampler(NPTData("table6", 64, mix_people=1.0), body, device, 0)
-    shapes = endless.mixed_people(mixed.people.shapes, 1.0, 40_000, mixed._generator(0)).flatten(0, 1)
+    shapes = endless.mixed_people(mixed.people.shapes, 1.0, 40_000, numbers_of_step(0, 0, mixed.device)).flatten(0, 1)
     people = mixed.people.shapes
     assert torch.allclose(shapes.mean(0), people.mean(0), atol=0.03)
     assert torch.allclose(shapes.T.cov(correction=0), people.T.cov(correction=0), atol=0.06)
     assert torch.cdist(shapes[:100], people).amin() > 0
     some = BodySampler(NPTData("table6", 64, mix_people=0.25), body, device, 0)
     of_table = (
-        (endless.mixed_people(some.people.shapes, 0.25, 2000, some._generator(0))[0][:, None] == people).all(2).any(1)
+        (endless.mixed_people(some.people.shapes, 0.25, 2000, numbers_of_step(0, 0, some.device))[0][:, None] == people)
+        .all(2)
+        .any(1)
     )
     assert 0.7 < of_table.float().mean() < 0.8
 

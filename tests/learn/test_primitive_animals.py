@@ -8,7 +8,8 @@ from animals import BODY, LEGS
 
 from mimesh.bodies.character_limbs import SIDES
 from mimesh.learn.data.characters import body_spread
-from mimesh.learn.data.primitive_animals import ANIMALS, primitive_animal, primitive_animals
+from mimesh.learn.data.primitive_animals import primitive_animal
+from mimesh.learn.data.primitives import PACK
 
 SEEDS = range(8)
 
@@ -27,6 +28,7 @@ def legs_of(animal) -> dict[str, tuple[str, ...]]:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_every_point_belongs_to_one_joint_that_the_animal_has(seed):
     animal = made(seed)
+    assert animal.pack == PACK
     assert np.isfinite(animal.points).all()
     np.testing.assert_allclose(np.linalg.norm(animal.normals, axis=1), 1)
     assert np.abs(animal.alignment @ animal.alignment.swapaxes(-1, -2) - np.eye(3)).max() < 1e-9
@@ -89,9 +91,3 @@ def test_animals_are_about_as_large_as_the_body_and_the_same_every_time():
         np.testing.assert_array_equal(one.joints, again.joints)
         size = np.sqrt(np.square(one.points - one.points.mean(axis=0)).sum(axis=1).mean())
         assert 0.5 * body_spread(BODY) < size < 2 * body_spread(BODY)
-
-
-def test_a_training_gets_all_of_them_as_one_pack():
-    animals = primitive_animals(BODY)
-    assert len(animals) == ANIMALS
-    assert len({animal.pack for animal in animals}) == 1

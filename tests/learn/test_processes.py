@@ -13,8 +13,9 @@ from trainings import TINY
 from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
 from mimesh.learn.data.figures import share_of
+from mimesh.learn.data.people import PairSource
 from mimesh.learn.loop import TrainingRun, train
-from mimesh.learn.npt import NPTTask, PairSource
+from mimesh.learn.npt import NPTTask
 from mimesh.learn.processes import is_first_process, joined_processes
 
 PARTS = dataclasses.replace(TINY, batch=4, pairs=16, validate_every=8, precision="fp32", accumulate=2)
@@ -33,16 +34,6 @@ def test_parts_give_the_gradient_of_their_pairs_together(tmp_path):
         assert mine.grad is not None
         assert expected.grad is not None
         torch.testing.assert_close(mine.grad, expected.grad)
-
-
-def test_parts_have_random_numbers_of_their_own(tmp_path, monkeypatch):
-    """LIMP's loss compares random pairs of vertices: a step's parts must not all compare the same ones."""
-    run, numbers = TrainingRun.start(PARTS, tmp_path), []
-    loss = run.task.loss
-    monkeypatch.setattr(run.task, "loss", lambda model, batch, step: numbers.append(step) or loss(model, batch, step))
-    run.advance()
-    run.advance()
-    assert numbers == [0, 1, 2, 3]
 
 
 def test_a_rank_without_other_processes_writes(monkeypatch):
@@ -65,7 +56,7 @@ def test_more_processes_than_devices_are_refused(monkeypatch):
 
 @pytest.mark.slow
 def test_two_processes_take_the_steps_of_one(tmp_path):
-    config = dataclasses.replace(PARTS, optimizer="muon")  # which leaves some weights to Adam
+    config = dataclasses.replace(PARTS, pairs=8, optimizer="muon")  # which leaves some weights to Adam
     (tmp_path / "tiny.yaml").write_text(json.dumps(dataclasses.asdict(dataclasses.replace(config, accumulate=1))))
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "-m", "mimesh"]
     command += ["train", "npt", "--config", str(tmp_path / "tiny.yaml"), "-o", str(tmp_path / "shared")]
@@ -84,35 +75,24 @@ def test_two_processes_take_the_steps_of_one(tmp_path):
     assert done.stdout.count("last.safetensors") == 1
 
 
-def test_accumulation_may_begin_where_a_training_is_resumed(tmp_path):
-    whole = TrainingRun.start(dataclasses.replace(PARTS, accumulate=1), tmp_path)
-    whole.advance()
-    whole.save(tmp_path / "last.safetensors")
-    assert TrainingRun.start(PARTS, tmp_path).changes[-1] == {
-        "after_pairs": 4,
-        "accumulate": 2,
-        "was": {"accumulate": 1},
-    }
-    with pytest.raises(
-        InputError, match=r"batch: expected a multiple of 3 \(most parts of a batch x processes\), found 4"
-    ):
-        TrainingRun.start(dataclasses.replace(PARTS, accumulate=3), tmp_path)
-
-
 def test_samples_go_on_where_the_number_of_parts_changes(tmp_path, monkeypatch):
-    """No sample is drawn twice."""
-    drawn = []
-    make = PairSource.batch
-    monkeypatch.setattr(
-        PairSource, "batch", lambda self, size, step: drawn.append((size, step)) or make(self, size, step)
-    )
+    """No sample is drawn twice, and a loss that draws (LIMP's compares random vertices) has numbers of the sample."""
+    drawn, lost = [], []
+    make, loss = PairSource.batch, NPTTask.loss
+    monkeypatch.setattr(PairSource, "batch", lambda self, *which: drawn.append(which) or make(self, *which))
+    monkeypatch.setattr(NPTTask, "loss", lambda self, *given: lost.append(given[-1]) or loss(self, *given))
     run = TrainingRun.start(dataclasses.replace(PARTS, accumulate=4), tmp_path)
     run.advance()
     run.save(tmp_path / "last.safetensors")
     again = TrainingRun.start(dataclasses.replace(PARTS, accumulate=1), tmp_path)
+    assert again.changes[-1] == {"after_pairs": 4, "accumulate": 1, "was": {"accumulate": 4}}
     again.advance()
     again.advance()
     assert drawn == [(1, 0), (1, 1), (1, 2), (1, 3), (4, 4), (4, 5)]
+    assert lost == [step for _, step in drawn]
+    message = r"batch: expected a multiple of 3 \(most parts of a batch x processes\), found 4"
+    with pytest.raises(InputError, match=message):
+        TrainingRun.start(dataclasses.replace(PARTS, accumulate=3), tmp_path)
 
 
 @pytest.mark.parametrize(("size", "share"), [(1, 0.5), (3, 0.5), (4, 0.1), (16, 0.35), (20, 0.55), (8, 1.0), (8, 0.0)])

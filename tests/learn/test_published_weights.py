@@ -12,13 +12,13 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from networks import infer_onnx
 from paper_networks import NPT_PARAMETERS, aniformer, aniformer_shapes, npt, npt_shapes, random_state
 
 from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import save_mesh
-from mimesh.learn.export import infer_onnx
 from mimesh.learn.published_weights import load_published, read_state
 from mimesh.methods.find import find_method
 
@@ -57,13 +57,19 @@ def person(seed: int, vertices: int = 40) -> Mesh:
 
 
 @pytest.mark.slow
-def test_imported_network_gives_what_the_reference_gives(imported, state):
+def test_imported_network_gives_what_the_reference_gives_and_says_what_it_is(imported, state):
     network = onnx.load(str(imported))
     identity, driving = torch.rand(2, 1, VERTICES, 3) * 2 - 1
     expected = npt(state, identity, driving, public=True)
     assert np.abs(infer_onnx(network, identity.numpy(), driving.numpy()) - expected.numpy()).max() < 1e-5
     facts = json.loads(next(p.value for p in network.metadata_props if p.key == "mimesh"))
     assert (facts["model"], facts["pose_code"], facts["target_scale"]) == ("npt", "per_vertex", "metres")
+    card = json.loads(imported.with_suffix(".json").read_text())
+    assert (card["imported"]["kind"], card["imported"]["file"]) == ("npt", "original_169.model")
+    assert (card["parameters"], card["config"]["model"]["output"]) == (NPT_PARAMETERS, "2tanh")
+    assert len(card["imported"]["sha256"]) == 64
+    facts = {"vertices": 0, "bytes": imported.stat().st_size, "kind": "npt", "parameters": NPT_PARAMETERS, "unused": []}
+    assert json.loads(imported.with_name("printed.json").read_text()) == {"output": str(imported), **facts}
 
 
 @pytest.mark.slow
@@ -75,25 +81,10 @@ def test_imported_network_moves_meshes(imported, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["model"] == str(imported)
 
 
-@pytest.mark.slow
-def test_card_and_json_say_which_network_was_imported(imported):
-    card = json.loads(imported.with_suffix(".json").read_text())
-    assert (card["imported"]["kind"], card["imported"]["file"]) == ("npt", "original_169.model")
-    assert (card["parameters"], card["config"]["model"]["output"]) == (NPT_PARAMETERS, "2tanh")
-    assert len(card["imported"]["sha256"]) == 64
-    facts = {"vertices": 0, "bytes": imported.stat().st_size, "kind": "npt", "parameters": NPT_PARAMETERS, "unused": []}
-    assert json.loads(imported.with_name("printed.json").read_text()) == {"output": str(imported), **facts}
-
-
-@pytest.mark.slow
-def test_command_says_which_network_it_is(weights, tmp_path, capsys):
-    out = tmp_path / "pooled.onnx"
-    assert run(["import-checkpoint", str(weights), "-o", str(out), "--maxpool", "--bits", "16"]) == 0
-    printed = capsys.readouterr().out
-    assert "npt-maxpool, 6,054,941 numbers" in printed
-    assert f"next: mimesh transfer IDENTITY DRIVING -m {out}" in printed
-    assert find_method(str(out)).pose_code == "global_max"
-    assert out.stat().st_size < 0.6 * 4 * NPT_PARAMETERS
+def test_the_same_weights_are_taken_as_those_of_the_max_pool_variant(weights):
+    found = load_published(weights, maxpool=True)
+    assert (found.kind, found.model.config.pose_code) == ("npt-maxpool", "global_max")
+    assert found.shapes() == npt_shapes()
 
 
 @pytest.mark.parametrize("wrap", ["model_state_dict", "parallel", "half"])

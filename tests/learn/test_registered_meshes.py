@@ -9,7 +9,7 @@ import pytest
 import torch
 from matrix import matrix
 from people import person
-from registered import FACES, moving, write_clips, write_meshes
+from registered import FACES, FILE, moving, write_clips, write_meshes
 from smpl_files import write_dfaust
 from trainings import TINY, assert_steps_are_pure, losses
 
@@ -22,18 +22,13 @@ from mimesh.evaluate.measure import TRAINED_ON, training_facts
 from mimesh.evaluate.protocols import HUMAN_NPT
 from mimesh.io import load_mesh, save_mesh
 from mimesh.learn import checkpoint
-from mimesh.learn.aniformer import (
-    AniFormerConfig,
-    AniFormerData,
-    AniFormerTrainConfig,
-    MeshWindowSource,
-)
+from mimesh.learn.aniformer import AniFormerConfig, AniFormerData, AniFormerTrainConfig
 from mimesh.learn.config import load_config, options_of
-from mimesh.learn.data.registered import HeldOutMeshes, RegisteredMeshes
+from mimesh.learn.data.registered import HeldOutMeshes, MeshPairSource, MeshWindowSource, RegisteredMeshes
 from mimesh.learn.export import DATA, described_data
-from mimesh.learn.loop import TrainingRun, train
+from mimesh.learn.loop import TrainingRun
 from mimesh.learn.models import NETWORKS, find_task
-from mimesh.learn.npt import MeshPairSource, NPTData
+from mimesh.learn.npt import NPTData
 from mimesh.learn.start import train_command
 from mimesh.learn.validation import Validation
 
@@ -45,9 +40,24 @@ MESHES = dataclasses.replace(TINY, data=NPTData("meshes", 64), precision="fp32")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    path = tmp_path_factory.mktemp("meshes")
-    write_meshes(path)
-    return path
+    return tmp_path_factory.mktemp("meshes")
+
+
+@pytest.fixture(scope="module")
+def written(folder):
+    """The vertices of the files of a folder, by person and pose."""
+    return {who(name): mesh.vertices for name, mesh in write_meshes(folder).items()}
+
+
+@pytest.fixture(scope="module")
+def files(written):
+    """The same, normalised."""
+    return {name: normalised(points) for name, points in written.items()}
+
+
+@pytest.fixture(scope="module")
+def meshes(folder, written):
+    return read(folder, **AXES)
 
 
 @pytest.fixture(scope="module")
@@ -85,19 +95,13 @@ def who(name):
     return int(i), int(b)
 
 
-def files_of(meshes):
-    """Normalise the meshes of a folder, by person and pose."""
-    return {who(name): normalised(mesh.vertices) for name, mesh in meshes.items()}
-
-
 def samples(batch):
     return zip(batch.identity.numpy(), batch.driving.numpy(), batch.truth.numpy(), strict=True)
 
 
-def test_batches_hold_what_the_files_hold(folder):
+def test_batches_hold_what_the_files_hold(files, meshes):
     """Truth vertex i is that of identity vertex i, driving meshes are other people in another order of their own."""
-    files = files_of(write_meshes(folder))
-    source = MeshPairSource(ALL, read(folder, **AXES), CPU, 0)
+    source = MeshPairSource(ALL, meshes, CPU, 0)
     seen = set()
     for step in range(6):
         batch = source.batch(4, step)
@@ -114,22 +118,17 @@ def test_batches_hold_what_the_files_hold(folder):
     assert {b for _, b in seen} == {0, 1, 2, 3}
 
 
-def test_the_truth_may_keep_the_identity_s_unit(folder):
-    meshes = {who(name): mesh.vertices for name, mesh in write_meshes(folder).items()}
-    files = {name: normalised(points) for name, points in meshes.items()}
-    config = dataclasses.replace(ALL, target_scale="identity")
-    batch = MeshPairSource(config, read(folder, **AXES), CPU, 0).batch(3, 0)
+def test_the_truth_may_keep_the_identity_s_unit(written, files, meshes):
+    batch = MeshPairSource(dataclasses.replace(ALL, target_scale="identity"), meshes, CPU, 0).batch(3, 0)
     for identity, driving, truth in samples(batch):
         ((i, a), order), ((_, b), _) = name_of(identity, files), name_of(driving, files)
-        expected = centred(meshes[i, b]) / radius(centred(meshes[i, a]))
+        expected = centred(written[i, b]) / radius(centred(written[i, a]))
         np.testing.assert_allclose(truth, expected[order], atol=1e-5)
 
 
-def test_subsets_have_edges_of_the_mesh(folder):
-    meshes = write_meshes(folder)
-    files = files_of(meshes)
+def test_subsets_have_edges_of_the_mesh(files, meshes):
     pairs = set(map(tuple, edges(person(0, 0, FACES).faces)))
-    batch = MeshPairSource(dataclasses.replace(ALL, vertices=40), read(folder, **AXES), CPU, 0).batch(2, 0)
+    batch = MeshPairSource(dataclasses.replace(ALL, vertices=40), meshes, CPU, 0).batch(2, 0)
     assert batch.identity.shape == batch.driving.shape == batch.truth.shape == (2, 40, 3)
     for points, rows in zip(batch.identity.numpy(), batch.edges.numpy(), strict=True):
         near = {name: np.linalg.norm(points[:, None] - file[None], axis=-1) for name, file in files.items()}
@@ -140,13 +139,13 @@ def test_subsets_have_edges_of_the_mesh(folder):
 
 
 @pytest.mark.parametrize("vertices", [0, 32])
-def test_a_step_is_a_pure_function(folder, clips, vertices):
+def test_a_step_is_a_pure_function(meshes, clips, vertices):
     config = NPTData("meshes", vertices, reflect=0.5)
-    assert_steps_are_pure(MeshPairSource(config, read(folder, **AXES), CPU, 3))
+    assert_steps_are_pure(MeshPairSource(config, meshes, CPU, 3))
     assert_steps_are_pure(MeshWindowSource(config, read(clips, 3, **AXES), CPU, 3))
 
 
-def test_not_every_person_needs_every_pose(tmp_path):
+def test_not_every_person_needs_every_pose(files, tmp_path):
     """Person 0 alone has pose 0; person 2 has pose 1 only, which is its own identity."""
     write_meshes(tmp_path, 3, 3, leave_out=[(1, 0), (2, 0), (2, 2)])
     meshes = read(tmp_path, **AXES)
@@ -154,7 +153,6 @@ def test_not_every_person_needs_every_pose(tmp_path):
     assert meshes.split.training.counts == (6, 5, 5)
     assert "6 can be identity, 5 driving, 5 truth; validated on `val` of the shipped body" in meshes.described()
     source = MeshPairSource(ALL, meshes, CPU, 0)
-    files = files_of(write_meshes(tmp_path, 3, 3))
     batch = source.batch(300, 0)
     found = {
         (name_of(identity, files)[0], name_of(driving, files)[0])
@@ -166,9 +164,8 @@ def test_not_every_person_needs_every_pose(tmp_path):
     }  # fmt: skip
 
 
-def test_validation_is_on_new_people_in_known_and_new_poses(folder):
-    files = files_of(write_meshes(folder))
-    task = find_task("npt")(MESHES, CPU, "fp32", read(folder, **AXES))
+def test_validation_is_on_new_people_in_known_and_new_poses(files, meshes):
+    task = find_task("npt")(MESHES, CPU, "fp32", meshes)
     validation = Validation(task)
     for kind, poses in (("seen", {0, 1, 2, 3}), ("unseen", {4})):
         for k in range(8):
@@ -221,10 +218,10 @@ def test_clips_of_a_motion_are_used_to_their_common_length(tmp_path):
         read(tmp_path, 7, **AXES)
 
 
-def test_meshes_are_turned_to_y_up_alike_whatever_the_axes_of_the_files(folder, tmp_path):
+def test_meshes_are_turned_to_y_up_alike_whatever_the_axes_of_the_files(folder, written, tmp_path):
     turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # y up becomes z up, +z front becomes -y
-    for name, mesh in write_meshes(folder).items():
-        save_mesh(Mesh(mesh.vertices @ turn.T, mesh.faces), tmp_path / name)
+    for (i, b), points in written.items():
+        save_mesh(Mesh(points @ turn.T, person(0, 0, FACES).faces), tmp_path / FILE.format(person=i, pose=b))
     upright, turned = read(folder), read(tmp_path)
     assert [(m.facts["up"], m.facts["front"]) for m in (upright, turned)] == [("+y", "+z"), ("+z", "-y")]
     np.testing.assert_allclose(turned.points, upright.points, atol=1e-6)
@@ -261,12 +258,12 @@ def test_folders_without_a_pair_or_of_many_topologies_are_refused(tmp_path):
         read(tmp_path, **AXES)
 
 
-def test_resume_continues_with_the_same_meshes_only(folder, tmp_path):
-    first = TrainingRun.start(MESHES, tmp_path / "none", read(folder, **AXES))
+def test_resume_continues_with_the_same_meshes_only(meshes, tmp_path):
+    first = TrainingRun.start(MESHES, tmp_path / "none", meshes)
     losses(first, 1)
     first.save(tmp_path / "last.safetensors")
     expected = losses(first, 1)
-    assert losses(TrainingRun.start(MESHES, tmp_path, read(folder, **AXES)), 1) == expected
+    assert losses(TrainingRun.start(MESHES, tmp_path, meshes), 1) == expected
     other = tmp_path / "other"
     write_meshes(other, 3)
     message = r"expected the meshes of the training so far \(.*20 of 4 people\), found others"
@@ -276,6 +273,7 @@ def test_resume_continues_with_the_same_meshes_only(folder, tmp_path):
         train_command("npt", "small", None, tmp_path, 0.001)
 
 
+@pytest.mark.usefixtures("written")
 def test_options_that_do_not_go_together_are_refused(folder, tmp_path):
     for model, changes, options, message in (
         ("mime", [], {"meshes": folder}, "--meshes: expected a model that is trained on them, found mime"),
@@ -297,16 +295,11 @@ def test_reports_and_cards_describe_every_kind_of_data():
 
 
 @pytest.mark.slow
-def test_train_on_what_generate_writes(tmp_path, monkeypatch):
+def test_what_generate_writes_is_read(tmp_path, monkeypatch):
     few = dataclasses.replace(HUMAN_NPT, people=3, poses=4)
     monkeypatch.setattr("mimesh.evaluate.generate.find_protocol", lambda *_: few)
     assert run(["generate", "human-npt", "--split", "train", "-o", str(tmp_path / "table")]) == 0
-    config = dataclasses.replace(MESHES, pairs=160, batch=4, validate_every=80, learning_rate=3e-3, decay=0.0, ema=0.0)
-    out = train(config, tmp_path / "run", None, read(tmp_path / "table"))
-    figures = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
-    first, last = (line for line in figures if line["kind"] == "validation")
-    assert last["fresh"] < first["fresh"]
-    facts = checkpoint.load(out / "last.safetensors").meshes
+    facts = read(tmp_path / "table").facts
     assert (facts["people"], facts["poses"], facts["vertices"]) == (3, 4, 6890)
     assert facts["held_out"] == {"people": ["2"], "poses": ["3"]}
 
@@ -324,6 +317,7 @@ def train_by_command(network, config, data, folder):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("written")
 def test_train_export_and_transfer_by_the_command_line(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     state = train_by_command("npt", MESHES, folder, tmp_path)
@@ -344,7 +338,7 @@ def test_train_export_and_transfer_by_the_command_line(folder, tmp_path, monkeyp
 
 @pytest.mark.slow
 def test_train_aniformer_on_clips_by_the_command_line(clips, tmp_path, capsys):
-    small = AniFormerConfig(encoder=(8, 16, 16), layers=(16, 8, 8, 8), heads=1, attention="frames")
+    small = AniFormerConfig(encoder=(8, 16, 16), layers=(8,), heads=1, attention="frames")
     config = AniFormerTrainConfig(model=small, batch=2, learning_rate=1e-3, validation_pairs=1)
     state = train_by_command("aniformer", config, clips, tmp_path)
     assert "meshes 0 pairs: {person}/{pose}: 16 clips (96 frames) of 4 people in 4 motions" in capsys.readouterr().err
@@ -361,7 +355,7 @@ HOLD_OUT = [
 
 
 @matrix(("people", "poses", "held_out", "counts"), HOLD_OUT, quick=HOLD_OUT[::4])
-def test_people_and_poses_that_are_named_are_held_out(folder, people, poses, held_out, counts):
+def test_people_and_poses_that_are_named_are_held_out(folder, files, people, poses, held_out, counts):
     """By number, by name, or none; what is held out is no part of the training and is validated on."""
     meshes = read(folder, hold_out_people=people, hold_out_poses=poses, **AXES)
     new, new_poses = (names.split() for names in held_out)
@@ -370,7 +364,6 @@ def test_people_and_poses_that_are_named_are_held_out(folder, people, poses, hel
     held = HeldOutMeshes.of(meshes)
     kinds = ("seen",) * bool(new) + ("unseen",) * bool(new_poses)
     assert (() if held is None else held.kinds) == kinds
-    files = files_of(write_meshes(folder))
     for kind in kinds:
         for k in range(6):
             trial = held.unshuffled_pair("val", kind, k, np.random.default_rng(k))
@@ -392,6 +385,7 @@ def test_people_and_poses_that_are_named_are_held_out(folder, people, poses, hel
         ("1,2,3", "none", r"pairs in the training and among what is held out \(3 of 4 people, 0 of 5 poses\)"),
     ],
 )
+@pytest.mark.usefixtures("written")
 def test_what_cannot_be_held_out_is_refused(folder, people, poses, message):
     with pytest.raises(InputError, match=message):
         read(folder, hold_out_people=people, hold_out_poses=poses, **AXES)
@@ -448,6 +442,7 @@ def test_recordings_without_a_truth_are_refused_with_a_way_to_one(lengths, messa
     assert "mimesh generate clips-aniformer --split train --body-model" in str(raised.value)
 
 
+@pytest.mark.usefixtures("written")
 def test_animals_are_validated_as_such(folder):
     """What the meshes are is said by data.body; where nothing is held out, the shipped quadruped validates."""
     config = dataclasses.replace(MESHES, data=NPTData("meshes", 64, body="quadruped"))

@@ -11,7 +11,8 @@ from mimesh.core.errors import InputError
 from mimesh.evaluate import tables
 from mimesh.evaluate.tables import TABLES, Row, Table, over_seeds
 from mimesh.learn import checkpoint, table_rows
-from mimesh.learn.table_rows import ROWS, TrainedRow, row_config, rows_of, train_row
+from mimesh.learn.loop import TrainingRun
+from mimesh.learn.table_rows import ROWS, TrainedRow, row_config, rows_of, train_row, train_table
 from mimesh.methods.find import TRAINED_WITH_TABLE, how_to_make, is_table_model, weights_path
 
 TINY = ("model.encoder=[8,16,16]", "model.decoder=[16,8,8]", "data.vertices=32", "batch=2", "validation_pairs=1")
@@ -19,7 +20,7 @@ TINY = ("model.encoder=[8,16,16]", "model.decoder=[16,8,8]", "data.vertices=32",
 
 @pytest.fixture
 def small_table(monkeypatch, tmp_path):
-    """A table of two networks that train in a second, one of them far too long for a table, and `copy`."""
+    """A table of three networks that train in a second, one of them far too long for a table, and `copy`."""
     rows = (
         Row("NPT", "npt-equal", 1.1, 9.3),
         Row("no edge", "npt-no-edge"),
@@ -40,12 +41,11 @@ def run(*words):
 @pytest.mark.slow
 @pytest.mark.usefixtures("small_table")
 def test_a_table_is_trained_with_seeds_and_measured(tmp_path):
-    done = run("--train", "--seeds", "2", "--long", "--without", "npt-no-edge", "-o", "table.json")
+    done = run("--train", "--seeds", "2", "--without", "npt-no-edge", "--without", "npt-full", "-o", "table.json")
     assert done.exit_code == 0, done.output
     report = json.loads((tmp_path / "table.json").read_text())
     methods = {row["method"] for row in report["results"]}
-    trained = {f"runs/tables/seed{seed}/{row}" for seed in (0, 1) for row in ("npt-equal", "npt-full")}
-    assert methods == {*trained, "copy"}
+    assert methods == {"runs/tables/seed0/npt-equal", "runs/tables/seed1/npt-equal", "copy"}
     seeds = [checkpoint.load(tmp_path / f"runs/tables/seed{seed}/npt-equal/last.safetensors") for seed in (0, 1)]
     assert [state.config.seed for state in seeds] == [0, 1]
     errors = [row["pmd_e4"] for row in report["results"] if row["split"] == "seen" and "npt-equal" in row["method"]]
@@ -55,30 +55,25 @@ def test_a_table_is_trained_with_seeds_and_measured(tmp_path):
     half = f"{deviation:.2g}" if deviation < 99.5 else f"{deviation:.0f}"
     assert f"| {mean:.3g} ± {half} |" in line or f"| {mean:.0f} ± {half} |" in line
     assert "mean over 2 seeds" in done.output
-    assert "4 trainings: 0 CPU minutes, and those that end after a number of pairs" in done.output
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("small_table")
-def test_rows_without_weights_are_left_out_with_a_note_and_finished_ones_are_kept(tmp_path, capsys, monkeypatch):
-    """`npt-full` is not trained without --long; another recipe, or an unfinished row, lies in the folder."""
-    done = run("--train", "--without", "npt-no-edge", "-o", "table.json")
-    assert done.exit_code == 0, done.output
-    assert "leaves out rows whose weights are not here; make npt-full by python scripts/train_on_gpu.py" in done.output
-    folder = tmp_path / "runs/tables/seed0"
-    network, card = folder / "npt-equal.onnx", folder / "npt-equal.json"
-    assert list(folder.glob("*.onnx")) == [network]
-    report = json.loads((tmp_path / "table.json").read_text())
-    assert {row["method"] for row in report["results"]} == {"runs/tables/seed0/npt-equal", "copy"}
-    written = network.stat().st_mtime_ns
-    train_row("npt-equal", 0, 0.001, folder)
+    # What is finished is kept, and what was killed before it wrote its card is exported again.
+    network = tmp_path / "runs/tables/seed0/npt-equal.onnx"
+    written, card = network.stat().st_mtime_ns, network.with_suffix(".json")
+    train_row("npt-equal", 0, 0.001, network.parent)
     assert network.stat().st_mtime_ns == written
-    card.unlink()  # as where the process was killed before it wrote the card
-    train_row("npt-equal", 0, 0.001, folder)
+    card.unlink()
+    train_row("npt-equal", 0, 0.001, network.parent)
     assert card.exists()
+
+
+@pytest.mark.usefixtures("small_table")
+def test_a_folder_with_a_training_of_another_recipe_is_refused(tmp_path, capsys, monkeypatch):
+    started = TrainingRun.start(row_config("npt-equal", 0, 0.001), tmp_path)
+    folder = tmp_path / "runs/tables/seed0/npt-equal"
+    folder.mkdir(parents=True)
+    started.save(folder / "last.safetensors")
     found = r"found another \(minutes 0\.002 here, 0\.001 there\); choose"
     with pytest.raises(InputError, match=f"expected no training, or one with this configuration, {found}"):
-        train_row("npt-equal", 0, 0.002, folder)
+        train_row("npt-equal", 0, 0.002, folder.parent)
     recipe = TrainedRow("npt", (*TINY, "data.vertices=64", "model.encoder=[8,16,32]", "edge=off"))
     monkeypatch.setitem(table_rows.ROWS, "npt-equal", recipe)
     words = ["--minutes", "0.001", "--without", "npt-full", "--without", "npt-no-edge"]
@@ -88,6 +83,22 @@ def test_rows_without_weights_are_left_out_with_a_note_and_finished_ones_are_kep
     assert "model.encoder [8, 16, 32] here, [8, 16, 16] there" in message
     assert "edge off here, " in message
     assert message.count(" here, ") == 3
+
+
+@pytest.mark.usefixtures("small_table")
+def test_what_is_trained_is_told_and_rows_without_weights_are_left_out_with_a_note(tmp_path, capsys, monkeypatch):
+    """`npt-full` is not trained without --long. The trainings themselves are left out."""
+    trained = []
+    monkeypatch.setattr(table_rows, "train_row", lambda row, seed, minutes, folder: trained.append((row, seed)))
+    said = []
+    train_table("npt-2", tmp_path, 0.001, seeds=2, long=True, say=said.append, without=["npt-no-edge"])
+    assert trained == [(row, seed) for seed in (0, 1) for row in ("npt-equal", "npt-full")]
+    assert said[0] == "4 trainings: 0 CPU minutes, and those that end after a number of pairs"
+    words = ["--without", "npt-no-edge", "--without", "npt-equal", "--pairs", "1"]
+    assert main_run(["table", "npt-2", "--train", "--minutes", "0.001", *words]) == 0
+    note = "leaves out rows whose weights are not here; make npt-full by python scripts/train_on_gpu.py"
+    assert note in "".join(capsys.readouterr())
+    assert len(trained) == 4
 
 
 @pytest.mark.usefixtures("small_table")

@@ -7,13 +7,8 @@ import pytest
 from networks import write_sequence_network
 from people import person, walk
 
-from mimesh.core.canonical_order import canonical_order
-from mimesh.core.errors import InputError
-from mimesh.core.geometry import edges
-from mimesh.core.mesh import Clip
 from mimesh.methods.aniformer import OVERLAP, AniFormerMethod, blended, middles, windows
 from mimesh.methods.find import find_method
-from mimesh.methods.npt import PatchDistances
 from mimesh.pipeline import animate
 
 HEADS = ["frames", "regression"]
@@ -85,12 +80,6 @@ def test_memory_does_not_grow_with_the_clip(head):
     assert sum(1 for _ in results) == 40
 
 
-def test_metadata_select_the_method(network):
-    method = find_method(network, ensemble=2, seed=3)
-    assert isinstance(method, AniFormerMethod)
-    assert (method.frames, method.ensemble, method.seed) == (3, 2, 3)
-
-
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_clip_of_any_length_gives_as_many_frames(network, count):
     assert animate(person(0), walk(frames=count), network).clip.vertices.shape[0] == count
@@ -108,33 +97,3 @@ def test_ensemble_is_the_mean_of_its_pairings(network):
         result = method.session.run(["result"], {k: v.astype(np.float32) for k, v in inputs.items()})[0][0]
         singles.append(result[:, np.argsort(identity_order)])
     assert np.allclose(method._run(identity, window, pairings), np.mean(singles, axis=0), atol=1e-6)
-
-
-def test_result_of_unknown_scale_is_rescaled_to_the_identity(tmp_path):
-    pytest.importorskip("onnx")
-    method = find_method(str(write_sequence_network(tmp_path / "truth.onnx", target_scale="truth")))
-    identity, clip = person(0), walk(frames=4)
-    ranked = canonical_order(identity.vertices)
-    rest = ranked.merge(identity.vertices)
-    lengths = PatchDistances.of(rest, edges(ranked.group[identity.faces]))
-    results = list(method.prepare(identity, clip)(iter(clip.vertices.astype(float))))
-    assert len(results) == 4
-    assert [lengths.total(ranked.merge(r)) for r in results] == pytest.approx([lengths.total(rest)] * 4)
-
-
-def test_collapsed_frame_is_refused_with_its_number(network):
-    clip = walk(frames=5)
-    vertices = clip.vertices.copy()
-    vertices[3] = 0.5
-    with pytest.raises(InputError, match="frame 3"):
-        animate(person(0), Clip(clip.mesh, vertices, clip.fps), network)
-
-
-@pytest.mark.parametrize(
-    "fact", [{"model": "other"}, {"head": "two"}, {"target_scale": "x"}, {"frames": 0}, {"frames": "3"}]
-)
-def test_unknown_metadata_is_refused(tmp_path, fact):
-    pytest.importorskip("onnx")
-    path = write_sequence_network(tmp_path / "odd.onnx", metadata=fact)
-    with pytest.raises(InputError, match=next(iter(fact))):
-        find_method(str(path))

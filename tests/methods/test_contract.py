@@ -7,7 +7,6 @@ import functools
 
 import numpy as np
 import pytest
-from matrix import matrix
 from networks import write_mime_network, write_network, write_sequence_network
 from people import person, walk
 
@@ -20,17 +19,16 @@ from mimesh.pipeline import animate, transfer
 IDENTITY = person(0)
 SAME_COUNT = person(1, pose=0)
 FEWER, MORE = person(1, pose=1, faces=600), person(2, pose=2, faces=1500)
+FAST = ("copy", "per_vertex", "global_max", "truth", "sequence", "mime")
 SLOW = ("skeleton", "deformation-transfer")
 """Methods that take seconds a mesh."""
 WINDOW = 3
 """Frames in a window of the sequence network, which it reads before it yields the first result."""
 
 
-SLOWEST = pytest.param("skeleton", marks=pytest.mark.slow)
-FAST = ("copy", "per_vertex", "global_max", "truth", "sequence", "mime")
-
-
-@pytest.fixture(scope="module", params=[*FAST, "deformation-transfer", SLOWEST])
+@pytest.fixture(
+    scope="module", params=[*FAST, "deformation-transfer", pytest.param("skeleton", marks=pytest.mark.slow)]
+)
 def model(request, tmp_path_factory):
     if request.param in ("copy", *SLOW):
         return request.param
@@ -59,8 +57,8 @@ class Trial:
     def options(self, model: str) -> dict:
         return dict(reference=self.reference, markers=self.markers) if model == "deformation-transfer" else {}
 
-    def move(self, model: str, identity: Mesh = IDENTITY, **options) -> np.ndarray:
-        return transfer(identity, self.driving, model, **self.options(model), **options).vertices
+    def move(self, model: str, identity: Mesh = IDENTITY) -> np.ndarray:
+        return transfer(identity, self.driving, model, **self.options(model), ensemble=2, seed=5).vertices
 
 
 @functools.cache
@@ -90,69 +88,48 @@ def changed(mesh: Mesh, rotation=ROTATIONS[0], scale=1.0, shift=(0.0, 0.0, 0.0))
     return dataclasses.replace(mesh, vertices=mesh.vertices @ rotation.T * scale + shift)
 
 
-CHANGES = {f"{up}{front}": dict(rotation=turn) for (up, front), turn in zip(ORIENTATIONS, ROTATIONS, strict=True)}
-CHANGES |= {"far": dict(shift=(3.0, -7.0, 0.1)), "large": dict(scale=4.0), "small": dict(scale=0.01)}
-CHANGES["moved"] = dict(scale=3.7, shift=(100.0, 2.0, -5.0))
-SAMPLE = ("moved", "+y-x", "+z-y", "-x+z")
-"""A turn about the vertical, one of files with z up, and one that lies: all methods share the code that undoes them,
-which tests/core/test_normalization.py and test_heading.py prove; one method is tested with all changes."""
-CASES = [(model, change) for model in FAST for change in (CHANGES if model == "per_vertex" else SAMPLE)]
-CASES += [(model, change) for model in SLOW for change in SAMPLE[:2]]
-QUICK = [(model, change) for model, change in CASES if change in SAMPLE and model != "skeleton"]
-CHANGED = pytest.mark.parametrize(
-    ("model", "change"), matrix(("model", "change"), CASES, quick=QUICK).args[1], indirect=["model"]
-)
+def turn_to(axes: str) -> np.ndarray:
+    return ROTATIONS[ORIENTATIONS.index((axes[:2], axes[2:]))]
 
 
-def skip_copy(model):
+CHANGES = {
+    "moved": (dict(scale=3.7, shift=(100.0, 2.0, -5.0)), dict(scale=0.01, rotation=turn_to("+y-x"))),
+    "z up": (dict(rotation=turn_to("+z-y"), shift=(3.0, -7.0, 0.1)), dict(rotation=turn_to("-x+z"), scale=4.0)),
+}
+"""Changes of identity and driving. Methods share the code that undoes them, which tests/core/test_normalization.py and
+test_heading.py prove for all axes."""
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_moved_identity_moves_the_result_and_a_moved_driving_does_not(model, change):
+    if model in SLOW and change != "moved":
+        pytest.skip("takes seconds")
+    of_identity, of_driving = CHANGES[change]
+    identity = changed(IDENTITY, **of_identity)
+    expected = changed(dataclasses.replace(IDENTITY, vertices=unchanged(model)[-1]), **of_identity)
+    result = trials(model)[-1].changed(**of_driving).move(model, identity)
+    assert np.allclose(result, expected.vertices, rtol=0, atol=2e-6 * np.ptp(identity.vertices, axis=0).max())
+
+
+def test_permuted_meshes_permute_the_result_and_change_no_bit(model):
     if model == "copy":
         pytest.skip("copy pairs vertices by index")
-
-
-def size(mesh: Mesh) -> float:
-    return float(np.ptp(mesh.vertices, axis=0).max())
-
-
-@CHANGED
-def test_moved_identity_moves_the_result(model, change):
-    expected = changed(dataclasses.replace(IDENTITY, vertices=unchanged(model)[0]), **CHANGES[change])
-    identity = changed(IDENTITY, **CHANGES[change])
-    result = trials(model)[0].move(model, identity)
-    assert np.allclose(result, expected.vertices, rtol=0, atol=2e-6 * size(identity))
-
-
-@CHANGED
-def test_moved_driving_does_not_change_the_result(model, change):
-    result = trials(model)[-1].changed(**CHANGES[change]).move(model)
-    assert np.allclose(result, unchanged(model)[-1], rtol=0, atol=2e-6 * size(IDENTITY))
-
-
-def test_permuted_identity_permutes_the_result(model):
-    skip_copy(model)
     order = np.random.default_rng(3).permutation(len(IDENTITY.vertices))
     for trial, expected in zip(trials(model), unchanged(model), strict=True):
-        markers = np.stack([np.argsort(order)[trial.markers[:, 0]], trial.markers[:, 1]], axis=1)
-        result = dataclasses.replace(trial, markers=markers).move(model, permute_vertices(IDENTITY, order))
-        assert np.array_equal(result, expected[order])
-
-
-def test_permuted_driving_changes_no_bit(model):
-    skip_copy(model)
-    for trial, expected in zip(trials(model), unchanged(model), strict=True):
-        order = np.random.default_rng(4).permutation(len(trial.driving.vertices))
+        of_driving = np.random.default_rng(4).permutation(len(trial.driving.vertices))
         faces = np.random.default_rng(5).permutation(len(trial.driving.faces))
         driving, reference = (
             dataclasses.replace(mesh, faces=mesh.faces[faces])
-            for mesh in (permute_vertices(trial.driving, order), permute_vertices(trial.reference, order))
+            for mesh in (permute_vertices(trial.driving, of_driving), permute_vertices(trial.reference, of_driving))
         )
-        markers = np.stack([trial.markers[:, 0], np.argsort(order)[trial.markers[:, 1]]], axis=1)
-        assert np.array_equal(Trial(driving, reference, markers).move(model), expected)
+        at = np.argsort(order)[trial.markers[:, 0]], np.argsort(of_driving)[trial.markers[:, 1]]
+        shuffled = Trial(driving, reference, np.stack(at, axis=1))
+        assert np.array_equal(shuffled.move(model, permute_vertices(IDENTITY, order)), expected[order])
 
 
 def test_permuted_driving_clip_changes_no_bit(model):
-    skip_copy(model)
-    if model in SLOW:
-        pytest.skip("tested in their own files")
+    if model in ("copy", *SLOW):
+        pytest.skip("copy pairs vertices by index; slow methods move frame by frame")
     clip = walk(faces=600)
     order = np.random.default_rng(4).permutation(clip.vertices.shape[1])
     shuffled = Clip(permute_vertices(clip.mesh, order), clip.vertices[:, order], clip.fps)
@@ -160,17 +137,11 @@ def test_permuted_driving_clip_changes_no_bit(model):
     assert np.array_equal(animate(IDENTITY, shuffled, model).clip.vertices, expected)
 
 
-def test_repeated_call_gives_the_same_bits(model):
-    trial = trials(model)[0]
-    first, second = (trial.move(model, ensemble=2, seed=5) for _ in range(2))
-    assert np.array_equal(first, second)
-
-
-def test_arguments_are_not_modified(model):
+def test_a_repeated_call_gives_the_same_bits_and_modifies_no_argument(model):
     trial = trials(model)[0]
     meshes = IDENTITY, trial.driving, trial.reference
     before = [mesh.vertices.copy() for mesh in meshes]
-    trial.move(model)
+    assert np.array_equal(trial.move(model), unchanged(model)[0])
     assert all(np.array_equal(mesh.vertices, old) for mesh, old in zip(meshes, before, strict=True))
 
 
@@ -180,7 +151,7 @@ def test_frames_are_read_one_at_a_time(model):
     ahead = 2 * WINDOW - OVERLAP - 1 if model.endswith("sequence.onnx") else 0
 
     def frames():
-        for t in range(5 + ahead):
+        for t in range(3 + ahead):
             read.append(t)
             yield trial.driving.vertices
 

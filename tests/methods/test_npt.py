@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matrix import matrix
 from networks import write_network, write_sequence_network
 from people import person, split_everywhere, walk
 from zoo import point_cloud, two_parts
@@ -15,11 +14,11 @@ from mimesh.core.canonical_order import canonical_order
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import edges
 from mimesh.core.mesh import Clip, Mesh
-from mimesh.core.normalization import ROTATIONS, bbox_centre, radius
+from mimesh.core.normalization import bbox_centre, radius
 from mimesh.core.surface_points import padded_vertices
 from mimesh.evaluate.measure import placed_shapes
 from mimesh.evaluate.run import evaluate_command
-from mimesh.methods.find import SHIPPED_NETWORKS, find_method
+from mimesh.methods.find import find_method
 from mimesh.methods.npt import PatchDistances
 from mimesh.methods.onnx_models import load_network
 from mimesh.pipeline import animate, transfer
@@ -40,7 +39,7 @@ def test_seams_stay_closed_and_do_not_matter(network):
 
 def test_pooled_pose_hardly_depends_on_the_driving_triangulation(tmp_path):
     pooled = str(write_network(tmp_path / "pooled.onnx", "global_max"))
-    results = [transfer(person(0), person(1, 3, faces=faces), pooled).vertices for faces in (1200, 2400)]
+    results = [transfer(person(0), person(1, 3, faces=faces), pooled).vertices for faces in (1000, 2000)]
     assert np.abs(results[0] - results[1]).max() < 0.1
 
 
@@ -96,12 +95,9 @@ def test_patch_distances_hardly_depend_on_roughness():
     rough = mesh.vertices + np.random.default_rng(0).normal(0, 0.01, mesh.vertices.shape)
     patches, pairs = PatchDistances.of(mesh.vertices, edges(mesh.faces)), edges(mesh.faces)
     assert patches.total(rough) == pytest.approx(patches.total(mesh.vertices), rel=0.02)
-    assert edge_length(rough, pairs) > 1.3 * edge_length(mesh.vertices, pairs)
+    lengths = [np.linalg.norm(np.diff(points[pairs], axis=1)[:, 0], axis=1).sum() for points in (rough, mesh.vertices)]
+    assert lengths[0] > 1.3 * lengths[1]
     assert patches.total(3 * mesh.vertices) == pytest.approx(3 * patches.total(mesh.vertices))
-
-
-def edge_length(vertices, pairs):
-    return np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1).sum()
 
 
 @pytest.mark.parametrize("pose_code", ["per_vertex", "global_max"])
@@ -122,46 +118,12 @@ def test_order_of_coincident_driving_vertices_does_not_matter():
     assert np.allclose(first, [[0, 0, 0], [1, 0.4, 0]])
 
 
-def test_added_points_lie_on_the_surface_in_every_frame():
-    driving = person(0, faces=600)
-    points = padded_vertices(driving, len(driving.vertices) + 50, np.random.default_rng(0))
-    assert len(points) == len(driving.vertices) + 50
-    assert np.allclose(points.at(driving.vertices * 2 + 1), points.at(driving.vertices) * 2 + 1)
-
-
-def test_collapsed_frame_is_refused(network):
-    clip = walk(frames=3)
-    vertices = clip.vertices.copy()
-    vertices[1] = 0.5
-    with pytest.raises(InputError, match="frame 1"):
-        animate(person(0), Clip(clip.mesh, vertices, clip.fps), network)
-
-
 def test_files_that_are_no_networks_of_ours_are_refused(tmp_path):
     (tmp_path / "text.onnx").write_text("hello")
     write_network(tmp_path / "other.onnx", metadata=False)
     for name, message in (("none", "found no file"), ("text", "ONNX format"), ("other", "no such metadata")):
         with pytest.raises(InputError, match=message):
             find_method(str(tmp_path / f"{name}.onnx"))
-
-
-@pytest.mark.parametrize("key", ["pose_code", "target_scale"])
-def test_unknown_metadata_is_refused(tmp_path, key):
-    model = onnx.load(write_network(tmp_path / "tiny.onnx"))
-    card = json.loads(model.metadata_props[0].value) | {key: "other"}
-    model.metadata_props[0].value = json.dumps(card)
-    onnx.save(model, str(tmp_path / "odd.onnx"))
-    with pytest.raises(InputError, match=key):
-        find_method(str(tmp_path / "odd.onnx"))
-
-
-@matrix("name", sorted(SHIPPED_NETWORKS), quick=["npt"])
-def test_axes_unit_and_position_of_the_driving_do_not_matter(name):
-    identity, driving = person(0, faces=400), person(1, 0, faces=300)
-    turned = Mesh(driving.vertices @ ROTATIONS[5].T * 3 + 1, driving.faces)
-    expected = transfer(identity, driving, name).vertices
-    assert np.isfinite(expected).all()
-    assert np.allclose(transfer(identity, turned, name).vertices, expected, atol=1e-4)
 
 
 def test_unknown_models_and_ensembles_below_one_are_refused():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from networks import write_mime_network
+from networks import write_mime_network, write_network, write_sequence_network
 
 from mimesh.core.errors import InputError
 from mimesh.methods.find import find_method
@@ -47,8 +47,9 @@ def network(tmp_path_factory):
 
 
 def refusal(network, text: str, path) -> str:
-    network.metadata_props[0].value = text
-    onnx.save(network, str(path))
+    changed = onnx.ModelProto.FromString(network.SerializeToString())
+    changed.metadata_props[0].value = text
+    onnx.save(changed, str(path))
     with pytest.raises(InputError) as caught:
         find_method(str(path))
     message = str(caught.value)
@@ -59,11 +60,7 @@ def refusal(network, text: str, path) -> str:
 
 @pytest.mark.parametrize("text", TEXTS, ids=range(len(TEXTS)))
 def test_text_that_is_no_metadata_is_refused(network, text, tmp_path):
-    card = network.metadata_props[0].value
-    try:
-        refusal(network, text, tmp_path / "odd.onnx")
-    finally:
-        network.metadata_props[0].value = card
+    refusal(network, text, tmp_path / "odd.onnx")
 
 
 @pytest.mark.parametrize("change", CARDS, ids=str)
@@ -75,24 +72,38 @@ def test_metadata_of_other_shapes_are_refused(network, change, tmp_path):
         "two roots": [-1, -1, *parents[2:]],
         "text": [-1, "0", *parents[2:]],
     }
-    (key, value), text = next(iter(change.items())), json.dumps(card)
+    ((key, value),) = change.items()
     value = odd.get(value, value) if isinstance(value, str) else value
-    try:
-        message = refusal(network, json.dumps(card | {key: value}), tmp_path / "odd.onnx")
-    finally:
-        network.metadata_props[0].value = text
+    message = refusal(network, json.dumps(card | {key: value}), tmp_path / "odd.onnx")
     assert {"model": "model", "legs": "leg"}.get(key, key.rstrip("s")) in message or value == "npt"
+
+
+@pytest.mark.parametrize(
+    ("write", "fact"),
+    [
+        (write_network, {"pose_code": "other"}),
+        (write_network, {"target_scale": "other"}),
+        (write_network, {"pairing": "index"}),
+        (write_sequence_network, {"model": "other"}),
+        (write_sequence_network, {"head": "two"}),
+        (write_sequence_network, {"target_scale": "x"}),
+        (write_sequence_network, {"frames": 0}),
+        (write_sequence_network, {"frames": "3"}),
+    ],
+)
+def test_metadata_that_other_networks_cannot_have_are_refused(write, fact, tmp_path):
+    other = onnx.load(str(write(tmp_path / "tiny.onnx")))
+    other.metadata_props[0].value = json.dumps(json.loads(other.metadata_props[0].value) | fact)
+    onnx.save(other, str(tmp_path / "odd.onnx"))
+    with pytest.raises(InputError, match=next(iter(fact))):
+        find_method(str(tmp_path / "odd.onnx"))
 
 
 def test_joints_are_those_of_the_network(network, tmp_path):
     """A joint more than the network's outputs have would fail in the middle of a transfer."""
-    text = network.metadata_props[0].value
-    card = json.loads(text)
+    card = json.loads(network.metadata_props[0].value)
     longer = card | {"joints": [*card["joints"], "Tail"], "parents": [*card["parents"], 0]}
-    try:
-        assert f"{len(longer['joints'])} joints" in refusal(network, json.dumps(longer), tmp_path / "odd.onnx")
-    finally:
-        network.metadata_props[0].value = text
+    assert f"{len(longer['joints'])} joints" in refusal(network, json.dumps(longer), tmp_path / "odd.onnx")
     onnx.save(network, str(tmp_path / "good.onnx"))
     assert find_method(str(tmp_path / "good.onnx")).name
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matrix import matrix
 from networks import write_network, write_sequence_network
 from people import boxes_person, person, split_everywhere, walk
 from zoo import point_cloud
@@ -16,11 +17,10 @@ from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import Normalization
 from mimesh.methods import find
 from mimesh.methods.find import find_method
-from mimesh.methods.mime.body_pairs import body_pairs
 from mimesh.pipeline import animate, prepare, transfer
 
 pytest.importorskip("onnx")
-AXES = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
+AXES = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z", "body": "human"}
 NOTE = "both meshes have the same triangles, so vertices are paired by index"
 BODY_NOTE = "the shipped body is fitted to both meshes, and vertices are paired by their place on it"
 
@@ -51,8 +51,9 @@ def test_permuting_both_meshes_permutes_the_result_and_permuting_one_changes_it(
     identity, driving = person(0), person(1, 0)
     expected = moved(identity, driving, ordered)
     order = np.random.default_rng(0).permutation(len(identity.vertices))
-    both = moved(permute_vertices(identity, order), permute_vertices(driving, order), ordered)
-    assert np.array_equal(both, expected[order])
+    both = transfer(permute_vertices(identity, order), permute_vertices(driving, order), ordered, **AXES)
+    assert np.array_equal(both.vertices, expected[order])
+    assert NOTE in both.notes
     points = Mesh(driving.vertices[order], np.zeros((0, 3), int))
     assert np.abs(moved(identity, points, ordered) - expected).max() > 0.01
 
@@ -101,10 +102,6 @@ def test_points_are_paired_by_index_if_there_are_as_many(ordered):
         transfer(person(0), point_cloud(), ordered)
 
 
-def test_the_note_says_that_vertices_are_paired_by_index(ordered):
-    assert NOTE in transfer(person(0), person(1, 0), ordered).notes
-
-
 def test_a_pooled_pose_has_no_pairs(tmp_path):
     pooled = str(write_network(tmp_path / "pooled.onnx", "global_max", pairing="order"))
     result = transfer(person(0), person(1, 0, faces=600), pooled)
@@ -113,20 +110,20 @@ def test_a_pooled_pose_has_no_pairs(tmp_path):
 
 
 def test_auto_takes_the_ordered_network_for_shapes_of_one_mesh(zoo):
-    identity, driving, other = person(0), person(1, 0), person(1, 0, faces=600)
-    random = transfer(identity, driving, "npt")  # there are no ordered weights: said by nobody
+    identity, driving, other = person(0, faces=600), person(1, 0, faces=600), person(1, 0, faces=400)
+    random = transfer(identity, driving, "npt", **AXES)  # there are no ordered weights: said by nobody
     assert NOTE not in random.notes
     shutil.copy(write_network(zoo.with_name("other.onnx"), pairing="order"), zoo)
-    ordered = transfer(identity, driving, "npt")
+    ordered = transfer(identity, driving, "npt", **AXES)
     assert NOTE in ordered.notes
-    assert np.array_equal(ordered.vertices, transfer(identity, driving, "npt", pairing="order").vertices)
+    assert np.array_equal(ordered.vertices, moved(identity, driving, "npt", pairing="order"))
     assert not np.array_equal(ordered.vertices, random.vertices)
-    assert np.array_equal(transfer(identity, driving, "npt", pairing="random").vertices, random.vertices)
-    assert NOTE not in transfer(identity, other, "npt").notes
+    assert np.array_equal(moved(identity, driving, "npt", pairing="random"), random.vertices)
+    assert NOTE not in transfer(identity, other, "npt", **AXES).notes
     clouds = [Mesh(mesh.vertices, np.zeros((0, 3), int)) for mesh in (identity, driving)]
-    assert NOTE not in transfer(*clouds, "npt").notes
-    assert NOTE in animate(identity, Clip.still(driving), "npt").notes
-    assert prepare(identity, driving, "npt").pose(driving.vertices).shape == identity.vertices.shape
+    assert NOTE not in transfer(*clouds, "npt", **AXES).notes
+    assert NOTE in animate(identity, Clip.still(driving), "npt", **AXES).notes
+    assert prepare(identity, driving, "npt", **AXES).pose(driving.vertices).shape == identity.vertices.shape
 
 
 def test_order_without_ordered_weights_says_how_to_make_them(zoo):
@@ -147,69 +144,57 @@ def test_networks_of_another_pairing_are_refused(ordered, tmp_path):
         find_method("npt", pairing="index")
 
 
-def test_unknown_pairing_in_metadata_is_refused(tmp_path):
-    with pytest.raises(InputError, match="pairing"):
-        find_method(str(write_network(tmp_path / "odd.onnx", pairing="index")))
-
-
-def test_body_pairs_are_near_the_true_places_on_meshes_of_other_faces_and_on_points():
+@matrix("kind", ["faces", "points"], quick=["faces"])
+def test_body_pairs_are_near_the_true_places_on_meshes_of_other_faces_and_on_points(kind):
     """The truth: the same driving person with the identity's vertices."""
     identity, driving, true = (
         dataclasses.replace(mesh, vertices=Normalization.fit(mesh, "+y", "+z").apply(mesh.vertices))
         for mesh in (person(0), person(1, 0, faces=600), person(1, 0))
     )
     ranked = canonical_order(identity.vertices)
-    for mesh in (driving, Mesh(true.vertices[::-1], np.zeros((0, 3), int))):
-        points = body_pairs(find_method("mime"), identity, mesh).points(mesh.vertices)[ranked.group]
-        error = np.linalg.norm(points - true.vertices, axis=1)
-        assert error.mean() < 0.03  # of the radius; edges have 0.1
-        assert error.mean() < 0.1 * np.linalg.norm(points[::-1] - true.vertices, axis=1).mean()
+    mesh = driving if kind == "faces" else Mesh(true.vertices[::-1], np.zeros((0, 3), int))
+    points = find_method("mime").body_pairs(identity, mesh).points(mesh.vertices)[ranked.group]
+    error = np.linalg.norm(points - true.vertices, axis=1)
+    assert error.mean() < 0.03  # of the radius; edges have 0.1
+    assert error.mean() < 0.1 * np.linalg.norm(points[::-1] - true.vertices, axis=1).mean()
+
+
+@pytest.fixture
+def by_body(tmp_path):
+    """A tiny network whose vertices are paired by the body; the code is that of all networks."""
+    return str(write_network(tmp_path / "tiny.onnx", pairing="order"))
 
 
 @pytest.mark.slow
-def test_body_pairs_do_not_depend_on_the_order_of_either_mesh(ordered):
-    identity, driving = person(0), person(1, 0, faces=600)
-    expected = moved(identity, driving, ordered, pairing="body")
+def test_body_pairs_do_not_depend_on_order_seams_and_axes(by_body):
+    identity, driving = person(0, faces=600), person(1, 0, faces=400)
+    expected = moved(identity, driving, by_body, pairing="body")
     rng = np.random.default_rng(0)
     order, driving_order = rng.permutation(len(identity.vertices)), rng.permutation(len(driving.vertices))
     faces = rng.permutation(driving.faces)
     shuffled = permute_vertices(dataclasses.replace(driving, faces=faces), driving_order)
-    result = moved(permute_vertices(identity, order), shuffled, ordered, pairing="body")
+    result = moved(permute_vertices(identity, order), shuffled, by_body, pairing="body")
     assert np.array_equal(result, expected[order])
-
-
-@pytest.mark.slow
-def test_body_pairs_do_not_depend_on_the_axes_of_the_files(ordered):
-    identity, driving = person(0), person(1, 0, faces=600)
-    expected = moved(identity, driving, ordered, pairing="body")
     z_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     turned = dataclasses.replace(driving, vertices=driving.vertices @ z_up.T)
     axes = AXES | {"driving_up": "+z", "driving_front": "-y"}
-    assert np.allclose(transfer(identity, turned, ordered, **axes, pairing="body").vertices, expected, atol=1e-4)
+    result = transfer(split_everywhere(identity), split_everywhere(turned), by_body, **axes, pairing="body").vertices
+    assert np.allclose(result, expected[identity.faces.ravel()], atol=1e-4)
 
 
 @pytest.mark.slow
-def test_body_pairs_keep_seams_closed(ordered):
-    whole, driving = person(0), person(1, 0, faces=600)
-    expected = moved(whole, driving, ordered, pairing="body")[whole.faces.ravel()]
-    result = moved(split_everywhere(whole), split_everywhere(driving), ordered, pairing="body")
-    assert np.allclose(result, expected, atol=1e-4)
-
-
-@pytest.mark.slow
-def test_body_pairs_of_a_clip_are_those_of_its_first_frame(ordered):
-    clip, identity = walk(frames=4, faces=600), person(0)
-    result = animate(identity, clip, ordered, **AXES, pairing="body")
+def test_body_pairs_of_a_clip_are_those_of_its_first_frame(by_body):
+    clip, identity = walk(frames=3, faces=400), person(0, faces=600)
+    result = animate(identity, clip, by_body, **AXES, pairing="body")
     assert BODY_NOTE in result.notes
-    first = moved(identity, dataclasses.replace(clip.mesh, vertices=clip.vertices[0]), ordered, pairing="body")
-    still = animate(identity, Clip(clip.mesh, clip.vertices[[0, 0, 0]]), ordered, **AXES, pairing="body").clip.vertices
-    assert np.allclose(still, first, atol=1e-4)
+    first = moved(identity, dataclasses.replace(clip.mesh, vertices=clip.vertices[0]), by_body, pairing="body")
+    assert np.allclose(result.clip.vertices[0], first, atol=1e-4)
     assert np.isfinite(result.clip.vertices).all()
 
 
-def test_body_pairs_are_for_shapes_that_the_body_can_have(ordered):
+def test_body_pairs_are_for_shapes_that_the_body_can_have(by_body):
     with pytest.raises(InputError, match=r"boxes: expected a shape that the shipped human.*pairing=.random."):
-        transfer(boxes_person(0.5), person(1, 0), ordered, **AXES, pairing="body")
+        transfer(boxes_person(0.5), person(1, 0), by_body, **AXES, pairing="body")
 
 
 def test_body_pairs_take_the_ordered_weights_and_only_on_request(zoo):

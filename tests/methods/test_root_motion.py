@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mimesh.core.errors import InputError
-from mimesh.methods.root_motion import with_root_motion
+from mimesh.methods.base import with_root_motion
 
 SHAPE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
 

@@ -9,9 +9,10 @@ from matrix import matrix
 from mimesh.bodies.animals import ANIMALS, animal_body, standing
 from mimesh.core.errors import InputError
 from mimesh.core.rig import descendants
-from mimesh.motions.animal_clips import ANIMAL_MOTIONS, LEGS, RUNS, animal_clip, gait_clip, random_style, run
+from mimesh.motions.animal_clips import ANIMAL_MOTIONS, RUNS, animal_clip, gait_clip, random_style, run
+from mimesh.motions.gaits import LEGS
 
-FPS = 120.0
+FPS = 60.0
 CASES = [("horse", "gallop", 4), ("horse", "canter", 0), ("cat", "bound", 0), ("dog", "trot", 0), ("dog", "walk", 2)]
 ENDS = {"Hind": "Toes", "Front": "Fingers"}
 
@@ -40,28 +41,21 @@ def feet_of(species: str, gait: str, index: int) -> tuple[np.ndarray, np.ndarray
     return np.stack(feet, axis=1) / np.ptp(rest[:, 1]), phase < RUNS[gait].duty, root / np.ptp(rest[:, 1])
 
 
-@matrix("case", range(len(CASES)), quick=[0, 4])
-def test_standing_feet_are_on_the_ground_and_do_not_slide(case):
-    feet, stands, root = feet_of(*CASES[case])
+@matrix("case", CASES, quick=[CASES[0], CASES[4]])
+def test_standing_feet_do_not_slide_and_only_running_animals_leave_the_ground(case):
+    feet, stands, root = feet_of(*case)
     on_ground = feet[..., 1][stands]
     assert np.abs(on_ground).mean() < 0.01
-    assert on_ground.min() > -0.02
+    assert feet[..., 1].min() > -0.02
     steps = np.linalg.norm(np.diff(feet[..., [0, 2]], axis=0), axis=-1)[stands[1:] & stands[:-1]]
     speed = (root[-1, 2] - root[0, 2]) / (len(root) - 1)
     assert steps.mean() < 0.05 * speed
-
-
-@matrix(("species", "gait", "number"), CASES, quick=[CASES[0], CASES[4]])
-def test_running_animals_leave_the_ground_and_walking_ones_do_not(species, gait, number):
-    feet, stands, _ = feet_of(species, gait, number)
     in_air = feet[..., 1].min(axis=1) > 0.005
-    intended = ~stands.any(axis=1)
-    if gait == "walk":
+    if "walk" in case:
         assert not in_air.any()
     else:
-        assert in_air[intended].mean() > 0.5
+        assert in_air[~stands.any(axis=1)].mean() > 0.5
         assert in_air.mean() > 0.05
-    assert feet[..., 1].min() > -0.02
 
 
 def test_the_hind_feet_of_a_gallop_land_before_the_forefeet_and_no_foot_stands_before_the_next_hind_foot():
@@ -77,10 +71,10 @@ def test_clips_are_the_same_again_and_others_with_another_number():
 
 
 def test_animals_in_postures_are_on_the_ground():
-    for name, (_, motion, _) in ANIMAL_MOTIONS.items():
+    for name, motion, number in ANIMAL_MOTIONS.values():
         if motion not in RUNS:
-            lowest = np.asarray(animal_clip(name).vertices)[..., 1].min(axis=1)
-            assert np.abs(lowest).max() < 1e-3, name
+            clip = gait_clip(name, motion, number, seconds=0.6, fps=10.0)
+            assert np.abs(np.asarray(clip.vertices)[..., 1].min(axis=1)).max() < 1e-3, motion
 
 
 def test_errors_of_unknown_motions_list_the_known_ones():
@@ -88,9 +82,9 @@ def test_errors_of_unknown_motions_list_the_known_ones():
         animal_clip("horse flies")
 
 
-@matrix("case", range(len(CASES)), quick=[0, 4])
+@matrix("case", CASES, quick=[CASES[0], CASES[4]])
 def test_the_root_goes_straight_on_at_one_speed(case):
-    _, _, root = feet_of(*CASES[case])
+    _, _, root = feet_of(*case)
     assert np.abs(root[:, 0]).max() == 0.0
     steps = np.diff(root[:, 2])
     assert steps.min() > 0

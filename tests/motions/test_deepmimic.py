@@ -1,13 +1,13 @@
 """DeepMimic files: known poses and motions give the expected limb directions; errors of damaged files are one line."""
 
-import json
-
 import numpy as np
 import pytest
-from deepmimic_files import QUATERNIONS, still_rows, swaying_rows, write_folder, write_rows
+from deepmimic_files import still_rows, swaying_rows, write_folder, write_rows
+from motion_files import bone_directions
 
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
+from mimesh.core.geometry import unit_vectors
 from mimesh.motions.deepmimic import CLIPS, deepmimic_folder, load_deepmimic, read_deepmimic
 from mimesh.motions.motion import joint_tracks, leg_length, lowest
 from mimesh.motions.retarget import BONES
@@ -28,17 +28,10 @@ def turn(axis: int, degrees: float) -> np.ndarray:
     return np.array([np.cos(half), *(np.sin(half) * np.eye(3)[axis])])
 
 
-def bone(body, motion, joint: str, tail: str) -> np.ndarray:
-    """Direction from a joint to another in every frame."""
-    position = joint_tracks(body, motion)[1]
-    direction = position[:, body.joint(tail)] - position[:, body.joint(joint)]
-    return direction / np.linalg.norm(direction, axis=1, keepdims=True)
-
-
 def test_limbs_at_rest_point_down_and_soles_are_on_the_floor(body, tmp_path):
     motion = load_deepmimic(write_rows(tmp_path / "a.txt", still_rows()), body)
-    for joint, tail in BONES.items():
-        np.testing.assert_allclose(bone(body, motion, joint, tail), [[0, -1, 0]] * 3, atol=1e-9)
+    for direction in bone_directions(body, motion).values():
+        np.testing.assert_allclose(direction, [[0, -1, 0]] * 3, atol=1e-9)
     np.testing.assert_allclose(motion.rotmat[:, body.joint("Hips")], [np.eye(3)] * 3, atol=1e-12)
     np.testing.assert_allclose(lowest(body, motion.rotmat, motion.root), 0, atol=0.01)
     assert (motion.name, motion.fps) == ("a", pytest.approx(30))
@@ -50,10 +43,10 @@ def test_known_rotations_move_the_right_limb_in_the_right_direction(body, tmp_pa
     rows[:, LEFT_ELBOW] = np.pi / 2  # then forward
     rows[:, LEFT_KNEE] = -np.pi / 2  # heel to the back
     motion = load_deepmimic(write_rows(tmp_path / "a.txt", rows), body)
-    np.testing.assert_allclose(bone(body, motion, "LeftArm", "LeftForeArm")[0], [1, 0, 0], atol=1e-9)
-    np.testing.assert_allclose(bone(body, motion, "LeftForeArm", "LeftHand")[0], [0, 0, 1], atol=1e-9)
-    np.testing.assert_allclose(bone(body, motion, "LeftLeg", "LeftFoot")[0], [0, 0, -1], atol=1e-9)
-    np.testing.assert_allclose(bone(body, motion, "RightArm", "RightForeArm")[0], [0, -1, 0], atol=1e-9)
+    expected = {"LeftArm": [1, 0, 0], "LeftForeArm": [0, 0, 1], "LeftLeg": [0, 0, -1], "RightArm": [0, -1, 0]}
+    found = bone_directions(body, motion)
+    for joint, direction in expected.items():
+        np.testing.assert_allclose(found[joint][0], direction, atol=1e-9)
     # An arm with the direction of the T-pose has the rotation of the T-pose.
     np.testing.assert_allclose(motion.rotmat[0, body.joint("LeftArm")], np.eye(3), atol=1e-9)
 
@@ -63,6 +56,7 @@ def test_path_and_heading_are_those_of_the_file(body, tmp_path):
     rows[:, 1] = np.arange(4) * 0.1
     rows[:, 2] += [0, 0.3, 0, 0]
     rows[-1, ROOT : ROOT + 4] = turn(1, 90)
+    rows[-1, 0] = 0.0  # the last frame may have no duration
     motion = load_deepmimic(write_rows(tmp_path / "a.txt", rows), body)
     scale = leg_length(body.joints, body.joint_names) / (0.421546 + 0.40987)
     np.testing.assert_allclose(motion.root - motion.root[0], scale * rows[:, [3, 2, 1]] - scale * rows[0, [3, 2, 1]])
@@ -73,12 +67,9 @@ def test_limb_directions_and_trunk_rotations_are_kept(body, tmp_path):
     path = write_rows(tmp_path / "a.txt", swaying_rows(0))
     source, motion = read_deepmimic(path), load_deepmimic(path, body)
     rotation, position = source.world()
-    for joint, tail in BONES.items():
-        expected = position[:, source.joint_names.index(tail)] - position[:, source.joint_names.index(joint)]
-        expected = expected @ AXES.T
-        np.testing.assert_allclose(
-            bone(body, motion, joint, tail), expected / np.linalg.norm(expected, axis=1, keepdims=True), atol=1e-9
-        )
+    for joint, direction in bone_directions(body, motion).items():
+        ends = (position[:, source.joint_names.index(name)] @ AXES.T for name in (BONES[joint], joint))
+        np.testing.assert_allclose(direction, unit_vectors(np.subtract(*ends)), atol=1e-9)
     world = joint_tracks(body, motion)[0]
     for joint in ("Hips", "Spine1", "Head"):
         expected = AXES @ rotation[:, source.joint_names.index(joint)] @ AXES.T
@@ -126,7 +117,7 @@ def test_errors_of_damaged_files_are_one_line(rows, message, tmp_path):
 def test_missing_and_other_files_are_refused(tmp_path):
     with pytest.raises(InputError, match="expected a DeepMimic motion file, found none"):
         read_deepmimic(tmp_path / "gone.txt")
-    for text in ("not JSON", json.dumps([1, 2]), json.dumps({"Loop": "wrap"})):
+    for text in ("not JSON", "[1, 2]", '{"Loop": "wrap"}'):
         (tmp_path / "a.txt").write_text(text)
         with pytest.raises(InputError, match="something else"):
             read_deepmimic(tmp_path / "a.txt")
@@ -134,7 +125,6 @@ def test_missing_and_other_files_are_refused(tmp_path):
 
 def test_the_folder_is_the_given_one_or_that_of_pybullet(tmp_path, monkeypatch):
     assert len(CLIPS) == 20
-    assert len(QUATERNIONS) == 9
     given = write_folder(tmp_path / "given")
     assert deepmimic_folder(given) == given
     (given / CLIPS["walk"]).unlink()
@@ -149,9 +139,3 @@ def test_the_folder_is_the_given_one_or_that_of_pybullet(tmp_path, monkeypatch):
     (package / "__init__.py").write_text("raise RuntimeError('nobody imports it')")
     monkeypatch.syspath_prepend(tmp_path / "site")
     assert deepmimic_folder() == package / "data" / "motions"
-
-
-def test_the_last_frame_may_have_no_duration(tmp_path):
-    rows = still_rows()
-    rows[-1, 0] = 0.0
-    assert read_deepmimic(write_rows(tmp_path / "a.txt", rows)).fps == pytest.approx(30)

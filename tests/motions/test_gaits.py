@@ -7,6 +7,7 @@ from matrix import matrix
 
 from mimesh.bodies.quadruped import LIMITS
 from mimesh.bodies.sampling import limits_rotvec
+from mimesh.motions import gaits
 from mimesh.motions.gaits import GAITS, LEGS, POSTURES, gait_motion, posture_motion, quadruped_poses, swing
 from mimesh.motions.motion import Motion, rotmat_to_rotvec
 
@@ -33,33 +34,24 @@ def foot_heights(motion: Motion) -> dict[str, np.ndarray]:
 
 
 @EACH
-def test_motions_are_pure_functions_of_seed_and_number(make, name):
+def test_motions_are_pure_roughly_within_the_limits_of_the_joints_and_on_the_ground(make, name):
     one, again = make(BODY, name, 1, 3), make(BODY, name, 1, 3)
     np.testing.assert_array_equal(one.rotmat, again.rotmat)
     np.testing.assert_array_equal(one.root, again.root)
-    for other in (make(BODY, name, 2, 3), make(BODY, name, 1, 4)):
-        assert np.abs(other.rotmat - one.rotmat).max() > 0.01
-
-
-@EACH
-@matrix("i", range(2), quick=[0])
-def test_poses_are_roughly_within_the_limits_of_the_joints(make, name, i):
-    """Postures have random turns of 3 degrees in all joints."""
     low, high = np.degrees(limits_rotvec(BODY, LIMITS))
-    degrees = np.degrees(rotmat_to_rotvec(make(BODY, name, 0, i).rotmat))
-    beyond = np.maximum(low - degrees, degrees - high)
-    assert beyond.max() < (1 if make is gait_motion else 15)
-
-
-@EACH
-def test_the_lowest_point_is_on_the_ground_in_every_frame(make, name):
-    np.testing.assert_allclose(all_poses(make(BODY, name, 0, 1))[..., 1].min(axis=1), 0, atol=1e-6)
+    for other in (make(BODY, name, 0, 3), make(BODY, name, 1, 4)):
+        assert np.abs(other.rotmat - one.rotmat).max() > 0.01
+        degrees = np.degrees(rotmat_to_rotvec(other.rotmat))
+        beyond = np.maximum(low - degrees, degrees - high)
+        assert beyond.max() < (
+            1 if make is gait_motion else 15
+        )  # postures have random turns of 3 degrees in all joints
+    np.testing.assert_allclose(all_poses(one)[::5, :, 1].min(axis=1), 0, atol=1e-6)
 
 
 @matrix("name", list(GAITS), quick=["trot"])
-@pytest.mark.parametrize("i", range(2))
-def test_every_foot_stands_for_its_share_of_the_cycle_and_lifts(name, i):
-    for leg, height in foot_heights(gait_motion(BODY, name, 0, i, seconds=4.0)).items():
+def test_every_foot_stands_for_its_share_of_the_cycle_and_lifts(name):
+    for leg, height in foot_heights(gait_motion(BODY, name, 0, 0, seconds=4.0)).items():
         assert (height < NEAR).mean() > 0.8 * GAITS[name].duty, leg
         assert height.max() > 0.025, leg
 
@@ -106,20 +98,20 @@ def test_gaits_go_forward(name):
 
 def test_postures_are_what_they_are_called():
     still = {name: BODY.posed(np.zeros(1), posture_motion(BODY, name, 0, 0).rotmat[[0, 30]]) for name in POSTURES}
-    height = {name: np.ptp(poses[..., 1], axis=1) for name, poses in still.items()}
     head, hips = (BODY.weights[:, BODY.joint(name)] > 0.5 for name in ("Head", "Hips"))
     for name, poses in still.items():
         np.testing.assert_allclose(poses[0], BODY.vertices, atol=1e-9, err_msg=name)
     above = {name: poses[1] - [0, poses[1, :, 1].min(), 0] for name, poses in still.items()}
     assert above["eat"][head, 1].mean() < 0.7 * BODY.vertices[head, 1].mean() < above["look up"][head, 1].mean()
     assert above["sit"][hips, 1].mean() < 0.8 * BODY.vertices[hips, 1].mean()
-    assert height["lie"][1] < 0.85 * height["lie"][0]
+    rest, lying = np.ptp(still["lie"][..., 1], axis=1)
+    assert lying < 0.85 * rest
 
 
-@pytest.mark.slow
-def test_splits_have_other_poses():
+def test_splits_have_other_poses(monkeypatch):
+    monkeypatch.setattr(gaits, "TAKES", 3)
     train, val, test = (quadruped_poses(BODY, split) for split in ("train", "val", "test"))
     assert train.shape == val.shape == test.shape == (len(train), len(BODY.parents), 3)
     assert np.isfinite(train).all()
     for one, other in ((train, val), (train, test), (val, test)):
-        assert not {row.tobytes() for row in one[::7] if row.any()} & {row.tobytes() for row in other if row.any()}
+        assert not {row.tobytes() for row in one if row.any()} & {row.tobytes() for row in other if row.any()}

@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
+from mimesh.core.geometry import angles_between
 from mimesh.core.mesh import cut_clip
 from mimesh.core.skinning import SkinnedMesh
 from mimesh.io import load_clip, load_mesh
 from mimesh.motions import load_bvh, load_motion, motion_clip, resample, window
-from mimesh.motions.motion import joint_tracks, lowest
+from mimesh.motions.motion import joint_tracks
 from mimesh.motions.on_body import is_motion_file, motion_of_file
 from mimesh.motions.retarget import BONES, rests_standing
 from mimesh.pipeline import driving_axes
@@ -43,9 +44,7 @@ def relative_positions(body, motion):
 
 def rotation_error(body, found, expected, joint):
     """Angle (degrees) between the world rotations of a joint in two motions, in every frame."""
-    first, second = (joint_tracks(body, motion)[0][:, body.joint(joint)] for motion in (found, expected))
-    cosine = (np.trace(np.swapaxes(first, -1, -2) @ second, axis1=-2, axis2=-1) - 1) / 2
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    return angles_between(*(joint_tracks(body, motion)[0][:, body.joint(joint)] for motion in (found, expected)))
 
 
 @matrix("rest", STANDING, quick=["a"])
@@ -55,15 +54,12 @@ def test_joint_positions_do_not_depend_on_a_standing_rest_pose(rest, axes, schem
     path = write_bvh(tmp_path / "a.bvh", body, motion, rest=rest, axes=axes, scale=39.37, name=renamed(scheme))
     loaded = motion_of_file(path)
     fingers = [body.joint(n) for n in body.joint_names if "Finger" in n or "Thumb" in n]
-    known = [j for j in range(len(body.parents)) if j not in fingers and (scheme == "cmu" or "Neck1" not in
-             body.joint_names[j])]  # fmt: skip
-    np.testing.assert_allclose(
-        relative_positions(body, loaded)[:, known], relative_positions(body, motion)[:, known], atol=1e-6
-    )
+    unknown = fingers if scheme == "cmu" else [*fingers, body.joint("Neck1")]
+    found, expected = (np.delete(relative_positions(body, moved), unknown, axis=1) for moved in (loaded, motion))
+    np.testing.assert_allclose(found, expected, atol=1e-6)
     assert rotation_error(body, loaded, motion, "LeftForeArm").max() < 1e-3
-    assert (
-        rotation_error(body, loaded, motion, "LeftUpLeg").max() < 1.5
-    )  # the body's thigh is 5 degrees off the frontal plane
+    # The body's thigh is 5 degrees off the frontal plane.
+    assert rotation_error(body, loaded, motion, "LeftUpLeg").max() < 1.5
 
 
 @matrix("scheme", SCHEMES, quick=["mixamo", "lafan1"])
@@ -71,9 +67,8 @@ def test_joint_positions_do_not_depend_on_the_names(scheme, body, motion, tmp_pa
     loaded = motion_of_file(write_bvh(tmp_path / "a.bvh", body, motion, rest="a", name=renamed(scheme), order="YXZ"))
     ends = [body.joint(joint) for joint in (*BONES, *BONES.values())]
     if scheme != "kaykit":  # without shoulders the arms are children of another joint
-        np.testing.assert_allclose(
-            relative_positions(body, loaded)[:, ends], relative_positions(body, motion)[:, ends], atol=1e-6
-        )
+        found, expected = (relative_positions(body, moved)[:, ends] for moved in (loaded, motion))
+        np.testing.assert_allclose(found, expected, atol=1e-6)
     assert rotation_error(body, loaded, motion, "Head").max() < 1e-3
 
 
@@ -123,12 +118,12 @@ def test_a_file_loads_as_the_clip_of_its_motion(body, motion, tmp_path):
     assert abs(np.quantile(heights, 0.2)) < 1e-6
 
 
-@pytest.mark.parametrize("fps", [15.0, 60.0])
-def test_another_frame_rate_resamples_the_motion(fps, body, motion, tmp_path):
-    path = write_bvh(tmp_path / "a.bvh", body, motion)
-    clip, resampled = load_clip(path, fps=fps), resample(motion_of_file(path), fps)
-    assert (clip.fps, len(clip)) == (fps, len(resampled))
-    np.testing.assert_allclose(clip.vertices, motion_clip(body, None, resampled).vertices, atol=1e-6)
+def test_another_frame_rate_resamples_the_motion(body, motion, tmp_path):
+    path = write_bvh(tmp_path / "a.bvh", body, window(motion, 0.0, 0.3))
+    for fps in (15.0, 60.0):
+        clip, resampled = load_clip(path, fps=fps), resample(motion_of_file(path), fps)
+        assert (clip.fps, len(clip)) == (fps, len(resampled))
+        np.testing.assert_allclose(clip.vertices, motion_clip(body, None, resampled).vertices, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -166,18 +161,11 @@ def test_only_chosen_frames_of_a_capture_are_posed(body, motion, tmp_path, monke
     assert len(load_clip(path)) == len(window(motion, 0.0, 0.5))  # a changed file is read again
 
 
-def test_heights_of_the_lowest_vertex_are_those_of_the_posed_body(body, motion):
-    vertices = body.posed(np.zeros(0), motion.rotmat[::7], motion.root[::7])
-    np.testing.assert_allclose(
-        lowest(body, motion.rotmat[::7], motion.root[::7]), vertices[..., 1].min(axis=1), atol=1e-12
-    )
-
-
 def test_inspection_reports_a_motion(body, motion, tmp_path):
-    facts = inspect_file(write_bvh(tmp_path / "a.bvh", body, motion))
+    facts = inspect_file(write_bvh(tmp_path / "a.bvh", body, window(motion, 0.0, 0.1)))
     assert facts.details == (("motion", "31 joints, played on the shipped body, which these facts describe"),)
     assert facts.details[0][1] in facts.text()
-    assert (facts.frames, facts.format, facts.unit_guess) == (len(motion), "bvh", "m")
+    assert (facts.frames, facts.format, facts.unit_guess) == (3, "bvh", "m")
     assert is_motion_file(tmp_path / "b.BVH")
     assert not is_motion_file(tmp_path / "b.npz")
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 
 import numpy as np
 import pytest
 from matrix import matrix
 from motion_files import OURS, PARENTS, Z_UP, write_amass
+from people import person
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 from smpl_files import smpl_arrays, write_model
@@ -30,7 +30,8 @@ START = 4
 
 def model_arrays(joints: int = 24) -> dict[str, np.ndarray]:
     """The arrays of a body model with the joints of the shipped body and its fingers, without pose corrections."""
-    arrays, body = smpl_arrays(joints), body_with_fingers()
+    arrays, body = smpl_arrays(joints, faces=3000), body_with_fingers()
+    vertices = arrays["v_template"]
     places: dict[str | int, np.ndarray] = {name: body.joints[body.joint(ours)] for name, ours in OURS.items()}
     for finger in range(30 if joints > 24 else 0):
         side, rest = divmod(finger, 15)
@@ -38,8 +39,8 @@ def model_arrays(joints: int = 24) -> dict[str, np.ndarray]:
         places[joints - 30 + finger] = body.joints[body.joint(f"{name}{rest % 3 + 1}")]
     for key, centre in places.items():
         j = key if isinstance(key, int) else list(PARENTS).index(key)
-        near = np.argsort(np.linalg.norm(body.vertices - centre, axis=1))[:400]
-        weights, distance = nnls(np.vstack([body.vertices[near].T, np.full(400, 10.0)]), np.append(centre, 10.0))
+        near = np.argsort(np.linalg.norm(vertices - centre, axis=1))[:200]
+        weights, distance = nnls(np.vstack([vertices[near].T, np.full(200, 10.0)]), np.append(centre, 10.0))
         assert distance < 1e-3
         arrays["J_regressor"][j] = 0.0
         arrays["J_regressor"][j, near] = weights
@@ -100,15 +101,7 @@ def test_animate_takes_the_joints_of_the_recording(files, tmp_path, capsys):
     assert report["driving"]["up_from"] == "joints"
     assert "prediction_spread" not in report["driving"]  # nothing was predicted
     clip = load_recorded_clip(take, model)[0]
-    found = mimesh.animate(
-        load_mesh(hero), dataclasses.replace(clip, skeleton=None), root="keep", ground=False, start=START
-    )
-    errors = [
-        distance(vertices, clip.vertices[START:])
-        for vertices in (load_clip(tmp_path / "out.npz").vertices, found.clip.vertices)
-    ]
-    assert errors[0] < 0.01
-    assert errors[0] < 0.75 * errors[1]
+    assert distance(load_clip(tmp_path / "out.npz").vertices, clip.vertices[START:]) < 0.01
 
 
 def test_an_identity_with_the_rig_of_its_model_moves_as_the_model_does(files):
@@ -122,14 +115,13 @@ def test_an_identity_with_the_rig_of_its_model_moves_as_the_model_does(files):
 def test_models_without_known_joints_are_found_on_the_surface(tmp_path, walk):
     """One of another number of joints, and one whose joints are no person's tree: both drive as surfaces."""
     body = load_body()
-    other = smpl_arrays(33)
-    wrong = smpl_arrays(24)
+    other, wrong = smpl_arrays(33, faces=600), smpl_arrays(24, faces=600)
     wrong["kintree_table"][0, 1:] = np.maximum(np.arange(1, 24) - 2, 0)
     assert 33 not in NAMES
     for arrays, notes in ((other, 0), (wrong, 1)):
         model = write_model(tmp_path / "model.npz", arrays)
         take = write_amass(tmp_path / "take.npz", body, walk, Z_UP, 24, betas=np.zeros(10))
-        rigs = Rigs.read(load_body().mesh(), load_recorded_clip(take, model)[0])
+        rigs = Rigs.read(person(), load_recorded_clip(take, model)[0])
         assert rigs.driving is None
         assert ["the joints of take are not used" in note for note in rigs.notes] == [True] * notes
     with pytest.raises(InputError, match=r"body model of people \(24, 52, 55 joints\), found 33"):

@@ -2,7 +2,6 @@
 
 import json
 import re
-import runpy
 import tomllib
 from pathlib import Path
 
@@ -12,11 +11,6 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 HOOK = ("tool", "hatch", "metadata", "hooks", "fancy-pypi-readme", "substitutions")
 ADDRESS = "https://HOST/OWNER/mimesh"
-
-
-@pytest.fixture(scope="module")
-def script():
-    return runpy.run_path(str(ROOT / "scripts" / "release.py"))
 
 
 def rules(document: dict) -> list[dict[str, str]]:

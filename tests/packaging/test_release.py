@@ -1,6 +1,5 @@
 """scripts/release.py: the parts of a release that need no network."""
 
-import runpy
 import zipfile
 from pathlib import Path
 
@@ -12,11 +11,6 @@ from mimesh.core.errors import InputError
 ROOT = Path(__file__).parents[2]
 BILL = {"bomFormat": "CycloneDX", "components": [{"name": "mimesh"}, {"name": "Wadler_Lindig"}]}
 TABLE = "| library | licence | needed by |\n| --- | --- | --- |\n| **wadler-lindig** | Apache-2.0 | jaxtyping |\n"
-
-
-@pytest.fixture(scope="module")
-def script():
-    return runpy.run_path(str(ROOT / "scripts" / "release.py"))
 
 
 def test_files_of_the_repository_agree_on_the_version(script):

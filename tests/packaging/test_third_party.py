@@ -32,10 +32,10 @@ WORDS = {
 """How older metadata name licences, and how the SPDX identifiers begin."""
 
 
-@pytest.fixture(scope="module")
-def listed() -> dict[str, str]:
+@pytest.fixture
+def listed(script) -> dict[str, str]:
     """Licences by library."""
-    return runpy.run_path(str(ROOT / "scripts" / "release.py"))["listed_licences"](NOTICES)
+    return script["listed_licences"](NOTICES)
 
 
 def needed(requirements: list[str]) -> set[str]:

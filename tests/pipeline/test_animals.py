@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from animals import BODY, FEET, Animal, animal, bones, coefficients, random_turns
+from animals import BODY, FEET, Animal, animal, bones, coefficients, random_turns, small, small_clip
 from matrix import matrix
 from rigs import of_kind
 
@@ -21,8 +21,7 @@ from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.evaluate.metrics import pmd_aligned
 from mimesh.evaluate.pairs import Pair
-from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.evaluate.quadruped import QUADRUPED
+from mimesh.evaluate.protocols import PROTOCOLS, QUADRUPED
 from mimesh.io import load_clip
 from mimesh.motions.animal_clips import gait_clip
 
@@ -68,7 +67,7 @@ PAIRS = {
 }
 
 
-@matrix("pair", PAIRS, quick=["small", "feet of driving", "two bones"])
+@matrix("pair", PAIRS, quick=["small", "two bones"])
 def test_the_result_is_the_identity_in_the_pose_of_the_driving(pair, tmp_path):
     """Measured: up to 3e-7 of the height. The still identity is 0.2 away."""
     identity, driving = PAIRS[pair]()
@@ -101,10 +100,9 @@ def test_legs_of_fewer_bones_follow_those_of_more(count, mean, most, tmp_path):
     assert found.max() < most
 
 
-@matrix("seeds", ["01", "23"], quick=["01"])
-def test_bones_of_legs_and_neck_have_the_directions_of_the_driving(seeds, tmp_path):
+def test_bones_of_legs_and_neck_have_the_directions_of_the_driving(tmp_path):
     """Of other shapes too."""
-    identity, driving = (animal(int(seed)) for seed in seeds)
+    identity, driving = animal(0), animal(1)
     motion = dance(driving.order)
     one = identity.write(tmp_path / "identity.glb", spell=str)
     two = driving.write(tmp_path / "driving.glb", {"dance": motion}, spell=str)
@@ -180,17 +178,6 @@ def test_feet_of_the_result_stay_on_the_ground_where_the_driving_stands(tmp_path
     assert result.report["foot_skate"] < 0.01
 
 
-def test_feet_of_legs_of_two_bones_are_measured(tmp_path):
-    identity, driving = animal(0, bones(2)), animal(1, bones(2))
-    still = [(random_turns(t, ("Neck1", "Head")), np.zeros(3)) for t in range(FRAMES)]
-    one = identity.write(tmp_path / "identity.glb")
-    two = driving.write(tmp_path / "driving.glb", {"look": still}, spell=str)
-    report = mimesh.animate(str(one), str(two)).report
-    assert report["rig"] == "own"
-    assert report["foot_skate"] < 1e-3
-    assert report["foot_skate_driving"] < 1e-3
-
-
 def test_the_written_file_has_the_identitys_bones_and_the_motion(tmp_path, capsys):
     identity, driving = other(), animal()
     motion = dance(identity.order)
@@ -213,7 +200,7 @@ def gltf_of(path: Path) -> dict:
     return open_document(path).gltf
 
 
-@pytest.mark.parametrize("facing", ["+z", "-x"])
+@pytest.mark.parametrize("facing", ["-x"])
 def test_look_says_that_a_rig_is_of_an_animal_and_where_it_faces(facing, tmp_path, capsys):
     path = other().write(tmp_path / "cow.glb", turn=facing_rotation(facing).T)
     assert run(["look", str(path)]) == 0
@@ -278,10 +265,10 @@ def surfaces(i: int) -> Pair:
     return QUADRUPED.pair("val", "gaits", i)
 
 
-@matrix("i", range(3), quick=[0])
-def test_animals_without_rigs_are_taken_for_animals_and_moved(i):
+@pytest.mark.slow
+def test_animals_without_rigs_are_taken_for_animals_and_moved():
     """Nearer to the truth than the identity as it is, in the driving's pose and not on its head."""
-    pair = surfaces(i)
+    pair = surfaces(0)
     result = mimesh.transfer(pair.identity, pair.driving, up="+y", driving_up="+y")
     assert pmd_aligned(result.mesh.vertices, pair.truth) < 0.5 * pmd_aligned(pair.identity.vertices, pair.truth)
 
@@ -316,11 +303,11 @@ def test_an_animal_in_a_bvh_is_refused_with_the_format_that_works(tmp_path, caps
 
 @pytest.mark.slow
 def test_the_facing_of_an_animal_without_a_rig_is_noted_only_where_up_is_not_known():
-    driving = gait_clip("dog", "walk", seconds=0.2, fps=10.0)
-    known = mimesh.animate(dataclasses.replace(shipped_animal("cat"), up="+y"), driving, driving_up="+y")
+    driving, cat = small_clip(gait_clip("dog", "walk", seconds=0.2, fps=10.0)), small(shipped_animal("cat"))
+    known = mimesh.animate(dataclasses.replace(cat, up="+y"), driving, driving_up="+y")
     assert known.report["body"] == "quadruped"
     assert not any("facing" in note or "looks like" in note for note in known.notes)
     assert (known.report["identity"]["up"], known.report["identity"]["front"]) == ("+y", "+z")
-    bare = dataclasses.replace(shipped_animal("cat"), up=None)
+    bare = dataclasses.replace(cat, up=None)
     found = mimesh.animate(bare, driving, body="quadruped", driving_up="+y")
     assert any("the facing of cat is uncertain" in note for note in found.notes)

@@ -4,6 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from animals import small, small_clip
+from people import decimation
 
 from mimesh import InputError, animate, save_mesh, transfer
 from mimesh.bodies import load_body
@@ -18,14 +20,17 @@ from mimesh.motions.animal_clips import gait_clip
 from mimesh.pipeline.corrections import Corrections
 
 BODY = load_body()
-PERSON = Mesh(BODY.vertices, BODY.faces, "person")
+REMAINING, FACES = decimation(2500)
+PERSON = Mesh(BODY.vertices[REMAINING], FACES, "person")
 
 
 def posed(seed):
     from scipy.spatial.transform import Rotation
 
     rotations = Rotation.from_rotvec(sample_pose(BODY, seed, 0)).as_matrix()
-    return dataclasses.replace(PERSON, vertices=BODY.posed(np.zeros(len(BODY.components)), rotations), name="pose")
+    return dataclasses.replace(
+        PERSON, vertices=BODY.posed(np.zeros(len(BODY.components)), rotations)[REMAINING], name="pose"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -115,8 +120,8 @@ def test_unknown_joints_are_refused():
 @pytest.fixture(scope="module")
 def animals():
     """A cat, a walking dog's first frame, and the plain result."""
-    dog = gait_clip("dog", "walk", seconds=0.1, fps=10.0)
-    cat = dataclasses.replace(animal("cat"), up="+y")
+    dog = small_clip(gait_clip("dog", "walk", seconds=0.1, fps=10.0))
+    cat = dataclasses.replace(small(animal("cat")), up="+y")
     dog = dataclasses.replace(dog.mesh, vertices=np.asarray(dog.vertices[0], np.float64), up="+y")
     return cat, dog, transfer(cat, dog, front="+z", driving_front="+z")
 

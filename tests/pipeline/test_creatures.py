@@ -212,9 +212,8 @@ def test_what_does_not_correspond_is_refused(tmp_path, capsys):
 def test_a_person_with_a_creature_is_refused(tmp_path):
     person = rigs.character(tmp_path / "person.glb", clips={"move": rigs.exercise(rigs.figure())})
     bird = Boxes.of(BIRD).write(tmp_path / "bird.glb", flapping(tuple(BIRD)))
-    for one, two in ((person, bird), (bird, person)):
-        with pytest.raises(InputError, match="expected two people, two four-legged animals"):
-            animate(str(one), str(two))
+    with pytest.raises(InputError, match="expected two people, two four-legged animals"):
+        animate(str(person), str(bird))
 
 
 def test_smoothing_needs_a_person(tmp_path):

@@ -7,9 +7,10 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from animals import small, small_clip
 from matrix import matrix
-from networks import write_mime_network, write_network
-from people import decimation, person, walk
+from networks import write_network, write_sequence_network
+from people import person, walk
 from rigs import of_kind
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -46,21 +47,26 @@ def driving() -> Clip:
 
 
 @pytest.fixture(scope="module")
-def session(driving) -> LiveSession:
-    return mimesh.prepare(person(0), driving)
+def session(driving, model) -> LiveSession:
+    """A session with a tiny network."""
+    return mimesh.prepare(person(0), driving, model)
 
 
 @pytest.mark.slow
-def test_a_person_moves_as_in_a_clip(driving, session):
-    result = mimesh.animate(person(0), driving, ground=False)
+def test_a_person_moves_as_in_a_clip_and_the_first_frame_is_enough(driving):
+    session, result = mimesh.prepare(person(0), driving), mimesh.animate(person(0), driving, ground=False)
     assert differences(session, driving, result.clip) < CLOSE
     assert session.report["driving"] == result.report["driving"]
+    alone = mimesh.prepare(person(0), dataclasses.replace(driving.mesh, vertices=driving.vertices[0]))
+    for t in (0, 4):
+        apart = np.linalg.norm(alone.pose(driving.vertices[t]) - session.pose(driving.vertices[t]), axis=1)
+        assert apart.mean() < 0.02 * np.ptp(person(0).vertices, axis=0).max()
 
 
 @matrix("root", ["scale", "keep", "drop"], quick=["keep"])
-def test_displacement_is_that_of_a_clip(driving, tmp_path, root):
+def test_displacement_is_that_of_a_clip(driving, model, root):
     """The person walks 0.8 m. A tiny network finds wrong joints, in both cases the same."""
-    model, other = str(write_mime_network(tmp_path / "tiny.onnx")), in_other_axes(driving)
+    other = in_other_axes(driving)
     result = mimesh.animate(person(0), other, model, root=root, ground=False).clip
     assert differences(mimesh.prepare(person(0), other, model, root=root), other, result) < CLOSE
     travelled = np.linalg.norm((result.vertices[-1] - result.vertices[0]).mean(axis=0))
@@ -69,11 +75,7 @@ def test_displacement_is_that_of_a_clip(driving, tmp_path, root):
 
 @pytest.mark.slow
 def test_an_animal_moves_as_in_a_clip():
-    remaining, faces = decimation(1500, "quadruped")
-    clip = gait_clip("dog", "trot", seconds=0.4, fps=10.0)
-    vertices = clip.vertices[:, remaining]
-    clip = Clip(Mesh(vertices[0], faces, name="dog"), vertices, 10.0)
-    identity = Mesh(animal("cow").vertices[remaining], faces, name="cow")
+    clip, identity = small_clip(gait_clip("dog", "trot", seconds=0.2, fps=10.0)), small(animal("cow"))
     result = mimesh.animate(identity, clip, body="quadruped", ground=False)
     session = mimesh.prepare(identity, clip, body="quadruped")
     assert session.report["body"] == result.report["body"] == "quadruped"
@@ -81,15 +83,13 @@ def test_an_animal_moves_as_in_a_clip():
     assert differences(session, clip, result.clip) < CLOSE
 
 
-@pytest.mark.slow
-def test_an_identity_with_a_rig_moves_on_its_own_bones(driving, tmp_path):
+def test_an_identity_with_a_rig_moves_on_its_own_bones(driving, model, tmp_path):
     path = of_kind(tmp_path / "a.glb", "T-pose", moving=False)[0]
-    result = mimesh.animate(path, driving, ground=False)
+    result = mimesh.animate(path, driving, model, ground=False)
     assert result.report["rig"] == "own"
-    assert differences(mimesh.prepare(path, driving), driving, result.clip) < CLOSE
+    assert differences(mimesh.prepare(path, driving, model), driving, result.clip) < CLOSE
 
 
-@pytest.mark.slow
 def test_another_shape_of_one_mesh_moves_by_its_vertices():
     """What is neither a person nor an animal, where a known frame has about its pose: deformation transfer."""
     frames = np.stack([bent_strip(bend) for bend in (0.6, 0.0, -0.5)])
@@ -128,29 +128,22 @@ def test_models_without_joints_move_as_in_a_clip(driving, model, tmp_path):
     assert differences(session, clip, result) < CLOSE
 
 
-def test_a_model_of_windows_of_frames_is_refused(driving):
-    with pytest.raises(InputError, match=r"from that frame alone, found aniformer.*animate"):
-        mimesh.prepare(person(0), driving, "aniformer")
+def test_a_model_of_windows_of_frames_is_refused(driving, tmp_path):
+    network = str(write_sequence_network(tmp_path / "windows.onnx"))
+    with pytest.raises(InputError, match=r"from that frame alone, found windows.*animate"):
+        mimesh.prepare(person(0), driving, network)
 
 
-@pytest.mark.slow
-def test_the_first_frame_is_enough(driving, session):
-    alone = mimesh.prepare(person(0), dataclasses.replace(driving.mesh, vertices=driving.vertices[0]))
-    for t in (0, 4):
-        apart = np.linalg.norm(alone.pose(driving.vertices[t]) - session.pose(driving.vertices[t]), axis=1)
-        assert apart.mean() < 0.02 * np.ptp(person(0).vertices, axis=0).max()
-
-
-def test_files_of_a_mesh_and_of_a_clip(driving, tmp_path):
-    model, identity = str(write_mime_network(tmp_path / "tiny.onnx")), person(0)
+def test_files_of_a_mesh_and_of_a_clip(driving, session, model, tmp_path):
+    identity = person(0)
     first = dataclasses.replace(driving.mesh, vertices=driving.vertices[0])
     save_mesh(first, tmp_path / "first.obj")
     save_clip(driving, tmp_path / "walk.npz")
     save_mesh(identity, tmp_path / "hero.obj")
-    for file, known in (("first.obj", first), ("walk.npz", driving)):
+    for file, known in (("first.obj", mimesh.prepare(identity, first, model)), ("walk.npz", session)):
         of_file = mimesh.prepare(tmp_path / "hero.obj", tmp_path / file, model)
         frame = driving.vertices[2]
-        assert np.allclose(of_file.pose(frame), mimesh.prepare(identity, known, model).pose(frame), atol=1e-4)
+        assert np.allclose(of_file.pose(frame), known.pose(frame), atol=1e-4)
 
 
 def test_frames_have_no_influence_on_each_other(driving, session):

@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.engine_names import SCHEMES as ENGINE_NAMES
-from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.draft import Draft
@@ -26,7 +25,6 @@ from mimesh.io.gltf.own_animation import OwnAnimation
 from mimesh.motions import load_motion, window
 from mimesh.motions.motion import joint_tracks
 from mimesh.pipeline import animate, transfer
-from mimesh.pipeline.skinned import save_skinned
 
 EXACT = 1e-5
 """Largest distance of a vertex, over the size of the mesh, where both rigs have the same weights and rest pose."""
@@ -52,7 +50,7 @@ def truth(person: rigs.Figure, rest: np.ndarray | None = None) -> np.ndarray:
     return np.stack([rigs.posed(person, frame, rest) for frame in rigs.exercise(person)])
 
 
-@matrix("scheme", SCHEMES, quick=["mixamo", "unreal", "biped"])
+@matrix("scheme", SCHEMES, quick=["unreal", "biped"])
 def test_the_same_person_on_a_rig_with_other_names_and_axes(scheme, model, driving, tmp_path):
     path = rigs.character(tmp_path / "a.glb", name=renamed(scheme), frames=3)
     result = animate(str(path), str(driving), model)
@@ -60,7 +58,7 @@ def test_the_same_person_on_a_rig_with_other_names_and_axes(scheme, model, drivi
     assert deviation(result.clip.vertices, truth(rigs.figure())) < EXACT
 
 
-@matrix("kind", rigs.KINDS, quick=["A-pose", "feet on roots", "twists", "no hands"])
+@matrix("kind", rigs.KINDS, quick=["A-pose", "feet on roots", "no hands"])
 def test_the_same_person_on_a_rig_of_another_kind(kind, model, driving, tmp_path):
     path, person, rest = rigs.of_kind(tmp_path / "a.glb", kind, moving=False, name=renamed("mixamo"), frames=3)
     result = animate(str(path), str(driving), model)
@@ -77,34 +75,27 @@ def test_the_rig_of_the_driving_may_be_of_any_kind(kind, model, tmp_path):
     assert deviation(result.clip.vertices, truth(rigs.figure())) < LOOSE.get(kind, EXACT)
 
 
-def other_person(path: Path, **options) -> Path:
-    return rigs.character(path, 1, name=renamed("unreal"), **options)
+@pytest.fixture(scope="module")
+def of_other_person(driving, model, tmp_path_factory) -> np.ndarray:
+    path = rigs.character(tmp_path_factory.mktemp("other") / "a.glb", 1)
+    return animate(str(path), str(driving), model).clip.vertices
 
 
-@pytest.mark.parametrize("turn", [QUARTER])
-def test_an_identity_that_faces_another_axis_moves_along_it(turn, model, driving, tmp_path):
-    first, second = (
-        animate(str(other_person(tmp_path / "a.glb", turn=matrix)), str(driving), model) for matrix in (None, turn)
-    )
-    assert second.own is not None
-    assert deviation(second.clip.vertices, first.clip.vertices @ turn.T) < EXACT
+def test_an_identity_that_faces_another_axis_moves_along_it(of_other_person, model, driving, tmp_path):
+    result = animate(str(rigs.character(tmp_path / "a.glb", 1, turn=QUARTER)), str(driving), model)
+    assert result.own is not None
+    assert deviation(result.clip.vertices, of_other_person @ QUARTER.T) < EXACT
 
 
-PLACES = [(100.0, (0, 0, 0)), (0.01, (0, 0, 0)), (1.0, (3.0, 0.5, -2.0))]
-
-
-@matrix(("scale", "shift"), PLACES, quick=PLACES[:1])
-def test_size_and_place_of_the_identity_are_kept(scale, shift, model, driving, tmp_path):
+@matrix(("scale", "shift"), [(100.0, (50.0, 0, 0)), (0.01, (3.0, 0.5, -2.0))], quick=[(100.0, (50.0, 0, 0))])
+def test_size_and_place_of_the_identity_are_kept(scale, shift, of_other_person, model, driving, tmp_path):
     person = rigs.figure(1)
     moved = dataclasses.replace(person, joints=scale * person.joints + shift, vertices=scale * person.vertices + shift)
-    first, second = (
-        animate(str(rigs.character(tmp_path / "a.glb", person=figure)), str(driving), model).clip.vertices
-        for figure in (person, moved)
-    )
-    np.testing.assert_allclose(second, scale * first + shift, atol=2 * EXACT * scale)
+    result = animate(str(rigs.character(tmp_path / "a.glb", person=moved)), str(driving), model).clip.vertices
+    np.testing.assert_allclose(result, scale * of_other_person + shift, atol=2 * EXACT * max(scale, 1))
 
 
-@matrix("scale", [2.0, 1.0005, -1.0, (-1.0, 1.0, 1.0), (1.0, -1.0, -1.0)], quick=[1.0005, (-1.0, 1.0, 1.0)])
+@matrix("scale", [2.0, 1.0005, -1.0, (-1.0, 1.0, 1.0), (1.0, -1.0, -1.0)], quick=[(-1.0, 1.0, 1.0)])
 def test_node_scales_that_the_bind_pose_does_not_have_are_taken_back(scale, model, driving, tmp_path):
     """Exporters leave nodes in some frame of an animation, which may scale or mirror joints."""
     person = rigs.figure()
@@ -266,10 +257,16 @@ def tail(draft: Draft) -> None:
     animation["samplers"].append({"input": animation["samplers"][0]["input"], "output": values})
 
 
-@matrix("names", ["mixamo", "unreal", "vrm", "godot", "rigify"], quick=["unreal", "vrm"])
-def test_bones_get_the_names_of_engines_and_a_root_bone(names, model, driving, tmp_path):
-    identity = rigs.character(tmp_path / "a.glb", name=renamed("biped"), frames=3)
-    result = animate(str(identity), str(driving), model)
+@pytest.fixture(scope="module")
+def biped(driving, model, tmp_path_factory):
+    """A character with the bones of a 3ds Max Biped, and its result."""
+    identity = rigs.character(tmp_path_factory.mktemp("biped") / "a.glb", name=renamed("biped"), frames=3)
+    return identity, animate(str(identity), str(driving), model)
+
+
+@matrix("names", ["mixamo", "unreal", "vrm", "godot", "rigify"], quick=["unreal"])
+def test_bones_get_the_names_of_engines_and_a_root_bone(names, biped, tmp_path):
+    identity, result = biped
     result.save_skinned(tmp_path / "out.glb", names=names, root_bone=True, fps=40.0)
     gltf = open_document(tmp_path / "out.glb").gltf
     bones = [node["name"] for node in gltf["nodes"]]
@@ -299,31 +296,15 @@ def root_way(path: Path, root: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("names", ["unreal", "own"])
-def test_the_root_bone_stands_still_unless_asked(names, model, driving, tmp_path):
+def test_the_root_bone_stands_still_unless_asked(names, biped, tmp_path):
     """Unreal's skeleton has one always; files of others have none."""
-    identity = rigs.character(tmp_path / "a.glb", name=renamed("biped"), frames=3)
-    result = animate(str(identity), str(driving), model)
-    result.save_skinned(tmp_path / "out.glb", names=names)
+    biped[1].save_skinned(tmp_path / "out.glb", names=names)
     gltf = open_document(tmp_path / "out.glb").gltf
     bones = [node["name"] for node in gltf["nodes"]]
     assert ("root" in bones) == (names == "unreal")
     if names == "unreal":
         assert bones.index("root") in gltf["skins"][0]["joints"]
         assert np.ptp(root_way(tmp_path / "out.glb", bones.index("root")), axis=0).max() == 0
-
-
-def test_several_clips_go_into_the_identitys_file(model, driving, tmp_path):
-    identity = rigs.of_kind(tmp_path / "a.glb", "T-pose", shape=1, name=renamed("unreal"))[0]
-    whole = load_clip(driving)
-    short = dataclasses.replace(whole.mesh, name="short")
-    clips = [whole, Clip(short, whole.vertices[:3], whole.fps, skeleton=whole.skeleton.cut(slice(0, 3)))]
-    results = [animate(str(identity), clip, model) for clip in clips]
-    save_skinned(results, tmp_path / "out.glb")
-    animations = open_document(tmp_path / "out.glb").gltf["animations"]
-    assert [animation["name"] for animation in animations] == ["move", "short", "move"]
-    for number, result in enumerate(results):
-        written = load_clip(tmp_path / "out.glb", animation=str(number))
-        np.testing.assert_allclose(written.vertices, result.clip.vertices, atol=2e-5)
 
 
 def test_a_still_mesh_without_a_rig_is_no_rig(model, driving, tmp_path):
@@ -333,21 +314,13 @@ def test_a_still_mesh_without_a_rig_is_no_rig(model, driving, tmp_path):
     assert not any("rig" in note for note in result.notes)
 
 
-@pytest.mark.parametrize(("kind", "shape"), [("T-pose", 0), ("feet on roots", 1)])
-def test_frames_of_a_file_whose_nodes_have_matrices_are_those_that_are_written(kind, shape, model, driving, tmp_path):
-    path = rigs.of_kind(tmp_path / "a.glb", kind, shape=shape, moving=False)[0]
+def test_frames_of_a_file_whose_nodes_have_matrices_are_those_that_are_written(model, driving, tmp_path):
+    path = rigs.of_kind(tmp_path / "a.glb", "feet on roots", shape=1, moving=False)[0]
     result = animate(str(path), str(driving), model)
     result.save_skinned(tmp_path / "out.glb")
     written = load_clip(tmp_path / "out.glb").vertices
     assert np.ptp(written, axis=0).max() > 0.1
     assert deviation(result.clip.vertices, written) < EXACT
-
-
-def test_other_files_get_the_pose_without_the_rig(model, driving, tmp_path):
-    identity = rigs.character(tmp_path / "a.glb")
-    result = transfer(str(identity), str(driving), model)
-    result.save(tmp_path / "out.obj")
-    np.testing.assert_allclose(load_mesh(tmp_path / "out.obj").vertices, result.mesh.vertices, atol=1e-5)
 
 
 def test_models_without_joints_leave_the_rig_out(driving, tmp_path):

@@ -4,6 +4,7 @@ import base64
 import dataclasses
 import io
 import json
+import warnings
 import zlib
 
 import numpy as np
@@ -14,9 +15,9 @@ from PIL import Image
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import border_edges, vertex_normals
 from mimesh.core.mesh import Clip, Material, Mesh, Part
-from mimesh.player.pack import MotionLimits, Panel, pack_scene
-from mimesh.player.split_vertices import split_vertices
+from mimesh.player.pack import MotionLimits, Panel, TextureStore, pack_scene, split_vertices
 from mimesh.player.thinning import DENSE_VERTICES, simplify_clip, subset
+from mimesh.render.textures import decode_image
 
 
 def inflate(text):
@@ -52,9 +53,7 @@ def decode_frames(panel):
 
 def png():
     """Encode a small black picture."""
-    content = io.BytesIO()
-    Image.new("RGB", (2, 2)).save(content, "PNG")
-    return content.getvalue()
+    return encode(Image.new("RGB", (2, 2)), "PNG")
 
 
 def random_clip(mesh, count=7, seed=0):
@@ -66,26 +65,27 @@ def random_clip(mesh, count=7, seed=0):
 
 @pytest.mark.parametrize("make", zoo.ZOO, ids=lambda make: make.__name__)
 def test_positions_are_decoded_within_half_a_step(make):
+    """Split vertices are those of the faces, and the same input gives the same scene."""
     clip = random_clip(make())
-    panel = pack_scene([Panel("mesh", clip)])["panels"][0]
+    scene = pack_scene([Panel("mesh", clip)])
+    panel = scene["panels"][0]
     largest = max(np.ptp(clip.vertices[t], axis=0).max() for t in range(len(clip)))
     assert panel["unit"] < 1.2 * largest / 65535
     assert np.abs(decode_frames(panel) - clip.vertices).max() <= 0.501 * panel["unit"]
-
-
-@pytest.mark.parametrize("make", zoo.ZOO, ids=lambda make: make.__name__)
-def test_split_vertices_refer_to_the_vertices_of_the_faces(make):
-    mesh = make()
-    surface = pack_scene([Panel("mesh", Clip.still(mesh))])["surfaces"][0]
+    surface = scene["surfaces"][0]
     corners, origin = unpack(surface["corners"]), unpack(surface["origin"])
-    if len(mesh.faces):
-        np.testing.assert_array_equal(origin[corners], mesh.faces)
+    if len(clip.mesh.faces):
+        np.testing.assert_array_equal(origin[corners], clip.mesh.faces)
     assert (np.diff(origin.astype(int)) >= 0).all()
+    assert json.dumps(pack_scene([Panel("mesh", clip)])) == json.dumps(scene)
 
 
-def test_a_cube_has_hard_edges_and_a_sheet_is_smooth():
+def test_a_cube_has_hard_edges_and_a_sheet_is_smooth_across_its_seams():
     assert len(split_vertices(zoo.cube()).origin) == 24
     assert len(split_vertices(zoo.grid()).origin) == 25
+    sheet = zoo.grid(3)
+    unwelded = Mesh(sheet.vertices[sheet.faces].reshape(-1, 3), np.arange(3 * len(sheet.faces)).reshape(-1, 3))
+    assert split_vertices(unwelded).smooth.max() + 1 == 9
 
 
 def test_vertices_are_split_where_texture_coordinates_differ():
@@ -107,12 +107,6 @@ def test_damaged_textures_are_left_out_and_counted():
     assert scene["images"] == []
     assert scene["surfaces"][0]["groups"][0]["material"]["image"] is None
     assert scene["left_out"] == ["textures that cannot be read are left out: 1"]
-
-
-def test_split_files_are_smooth_across_their_seams():
-    sheet = zoo.grid(3)
-    unwelded = Mesh(sheet.vertices[sheet.faces].reshape(-1, 3), np.arange(3 * len(sheet.faces)).reshape(-1, 3))
-    assert split_vertices(unwelded).smooth.max() + 1 == 9
 
 
 def test_identity_and_result_share_one_surface():
@@ -174,27 +168,6 @@ def test_vertices_that_move_alike_are_stored_once():
     assert np.abs(decode_frames(panel) - twice).max() <= 0.501 * panel["unit"]
 
 
-def test_a_simplified_clip_has_vertices_of_the_original():
-    clip = random_clip(zoo.grid(60), 3)
-    simplified = simplify_clip(clip, 500)
-    assert 250 < len(simplified.mesh.vertices) < 750
-    for t in range(3):
-        assert set(map(tuple, simplified.vertices[t])) <= set(map(tuple, clip.vertices[t].astype(np.float32)))
-    assert DENSE_VERTICES > 6890  # bodies are not simplified
-
-
-def test_the_same_input_gives_the_same_scene():
-    panels = [Panel("identity", Clip.still(zoo.cube())), Panel("result", random_clip(zoo.cube()))]
-    assert json.dumps(pack_scene(panels)) == json.dumps(pack_scene(panels))
-
-
-def test_no_panels_and_unknown_roles_are_refused():
-    with pytest.raises(InputError, match="at least one mesh"):
-        pack_scene([])
-    with pytest.raises(InputError, match="a role of identity"):
-        pack_scene([Panel("hero", Clip.still(zoo.cube()))])
-
-
 def test_very_dense_meshes_are_simplified_alike_with_a_message():
     mesh = zoo.grid(60)
     mesh = dataclasses.replace(mesh, faces=mesh.faces[np.argsort(mesh.vertices[mesh.faces].mean(axis=1)[:, 0])])
@@ -233,14 +206,6 @@ def test_a_page_has_its_size_whatever_the_mesh():
     assert whole > 40_000 > small
 
 
-def test_every_nth_point_of_a_dense_cloud_is_shown():
-    points = zoo.grid(60).vertices
-    chosen, faces = subset(points, np.zeros((0, 3), np.int64), 100)
-    assert len(chosen) == 100
-    assert len(faces) == 0
-    assert np.diff(chosen).max() <= len(points) // 100 + 1
-
-
 def test_simplified_surfaces_do_not_open_at_seams():
     sheet = zoo.grid(40)
     unwelded, split = sheet.vertices[sheet.faces].reshape(-1, 3), np.arange(3 * len(sheet.faces)).reshape(-1, 3)
@@ -248,3 +213,63 @@ def test_simplified_surfaces_do_not_open_at_seams():
     sides = len(border_edges(faces))
     assert 100 < len(chosen) < 700
     assert sides < len(faces) / 2  # apart, every face would have three
+
+
+def test_simplified_clips_and_clouds_have_vertices_of_the_original():
+    clip = random_clip(zoo.grid(60), 3)
+    simplified = simplify_clip(clip, 500)
+    assert 250 < len(simplified.mesh.vertices) < 750
+    for t in range(3):
+        assert set(map(tuple, simplified.vertices[t])) <= set(map(tuple, clip.vertices[t].astype(np.float32)))
+    assert DENSE_VERTICES > 6890  # bodies are not simplified
+    chosen, faces = subset(clip.mesh.vertices, np.zeros((0, 3), np.int64), 100)
+    assert (len(chosen), len(faces)) == (100, 0)
+    assert np.diff(chosen).max() <= len(clip.mesh.vertices) // 100 + 1
+
+
+@pytest.mark.parametrize(("panels", "message"), [([], "at least one mesh"), (["hero"], "a role of identity")])
+def test_no_panels_and_unknown_roles_are_refused(panels, message):
+    with pytest.raises(InputError, match=message):
+        pack_scene([Panel(role, Clip.still(zoo.cube())) for role in panels])
+
+
+RAMP = np.arange(256, dtype=np.uint8).reshape(16, 16)
+
+
+def encode(image, suffix, **options):
+    """Encode an image in a file format."""
+    content = io.BytesIO()
+    image.save(content, suffix, **options)
+    return content.getvalue()
+
+
+@pytest.mark.parametrize("mode", ["L", "LA", "P", "RGB", "RGBA"])
+def test_grey_in_any_mode_is_grey(mode):
+    image = decode_image(encode(Image.fromarray(RAMP).convert(mode), "PNG"))
+    np.testing.assert_array_equal(np.asarray(image), np.repeat(RAMP[..., None], 3, axis=2))
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89PNG nothing", encode(Image.fromarray(RAMP), "JPEG")[:150]])
+def test_damaged_files_give_none(content):
+    assert decode_image(content) is None
+
+
+def test_large_textures_are_halved_until_they_fit():
+    noise = np.random.default_rng(0).integers(0, 256, (1024, 1024, 3), dtype=np.uint8)
+    store, left_out = TextureStore(), []
+    assert store.index(encode(Image.fromarray(noise), "PNG")) == 0
+    (packed,) = store.pack(400_000, left_out)
+    assert packed["type"] == "image/jpeg"
+    assert len(packed["data"]) <= 400_000
+    assert left_out == ["textures are shown smaller than they are, to keep this page small"]
+
+
+def test_unusual_pictures_are_converted():
+    """Grey of 16 bits, CMYK, and a palette with transparency, without a warning."""
+    grey = decode_image(encode(Image.fromarray(RAMP.astype(np.uint16) * 257), "PNG"))
+    np.testing.assert_array_equal(np.asarray(grey)[..., 1], RAMP)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert decode_image(encode(Image.fromarray(RAMP).convert("P"), "PNG", transparency=b"\x00\x80")) is not None
+    red = decode_image(encode(Image.new("CMYK", (8, 8), (0, 255, 255, 0)), "JPEG"))
+    assert np.asarray(red).reshape(-1, 3).mean(axis=0) == pytest.approx([255, 0, 0], abs=12)

@@ -43,16 +43,10 @@ def test_the_bundle_is_built_from_the_sources_here():
     mark = f"/* mimesh-web {digest.hexdigest()[:32]} */"
     for name in ("player.js", "player.css", "studio.js", "studio.css"):
         assert web_file(name).startswith(mark), "web/ has changed since the bundle was built: run make web"
-
-
-def test_the_bundle_contains_the_licence_of_three():
     assert "three.js authors" in web_file("player.js")
     assert "Permission is hereby granted" in web_file("player.js")
-
-
-def test_three_is_bundled_once():
     assert len(web_file("studio.js")) < 40_000
-    assert "WebGLRenderer" not in web_file("studio.js")
+    assert "WebGLRenderer" not in web_file("studio.js")  # three is bundled once
 
 
 def test_a_page_is_small_and_loads_nothing():
@@ -69,7 +63,7 @@ def test_the_same_input_gives_the_same_bytes(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "b.html"]
 
 
-def test_names_and_notes_are_escaped():
+def test_names_and_notes_are_escaped(tmp_path):
     panels = [Panel("mesh", clip(), INJECTION)]
     download = Download(f"{INJECTION}.glb", None)
     page = player_page(panels, title=INJECTION, model=INJECTION, notes=[INJECTION], download=download)
@@ -78,10 +72,7 @@ def test_names_and_notes_are_escaped():
         assert page.count(mark) == plain.count(mark)
     scene = scene_of(page)
     assert (scene["title"], scene["notes"], scene["panels"][0]["name"]) == (INJECTION, [INJECTION], INJECTION)
-
-
-def test_names_with_invalid_text_are_accepted(tmp_path):
-    name = "p\udce9"
+    name = "p\udce9"  # no valid text
     download = Download(f"{name}.glb", None)
     page = write_player(tmp_path / "x.html", [Panel("mesh", clip(), name)], title=name, download=download)
     assert scene_of(page.read_text())["download"]["href"] == "p%E9.glb"

@@ -52,14 +52,7 @@ def test_number_and_durations_of_frames_are_preserved(tmp_path, suffix, fps):
     with Image.open(path) as image:
         assert image.size == (30, 20)
         assert image.info["loop"] == 0
-
-
-@pytest.mark.parametrize("suffix", [".gif", ".webp"])
-def test_colours_are_preserved(tmp_path, suffix):
-    path = tmp_path / f"a{suffix}"
-    movie.save_movie(distinct_frames(9), path, 10.0)
-    with Image.open(path) as image:
-        image.seek(8)
+        image.seek(11)
         pixels = np.asarray(image.convert("RGB")).astype(int)
     assert np.abs(pixels[10, 5] - [250, 30, 60]).max() < 12
     assert np.abs(pixels[10, 28] - 200).max() < 12
@@ -103,13 +96,6 @@ def test_webp_without_support_in_pillow_is_refused(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"write a \.gif instead"):
         movie.save_movie(distinct_frames(2), tmp_path / "a.webp")
     assert not list(tmp_path.iterdir())
-
-
-def test_one_clip_gives_one_picture_per_frame():
-    frames = list(movie.clip_frames(turning_cube(), SIZE))
-    assert len(frames) == 5
-    assert all(frame.size == SIZE for frame in frames)
-    assert (np.asarray(frames[0]) != np.asarray(frames[-1])).any()
 
 
 def test_cameras_of_clips_are_fixed_unless_they_track():

@@ -32,49 +32,24 @@ def foreground(picture):
 
 
 @pytest.mark.parametrize("make", zoo.ZOO)
-def test_pictures_are_deterministic_and_not_empty(make):
-    mesh = make()
-    before = mesh.vertices.copy()
-    picture = draw(mesh)
+def test_what_does_not_change_a_picture(make):
+    """Drawing again, moving or scaling mesh and camera together; the order of faces and vertices, and turned faces."""
+    mesh, rng = make(), np.random.default_rng(1)
+    before, picture = mesh.vertices.copy(), draw(mesh)
     assert picture.shape == (64, 72, 3)
     assert foreground(picture).any()
     np.testing.assert_array_equal(draw(mesh), picture)
     np.testing.assert_array_equal(mesh.vertices, before)
-
-
-@pytest.mark.parametrize("make", SOLID)
-def test_the_order_of_faces_and_vertices_does_not_matter(make):
-    mesh, rng = make(), np.random.default_rng(1)
-    picture = draw(mesh)
-    assert_same_picture(draw(dataclasses.replace(mesh, faces=rng.permutation(mesh.faces))), picture)
-    assert_same_picture(draw(permute_vertices(mesh, rng.permutation(len(mesh.vertices)))), picture)
-
-
-@pytest.mark.parametrize("make", SOLID)
-def test_both_sides_are_drawn_alike(make):
-    mesh = make()
-    assert_same_picture(draw(dataclasses.replace(mesh, faces=mesh.faces[:, ::-1])), draw(mesh))
-
-
-@pytest.mark.parametrize("make", zoo.ZOO)
-def test_moving_or_scaling_mesh_and_camera_together_does_not_matter(make):
-    mesh = make()
-    picture = draw(mesh)
     assert_same_picture(draw(mesh.with_vertices(mesh.vertices + [512.0, -64.0, 8.0])), picture)
     assert_same_picture(draw(mesh.with_vertices(mesh.vertices * 4)), picture)
-
-
-def test_split_vertices_leave_no_seam():
-    cube = zoo.cube()
-    split = Mesh(cube.vertices[cube.faces.ravel()], np.arange(36).reshape(12, 3))
-    assert_same_picture(draw(split), draw(cube))
-
-
-def test_z_up_shows_what_y_up_shows():
-    mesh = zoo.two_parts()
-    turned_up = np.stack([mesh.vertices[:, 0], -mesh.vertices[:, 2], mesh.vertices[:, 1]], axis=1)
-    camera = fit(turned_up, SIZE, up="z")
-    assert_same_picture(render(turned_up, mesh.faces, camera, SIZE), draw(mesh))
+    if len(mesh.faces):
+        assert_same_picture(draw(dataclasses.replace(mesh, faces=rng.permutation(mesh.faces))), picture)
+        assert_same_picture(draw(permute_vertices(mesh, rng.permutation(len(mesh.vertices)))), picture)
+        assert_same_picture(draw(dataclasses.replace(mesh, faces=mesh.faces[:, ::-1])), picture)
+        turned_up = np.stack([mesh.vertices[:, 0], -mesh.vertices[:, 2], mesh.vertices[:, 1]], axis=1)
+        assert_same_picture(render(turned_up, mesh.faces, fit(turned_up, SIZE, up="z"), SIZE), picture)
+        split = Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(mesh.faces.size).reshape(-1, 3))
+        assert_same_picture(draw(split), picture)  # no seam
 
 
 def test_a_face_across_the_whole_picture_is_one_even_colour():
@@ -118,14 +93,9 @@ def test_shadows_darken_the_floor_and_nothing_else_of_the_background():
     assert foreground(with_shadow).sum() > foreground(without).sum() + 100
     assert (with_shadow.astype(int) <= without.astype(int) + 1).all()
     assert_same_picture(with_shadow[[0, -1]], without[[0, -1]])
-
-
-@pytest.mark.parametrize("perspective", [True, False])
-def test_a_camera_that_looks_up_sees_no_shadow(perspective):
-    mesh = zoo.cube()
-    camera = fit(mesh.vertices, SIZE, (20.0, -10.0), perspective=perspective)
-    with_shadow, without = (render(mesh.vertices, mesh.faces, camera, SIZE, shadows=on) for on in (True, False))
-    np.testing.assert_array_equal(with_shadow, without)
+    camera = fit(mesh.vertices, SIZE, (20.0, -10.0))  # looks up
+    pictures = (render(mesh.vertices, mesh.faces, camera, SIZE, shadows=on) for on in (True, False))
+    np.testing.assert_array_equal(*pictures)
 
 
 def test_meshes_behind_the_camera_are_left_out():
@@ -237,12 +207,8 @@ def test_an_orbit_keeps_the_subject_in_the_picture_from_everywhere():
         assert min(x.min(), y.min()) > 0
         assert (x.max() < SIZE[0]) & (y.max() < SIZE[1])
     np.testing.assert_allclose(rotate_camera(cameras[-1], 30.0).eye, cameras[0].eye, atol=1e-9)
-
-
-def test_every_tile_of_a_turntable_shows_a_subject_of_one_size():
-    mesh = zoo.cube()
-    upright = np.array([[0.0, 0, 0], [0, 1, 0]]) + mesh.vertices.mean(axis=0)
-    heights = [np.ptp(camera.project(upright, SIZE)[:, 1]) for camera in orbit(mesh.vertices, SIZE, 8)]
+    upright = np.array([[0.0, 0, 0], [0, 1, 0]]) + cameras[0].centre
+    heights = [np.ptp(camera.project(upright, SIZE)[:, 1]) for camera in cameras]
     np.testing.assert_allclose(heights, heights[0], rtol=1e-9)
 
 

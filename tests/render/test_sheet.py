@@ -31,6 +31,8 @@ def test_contact_sheet_has_a_captioned_tile_for_every_mesh():
     assert page.size == (4 * one.width, 2 * one.height)
     first = np.asarray(page)[: one.height, : one.width]
     np.testing.assert_array_equal(first, np.asarray(one))
+    with pytest.raises(InputError, match="expected at least one mesh"):
+        sheet.contact_sheet([])
 
 
 def test_a_short_last_row_is_centred():
@@ -41,11 +43,6 @@ def test_a_short_last_row_is_centred():
     height = tiles[0].height
     assert (page[height + 5, 10:30] == 9).all()
     assert (page[height + 5, :10] > 200).all()
-
-
-def test_an_empty_contact_sheet_is_refused():
-    with pytest.raises(InputError, match="expected at least one mesh"):
-        sheet.contact_sheet([])
 
 
 def test_captions_are_drawn_and_shortened_to_the_tile():
@@ -67,11 +64,7 @@ def test_transfer_sheet_shows_identity_driving_result_and_truth():
     np.testing.assert_array_equal(result, truth)
     driving = pixels[TILE[1] // 2, 3 * TILE[0] // 2]
     assert driving[2] > driving[0]  # slate blue
-
-
-def test_result_and_truth_share_one_camera():
-    cube = zoo.cube()
-    moved = cube.with_vertices(cube.vertices + [0.5, 0, 0])
+    moved = cube.with_vertices(cube.vertices + [0.5, 0, 0])  # result and truth share one camera
     pixels = np.asarray(sheet.transfer_sheet(cube, cube, cube, moved, tile=TILE))
     result, truth = (pixels[: TILE[1], k * TILE[0] + 6 : (k + 1) * TILE[0]] for k in (2, 3))
     assert (result != truth).any()
@@ -83,9 +76,6 @@ def test_strip_follows_the_subject_and_has_the_requested_number_of_frames():
     tiles = page[: TILE[1]].reshape(TILE[1], 4, TILE[0], 3)
     for k in range(1, 4):
         assert np.abs(tiles[:, k] - tiles[:, 0]).max() <= 1
-
-
-def test_strip_of_a_short_clip_shows_each_frame_once():
     assert sheet.strip(walk(frames=2), frames=8, tile=TILE).width == 2 * TILE[0]
 
 

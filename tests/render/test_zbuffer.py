@@ -42,17 +42,6 @@ def test_a_triangle_covers_the_pixels_whose_centres_are_inside():
     np.testing.assert_array_equal(visible == 0, inside)
 
 
-def test_the_nearer_triangle_wins_whatever_the_order():
-    points = [[0, 0, 2], [9, 0, 2], [0, 9, 2], [0, 0, 1], [9, 0, 1], [0, 9, 1]]
-    assert set(picture(points, [[0, 1, 2], [3, 4, 5]], 6, 6).ravel()) == {-1, 1}
-    assert set(picture(points, [[3, 4, 5], [0, 1, 2]], 6, 6).ravel()) == {-1, 0}
-
-
-def test_of_equally_near_triangles_the_first_wins():
-    points = [[0, 0, 1], [9, 0, 1], [0, 9, 1]]
-    assert set(picture(points, [[0, 1, 2], [2, 0, 1]], 6, 6).ravel()) == {-1, 0}
-
-
 def test_interpenetrating_triangles_are_cut_where_they_cross():
     points = [[-50, 0, 0], [50, 0, 0], [0, 99, 0], [0, -9, -1], [0, 99, -1], [10, -9, 1], [10, 99, 1]]
     visible = picture(points, [[0, 1, 2], [3, 4, 5], [4, 6, 5]], 10, 8)
@@ -74,7 +63,7 @@ def test_a_triangulated_sheet_covers_every_sample_exactly_once():
     np.testing.assert_array_equal(np.sort(drawn), np.arange(1600))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_agrees_with_a_loop_over_every_pixel_and_triangle(seed):
     points, faces = random_triangles(np.random.default_rng(seed), 25, 17, 13)
     expected, weights = naive(points, faces, 17, 13)
@@ -111,3 +100,13 @@ def test_triangles_with_nan_or_no_area_and_empty_meshes_draw_nothing():
     points = [[0, 0, 1], [9, 0, 1], [np.nan] * 3, [0, 9, 1], [0, 0, 1]]
     assert (picture(points, [[0, 1, 2], [0, 3, 4], [1, 1, 1]], 6, 6) == -1).all()
     assert (picture(points, np.zeros((0, 3), int), 6, 6) == -1).all()
+
+
+def test_the_nearer_triangle_wins_and_of_equally_near_ones_the_first():
+    points = [[0, 0, 2], [9, 0, 2], [0, 9, 2], [0, 0, 1], [9, 0, 1], [0, 9, 1]]
+    for faces, wins in (
+        ([[0, 1, 2], [3, 4, 5]], 1),
+        ([[3, 4, 5], [0, 1, 2]], 0),
+        ([[3, 4, 5], [5, 3, 4]], 0),
+    ):
+        assert set(picture(points, faces, 6, 6).ravel()) == {-1, wins}

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 import re
 import threading
 import time
 from urllib.parse import urlsplit
 
+import httpx2
 import numpy as np
 import pytest
 import zoo
@@ -35,34 +35,16 @@ def page(session):
         yield page
 
 
-class Browser:
-    """A connection that keeps the page's cookie."""
-
-    def __init__(self, page: LivePage) -> None:
-        parts = urlsplit(page.address)
-        self.connection = http.client.HTTPConnection(parts.hostname or "", parts.port, timeout=20)
-        self.cookie = ""
-        response = self.get(f"/?{parts.query}")
-        assert response.status == 303
-        self.cookie = (response.getheader("set-cookie") or "").split(";")[0]
-
-    def get(self, path: str, **headers: str) -> http.client.HTTPResponse:
-        self.connection.request("GET", path, headers={"cookie": self.cookie, **headers})
-        response = self.connection.getresponse()
-        self.content = response.read()
-        return response
-
-
 @pytest.fixture
 def browser(page):
-    browser = Browser(page)
-    yield browser
-    browser.connection.close()
+    """A browser that has the page's cookie."""
+    with httpx2.Client(base_url=page.address.split("?")[0], timeout=20, trust_env=False) as browser:
+        assert browser.get(page.address).status_code == 303
+        yield browser
 
 
 def test_the_page_has_both_meshes_and_loads_the_player(browser):
-    assert browser.get("/").status == 200
-    text = browser.content.decode()
+    text = browser.get("/").text
     assert "<driving>" not in text
     found = re.search(r'id="mimesh-scene">(.*?)</script>', text)
     assert found
@@ -70,9 +52,8 @@ def test_the_page_has_both_meshes_and_loads_the_player(browser):
     assert [panel["role"] for panel in scene["panels"]] == ["driving", "result"]
     assert scene["live"] == "/frame"
     for name in re.findall(r'"(/static/[^"]+)"', text):
-        assert browser.get(name).status == 200
-        assert len(browser.content) > 1000
-    assert browser.get("/static/studio.js").status == 404
+        assert len(browser.get(name).raise_for_status().content) > 1000
+    assert browser.get("/static/studio.js").status_code == 404
 
 
 def test_the_newest_frame_is_sent_and_others_are_skipped(page, browser, session):
@@ -80,30 +61,30 @@ def test_the_newest_frame_is_sent_and_others_are_skipped(page, browser, session)
     for k in range(3):
         page.show(vertices + k, session.pose(vertices + k))
     response = browser.get("/frame?after=")
-    assert response.getheader("x-frame") == "3"
-    sent = np.frombuffer(browser.content, "<f4").reshape(2, -1, 3)
+    assert response.headers["x-frame"] == "3"
+    sent = np.frombuffer(response.content, "<f4").reshape(2, -1, 3)
     assert np.allclose(sent, [vertices + 2, session.pose(vertices + 2)], atol=1e-6)
     threading.Timer(0.1, page.show, (vertices, session.pose(vertices))).start()
     started = time.monotonic()
-    assert browser.get("/frame?after=3").getheader("x-frame") == "4"
+    assert browser.get("/frame?after=3").headers["x-frame"] == "4"
     assert time.monotonic() - started > 0.05
 
 
 def test_without_a_new_frame_the_answer_is_empty(page, browser, session, monkeypatch):
     monkeypatch.setattr(live_page, "TIMEOUT", 0.05)
-    assert browser.get("/frame?after=").status == 204
+    assert browser.get("/frame?after=").status_code == 204
     page.show(session.driving.vertices, session.identity.vertices)
-    assert browser.get("/frame?after=1").status == 204
-    assert browser.get("/frame?after=77").getheader("x-frame") == "1"  # a page that was open before the last start
+    assert browser.get("/frame?after=1").status_code == 204
+    assert browser.get("/frame?after=77").headers["x-frame"] == "1"  # a page that was open before the last start
 
 
 def test_only_this_machine_and_its_browser_are_admitted(page, browser):
     assert urlsplit(page.address).hostname == "127.0.0.1"
-    assert browser.get("/frame", host="example.org").status == 421
-    assert browser.get("/frame", origin="http://example.org").status == 403
-    browser.cookie = ""
+    assert browser.get("/frame", headers={"host": "example.org"}).status_code == 421
+    assert browser.get("/frame", headers={"origin": "http://example.org"}).status_code == 403
+    browser.cookies.clear()
     for path in ("/", "/frame", "/static/player.js", "/?token=wrong"):
-        assert browser.get(path).status == 403
+        assert browser.get(path).status_code == 403
 
 
 def test_frames_of_other_meshes_are_refused(page, session):

@@ -1,6 +1,6 @@
 """Sessions without a server: results equal those of `mimesh`, the newest request counts, and jobs can be stopped."""
 
-import dataclasses
+import json
 import sys
 import threading
 import time
@@ -39,9 +39,9 @@ def session(files):
 
 
 @pytest.fixture(scope="module")
-def mime_session(files):
-    """A session with the model `mime`, which takes a second; for all tests that need it."""
-    session = make_session([files / "hero.obj", files / "walk.npz"], 2**20)
+def mime_session(files, model):
+    """A session with a tiny network of the kind of `mime`, for all tests that need joints."""
+    session = make_session([files / "hero.obj", files / "walk.npz"], 2**20, model)
     yield session
     session.close()
 
@@ -51,69 +51,48 @@ def only_item(session):
     return next(iter(session.identities.values()))
 
 
-def finished_outcome(session, seconds=60.0):
-    """Wait for the result of the only mesh and return its outcome."""
-    return finished(session, seconds).outcome
-
-
-def test_results_are_those_of_animate(mime_session, files):
-    expected = animate(files / "hero.obj", files / "walk.npz")
-    result = finished_outcome(mime_session).result
+def test_results_are_those_of_animate(mime_session, files, model):
+    expected = animate(files / "hero.obj", files / "walk.npz", model)
+    result = finished(mime_session).outcome.result
     np.testing.assert_array_equal(result.clip.vertices, expected.clip.vertices)
     assert result.fps == expected.fps
     assert result.notes == expected.notes
     pose = mime_session.pose(only_item(mime_session).number, 2).result(20)
     np.testing.assert_allclose(pose, expected.clip.vertices[2], atol=1e-5)
-
-
-@pytest.mark.slow
-def test_options_are_those_of_animate(mime_session, files):
     options = {"root": "drop", "refine": True, "smooth": 0.2}
     mime_session.set_options(options)
-    expected = animate(files / "hero.obj", files / "walk.npz", **options)
-    np.testing.assert_allclose(finished_outcome(mime_session).result.clip.vertices, expected.clip.vertices, atol=1e-6)
-
-
-@pytest.fixture(scope="module")
-def animal_session(tmp_path_factory):
-    """A session with a cat and a walking dog, both without rigs."""
-    folder = tmp_path_factory.mktemp("animals")
-    save_mesh(animal("cat"), folder / "cat.ply")
-    save_clip(gait_clip("dog", "walk", seconds=0.3, fps=10.0), folder / "dog.npz")
-    session = make_session([folder / "cat.ply", folder / "dog.npz"], 2**20)
-    yield session, folder
-    session.close()
+    expected = animate(files / "hero.obj", files / "walk.npz", model, **options)
+    result = finished(mime_session).outcome.result
+    np.testing.assert_allclose(result.clip.vertices, expected.clip.vertices, atol=1e-6)
 
 
 @pytest.mark.slow
-def test_the_body_is_found_or_given(animal_session):
-    session, folder = animal_session
-    result = finished_outcome(session).result
+def test_the_body_is_found_or_given(tmp_path):
+    dog = gait_clip("dog", "walk", seconds=0.1, fps=10.0)
+    save_mesh(animal("cat"), tmp_path / "cat.ply")
+    save_mesh(dog.mesh.with_vertices(dog.vertices[0]), tmp_path / "dog.ply")  # a pose, which is read as a clip
+    session = make_session([tmp_path / "cat.ply", tmp_path / "dog.ply"], 2**20)
+    result = finished(session).outcome.result
     state = describe(session)
     assert state["identities"][0]["outcome"]["body"] == "quadruped"
     for item, which in ((state["identities"][0], "identity"), (state["driving"], "driving")):
         axes = result.report[which]
         assert (item["facing"]["up"], item["facing"]["front"]) == (axes["up"], axes["front"]) == ("+y", "+z")
-    expected = animate(folder / "cat.ply", folder / "dog.npz")
-    np.testing.assert_allclose(result.clip.vertices, expected.clip.vertices, atol=1e-6)
-    number = only_item(session).number
-    assert "LeftThigh" in session.joints(number).result(60)["meshes"][str(number)]["joints"]
     session.set_options({"body": "human"})
-    assert finished_outcome(session).result.report["body"] == "human"
+    assert finished(session).outcome.result.report["body"] == "human"
     session.set_options({"model": "copy", "body": "quadruped"})
-    assert finished_outcome(session).current, "models without bodies ignore the option"
+    assert finished(session).outcome.current, "models without bodies ignore the option"
     assert describe(session)["identities"][0]["outcome"]["body"] == ""
+    session.close()
 
 
-def test_models_are_those_of_animate(session, files):
+def test_models_are_those_of_animate_and_poses_those_of_transfer(session, files):
     expected = animate(files / "hero.obj", files / "walk.npz", "copy")
-    np.testing.assert_allclose(finished_outcome(session).result.clip.vertices, expected.clip.vertices, atol=1e-6)
-
-
-def test_poses_are_those_of_transfer(session, files):
+    result = finished(session).outcome.result
+    np.testing.assert_allclose(result.clip.vertices, expected.clip.vertices, atol=1e-6)
     session.set_driving(files / "pose.obj", "pose.obj")
     expected = transfer(files / "hero.obj", files / "pose.obj", "copy")
-    np.testing.assert_array_equal(finished_outcome(session).result.clip.vertices[0], expected.vertices)
+    np.testing.assert_array_equal(finished(session).outcome.result.clip.vertices[0], expected.vertices)
 
 
 def test_invalid_options_are_refused(session):
@@ -138,20 +117,14 @@ def test_unreadable_files_give_an_error_and_others_go_on(session, tmp_path):
     wait_until(lambda: any(item.error for item in session.identities.values()))
     message = next(item.error for item in session.identities.values() if item.error)
     assert "expected" in message
-    assert finished_outcome(session).current, "other meshes are not affected"
+    assert finished(session).outcome.current, "other meshes are not affected"
 
 
-def test_the_state_is_json(session):
-    import json
-
-    finished_outcome(session)
+def test_the_state_is_json_and_a_mesh_is_removed_with_its_result(session):
+    finished(session)
     state = json.loads(json.dumps(describe(session)))
     assert state["driving"]["frames"] == 3
     assert state["identities"][0]["outcome"]["state"] == "done"
-
-
-def test_removing_a_mesh_removes_its_result(session):
-    finished_outcome(session)
     session.remove(only_item(session).number)
     assert not session.identities
     assert describe(session)["scene"].count(".") >= 1
@@ -181,12 +154,12 @@ def test_the_newest_job_of_a_key_counts_and_urgent_ones_run_between_frames():
 
 
 def test_results_are_computed_after_stopping(session, files):
-    finished_outcome(session)
+    finished(session)
     session.set_options({"root": "keep"})
     session.stop(only_item(session).number)
     wait_until(lambda: only_item(session).outcome.stopped or only_item(session).outcome.current)
     session.set_options({"root": "scale"})
-    assert finished_outcome(session).current
+    assert finished(session).outcome.current
 
 
 MOVING = """#usda 1.0
@@ -247,7 +220,7 @@ def test_damaged_files_give_an_error_and_the_studio_goes_on(session, tmp_path):
 
 def test_skinned_exports_need_a_model_with_joints(session, files):
     session.set_options({"root": "keep"})
-    outcome = finished_outcome(session)
+    outcome = finished(session).outcome
     assert outcome.current, "models without joints ignore their options"
     number = session.export(".glb", [], True, None)
     wait_until(lambda: session.exports[number].error)
@@ -260,4 +233,3 @@ def test_closing_deletes_the_files(files):
     assert folder.is_dir()
     session.close()
     assert not folder.exists()
-    assert dataclasses.is_dataclass(session.options)

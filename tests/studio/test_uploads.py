@@ -114,8 +114,8 @@ NAMING = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("text", NAMING.values(), ids=NAMING)
+@pytest.mark.usefixtures("in_process")
 def test_layers_and_assets_of_usd_are_confined(folders, text):
     pytest.importorskip("pxr")
     upload, secret = folders
@@ -151,7 +151,7 @@ def test_files_of_the_same_upload_are_read(folders):
 
 def test_compressed_usd_packages_are_refused(tmp_path):
     pytest.importorskip("pxr")
-    from mimesh.io.usd.package import check_package
+    from mimesh.io.usd.read import check_package
 
     with zipfile.ZipFile(tmp_path / "bomb.usdz", "w", zipfile.ZIP_DEFLATED) as pack:
         pack.writestr("a.usda", bytes(2**20))

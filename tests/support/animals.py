@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -16,8 +16,8 @@ from mimesh.bodies import RiggedBody, load_body
 from mimesh.bodies.character_limbs import SIDES
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.animated_rig import AnimatedRig, RigAnimation
-from mimesh.core.mesh import Mesh
-from mimesh.core.rig import Rig
+from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.rig import Rig, homogeneous
 from mimesh.io.gltf.skinned import write_gltf_skinned
 
 BODY = load_body("quadruped")
@@ -101,10 +101,8 @@ class Animal:
         for name, turn in turns.items():
             rotmat[BODY.joint(name)] = turn
         rotation, translation = self.body.skinning_transforms(self.body.shaped(self.shape)[1], rotmat, path)
-        found = np.tile(np.eye(4), (len(self.order), 1, 1))
         chosen = [BODY.joint(name) for name in self.order]
-        found[:, :3, :3], found[:, :3, 3] = rotation[chosen], translation[chosen]
-        return found
+        return homogeneous(rotation[chosen], translation[chosen])
 
     def posed(self, turns: dict[str, np.ndarray], path: np.ndarray | None = None) -> np.ndarray:
         """Compute the vertices in a pose; with the joints that the animal has, it is the body's."""
@@ -114,8 +112,7 @@ class Animal:
     def character(self, spell: Callable[[str], str] = nothing_said, turn: np.ndarray | None = None) -> SkinnedCharacter:
         """Make the rig that a file has; `turn` is a rotation of the whole animal."""
         count = len(self.order)
-        frames = np.tile(np.eye(4), (count, 1, 1))
-        frames[:, :3, 3] = self.joints
+        frames = homogeneous(np.tile(np.eye(3), (count, 1, 1)), self.joints)
         columns = np.argsort(-self.weights, axis=1)[:, :4]
         weights = np.take_along_axis(self.weights, columns, axis=1)
         points = np.repeat(self.mesh.vertices[:, None], 4, axis=1)
@@ -170,8 +167,7 @@ class Animal:
 def write_pool_animal(folder: Path, file: str, made: Animal, motion: Motion, **meta: str) -> None:
     """Write an animal and its clip as a file of a pool, and add it to index.json."""
     columns = np.argsort(-made.weights, axis=1)[:, :4]
-    world = np.tile(np.eye(4), (len(made.order), 1, 1))
-    world[:, :3, 3] = made.joints
+    world = homogeneous(np.tile(np.eye(3), (len(made.order), 1, 1)), made.joints)
     arrays = {
         "vertices": made.mesh.vertices.astype("f4"),
         "faces": made.mesh.faces.astype("i4"),
@@ -204,3 +200,15 @@ def random_turns(seed: int, names: Collection[str], degrees: float = 20.0) -> di
 
     rng = np.random.default_rng(seed)
     return {name: Rotation.from_rotvec(np.radians(degrees) * rng.uniform(-1, 1, 3)).as_matrix() for name in names}
+
+
+def small(mesh: Mesh) -> Mesh:
+    """Take an animal of the shipped body with few faces."""
+    remaining, faces = decimation(FACES, "quadruped")
+    return replace(mesh, vertices=mesh.vertices[remaining], faces=faces)
+
+
+def small_clip(clip: Clip) -> Clip:
+    """Take a clip of an animal of the shipped body with few faces."""
+    remaining, _ = decimation(FACES, "quadruped")
+    return replace(clip, mesh=small(clip.mesh), vertices=clip.vertices[:, remaining])

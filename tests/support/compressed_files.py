@@ -1,26 +1,14 @@
 """Draco and meshopt compressed copies of glTF files."""
 
 import copy
-import json
-import struct
 
 import numpy as np
 import pytest
+from gltf_samples import pack_glb
 
 from mimesh.io.gltf.document import element_bytes, open_document, read_accessor
 
 DRACO, MESHOPT = "KHR_draco_mesh_compression", "EXT_meshopt_compression"
-
-
-def save_glb(gltf, binary, path):
-    """Write a .glb of a JSON and one buffer."""
-    text = json.dumps(gltf).encode()
-    text += b" " * (-len(text) % 4)
-    binary = bytes(binary) + bytes(-len(binary) % 4)
-    total = 12 + 8 + len(text) + 8 + len(binary)
-    head = struct.pack("<4sII", b"glTF", 2, total) + struct.pack("<II", len(text), 0x4E4F534A)
-    path.write_bytes(head + text + struct.pack("<II", len(binary), 0x004E4942) + binary)
-    return path
 
 
 def with_plain_views(path):
@@ -88,7 +76,8 @@ def meshopt_glb(plain, path, name=MESHOPT, version=0):
     binary = b"".join(parts)
     gltf["buffers"] = [{"byteLength": len(binary)}, {"byteLength": fallback, "extensions": {name: {"fallback": True}}}]
     require(gltf, name)
-    return save_glb(gltf, binary, path)
+    path.write_bytes(pack_glb(gltf, binary))
+    return path
 
 
 def draco_glb(plain, path, bits=16, change=lambda name, values: values):
@@ -122,13 +111,9 @@ def draco_glb(plain, path, bits=16, change=lambda name, values: values):
             blobs.append(blob)
             # Each primitive has accessors of its own, which have no data.
             for name, index in [*attributes.items(), ("indices", primitive["indices"])]:
-                entry = {key: gltf["accessors"][index][key] for key in ("componentType", "count", "type")}
-                entry |= {
-                    key: gltf["accessors"][index][key]
-                    for key in ("normalized", "min", "max")
-                    if key in gltf["accessors"][index]
-                }
-                gltf["accessors"].append(entry)
+                kept = ("componentType", "count", "type", "normalized", "min", "max")
+                old = gltf["accessors"][index]
+                gltf["accessors"].append({key: old[key] for key in kept if key in old})
                 (primitive if name == "indices" else attributes)[name] = len(gltf["accessors"]) - 1
     assert blobs
     start = 0
@@ -138,4 +123,5 @@ def draco_glb(plain, path, bits=16, change=lambda name, values: values):
     binary = b"".join(rows.tobytes() + bytes(-rows.nbytes % 4) for rows in chunks)
     gltf["buffers"] = [{"byteLength": len(binary)}]
     require(gltf, DRACO)
-    return save_glb(gltf, binary, path)
+    path.write_bytes(pack_glb(gltf, binary))
+    return path

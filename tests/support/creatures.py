@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.animated_rig import AnimatedRig, RigAnimation
 from mimesh.core.mesh import Mesh
-from mimesh.core.rig import Rig
+from mimesh.core.rig import Rig, homogeneous
 from mimesh.core.skinning import place_joints
 from mimesh.io.gltf.skinned import write_gltf_skinned
 
@@ -107,8 +107,7 @@ class Boxes:
     @property
     def character(self) -> SkinnedCharacter:
         """The creature as it is read from a file."""
-        frames = np.tile(np.eye(4), (len(self.names), 1, 1))
-        frames[:, :3, 3] = self.rig.joints
+        frames = homogeneous(self.rig.rotation, self.rig.joints)
         owners = self.rig.weights.argmax(axis=1)[:, None]
         points = self.mesh.vertices[:, None]
         return SkinnedCharacter(self.mesh, self.names, self.parents, frames, owners, np.ones((len(owners), 1)), points)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from people import decimation
 from scipy.spatial.transform import Rotation
@@ -15,76 +17,41 @@ from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.core.rig import Rig
 
 CHAINS = {
-    "mixamo": [
-        "Hips Spine Spine1 Spine2 Neck Head",
-        *(
-            chain.replace("@", side)
-            for side in ("Left", "Right")
-            for chain in ("Spine2 @Shoulder @Arm @ForeArm @Hand", "Hips @UpLeg @Leg @Foot @ToeBase")
-        ),
-    ],
-    "unreal": [
-        "root pelvis spine_01 spine_02 spine_03 spine_04 spine_05 neck_01 neck_02 head",
-        *(
-            chain.replace("@", side)
-            for side in "lr"
-            for chain in ("spine_05 clavicle_@ upperarm_@ lowerarm_@ hand_@", "pelvis thigh_@ calf_@ foot_@ ball_@")
-        ),
-    ],
-    "vrm": [
-        "hips spine chest upperChest neck head",
-        *(
-            chain.replace("@", side)
-            for side in ("left", "right")
-            for chain in ("upperChest @Shoulder @UpperArm @LowerArm @Hand", "hips @UpperLeg @LowerLeg @Foot @Toes")
-        ),
-    ],
-    "godot": [
-        "Hips Spine Chest UpperChest Neck Head",
-        *(
-            chain.replace("@", side)
-            for side in ("Left", "Right")
-            for chain in ("UpperChest @Shoulder @UpperArm @LowerArm @Hand", "Hips @UpperLeg @LowerLeg @Foot @Toes")
-        ),
-    ],
-    "rigify": [
-        "DEF-spine DEF-spine.001 DEF-spine.002 DEF-spine.003 DEF-spine.004 DEF-spine.005 DEF-spine.006",
-        *(
-            chain.replace("@", side)
-            for side in "LR"
-            for chain in (
-                "DEF-spine.003 DEF-shoulder.@ DEF-upper_arm.@ DEF-forearm.@ DEF-hand.@",
-                "DEF-spine DEF-thigh.@ DEF-shin.@ DEF-foot.@ DEF-toe.@",
-            )
-        ),
-    ],
+    "mixamo": """Hips Spine Spine1 Spine2 Neck Head
+        Spine2 {Side}Shoulder {Side}Arm {Side}ForeArm {Side}Hand
+        Hips {Side}UpLeg {Side}Leg {Side}Foot {Side}ToeBase""",
+    "unreal": """root pelvis spine_01 spine_02 spine_03 spine_04 spine_05 neck_01 neck_02 head
+        spine_05 clavicle_{s} upperarm_{s} lowerarm_{s} hand_{s}
+        pelvis thigh_{s} calf_{s} foot_{s} ball_{s}""",
+    "vrm": """hips spine chest upperChest neck head
+        upperChest {side}Shoulder {side}UpperArm {side}LowerArm {side}Hand
+        hips {side}UpperLeg {side}LowerLeg {side}Foot {side}Toes""",
+    "godot": """Hips Spine Chest UpperChest Neck Head
+        UpperChest {Side}Shoulder {Side}UpperArm {Side}LowerArm {Side}Hand
+        Hips {Side}UpperLeg {Side}LowerLeg {Side}Foot {Side}Toes""",
+    "rigify": """DEF-spine DEF-spine.001 DEF-spine.002 DEF-spine.003 DEF-spine.004 DEF-spine.005 DEF-spine.006
+        DEF-spine.003 DEF-shoulder.{S} DEF-upper_arm.{S} DEF-forearm.{S} DEF-hand.{S}
+        DEF-spine DEF-thigh.{S} DEF-shin.{S} DEF-foot.{S} DEF-toe.{S}""",
 }
-"""Chains of bones from parent to child, without fingers. Mixamo's are without their namespace."""
+"""Chains of bones from parent to child, a line each, without fingers. Mixamo's are without their namespace."""
 FINGER_CHAINS = {
-    "mixamo": ["{Side}Hand {Side}Hand@1 {Side}Hand@2 {Side}Hand@3"],
-    "unreal": [
-        "hand_{s} thumb_01_{s} thumb_02_{s} thumb_03_{s}",
-        "hand_{s} @_metacarpal_{s} @_01_{s} @_02_{s} @_03_{s}",
-    ],
-    "vrm": [
-        "{side}Hand {side}ThumbMetacarpal {side}ThumbProximal {side}ThumbDistal",
-        "{side}Hand {side}@Proximal {side}@Intermediate {side}@Distal",
-    ],
-    "godot": [
-        "{Side}Hand {Side}ThumbMetacarpal {Side}ThumbProximal {Side}ThumbDistal",
-        "{Side}Hand {Side}@Proximal {Side}@Intermediate {Side}@Distal",
-    ],
-    "rigify": [
-        "DEF-hand.{S} DEF-thumb.01.{S} DEF-thumb.02.{S} DEF-thumb.03.{S}",
-        "DEF-hand.{S} DEF-@.01.{S} DEF-@.02.{S} DEF-@.03.{S}",
-    ],
+    "mixamo": "{Side}Hand {Side}Hand@1 {Side}Hand@2 {Side}Hand@3",
+    "unreal": """hand_{s} thumb_01_{s} thumb_02_{s} thumb_03_{s}
+        hand_{s} @_metacarpal_{s} @_01_{s} @_02_{s} @_03_{s}""",
+    "vrm": """{side}Hand {side}ThumbMetacarpal {side}ThumbProximal {side}ThumbDistal
+        {side}Hand {side}@Proximal {side}@Intermediate {side}@Distal""",
+    "godot": """{Side}Hand {Side}ThumbMetacarpal {Side}ThumbProximal {Side}ThumbDistal
+        {Side}Hand {Side}@Proximal {Side}@Intermediate {Side}@Distal""",
+    "rigify": """DEF-hand.{S} DEF-thumb.01.{S} DEF-thumb.02.{S} DEF-thumb.03.{S}
+        DEF-hand.{S} DEF-@.01.{S} DEF-@.02.{S} DEF-@.03.{S}""",
 }
+"""The same of fingers; @ is each of the scheme's words for them."""
 FINGER_WORDS = {
-    "mixamo": ["Thumb", "Index", "Middle", "Ring", "Pinky"],
-    "unreal": ["index", "middle", "ring", "pinky"],
-    "vrm": ["Index", "Middle", "Ring", "Little"],
-    "godot": ["Index", "Middle", "Ring", "Little"],
-    "rigify": ["f_index", "f_middle", "f_ring", "f_pinky"],
+    "mixamo": "Thumb Index Middle Ring Pinky",
+    "unreal": "index middle ring pinky",
+    "vrm": "Index Middle Ring Little",
+    "godot": "Index Middle Ring Little",
+    "rigify": "f_index f_middle f_ring f_pinky",
 }
 NAMESPACE = {"mixamo": "mixamorig:"}
 ROOTS = {"own": "Root", "mixamo": "Root", "unreal": "root", "vrm": "Root", "godot": "Root", "rigify": "root"}
@@ -92,12 +59,12 @@ ROOTS = {"own": "Root", "mixamo": "Root", "unreal": "root", "vrm": "Root", "godo
 
 def expected_parents(scheme: str, fingers: bool) -> dict[str, str]:
     """Bone -> parent in the documented hierarchy of a scheme; without the parent of the hips."""
-    chains = list(CHAINS[scheme])
-    for side in ("Left", "Right") if fingers else ():
+    words, chains = FINGER_WORDS[scheme].split(), []
+    for side in ("Left", "Right"):
         spelled = {"Side": side, "side": side.lower(), "S": side[0], "s": side[0].lower()}
-        words = FINGER_WORDS[scheme]
-        patterns = [pattern.format(**spelled) for pattern in FINGER_CHAINS[scheme]]
-        chains += [pattern.replace("@", word) for pattern in patterns for word in (words if "@" in pattern else [""])]
+        chains += CHAINS[scheme].format(**spelled).splitlines()
+        for chain in FINGER_CHAINS[scheme].format(**spelled).splitlines() if fingers else ():
+            chains += [chain.replace("@", word) for word in (words if "@" in chain else [""])]
     space = NAMESPACE.get(scheme, "")
     links = [pair for chain in chains for pair in zip(chain.split(), chain.split()[1:], strict=False)]
     return {space + child: space + parent for parent, child in links}
@@ -159,6 +126,7 @@ def _forward(local, joints, parents, root):
     return rotation, position
 
 
+@cache
 def with_fingers():
     """Names, parents, joints and weights of the body with 61 joints, as results whose fingers move have them."""
     body, hands = load_body(), load_hands()

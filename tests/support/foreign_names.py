@@ -6,144 +6,62 @@ from collections.abc import Callable
 
 CENTRE = ["Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head"]
 SIDE = ["Shoulder", "Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot", "ToeBase"]
-SCHEMES = {
-    "cmu": ("{}", "Left{}", "Right{}", " ".join(CENTRE), " ".join(SIDE)),
-    "mixamo": (
-        "mixamorig:{}",
-        "mixamorig:Left{}",
-        "mixamorig:Right{}",
-        "Hips Spine Spine1 Spine2 Neck - Head",
-        "Shoulder Arm ForeArm Hand UpLeg Leg Foot ToeBase",
-    ),
-    "xsens": (
-        "{}",
-        "Left{}",
-        "Right{}",
-        "Pelvis L5 T12 T8 Neck - Head",
-        "Shoulder UpperArm ForeArm Hand UpperLeg LowerLeg Foot Toe",
-    ),
-    "mvn-bvh": (
-        "{}",
-        "Left{}",
-        "Right{}",
-        "Hips Chest Chest2 Chest4 Neck - Head",
-        "Collar Shoulder Elbow Wrist Hip Knee Ankle Toe",
-    ),
-    "biped": (
-        "Bip01 {}",
-        "Bip01 L {}",
-        "Bip01 R {}",
-        "Pelvis Spine Spine1 Spine2 Neck - Head",
-        "Clavicle UpperArm Forearm Hand Thigh Calf Foot Toe0",
-    ),
-    "rigify": (
-        "{}",
-        "{}.L",
-        "{}.R",
-        "spine spine.001 spine.002 spine.003 spine.004 spine.005 spine.006",
-        "shoulder upper_arm forearm hand thigh shin foot toe",
-    ),
-    "vroid": (
-        "J_Bip_C_{}",
-        "J_Bip_L_{}",
-        "J_Bip_R_{}",
-        "Hips Spine Chest UpperChest Neck - Head",
-        "Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot ToeBase",
-    ),
-    "lafan1": (
-        "{}",
-        "Left{}",
-        "Right{}",
-        "Hips Spine Spine1 Spine2 Neck - Head",
-        "Shoulder Arm ForeArm Hand UpLeg Leg Foot Toe",
-    ),
-    "bandai": (
-        "{}",
-        "{}_L",
-        "{}_R",
-        "Hips - Spine Chest Neck - Head",
-        "Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot Toes",
-    ),
-    "accad": (
-        "{}",
-        "Left{}",
-        "Right{}",
-        "Hips ToSpine Spine Spine1 Neck - Head",
-        "Collar Shoulder Elbow Wrist Hip Knee Ankle Toe",
-    ),
-    "acclaim": (
-        "{}",
-        "l{}",
-        "r{}",
-        "root lowerback upperback thorax lowerneck upperneck head",
-        "clavicle humerus radius wrist femur tibia foot toes",
-    ),
-    "smpl": (
-        "{}",
-        "left_{}",
-        "right_{}",
-        "pelvis spine1 spine2 spine3 neck - head",
-        "collar shoulder elbow wrist hip knee ankle foot",
-    ),
-    "humanml": (
-        "{}",
-        "L_{}",
-        "R_{}",
-        "Pelvis Spine1 Spine2 Spine3 Neck - Head",
-        "Collar Shoulder Elbow Wrist Hip Knee Ankle Foot",
-    ),
-    "quaternius": (
-        "{}",
-        "{}.L",
-        "{}.R",
-        "Hips Abdomen Torso Chest Neck - Head",
-        "Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot -",
-    ),
-    "kaykit": (
-        "{}",
-        "{}.l",
-        "{}.r",
-        "hips - spine chest - - head",
-        "- upperarm lowerarm wrist upperleg lowerleg foot toes",
-    ),
-    "unreal": (
-        "{}",
-        "{}_l",
-        "{}_r",
-        "pelvis spine_01 spine_02 spine_03 neck_01 - head",
-        "clavicle upperarm lowerarm hand thigh calf foot ball",
-    ),
-    "vrm": (
-        "{}",
-        "left{}",
-        "right{}",
-        "hips - spine chest neck - head",
-        "Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot Toes",
-    ),
-    "godot": (
-        "{}",
-        "Left{}",
-        "Right{}",
-        "Hips Spine Chest UpperChest Neck - Head",
-        "Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot Toes",
-    ),
-    "rigify-def": (
-        "DEF-{}",
-        "DEF-{}.L",
-        "DEF-{}.R",
-        "spine spine.001 spine.002 spine.003 spine.004 spine.005 spine.006",
-        "shoulder upper_arm forearm hand thigh shin foot toe",
-    ),
-    "blender": ("{}", "{}.L", "{}.R", "Hips - Spine Chest Neck - Head", "Shoulder Arm ForeArm Hand UpLeg Leg Foot Toe"),
-    "daz": (
-        "{}",
-        "l{}",
-        "r{}",
-        "hip abdomenLower abdomenUpper chestLower neckLower neckUpper head",
-        "Collar ShldrBend ForearmBend Hand ThighBend Shin Foot Toe",
-    ),
-}
-"""Templates of names for the centre, the left and the right; then names for `CENTRE` and `SIDE` (- for none)."""
+TABLE = """
+cmu: {}, Left{}, Right{}; Hips LowerBack Spine Spine1 Neck Neck1 Head
+  Shoulder Arm ForeArm Hand UpLeg Leg Foot ToeBase
+mixamo: mixamorig:{}, mixamorig:Left{}, mixamorig:Right{}; Hips Spine Spine1 Spine2 Neck - Head
+  Shoulder Arm ForeArm Hand UpLeg Leg Foot ToeBase
+xsens: {}, Left{}, Right{}; Pelvis L5 T12 T8 Neck - Head
+  Shoulder UpperArm ForeArm Hand UpperLeg LowerLeg Foot Toe
+mvn-bvh: {}, Left{}, Right{}; Hips Chest Chest2 Chest4 Neck - Head
+  Collar Shoulder Elbow Wrist Hip Knee Ankle Toe
+biped: Bip01 {}, Bip01 L {}, Bip01 R {}; Pelvis Spine Spine1 Spine2 Neck - Head
+  Clavicle UpperArm Forearm Hand Thigh Calf Foot Toe0
+rigify: {}, {}.L, {}.R; spine spine.001 spine.002 spine.003 spine.004 spine.005 spine.006
+  shoulder upper_arm forearm hand thigh shin foot toe
+vroid: J_Bip_C_{}, J_Bip_L_{}, J_Bip_R_{}; Hips Spine Chest UpperChest Neck - Head
+  Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot ToeBase
+lafan1: {}, Left{}, Right{}; Hips Spine Spine1 Spine2 Neck - Head
+  Shoulder Arm ForeArm Hand UpLeg Leg Foot Toe
+bandai: {}, {}_L, {}_R; Hips - Spine Chest Neck - Head
+  Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot Toes
+accad: {}, Left{}, Right{}; Hips ToSpine Spine Spine1 Neck - Head
+  Collar Shoulder Elbow Wrist Hip Knee Ankle Toe
+acclaim: {}, l{}, r{}; root lowerback upperback thorax lowerneck upperneck head
+  clavicle humerus radius wrist femur tibia foot toes
+smpl: {}, left_{}, right_{}; pelvis spine1 spine2 spine3 neck - head
+  collar shoulder elbow wrist hip knee ankle foot
+humanml: {}, L_{}, R_{}; Pelvis Spine1 Spine2 Spine3 Neck - Head
+  Collar Shoulder Elbow Wrist Hip Knee Ankle Foot
+quaternius: {}, {}.L, {}.R; Hips Abdomen Torso Chest Neck - Head
+  Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot -
+kaykit: {}, {}.l, {}.r; hips - spine chest - - head
+  - upperarm lowerarm wrist upperleg lowerleg foot toes
+unreal: {}, {}_l, {}_r; pelvis spine_01 spine_02 spine_03 neck_01 - head
+  clavicle upperarm lowerarm hand thigh calf foot ball
+vrm: {}, left{}, right{}; hips - spine chest neck - head
+  Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot Toes
+godot: {}, Left{}, Right{}; Hips Spine Chest UpperChest Neck - Head
+  Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot Toes
+rigify-def: DEF-{}, DEF-{}.L, DEF-{}.R; spine spine.001 spine.002 spine.003 spine.004 spine.005 spine.006
+  shoulder upper_arm forearm hand thigh shin foot toe
+blender: {}, {}.L, {}.R; Hips - Spine Chest Neck - Head
+  Shoulder Arm ForeArm Hand UpLeg Leg Foot Toe
+daz: {}, l{}, r{}; hip abdomenLower abdomenUpper chestLower neckLower neckUpper head
+  Collar ShldrBend ForearmBend Hand ThighBend Shin Foot Toe
+"""
+"""For each scheme, templates of names for the centre, the left and the right, and names for `CENTRE` (- for none); then
+names for `SIDE`."""
+
+
+def _read_table() -> dict[str, tuple[str, ...]]:
+    lines = TABLE.strip().splitlines()
+    heads = (line.replace("; ", ": ").split(": ") for line in lines[::2])
+    rows = zip(heads, lines[1::2], strict=True)
+    return {name: (*templates.split(", "), centre, side.strip()) for (name, templates, centre), side in rows}
+
+
+SCHEMES = _read_table()
 
 
 def spelt(scheme: str) -> dict[str, str]:

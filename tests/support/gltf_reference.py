@@ -24,6 +24,12 @@ def json_of(path: Path) -> dict[str, Any]:
     return json.loads(content[20 : 20 + struct.unpack_from("<I", content, 12)[0]])
 
 
+def binary_of(path: Path) -> bytes:
+    """The binary chunk of a .glb."""
+    content = path.read_bytes()
+    return content[28 + struct.unpack_from("<I", content, 12)[0] :]
+
+
 class ReferenceReader:
     """Evaluates one file primitive by primitive: positions, normals, indices and morph weights."""
 

@@ -10,7 +10,7 @@ from gltf_samples import pack_glb
 from motion_files import write_bvh
 from scipy.spatial.transform import Rotation
 
-from mimesh.evaluate.held_out_takes import ANIMATED, BOXING_FILE
+from mimesh.evaluate.clip_protocols import ANIMATED, BOXING_FILE
 from mimesh.evaluate.pairs import human
 from mimesh.motions import Motion, spline_motion
 

@@ -9,14 +9,25 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import RiggedBody
+from mimesh.core.geometry import unit_vectors
 from mimesh.motions import Motion
 from mimesh.motions.motion import joint_tracks
+from mimesh.motions.retarget import BONES
 
 Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Rotation to the axes of a file with z up, in which a person faces -y."""
 X_FRONT = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
 """Rotation to the axes of a file with y up, in which a person faces +x."""
 ARM, LEG = ("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot", "ToeBase")
+
+
+def bone_directions(body: RiggedBody, motion: Motion) -> dict[str, np.ndarray]:
+    """Compute unit vectors along the limb bones in every frame, by the bones' joints."""
+    position = joint_tracks(body, motion)[1]
+    return {
+        joint: unit_vectors(position[:, body.joint(tail)] - position[:, body.joint(joint)])
+        for joint, tail in BONES.items()
+    }
 
 
 def rest_pose(body: RiggedBody, kind: str) -> np.ndarray:

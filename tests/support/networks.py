@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from mimesh.methods.onnx_runtime import import_onnxruntime
+
 Shapes = dict[str, list[int | str]]
 """Name of an input or output -> its shape; names of axes for those of any length."""
 
@@ -43,6 +45,12 @@ def _save(
         helper.set_model_props(model, {"mimesh": json.dumps(card)})
     onnx.save(model, str(path))
     return path
+
+
+def infer_onnx(network: Any, identity: np.ndarray, driving: np.ndarray) -> np.ndarray:
+    """Run an exported network once."""
+    session = import_onnxruntime().InferenceSession(network.SerializeToString(), providers=["CPUExecutionProvider"])
+    return session.run(["result"], {"identity": identity, "driving": driving})[0]
 
 
 def write_network(

@@ -8,7 +8,9 @@ import numpy as np
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, TABLE_6, rotvec_to_rotmat, sample_pose, sample_shape
+from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.rig import homogeneous
 
 
 @cache
@@ -39,6 +41,17 @@ def person(shape: int = 0, pose: int | None = None, faces: int = 1000, wide: boo
         rotvec = sample_pose(body, 7, pose, JOINT_LIMITS if wide else TABLE_6)
     vertices = body.posed(sample_shape(body, 7, shape), rotvec_to_rotmat(rotvec))
     return Mesh(vertices[remaining], triangles, name=f"person{shape}")
+
+
+def rigged(
+    mesh: Mesh, names: tuple[str, ...], parents: tuple[int, ...], joints: np.ndarray, weights: np.ndarray
+) -> SkinnedCharacter:
+    """Make the rig that a file has, of joints with the axes of the world and weights of all of them (V, J)."""
+    count = len(names)
+    columns = np.tile(np.arange(count), (len(weights), 1))
+    points = np.repeat(mesh.vertices[:, None], count, axis=1)
+    frames = homogeneous(np.tile(np.eye(3), (count, 1, 1)), joints)
+    return SkinnedCharacter(mesh, names, parents, frames, columns, weights, points)
 
 
 def split_everywhere(mesh: Mesh) -> Mesh:

@@ -6,6 +6,7 @@ import dataclasses
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +97,7 @@ class Figure:
         return transforms
 
 
+@cache
 def figure(shape: int | None = 0, fingers: bool = False) -> Figure:
     """Make person `shape` (None: the mean, the only one with fingers)."""
     body = load_body()

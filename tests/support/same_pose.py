@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from mimesh.core.geometry import nearest_rotation
+from mimesh.core.geometry import angles_between, nearest_rotation
 from mimesh.evaluate.pairs import human
 
 RIGID, LEAST = 0.999, 10
@@ -35,9 +35,7 @@ def pose_difference(first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarr
 
     Each person is (vertices in the common pose, vertices in their pose), the body's own vertices first.
     """
-    rotations = [region_rotations(rest, posed) for rest, posed in (first, second)]
-    cosine = (np.einsum("rab,rab->r", *rotations) - 1) / 2
-    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).max())
+    return float(angles_between(region_rotations(*first), region_rotations(*second)).max())
 
 
 def assert_same_pose(first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray]) -> None:

@@ -1,4 +1,4 @@
-"""A training of seconds, and the losses that it logs."""
+"""A training of seconds, the losses that it logs, and what all batches of pairs have in common."""
 
 import dataclasses
 
@@ -23,6 +23,20 @@ TINY = NPTTrainConfig(
 
 def losses(run: TrainingRun, steps: int) -> list[float]:
     return [float(run.advance()) for _ in range(steps)]
+
+
+def edge_lengths(points: torch.Tensor, edges: torch.Tensor) -> torch.Tensor:
+    ends = [points.gather(1, edges[..., k, None].expand(-1, -1, 3)) for k in range(2)]
+    return (ends[1] - ends[0]).norm(dim=-1)
+
+
+def length_changes(identity: torch.Tensor, truth: torch.Tensor, edges: torch.Tensor) -> torch.Tensor:
+    """Median over the edges of each pair of how much their lengths change, beside that of the whole mesh.
+
+    The classic bug is a shuffle that misaligns truth: then lengths change wildly.
+    """
+    ratio = edge_lengths(truth, edges) / edge_lengths(identity, edges)
+    return (ratio / ratio.median(dim=1, keepdim=True).values - 1).abs().median(dim=1).values
 
 
 def assert_steps_are_pure(source):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from engine_rigs import expected_parents, moving_rig
@@ -45,10 +47,8 @@ def vrm(
         weights: of the targets in every frame, 30 a second: an animation.
         still: leave the bones out of the animation; else the left upper arm turns in it.
     """
-    front = "+z" if version else "-z"
-    moving = moving_rig(7, fingers=True, front=front, arms=10.0)
-    rig = engine_rig(moving, "vrm", rest="T", front=front)
-    save_skinned(rig, 30.0, path.with_suffix(".glb"))
+    rig, content = plain_vrm("+z" if version else "-z")
+    path.with_suffix(".glb").write_bytes(content)
     document = open_document(path.with_suffix(".glb"))
     gltf = {key: value for key, value in document.gltf.items() if key != "animations"}
     nodes = {node["name"]: number for number, node in enumerate(gltf["nodes"]) if node["name"] in BONES}
@@ -66,6 +66,15 @@ def vrm(
     draft.gltf["materials"] = [{"extensions": {"VRMC_materials_mtoon": {"specVersion": "1.0"}}}]
     draft.save(path)
     return path, rig, nodes
+
+
+@cache
+def plain_vrm(front: str) -> tuple[AnimatedRig, bytes]:
+    """Make a rig with the bones of VRM, and the .glb of it."""
+    rig = engine_rig(moving_rig(7, fingers=True, front=front, arms=10.0), "vrm", rest="T", front=front)
+    with TemporaryDirectory() as folder:
+        save_skinned(rig, 30.0, Path(folder) / "a.glb")
+        return rig, (Path(folder) / "a.glb").read_bytes()
 
 
 def add_targets(draft: Draft, mesh: dict, targets: tuple[str, ...]) -> None:
@@ -145,9 +154,7 @@ def vrma(
     times = sample.accessor(np.arange(frames) / fps)
     nodes, channels, samplers, world = [], [], [], {}
     for number, bone in enumerate(bones):
-        parent = PARENTS.get(bone)
-        while parent is not None and parent not in rest:
-            parent = PARENTS.get(parent)
+        parent = nearest(bone, rest)
         above = axes[parent] if parent else Rotation.identity()
         world[bone] = (world[parent] * turns[bone]) if parent else turns[bone]
         step = rest[bone] - (rest[parent] if parent else 0)

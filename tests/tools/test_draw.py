@@ -42,23 +42,24 @@ def frames(path):
 
 
 @pytest.mark.parametrize(
-    ("args", "kind"),
+    ("line", "kind"),
     [
-        (["cube.obj", "-o", "x.png"], "contact sheet"),
-        (["cube.obj", "grow", "-o", "x.png"], "strip"),
-        (["grow.glb", "-o", "x.png"], "strip"),
-        (["grow.glb", "--sheet", "-o", "x.jpg"], "contact sheet"),
-        (["tall.obj", "--truth", "cube.obj", "-o", "x.png"], "heat map"),
-        (["tall.obj", "--stretch", "cube.obj", "-o", "x.png"], "heat map"),
-        (["grow.glb", "-o", "x.gif"], "movie"),
-        (["grow.glb", "--stretch", "cube.obj", "-o", "x.gif"], "heat movie"),
-        (["grow", "--truth", "grow.glb", "--track", "-o", "x.webp"], "heat movie"),
+        ("cube.obj -o x.png", "contact sheet"),
+        ("cube.obj grow -o x.png", "strip"),
+        ("grow.glb --animation 0 -o x.png", "strip"),
+        ("grow.glb --sheet -o x.jpg", "contact sheet"),
+        ("tall.obj --truth cube.obj -o x.png", "heat map"),
+        ("tall.obj --stretch cube.obj -o x.png", "heat map"),
+        ("grow.glb -o x.gif", "movie"),
+        ("grow.glb --stretch cube.obj -o x.gif", "heat movie"),
+        ("grow --truth grow.glb --track -o x.webp", "heat movie"),
     ],
 )
-def test_kind_of_picture_follows_from_files_and_options(files, args, kind, capsys):
-    assert draw(capsys, *args) == kind
-    assert (files / args[-1]).stat().st_size > 100
-    assert frames(args[-1]) == (6 if args[-1].endswith(("gif", "webp")) else 1)
+def test_kind_of_picture_follows_from_files_and_options(files, line, kind, capsys):
+    *args, path = line.split()
+    assert draw(capsys, *args, path) == kind
+    assert (files / path).stat().st_size > 100
+    assert frames(path) == (6 if path.endswith(("gif", "webp")) else 1)
 
 
 def test_movie_of_a_mesh_turns(files, capsys, monkeypatch):
@@ -97,18 +98,9 @@ def test_truth_is_cut_as_the_clip_is(files, capsys):
     assert (clip["stream"], clip["fps"], clip["centre"]) == (truth["stream"], truth["fps"], truth["centre"])
 
 
-def test_animation_is_chosen_by_number_and_refused_for_a_mesh(files, capsys):
-    assert draw(capsys, "grow.glb", "--animation", "0", "-o", "x.png") == "strip"
+def test_an_animation_of_a_mesh_is_refused(files, capsys):
     assert run(["render", "cube.obj", "--animation", "Run", "-o", "x.png"]) == 2
     assert "--animation" in capsys.readouterr().err
-
-
-def test_background_none_is_transparent(files, capsys):
-    draw(capsys, "cube.obj", "--background", "none", "-o", "x.png")
-    found = pixels("x.png")
-    assert found.shape[2] == 4
-    assert found[0, 0, 3] == 0
-    assert found[20, 17, 3] == 255
 
 
 def test_backgrounds_labels_and_width(files, capsys):
@@ -116,5 +108,9 @@ def test_backgrounds_labels_and_width(files, capsys):
     image = pixels("x.png")
     assert image.shape == (40, 64, 3)
     assert image[0, 0].tolist() == [0x20, 0x40, 0x60]
+    draw(capsys, "cube.obj", "--background", "none", "-o", "x.png")
+    found = pixels("x.png")
+    assert found.shape[2] == 4
+    assert (found[0, 0, 3], found[20, 17, 3]) == (0, 255)
     draw(capsys, "cube.obj", "--background", "dark", "-o", "x.png")
     assert pixels("x.png")[41:].max() > 120  # captions are light on a dark background

@@ -66,22 +66,16 @@ def test_order_and_split_vertices_do_not_matter(make):
     assert different <= {"vertices"}
 
 
-def test_inverted_faces_are_warned_of():
+def test_inverted_and_mixed_faces_are_warned_of():
     cube = zoo.cube()
     facts = facts_of(dataclasses.replace(cube, faces=cube.faces[:, ::-1]))
     assert facts.inside_out
     assert facts.warnings() == ["the faces look inwards; flip them"]
     assert "warning" in facts.text()
-
-
-def test_mixed_winding_is_warned_of():
-    cube = zoo.cube()
     faces = cube.faces.copy()
     faces[0] = faces[0, ::-1]
     facts = facts_of(dataclasses.replace(cube, faces=faces))
-    assert not facts.consistent_winding
-    assert facts.inside_out is None
-    assert facts.watertight
+    assert (facts.consistent_winding, facts.inside_out, facts.watertight) == (False, None, True)
     assert "recalculate the winding" in facts.warnings()[0]
 
 
@@ -137,13 +131,10 @@ def test_attributes_parts_and_materials_are_listed():
     assert "3: head, body, rest" in facts.text()
 
 
-def test_materials_of_one_name_are_counted_each():
+def test_materials_of_one_name_are_counted_each_and_long_lists_cut():
     parts = (Part("a", 0, 4, Material("skin", texture=b"one")), Part("b", 4, 12, Material("skin", texture=b"two")))
     facts = facts_of(dataclasses.replace(zoo.cube(), parts=parts))
     assert (facts.materials, facts.textures) == (("skin", "skin"), 2)
-
-
-def test_long_lists_of_names_are_cut():
     parts = tuple(Part(f"p{k}", k, k + 1) for k in range(12))
     assert "12: p0, p1, p2, p3, p4, p5 and 6 more" in facts_of(dataclasses.replace(zoo.cube(), parts=parts)).text()
 

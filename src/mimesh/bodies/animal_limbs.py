@@ -134,7 +134,6 @@ class _AnimalRig:
         return float((left + right) / 2)
 
     def named(self) -> dict[str, int]:
-        """Find all joints."""
         rig, parents = self.rig, self.rig.parents
         legs = self._legs()
         found = {}
@@ -166,7 +165,6 @@ class _AnimalRig:
         return found | {TAIL[place]: joint for place, joint in zip(places, picked, strict=True)}
 
     def _legs(self) -> dict[tuple[str, str], _Leg]:
-        """Find the four legs."""
         owners = {key: int(self.influence[feet].sum(axis=0).argmax()) for key, feet in self.feet.items()}
         if len(set(owners.values())) < len(owners):
             raise InputError(f"{self.path}: expected a joint in each of four feet, found one for two; rig the legs")

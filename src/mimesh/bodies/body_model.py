@@ -7,12 +7,13 @@ rotation is given in the frame of its parent, as in SMPL. The batched torch twin
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Integer
 
 from ..core.errors import InputError
 from ..core.mesh import Mesh
@@ -52,6 +53,11 @@ class RiggedBody:
             if name not in names and parent >= 0:
                 carrier[j] = carrier[parent]
         return carrier
+
+    def part(self, vertices: Int[np.ndarray, " P"]) -> RiggedBody:
+        """Select some vertices, without faces: what they do in poses takes less time than the whole surface."""
+        rows = {"vertices": self.vertices[vertices], "components": self.components[:, vertices]}
+        return replace(self, **rows, weights=self.weights[vertices], faces=np.zeros((0, 3), np.int64))
 
     def shaped(
         self, shape: Float[np.ndarray, "*B K"]
@@ -96,16 +102,19 @@ class RiggedBody:
 
 
 def load_body(name_or_path: str | Path = "human") -> RiggedBody:
-    """Load a shipped body by name, or a `.npz` of the same layout (see `save_body`) by path."""
+    """Load a shipped body by name, which all callers share, or a `.npz` of its layout (see `save_body`) by path."""
     path = Path(name_or_path)
-    if path.suffix != ".npz":
+    shipped = path.suffix != ".npz"
+    if shipped:
         path = Path(str(resources.files("mimesh.bodies") / f"{name_or_path}.npz"))
     if not path.exists():
         raise InputError(f"{name_or_path}: expected a shipped body (human, quadruped) or a .npz file, found neither")
+    return _shipped_body(path) if shipped else _read_body(path)
+
+
+def _read_body(path: Path) -> RiggedBody:
+    """Read a body of a file of `save_body`."""
     with np.load(path) as data:
-        # Weights are stored as the largest few of each vertex, in half precision.
-        weights = np.zeros((len(data["vertices"]), len(data["parents"])))
-        np.put_along_axis(weights, data["weight_joints"].astype(int), data["weights"].astype(np.float64), axis=1)
         return RiggedBody(
             name=path.stem,
             vertices=data["vertices"].astype(np.float64),
@@ -113,10 +122,23 @@ def load_body(name_or_path: str | Path = "human") -> RiggedBody:
             components=data["components"].astype(np.float64),
             joints=data["joints"].astype(np.float64),
             joint_components=data["joint_components"].astype(np.float64),
-            weights=weights / weights.sum(axis=1, keepdims=True),
+            weights=unpacked_weights(data["weight_joints"], data["weights"], len(data["parents"])),
             joint_names=tuple(data["joint_names"].tolist()),
             parents=tuple(int(p) for p in data["parents"]),
         )
+
+
+_shipped_body = cache(_read_body)
+"""Reads a shipped body once: it takes 25 ms, and many functions ask for it."""
+
+
+def unpacked_weights(
+    joints: Integer[np.ndarray, "V K"], weights: Float[np.ndarray, "V K"], count: int
+) -> Float[np.ndarray, "V J"]:
+    """Make the skinning weights of `count` joints from those stored: the largest few of a vertex, in half precision."""
+    unpacked = np.zeros((len(weights), count))
+    np.put_along_axis(unpacked, joints.astype(int), weights.astype(np.float64), axis=1)
+    return unpacked / unpacked.sum(axis=1, keepdims=True)
 
 
 def save_body(body: RiggedBody, path: Path, influences: int = 6) -> None:

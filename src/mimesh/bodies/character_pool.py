@@ -26,6 +26,7 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Mesh, check_mesh
 from ..core.npz_archive import check_unpacked_size, open_archive, read_array
+from ..core.rig import homogeneous
 from .animal_limbs import name_animal_joints
 from .character_limbs import Limb, attach_feet, find_limbs, name_limb_joints
 from .joint_names import named_fingers
@@ -138,8 +139,7 @@ class Pool:
 
     def refusals(self) -> dict[str, int]:
         """Count the files of each reason."""
-        reasons = list(self.refused.values())
-        return {reason: reasons.count(reason) for reason in dict.fromkeys(reasons)}
+        return dict(Counter(self.refused.values()))
 
 
 def read_pool(folder: str | Path, split: str, progress: Progress | None = None, body: str = "human") -> Pool:
@@ -328,7 +328,7 @@ def _rig(arrays: dict[str, np.ndarray], meta: CharacterMeta, turn: np.ndarray, p
         mesh=check_mesh(mesh, path),
         joint_names=tuple(str(name) for name in arrays["joint_names"]),
         parents=tuple(int(parent) for parent in arrays["parents"]),
-        T_world_joint=_turned(turn) @ arrays["rest_matrices"].astype(np.float64),
+        T_world_joint=homogeneous(turn, np.zeros(3)) @ arrays["rest_matrices"].astype(np.float64),
         joint_of=arrays["weight_joints"].astype(np.int64),
         weights=weights / weights.sum(axis=1, keepdims=True),
         points=np.broadcast_to(mesh.vertices[:, None], (*weights.shape, 3)),
@@ -390,12 +390,11 @@ def _world_frames(clip: CharacterClip, frames: Int[np.ndarray, " N"], parents, t
     """Compute the frames of all joints in the turned world, in some frames of a clip."""
     from scipy.spatial.transform import Rotation
 
-    world = np.tile(np.eye(4), (len(frames), len(parents), 1, 1))
     rotations = clip.rotations[frames]
-    world[..., :3, :3] = Rotation.from_quat(rotations.reshape(-1, 4)).as_matrix().reshape(*rotations.shape[:2], 3, 3)
-    world[..., :3, 3] = clip.translations[frames]
+    matrices = Rotation.from_quat(rotations.reshape(-1, 4)).as_matrix().reshape(*rotations.shape[:2], 3, 3)
+    world, turned = homogeneous(matrices, clip.translations[frames]), homogeneous(turn, np.zeros(3))
     for j, parent in enumerate(parents):
-        world[:, j] = (world[:, parent] if parent >= 0 else _turned(turn)) @ world[:, j]
+        world[:, j] = (world[:, parent] if parent >= 0 else turned) @ world[:, j]
     return world
 
 
@@ -405,10 +404,3 @@ def local_frames(
     """Compute the frame of each joint in its parent's frame."""
     inverse = np.linalg.inv(world)
     return np.stack([world[j] if parent < 0 else inverse[parent] @ world[j] for j, parent in enumerate(parents)])
-
-
-def _turned(turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4 4"]:
-    """Write a rotation as a transform."""
-    transform = np.eye(4)
-    transform[:3, :3] = turn
-    return transform

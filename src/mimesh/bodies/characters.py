@@ -135,7 +135,6 @@ def proportioned(
     linear = size * (length * along + girth * (np.eye(3) - along))
 
     def scaled(points: Float[np.ndarray, "V 3"], joints: Float[np.ndarray, "J 3"]):
-        """Scale vertices and joints."""
         bones = joints[1:] - joints[list(body.parents[1:])]
         positions = place_joints(size * joints[0], bones, linear, body.parents)
         # Each joint's map takes its old position to the new one.

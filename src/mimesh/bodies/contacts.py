@@ -6,7 +6,6 @@ within the limits of the joints, regularised towards the given pose.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -50,7 +49,6 @@ class Contact:
 
 
 def _sides(names: tuple[str, ...], side: str) -> tuple[str, ...]:
-    """Prefix joint names with a side."""
     return tuple(side + name for name in names)
 
 
@@ -128,11 +126,7 @@ def _solve_contact(
     """Compute the pose in which two faces touch with opposite normals, and the distance (metres) that remains."""
     from scipy.optimize import least_squares
 
-    corners = faces.ravel()
-    # Only the vertices of the two faces are posed.
-    reduced = dataclasses.replace(
-        body, vertices=body.vertices[corners], components=body.components[:, corners], weights=body.weights[corners]
-    )
+    reduced = body.part(faces.ravel())
     index = [body.joint(name) for name in moving]
     low, high = limits_rotvec(body, JOINT_LIMITS)[:, index].reshape(2, -1)
     low, high = low - 1e-3, high + 1e-3  # least_squares needs low < high, and some joints have no range

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 
 from ..core.errors import InputError
 from ..core.npz_archive import check_unpacked_size, open_archive, read_array
-from .body_model import RiggedBody
+from .body_model import RiggedBody, unpacked_weights
 
 GARMENTS = ("skirt", "tights", "hair")
 """A long skirt; a suit from neck to wrists and toes; long hair. Skirt and hair fit over tights."""
@@ -160,16 +160,12 @@ def _check_garment(name: str, arrays: Mapping[str, np.ndarray], components: int,
 
 def _read_garment(name: str, data: Mapping[str, np.ndarray]) -> Garment:
     """Make a garment of the arrays of a file."""
-    vertices = data[f"{name}_vertices"].astype(np.float64)
-    weights = np.zeros((len(vertices), len(data["joints"])))
-    joints = data[f"{name}_weight_joints"].astype(int)
-    np.put_along_axis(weights, joints, data[f"{name}_weights"].astype(np.float64), axis=1)
     return Garment(
         name=name,
-        vertices=vertices,
+        vertices=data[f"{name}_vertices"].astype(np.float64),
         faces=data[f"{name}_faces"].astype(np.int64),
         components=data[f"{name}_components"].astype(np.float64),
-        weights=weights / weights.sum(axis=1, keepdims=True),
+        weights=unpacked_weights(data[f"{name}_weight_joints"], data[f"{name}_weights"], len(data["joints"])),
     )
 
 
@@ -188,5 +184,4 @@ def _check_fits(body: RiggedBody) -> None:
 
 
 def _open() -> np.lib.npyio.NpzFile:
-    """Open the file of all shipped garments."""
     return np.load(str(resources.files("mimesh.bodies") / "dress.npz"))

@@ -8,8 +8,9 @@ ignores extra bones still finds every named bone in its place.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -234,36 +235,18 @@ def _rest_vertices(
     return moved
 
 
-@dataclass
-class _Bones:
-    """Bones that are collected one by one, each with its parent's index, its rest position and its motion."""
+class _Bone(NamedTuple):
+    """A bone of a layout: its parent's index, its rest position and its motion."""
 
-    names: list[str] = field(default_factory=list)
-    parents: list[int] = field(default_factory=list)
-    source: list[int] = field(default_factory=list)
-    """Joint whose rotation a bone has."""
-    weighted: list[bool] = field(default_factory=list)
-    """Whether a bone has that joint's weights, too."""
-    joints: list[Float[np.ndarray, " 3"]] = field(default_factory=list)
-    positions: list[Float[np.ndarray, "T 3"]] = field(default_factory=list)
-
-    def add(
-        self,
-        name: str,
-        parent: int,
-        source: int,
-        joint: Float[np.ndarray, " 3"],
-        path: Float[np.ndarray, "T 3"],
-        weighted: bool,
-    ) -> int:
-        """Append a bone; returns its index."""
-        self.names.append(name)
-        self.parents.append(parent)
-        self.source.append(source)
-        self.weighted.append(weighted)
-        self.joints.append(joint)
-        self.positions.append(path)
-        return len(self.names) - 1
+    name: str
+    parent: int
+    source: int
+    """Joint whose rotation the bone has."""
+    joint: Float[np.ndarray, " 3"]
+    """Place at rest."""
+    path: Float[np.ndarray, "T 3"]
+    weighted: bool
+    """Whether the bone has that joint's weights, too."""
 
 
 def _arrange(skeleton: AnimatedRig, scheme: Scheme) -> AnimatedRig:
@@ -275,26 +258,22 @@ def _arrange(skeleton: AnimatedRig, scheme: Scheme) -> AnimatedRig:
     index = {name: j for j, name in enumerate(skeleton.names)}
     named = [index[joint] for joint in scheme.bones if joint in index]
     extra = [j for j in range(len(index)) if j not in set(named) and rig.weights[:, j].any()]
-    bones, placed = _Bones(), dict[int, int]()
+    bones, placed = list[_Bone](), dict[int, int]()
     for j in (*named, *extra):
         name = scheme.bones.get(skeleton.names[j], skeleton.names[j])
         # Named bones come first, so the parent of one is a named bone; that of an extra bone may be either.
         parent = _placed_ancestor(skeleton.parents, j, placed)
         if name in scheme.inserted and parent >= 0:
-            parent = _insert(bones, scheme.inserted[name], parent, rig.joints[j], skeleton)
-        placed[j] = bones.add(name, parent, j, rig.joints[j], positions[:, j], True)
-    weights = np.where(bones.weighted, rig.weights[:, bones.source], 0.0)
-    new = Rig(rig.rotation[bones.source], np.stack(bones.joints), weights)
-    paths = np.stack(bones.positions, axis=1)
-    return AnimatedRig(
-        skeleton.mesh,
-        tuple(bones.names),
-        tuple(bones.parents),
-        new,
-        skeleton.rotation[:, bones.source],
-        paths[:, 0],
-        positions=paths,
-    )
+            bones.append(_half_way(bones[parent], parent, scheme.inserted[name], rig.joints[j], skeleton))
+            parent = len(bones) - 1
+        placed[j] = len(bones)
+        bones.append(_Bone(name, parent, j, rig.joints[j], positions[:, j], True))
+    names, parents, source, joints, paths, weighted = zip(*bones, strict=True)
+    weights = np.where(weighted, rig.weights[:, source], 0.0)
+    new = Rig(rig.rotation[list(source)], np.stack(joints), weights)
+    paths = np.stack(paths, axis=1)
+    rotation = skeleton.rotation[:, source]
+    return AnimatedRig(skeleton.mesh, names, parents, new, rotation, paths[:, 0], positions=paths)
 
 
 def _placed_ancestor(parents: tuple[int, ...], joint: int, placed: dict[int, int]) -> int:
@@ -305,13 +284,11 @@ def _placed_ancestor(parents: tuple[int, ...], joint: int, placed: dict[int, int
     return placed[above] if above >= 0 else -1
 
 
-def _insert(bones: _Bones, name: str, parent: int, end: Float[np.ndarray, " 3"], skeleton: AnimatedRig) -> int:
-    """Add a bone half way from its parent to a joint at rest, which moves with its parent; returns its index."""
-    source = bones.source[parent]
-    step = (end - bones.joints[parent]) / 2
-    motion = skeleton.rotation[:, source] @ skeleton.rig.rotation[source].T
-    path = bones.positions[parent] + motion @ step
-    return bones.add(name, parent, source, bones.joints[parent] + step, path, False)
+def _half_way(above: _Bone, parent: int, name: str, end: Float[np.ndarray, " 3"], skeleton: AnimatedRig) -> _Bone:
+    """Make a bone half way from the bone above it to a joint at rest, which moves with the bone above."""
+    step = (end - above.joint) / 2
+    motion = skeleton.rotation[:, above.source] @ skeleton.rig.rotation[above.source].T
+    return _Bone(name, parent, above.source, above.joint + step, above.path + motion @ step, False)
 
 
 def _with_root(skeleton: AnimatedRig, name: str, up: Float[np.ndarray, " 3"], moves: bool) -> AnimatedRig:

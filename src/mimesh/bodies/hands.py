@@ -1,8 +1,10 @@
-"""Finger joints of the shipped body: fifteen a hand, with weights and the axes that fingers bend about.
+"""Finger joints of the shipped body: fifteen a hand, with weights, the axes that fingers bend about, and random poses.
 
 They come from the same source as the body (`research/recipes/build_hands.py`) and divide the weight that the body's
 hand joints have. Joints are called as by Mixamo: LeftHandThumb1 to LeftHandPinky3, the first of each finger below the
-hand.
+hand. Poses are gestures within the limits of each joint, as angles of flexion and abduction from the rest pose, whose
+fingers are nearly straight. Rotations are about the world's axes at rest, in the frame of the parent, as in
+`RiggedBody`, so that one pose fits any hand whose rest pose is aligned.
 """
 
 from __future__ import annotations
@@ -14,12 +16,13 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..core.geometry import rotate_between, unit_vectors
-from .body_model import RiggedBody, load_body
+from .body_model import RiggedBody, load_body, unpacked_weights
 from .character_limbs import SIDES
 from .joint_names import FINGER_STUBS, finger_joints, with_finger_joints
+from .sampling import rotvec_to_rotmat
 
 HAND_PARENTS = (-1, *(parent for k in range(5) for parent in (0, 3 * k + 1, 3 * k + 2)))
 """Parents within one hand: the hand, then three joints for each of five fingers."""
@@ -57,29 +60,9 @@ def load_hands() -> Hands:
         shares = np.zeros((2, len(body.vertices), 16))
         shares[:, :, 0] = 1.0
         for s in range(2):
-            rows = np.zeros((len(data[f"vertices{s}"]), 16))
-            np.put_along_axis(rows, data[f"joints{s}"].astype(int), data[f"shares{s}"].astype(np.float64), axis=1)
-            shares[s, data[f"vertices{s}"]] = rows / rows.sum(axis=1, keepdims=True)
+            shares[s, data[f"vertices{s}"]] = unpacked_weights(data[f"joints{s}"], data[f"shares{s}"], 16)
         given = {name: data[name].astype(np.float64) for name in STORED}
         return Hands(shares=shares, **given)
-
-
-def save_hands(path: Path, hands: Hands, influences: int) -> None:
-    """Write a compact `.npz` with the largest shares of each vertex that a finger joint moves.
-
-    Args:
-        influences: number of shares of a vertex.
-    """
-    arrays = {}
-    for s in range(2):
-        moved = np.flatnonzero(hands.shares[s, :, 0] < 1.0)
-        strongest = np.argsort(-hands.shares[s, moved], axis=1)[:, :influences]
-        arrays[f"vertices{s}"] = moved.astype(np.uint16)
-        arrays[f"joints{s}"] = strongest.astype(np.uint8)
-        arrays[f"shares{s}"] = np.take_along_axis(hands.shares[s, moved], strongest, axis=1).astype(np.float16)
-    for name in STORED:
-        arrays[name] = getattr(hands, name).astype(np.float32)
-    np.savez_compressed(path, **arrays)
 
 
 @cache
@@ -113,22 +96,6 @@ def hand_joints(joint_names: tuple[str, ...], side: str) -> list[int]:
     """List the indices of a side's hand and of its finger stubs."""
     wanted = {f"{side}Hand", *(s + stub for s in (side, side[0]) for stub in FINGER_STUBS)}
     return [j for j, name in enumerate(joint_names) if name in wanted]
-
-
-def bend_axes(
-    wrist: Float[np.ndarray, " 3"], joints: Float[np.ndarray, "15 3"], tips: Float[np.ndarray, "5 3"]
-) -> tuple[Float[np.ndarray, "15 3"], Float[np.ndarray, "15 3"]]:
-    """Compute unit axes of flexion and abduction from the joints and fingertips of a left hand at rest.
-
-    Fingers bend towards the palm's normal, and spread in the plane of the palm. The thumb bends across the palm,
-    towards the first joint of the little finger.
-    """
-    bones = unit_vectors(_phalanges(joints, tips))
-    goal = np.tile(-palm_frame(wrist, joints)[:, 1], (5, 3, 1))
-    goal[0] = joints[12] - joints[1]
-    flexion = unit_vectors(np.cross(bones, goal))
-    abduction = unit_vectors(np.cross(flexion, bones))
-    return flexion.reshape(15, 3), abduction.reshape(15, 3)
 
 
 def palm_frame(wrist: Float[np.ndarray, " 3"], joints: Float[np.ndarray, "15 3"]) -> Float[np.ndarray, "3 3"]:
@@ -200,10 +167,100 @@ def hand_alignment(
 def _bones(joints: Float[np.ndarray, "16 3"], tips: Float[np.ndarray, "5 3"]) -> Float[np.ndarray, "16 3"]:
     """Compute unit directions from the hand to its knuckles, and from each finger joint to the next or to the tip."""
     knuckles = joints[[4, 7, 10, 13]].mean(axis=0)
-    fingers = _phalanges(joints[1:], tips).reshape(15, 3)
+    fingers = phalanges(joints[1:], tips).reshape(15, 3)
     return unit_vectors(np.concatenate([knuckles[None] - joints[:1], fingers]))
 
 
-def _phalanges(joints: Float[np.ndarray, "15 3"], tips: Float[np.ndarray, "5 3"]) -> Float[np.ndarray, "5 3 3"]:
+def phalanges(joints: Float[np.ndarray, "15 3"], tips: Float[np.ndarray, "5 3"]) -> Float[np.ndarray, "5 3 3"]:
     """Compute the vectors from each joint of each finger to the next one or to the fingertip."""
     return np.diff(np.concatenate([joints.reshape(5, 3, 3), tips[:, None]], axis=1), axis=1)
+
+
+FLEXION = ((-15, 25), (-10, 55), (-15, 80)) + 4 * ((-20, 90), (0, 100), (0, 75))
+"""Least and largest flexion of each joint (degrees), thumb first: American Academy of Orthopaedic Surgeons, "Joint
+Motion" (1965), with half of its extension of knuckles (45), which few hands reach without help."""
+ABDUCTION = ((-20, 30), (0, 0), (0, 0)) + 4 * ((-15, 20), (0, 0), (0, 0))
+"""The same for abduction; AAOS has 20 degrees for knuckles, and 70 for the thumb from the palm, of which the rest pose
+has about half."""
+END_RATIO = 2 / 3
+"""Flexion of the last joint of a finger over that of the joint before (Rijpkema and Girard 1991)."""
+CLOSED, STRAIGHT, RELAXED = np.array([(80.0, 95.0), (0.0, 3.0), (20.0, 28.0)])
+"""Flexion of knuckle and middle joint (degrees) of a closed, a straight and a relaxed finger."""
+THUMB_IN, THUMB_OUT, THUMB_RELAXED = np.array([(20.0, 40.0, 50.0), (-12.0, -8.0, -10.0), (3.0, 8.0, 12.0)])
+"""The same of the thumb's three joints: across the palm, stretched out and relaxed."""
+SPREAD, NO_SPREAD = np.array([25.0, 14.0, 2.0, -9.0, -15.0]), np.zeros(5)
+"""Abduction of the first joint of each finger (degrees) in a spread hand and at rest; positive towards the thumb."""
+GRASP, GRASP_SPREAD = ((15, 15), (65, 70)), 0.6
+"""Least and largest flexion of knuckle and middle joint in a grasp (degrees), and its largest share of SPREAD."""
+FREE, FREE_SPREAD = 95, 10
+"""Largest flexion of knuckles and middle joints, and largest abduction either way, of free fingers (degrees)."""
+GESTURES = ("relaxed", "fist", "grasp", "spread", "point", "thumb up", "flat", "free")
+"""All are drawn equally often; the joints of a free hand are bent independently."""
+NOISE = 6.0
+"""Standard deviation of what is added to every angle (degrees); joints that cannot bend sideways stay at zero."""
+BLENDED = 0.4
+"""Share of poses that are a mixture of two gestures."""
+
+
+def sample_finger_poses(count: int, rng: np.random.Generator) -> Float[np.ndarray, "N 15 2"]:
+    """Draw angles (degrees) of flexion and abduction of the joints of hands, within their limits."""
+    first, second = (gestures(rng.integers(len(GESTURES), size=count), rng) for _ in range(2))
+    share = rng.random((count, 1, 1)) * (rng.random((count, 1, 1)) < BLENDED)
+    return within_limits((1 - share) * first + share * second + rng.normal(0, NOISE, (count, 15, 2)))
+
+
+def gestures(which: Int[np.ndarray, " N"], rng: np.random.Generator) -> Float[np.ndarray, "N 15 2"]:
+    """Make angles (degrees) of the gestures with the given places in GESTURES."""
+    angles = np.zeros((len(which), 5, 3, 2))  # finger, its joint, flexion and abduction
+    for hand, gesture in zip(angles, which, strict=True):
+        fingers, thumb, spread = _gesture(GESTURES[gesture], rng)
+        hand[1:, :2, 0], hand[0, :, 0], hand[:, 0, 1] = fingers, thumb, spread
+    angles[:, 1:, 2, 0] = END_RATIO * angles[:, 1:, 1, 0]
+    return angles.reshape(-1, 15, 2)
+
+
+def _gesture(
+    name: str, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "*F 2"], Float[np.ndarray, "3"], Float[np.ndarray, "5"]]:
+    """Make a gesture of GESTURES, as angles (degrees).
+
+    Returns:
+        Flexion of knuckle and middle joint of the four fingers (4, 2) or of each of them (2,), flexion of the thumb's
+        joints (3,), and abduction of the first joint of each finger (5,).
+    """
+    match name:
+        case "relaxed":
+            return RELAXED, THUMB_RELAXED, NO_SPREAD
+        case "fist":
+            return CLOSED, THUMB_IN, NO_SPREAD
+        case "thumb up":
+            return CLOSED, THUMB_OUT, NO_SPREAD
+        case "point":
+            return np.stack([STRAIGHT, CLOSED, CLOSED, CLOSED]), THUMB_IN, NO_SPREAD
+        case "flat":
+            return STRAIGHT, THUMB_RELAXED, NO_SPREAD
+        case "spread":
+            return STRAIGHT, THUMB_OUT, SPREAD
+        case "grasp":  # all fingers around one thing
+            fingers, thumb = rng.uniform(*GRASP), rng.uniform(0, 1) * THUMB_IN
+            return fingers, thumb, rng.uniform(0, GRASP_SPREAD) * SPREAD
+        case _:  # free: the first row of five is the thumb's, whose joints have limits of their own
+            fingers, thumb = rng.uniform(0, FREE, (5, 2))[1:], rng.uniform(*np.array(FLEXION[:3]).T)
+            return fingers, thumb, rng.uniform(-1, 1, 5) * FREE_SPREAD
+
+
+def within_limits(angles: Float[np.ndarray, "*N 15 2"]) -> Float[np.ndarray, "*N 15 2"]:
+    """Clip angles (degrees) to the limits of the joints."""
+    limits = np.array([FLEXION, ABDUCTION], float)  # (2, 15, 2): kind of angle, joint, ends
+    return angles.clip(limits[:, :, 0].T, limits[:, :, 1].T)
+
+
+def finger_rotations(angles: Float[np.ndarray, "*N 15 2"], left: bool) -> Float[np.ndarray, "*N 15 3 3"]:
+    """Compute the local rotations of a hand's joints from angles (degrees) of flexion and abduction."""
+    hands, side = load_hands(), slice(0, 15) if left else slice(15, 30)
+    # The mirror image of a rotation is a rotation the other way about the mirrored axis; the axes have that in them.
+    flexion, abduction = (
+        rotvec_to_rotmat(np.radians(angles[..., k, None]) * axis[side])
+        for k, axis in enumerate((hands.flexion, hands.abduction))
+    )
+    return abduction @ flexion

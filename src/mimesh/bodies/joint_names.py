@@ -212,13 +212,25 @@ def plain_names(joint_names: tuple[str, ...]) -> list[str]:
     return [_RIG_PREFIX.sub("", "".join(parts)) for parts in words]
 
 
-def ancestors(parents: tuple[int, ...], joint: int) -> list[int]:
+def ancestors(parents: Sequence[int], joint: int) -> list[int]:
     """List a joint and its ancestors, up to the root."""
     chain = []
     while joint >= 0:
         chain.append(joint)
         joint = parents[joint]
     return chain
+
+
+def parents_first(parents: Sequence[int]) -> list[int]:
+    """Order joints so that each is after its parent; where all are already, the order stays."""
+    if all(parent < j for j, parent in enumerate(parents)):
+        return list(range(len(parents)))
+    return sorted(range(len(parents)), key=lambda j: len(ancestors(parents, j)))
+
+
+def without_side(name: str) -> str:
+    """Take the side off the name of a joint of a shipped body: LeftArm, LHipJoint; other names stay."""
+    return name[side.end() :] if (side := _SIDE.match(name)) else name
 
 
 def other_side(name: str) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .body_model import RiggedBody
+from .joint_names import without_side
 from .sampling import Range, mirror_ranges
 
 Ranges = dict[str, tuple[Range, Range, Range]]
@@ -157,7 +158,7 @@ def postures(body: RiggedBody) -> Float[np.ndarray, "R J 3"]:
     mean, rotvec = mean_posture(), np.zeros((len(POSTURES), *body.joints.shape))
     for k, posture in enumerate(POSTURES.values()):
         for j, name in enumerate(body.joint_names):
-            kind, side = name.removeprefix("Left").removeprefix("Right"), -1 if name.startswith("Right") else 1
+            kind, side = without_side(name), -1 if name.startswith("Right") else 1
             (pitch, roll), (mean_pitch, mean_roll) = posture.get(kind, (0.0, 0.0)), mean.get(kind, (0.0, 0.0))
             rotvec[k, j] = np.radians([pitch - mean_pitch, 0.0, side * (roll - mean_roll)])
     return rotvec

@@ -18,7 +18,6 @@ p_child = p_parent + L_parent (rest_child - rest_parent).
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,6 +29,7 @@ from ..core.rig import descendant_matrix
 from ..core.skinning import blend_matrices, place_joints
 from ..core.surface_points import interpolate, sample_surface
 from .body_model import RiggedBody
+from .joint_names import without_side
 from .sampling import rotvec_to_rotmat
 
 DENSITY_EXPONENT = 0.5
@@ -288,8 +288,7 @@ def bone_directions(body: RiggedBody) -> tuple[Float[np.ndarray, "J 3"], Bool[np
 
 def kinds_of_bones(body: RiggedBody) -> Int[np.ndarray, " J"]:
     """Number the kinds of bones: joints that are mirror images of each other have one number."""
-    names = [re.sub("^(Left|Right|L(?=[A-Z])|R(?=[A-Z]))", "", name) for name in body.joint_names]
-    return np.unique(names, return_inverse=True)[1]
+    return np.unique([without_side(name) for name in body.joint_names], return_inverse=True)[1]
 
 
 def _in_joint_frames(n: Float[np.ndarray, "M 3"], linear: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "M J 3"]:

@@ -5,6 +5,8 @@ Triples of degrees are rotation vectors about the world's axes at rest (x the pe
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from jaxtyping import Float
 
@@ -103,8 +105,14 @@ def sample_pose(
 
 def lowered_arms(body: RiggedBody) -> Float[np.ndarray, "J 3"]:
     """Make rotation vectors that lower the arms of the T-pose by 75 degrees; a fraction of them gives an A-pose."""
+    return pose_of(body, {"LeftArm": (0.0, 0.0, -75.0), "RightArm": (0.0, 0.0, 75.0)})
+
+
+def pose_of(body: RiggedBody, degrees: Mapping[str, tuple[float | int, ...]]) -> Float[np.ndarray, "J 3"]:
+    """Convert a table of rotation vectors by joint (degrees) to all joints' rotation vectors (radians)."""
     pose = np.zeros((len(body.joint_names), 3))
-    pose[body.joint("LeftArm"), 2], pose[body.joint("RightArm"), 2] = -np.radians(75), np.radians(75)
+    for name, turn in degrees.items():
+        pose[body.joint(name)] = np.radians(turn)
     return pose
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.mesh import Mesh, permute_vertices
+from ..core.rig import homogeneous
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +57,8 @@ class SkinnedCharacter:
         count = len(self.parents)
         transforms = np.tile(np.eye(4), (count + 1, 1, 1))
         for j, parent in enumerate(self.parents):
-            local = np.eye(4)  # rotation about the joint's position at rest
-            local[:3, :3] = local_rotmat[j]
-            local[:3, 3] = self.joints[j] - local_rotmat[j] @ self.joints[j]
+            # The rotation about the joint's position at rest.
+            local = homogeneous(local_rotmat[j], self.joints[j] - local_rotmat[j] @ self.joints[j])
             if parent < 0 and root is not None:
                 local[:3, 3] += root
             transforms[j] = transforms[parent] @ local  # parent -1 is the last entry, the world
@@ -113,9 +113,6 @@ class SkinnedCharacter:
 
     def turned(self, turn: Float[np.ndarray, "3 3"]) -> SkinnedCharacter:
         """Turn the character about the origin."""
-        transform = np.eye(4)
-        transform[:3, :3] = turn
         mesh = dataclasses.replace(self.mesh, vertices=self.mesh.vertices @ turn.T)
-        return dataclasses.replace(
-            self, mesh=mesh, T_world_joint=transform @ self.T_world_joint, points=self.points @ turn.T
-        )
+        frames = homogeneous(turn, np.zeros(3)) @ self.T_world_joint
+        return dataclasses.replace(self, mesh=mesh, T_world_joint=frames, points=self.points @ turn.T)

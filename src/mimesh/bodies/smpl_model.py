@@ -155,7 +155,6 @@ def load_smpl_model(path: str | Path) -> SmplModel:
 
 
 def _read_pickle(path: Path) -> dict[str, np.ndarray]:
-    """Read the arrays of a pickle."""
     pickled = read_pickled_arrays(path)
     _check_names(pickled.entries, path)
     return {name: pickled.array(name) for name in ARRAYS}
@@ -204,7 +203,6 @@ def _numbers(arrays: dict[str, np.ndarray], name: str, shape: tuple[int | None, 
 
 
 def _faces(faces: np.ndarray, vertices: int, path: Path) -> Int[np.ndarray, "F 3"]:
-    """Check the triangles."""
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu" or len(faces) == 0:
         raise InputError(
             f"{path}: expected 'f' to be whole numbers of shape (F, 3), found {faces.dtype} {faces.shape}; "

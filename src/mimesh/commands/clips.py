@@ -80,11 +80,7 @@ def check_clip_output(
 
 
 def check_rig_layout(identity: Mesh, clip: Clip, model: str, options: MotionOptions, layout: Layout) -> None:
-    """Check that the identity's own rig can get a layout if it is used, before anything is moved.
-
-    Raises:
-        InputError: it cannot.
-    """
+    """Check that the identity's own rig can get a layout if it is used, before anything is moved."""
     from ..methods.find import takes_rigs
     from ..pipeline.rigs import Rigs
     from ..pipeline.skinned import check_own_layout
@@ -108,11 +104,7 @@ def moves_joints(model: str) -> bool:
 
 
 def check_frames_size(mesh: Mesh, frames: int, output: Path, blendshapes: int | None, quiet: bool) -> None:
-    """Check the expected size of a clip that is written frame by frame, and tell it if it is large.
-
-    Raises:
-        InputError: it is too large (see `core.output_size`).
-    """
+    """Check the expected size of a clip that is written frame by frame, and tell it if it is large."""
     from ..core.output_size import check_output_size, frames_size
     from ..io.formats import FRAME_SUFFIXES
     from ..render.movie import MOVIES

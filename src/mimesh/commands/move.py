@@ -1,12 +1,15 @@
-"""The commands `mimesh transfer` and `mimesh animate`."""
+"""The commands `mimesh transfer` and `mimesh animate`: options, files of joints, previews, and what is printed."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..core.printable import say
 from .clips import (
     check_clip_output,
     check_frames_size,
@@ -18,9 +21,6 @@ from .clips import (
     save_clips,
 )
 from .common import LOGGER
-from .completion import one_of
-from .joint_files import JointFiles, check_joint_outputs, save_joint_files
-from .summary import joined_facts, print_facts, result_facts
 from .terminal import (
     Animations,
     BlendShapes,
@@ -35,18 +35,25 @@ from .terminal import (
     Quiet,
     Seed,
     given_path,
+    one_of,
     open_page,
     output_beside,
     output_path,
+    print_json,
+    print_next,
     progress,
     refuse_existing,
     refuse_inputs,
 )
 
 if TYPE_CHECKING:
+    from ..core.joint_corrections import JointCorrections
     from ..core.mesh import Mesh
     from ..pipeline.result import ClipResult, Result
+    from ..tools.convert import DrivingClip
 
+MOST_NAMED = 6
+"""Corrected joints up to which their names are printed."""
 Identity = Annotated[
     Path, typer.Argument(metavar="IDENTITY", parser=given_path, help="The mesh to move: GLB, USD, OBJ, PLY ...")
 ]
@@ -181,8 +188,7 @@ def transfer(
     from ..pipeline import transfer as run_transfer
     from ..tools.convert import taken_pose_note
 
-    # Not everybody has Blender, which writes FBX: by default the result of an .fbx is a .glb.
-    suffix = ".glb" if identity.suffix.lower() == ".fbx" else identity.suffix
+    suffix = usual_suffix(identity)
     _refuse_motion(identity, output)
     target = output_path(output, lambda: output_beside(identity, driving, suffix))
     check_outputs(target, preview, open_it, identity, driving, reference, markers, body_model, usual=suffix)
@@ -223,6 +229,11 @@ def transfer(
     _log(result, model, body)
     notes += taken_pose_note(mesh, identity)
     return print_facts(result_facts(result, target, replaced, shown, notes, corrected.described()), json, quiet)
+
+
+def usual_suffix(identity: Path) -> str:
+    """Return the suffix of the default output of `transfer`: not everybody has Blender, which writes FBX."""
+    return ".glb" if identity.suffix.lower() == ".fbx" else identity.suffix
 
 
 def _refuse_motion(identity: Path, output: str | None) -> None:
@@ -314,8 +325,7 @@ def animate(
     from ..io.atomic import together
     from ..pipeline import animate as run_animate
     from ..pipeline.prepared import MotionOptions
-    from ..tools.convert import hierarchy_note, read_driving, resampled_note
-    from ..tools.driving_clips import choose_clips
+    from ..tools.convert import choose_clips, hierarchy_note, read_driving, resampled_note
 
     _refuse_motion(identity, output)
     target = output_path(output, lambda: clip_output(identity, driving), frames=True)
@@ -461,3 +471,198 @@ def _timed(work):
 
     begin = time.perf_counter()
     return work(), time.perf_counter() - begin
+
+
+@dataclass(frozen=True)
+class JointFiles:
+    """Corrected joints of both inputs."""
+
+    identity: JointCorrections | None
+    driving: JointCorrections | None
+    beside: tuple[str, ...] = ()
+    """Paths of those found beside the inputs."""
+
+    @classmethod
+    def found(
+        cls,
+        identity: Path,
+        driving: Path,
+        joints: Path | None,
+        driving_joints: Path | None,
+        no_joints: bool,
+        model: str,
+    ) -> JointFiles:
+        """Read the files that were given, else those beside the inputs; only models with joints use the latter."""
+        from ..io.joint_file import load_corrections, side_file
+        from ..methods.base import CorrectableMethod
+        from ..methods.find import find_method
+
+        corrections, found = [], []
+        for mesh, given in ((identity, joints), (driving, driving_joints)):
+            beside = side_file(mesh)
+            usable = not no_joints and beside.is_file() and isinstance(find_method(model), CorrectableMethod)
+            path = given or (beside if usable else None)
+            found += [str(beside)] if usable and given is None else []
+            corrections.append(None if path is None else load_corrections(path))
+        return cls(corrections[0], corrections[1], tuple(found))
+
+    def described(self) -> tuple[str, ...]:
+        """Return a line for each of the files that was used."""
+        lines = []
+        for corrections in filter(None, (self.identity, self.driving)):
+            names, count = ", ".join(corrections.positions), len(corrections.positions)
+            what = f"{count} joints" if count > MOST_NAMED else names or "none"
+            beside = " (--no-joints ignores it)" if corrections.source in self.beside else ""
+            lines.append(f"{what} as in {corrections.source}{beside}")
+        return tuple(lines)
+
+
+def check_joint_outputs(paths: tuple[Path | None, Path | None], model: str, *others: Path) -> None:
+    """Check that a model has joints to write, and that they are written to .json files that are no inputs."""
+    from ..core.errors import InputError
+
+    for path, option in zip(paths, ("--save-joints", "--save-driving-joints"), strict=True):
+        if path is None:
+            continue
+        if not moves_joints(model):
+            raise InputError(f"{option}: expected a model with joints (mime), found {model}; choose it with -m")
+        refuse_inputs(path, *others)
+        if path.suffix.lower() != ".json":
+            raise InputError(f"{path}: expected a .json file for the joints, found '{path.suffix}'; rename it")
+
+
+def save_joint_files(
+    result: Result | ClipResult,
+    identity: Path,
+    driving: Path,
+    save_joints: Path | None,
+    save_driving_joints: Path | None,
+    frame: int = 0,
+) -> None:
+    """Write the joints that were found to the files that were asked for; `frame` is the first driving frame taken."""
+    from ..core.joint_corrections import JointCorrections
+    from ..io.joint_file import save_corrections
+
+    clip = result.driving_clip
+    outputs = (
+        (save_joints, identity, result.joints, result.mesh, 0),
+        (save_driving_joints, driving, result.driving_joints, None if clip is None else clip.mesh, frame),
+    )
+    for path, file, joints, mesh, t in outputs:
+        if path is not None and joints is not None and mesh is not None:
+            save_corrections(JointCorrections(joints, t, file.name, len(mesh.vertices)), path)
+
+
+def result_facts(
+    result: Result | ClipResult,
+    output: Path,
+    replaced: bool,
+    shown: dict[str, Any],
+    driving_notes: tuple[str, ...] = (),
+    joints: tuple[str, ...] = (),
+    output_fps: float | None = None,
+) -> dict[str, Any]:
+    """Return the facts about a result and its file, with all notes.
+
+    `replaced`: whether a file or a folder of this name was there. `shown`: the paths of the preview. `output_fps`: the
+    rate of the file if it differs from the result's.
+    """
+    from ..core.animated_rig import frames_around
+    from ..pipeline.result import Result
+    from ..tools.convert import blend_note, not_kept, posed_vrm_note, rate_note, size_note, skinned_note
+
+    mesh = result.mesh
+    fps, frames = (None, 1) if isinstance(result, Result) else (result.fps, len(result.frames))
+    if fps is not None and output_fps is not None:
+        fps, frames = output_fps, len(frames_around(frames, fps, output_fps)[0])
+    rate = () if fps is None else (*rate_note(fps, output), *size_note(output))
+    blended = blend_note(result.report.get("blendshapes_deviation"))
+    kept = (*not_kept(mesh, output), *posed_vrm_note(output))
+    notes = [*result.notes, *kept, *rate, *blended, *skinned_note(result.report), *driving_notes]
+    facts: dict[str, Any] = {
+        "output": str(output),
+        "replaced": replaced,
+        "model": result.model,
+        "vertices": len(mesh.vertices),
+        "frames": frames,
+        "fps": fps,
+        "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
+        "report": {**result.report, "notes": notes, **shown},
+    }
+    if joints:
+        facts["report"]["joints"] = list(joints)
+    return facts
+
+
+def joined_facts(facts: Sequence[dict[str, Any]], driving: Sequence[DrivingClip]) -> dict[str, Any]:
+    """Return the facts about one file of several clips: sums and unions, and under "clips" those of each."""
+    kept = ("frames", "fps", "seconds", "report")
+    clips = [
+        {"name": clip.name, "driving": str(clip.path), **{key: one[key] for key in kept}}
+        for one, clip in zip(facts, driving, strict=True)
+    ]
+    rates = {one["fps"] for one in facts}
+    reports = [one["report"] for one in facts]
+    report = {
+        "notes": list(dict.fromkeys(note for report in reports for note in report["notes"])),
+        "pictures": [path for report in reports for path in report["pictures"]],
+        "page": reports[0]["page"],
+    }
+    return {
+        **{key: facts[0][key] for key in ("output", "replaced", "model", "vertices")},
+        "frames": sum(one["frames"] for one in facts),
+        "fps": rates.pop() if len(rates) == 1 else None,
+        "seconds": {step: round(sum(one["seconds"][step] for one in facts), 4) for step in facts[0]["seconds"]},
+        "report": report,
+        "clips": clips,
+    }
+
+
+def print_facts(facts: dict[str, Any], json: bool, quiet: bool) -> dict[str, Any]:
+    """Print facts about a file as JSON, or as a summary, and return them."""
+    if json:
+        print_json(facts)
+    elif not quiet:
+        _print_summary(facts)
+    return facts
+
+
+def _print_summary(facts: dict[str, Any]) -> None:
+    """Print the output, its clips if it has several, notes with those that they are about, previews and a next step."""
+    from ..render.movie import MOVIES
+    from ..tools.convert import frames_at
+
+    clips, seconds = facts.get("clips", ()), sum(facts["seconds"].values())
+    reports = [clip["report"] for clip in clips] or [facts["report"]]
+    replaced = " (replaced)" if facts["replaced"] else ""
+    length = "" if facts["fps"] is None else f", {frames_at(facts['frames'], facts['fps'])}"
+    length = f", {len(clips)} clips" if clips else length
+    by = "on its own rig" if reports[0].get("rig") == "own" else facts["model"]
+    say(f"{facts['output']}{replaced}: {facts['vertices']} vertices{length}, {by}, {seconds:.1f} s")
+    for clip in clips:
+        say(f"clip: {clip['name']}, {frames_at(clip['frames'], clip['fps'])}")
+    for line in dict.fromkeys(line for report in reports for line in report.get("joints", ())):
+        say(f"joints: {line}")
+    for note in facts["report"]["notes"]:
+        about = [clip["name"] for clip in clips if note in clip["report"]["notes"]]
+        say(f"note: {note}" if len(about) == len(clips) else f"note: {', '.join(about)}: {note}")
+    for report in reports:
+        for path in report["pictures"]:
+            say(f"picture: {path}")
+        if report["page"]:
+            say(f"page: {report['page']}")
+    if Path(facts["output"]).suffix.lower() not in MOVIES:
+        _print_viewing(facts)
+
+
+def _print_viewing(facts: dict[str, Any]) -> None:
+    """Print how to look at a result: its page, or the command that makes a page or a picture of it."""
+    output = Path(facts["output"])
+    if facts["report"]["page"]:
+        say(f"next: open {facts['report']['page']} in a browser")
+    elif facts["fps"] is None and "clips" not in facts:
+        print_next("render", output, "-o", output.with_suffix(".png"))
+    elif output.suffix.lower() == ".vrma":
+        print_next("look", output)
+    else:
+        print_next("render", output, "-o", output.with_suffix(".html"))

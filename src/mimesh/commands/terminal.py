@@ -1,4 +1,4 @@
-"""Shared by all commands: common options, printing, progress bars, and checks of output paths."""
+"""Shared by all commands: common options and what shells complete, printing, progress, and checks of output paths."""
 
 from __future__ import annotations
 
@@ -17,12 +17,46 @@ from typing import Annotated, Any
 import typer
 
 from ..core.printable import printable, say
-from .completion import models
 
 LINE_SECONDS = 10.0
 """Time between two lines that tell the progress where there is no terminal."""
 SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 """What a path of a folder may end in."""
+VALUES = {
+    "root": ("scale", "keep", "drop"),
+    "rig": ("own", "mimesh"),
+    "body": ("auto", "human", "quadruped", "other"),
+    "pairing": ("auto", "random", "order", "body"),
+    "names": ("own", "mixamo", "unreal", "vrm", "godot", "rigify"),
+    "rest": ("file", "T", "A"),
+}
+"""Option -> its values. Written again here, because a shell waits while the modules that check them are loaded."""
+MODELS = ("mime", "npt", "npt-maxpool", "aniformer", "copy", "deformation-transfer", "skeleton")
+"""Names of models that -m takes."""
+
+
+def one_of(option: str) -> Callable[[str], list[str]]:
+    """Return the function that completes a value of an option."""
+    return lambda incomplete: [value for value in VALUES[option] if value.startswith(incomplete)]
+
+
+def complete_model(incomplete: str) -> list[str]:
+    """Complete the value of -m: a name, or the path of an .onnx file."""
+    folder = Path(incomplete) if incomplete.endswith("/") else Path(incomplete).parent
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError:
+        entries = []
+    # As the user writes it: "./net.onnx" and "net.onnx" are the same path.
+    before = incomplete[: incomplete.rfind("/") + 1]
+    paths = [
+        before + entry.name + "/" * entry.is_dir() for entry in entries if entry.is_dir() or entry.suffix == ".onnx"
+    ]
+    hidden = incomplete[len(before) :].startswith(".")
+    shown = [path for path in paths if hidden or not path[len(before) :].startswith(".")]
+    return [word for word in (*MODELS, *shown) if word.startswith(incomplete)]
+
+
 Model = Annotated[
     str,
     typer.Option(
@@ -30,7 +64,7 @@ Model = Annotated[
         "-m",
         metavar="MODEL",
         help="A name that `mimesh models` prints, or the path of an .onnx file.",
-        autocompletion=models,
+        autocompletion=complete_model,
     ),
 ]
 Output = Annotated[
@@ -136,9 +170,8 @@ def say_tables(text: str) -> None:
         if not is_table:
             say(*group)
             continue
-        head, _, *rows = (
-            [escape(cell.strip().replace("`", "")) for cell in line.strip("|").split("|")] for line in group
-        )
+        cells = ([escape(cell.strip().replace("`", "")) for cell in line.strip("|").split("|")] for line in group)
+        head, _, *rows = cells
         table = Table(*(Column(name, overflow="fold") for name in head), box=box.SIMPLE, padding=0)
         for cells in rows:
             table.add_row(*cells)
@@ -175,17 +208,16 @@ def progress(what: str, quiet: bool) -> Iterator[Callable[[int, int], None] | No
 
 
 @contextlib.contextmanager
-def progress_lines(what: str, every: float | None = None) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function of (done, total); a line on stderr tells the last ones every so many seconds (LINE_SECONDS).
+def progress_lines(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function of (done, total); a line on stderr tells the last ones every LINE_SECONDS.
 
     A thread writes the lines, so that they come during long steps that report nothing, too.
     """
     done_of: list[int] = []
     begin, ended = time.monotonic(), threading.Event()
-    seconds = LINE_SECONDS if every is None else every
 
     def write() -> None:
-        while not ended.wait(seconds):
+        while not ended.wait(LINE_SECONDS):
             counted = f" {done_of[0]}/{done_of[1]}" if len(done_of) == 2 else ""
             say(f"{what}{counted}, {time.monotonic() - begin:.0f} s", error=True)
 
@@ -222,13 +254,13 @@ def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
     """
     from ..core.errors import InputError
     from ..core.system import refuse_pipe
+    from ..tools.convert import file_stem
 
     refuse_pipe(identity)
     if not identity.is_file():
         found = "a folder" if identity.is_dir() else "nothing of that name"
         raise InputError(f"{identity}: expected the file of the mesh to move, found {found}; check the path")
-    resolved = driving.resolve()  # a driving folder may be given as "." or "walk/"
-    return identity.with_name(f"{identity.stem}-{resolved.name if resolved.is_dir() else resolved.stem}{suffix}")
+    return identity.with_name(f"{identity.stem}-{file_stem(driving)}{suffix}")
 
 
 def output_path(given: str | None, usual: Callable[[], Path], frames: bool = False) -> Path:
@@ -247,7 +279,9 @@ def output_path(given: str | None, usual: Callable[[], Path], frames: bool = Fal
 
     if given is None:
         return usual()
-    path = given_output(given)
+    if not given.strip():  # as of an unset variable: it would be the current folder
+        raise InputError("--output: expected a path, found an empty text; check variables and quotes")
+    path = Path(given)
     if given.endswith(SEPARATORS):
         if path.exists() and not path.is_dir():
             raise InputError(f"{given}: expected a folder for the output, found a file; leave the slash out")
@@ -257,25 +291,8 @@ def output_path(given: str | None, usual: Callable[[], Path], frames: bool = Fal
     return path / usual().name
 
 
-def given_output(text: str) -> Path:
-    """Return the path of an output; an empty one, as of an unset variable, would be the current folder.
-
-    Raises:
-        InputError: it is empty.
-    """
-    from ..core.errors import InputError
-
-    if not text.strip():
-        raise InputError("--output: expected a path, found an empty text; check variables and quotes")
-    return Path(text)
-
-
 def refuse_existing(no_clobber: bool, *outputs: Path | None) -> None:
-    """Check with --no-clobber that no output exists; None is no output.
-
-    Raises:
-        InputError: one does.
-    """
+    """Check with --no-clobber that no output exists; None is no output."""
     from ..core.errors import InputError
 
     for path in filter(None, outputs):
@@ -306,11 +323,7 @@ def given_path(text: str) -> Path:
 
 
 def refuse_inputs(output: Path, *inputs: Path | None) -> None:
-    """Check that an output would not overwrite an input file or a file in a folder of input frames; None is no input.
-
-    Raises:
-        InputError: the output is one of the inputs or lies in a folder that is one.
-    """
+    """Check that an output would overwrite no input file and no file in a folder of input frames; None is no input."""
     from ..core.errors import InputError
 
     target = output.resolve()
@@ -328,11 +341,7 @@ def refuse_inputs(output: Path, *inputs: Path | None) -> None:
 
 
 def require(extra: str, *modules: str) -> None:
-    """Check that the modules of an optional extra are installed.
-
-    Raises:
-        InputError: one is missing; the message has the install command.
-    """
+    """Check that the modules of an optional extra are installed."""
     from importlib.util import find_spec
 
     from ..core.errors import InputError

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from .frame_buffer import Frames
+from .frame_buffer import Frames, evenly_spread
 from .geometry import slerp
 from .mesh import Mesh
-from .rig import Rig
+from .rig import Rig, homogeneous, local_rotations
 from .skinning import SkinnedMesh, place_joints
 
 INFLUENCES = 4
@@ -82,10 +82,7 @@ class AnimatedRig:
     def transforms(self) -> Float[np.ndarray, "T J 4 4"]:
         """Compute the transform of points that each joint moves, from rest to every frame."""
         turn = self.rotation @ self.rig.rotation.swapaxes(-1, -2)
-        transforms = np.tile(np.eye(4), (*turn.shape[:2], 1, 1))
-        transforms[..., :3, :3] = turn
-        transforms[..., :3, 3] = self.joint_positions() - (turn @ self.rig.joints[..., None])[..., 0]
-        return transforms
+        return homogeneous(turn, self.joint_positions() - (turn @ self.rig.joints[..., None])[..., 0])
 
     @property
     def size(self) -> float:
@@ -102,7 +99,7 @@ class AnimatedRig:
         Only CHECKED_FRAMES frames are compared.
         """
         skinned = SkinnedMesh.of(self.mesh.vertices, self.rig.limited(INFLUENCES), self.parents)
-        chosen = np.unique(np.linspace(0, len(frames) - 1, CHECKED_FRAMES).round().astype(int))
+        chosen = evenly_spread(len(frames), CHECKED_FRAMES)
         positions = None if self.positions is None else self.positions[chosen]
         part = replace(self, rotation=self.rotation[chosen], root=self.root[chosen], positions=positions)
         posed = map(skinned.posed_at, part.rotation, part.joint_positions())
@@ -135,14 +132,6 @@ class RigAnimation:
     def resampled(self, fps: float | None) -> RigAnimation:
         """Sample the motion at another rate; None keeps it."""
         return self if fps is None else RigAnimation(self.name, self.skeleton.resampled(self.fps, fps), fps)
-
-
-def local_rotations(rotation: Float[np.ndarray, "T J 3 3"], parents: tuple[int, ...]) -> Float[np.ndarray, "T J 3 3"]:
-    """Compute rotations in the frames of the parents from those in the world; the root's stays that in the world."""
-    local = rotation.copy()
-    above = list(parents[1:])
-    local[:, 1:] = rotation[:, above].swapaxes(-1, -2) @ rotation[:, 1:]
-    return local
 
 
 def frames_around(

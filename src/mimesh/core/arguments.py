@@ -1,7 +1,8 @@
-"""Public functions as programs call them: arguments are checked, and messages name arguments.
+"""Public functions as programs call them: arguments and arrays are checked, and messages name arguments.
 
 Messages are written with the options of the command line (`give --driving-front`). `public` replaces them by the
 arguments of Python (`give driving_front=...`) unless the command line is the caller (`errors.command_line_words`).
+Lists, integers and tensors become arrays (`as_vertices` and others); messages say what to do with all else.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from .errors import InputError, did_you_mean, names_options
 
@@ -132,9 +134,9 @@ def check_kind(name: str, value: object, annotation: str) -> None:
     Kinds that are not in KINDS are left to the function.
     """
     allowed = [kind.strip() for kind in annotation.split("|")]
-    if not all(kind in KINDS for kind in allowed) or any(KINDS[kind](value) for kind in allowed):
+    if not all(kind in KINDS for kind in allowed) or any(KINDS[kind][1](value) for kind in allowed):
         return
-    words = [WORDS[kind] for kind in allowed if kind != "str" or "Path" not in allowed]
+    words = [KINDS[kind][0] for kind in allowed if kind != "str" or "Path" not in allowed]
     *others, last = words
     expected = f"{', '.join(others)} or {last}" if others else last
     raise InputError(f"{name}: expected {expected}, found {described(value)}; {_advice(value, allowed)}")
@@ -168,7 +170,7 @@ def _advice(value: object, allowed: list[str]) -> str:
         )
     if allowed in (["Mesh"], ["Clip"]) and isinstance(value, (str, os.PathLike)):
         return "load_mesh and load_clip read files; where something is saved, it comes first, then its path"
-    return f"give {WORDS['Path' if 'Path' in allowed else allowed[0]]}"
+    return f"give {KINDS['Path' if 'Path' in allowed else allowed[0]][0]}"
 
 
 def _is(kind: str) -> Callable[[object], bool]:
@@ -188,28 +190,139 @@ def _is_number(kind: type) -> Callable[[object], bool]:
     return test
 
 
-KINDS: dict[str, Callable[[object], bool]] = {
-    "None": lambda value: value is None,
-    "str": lambda value: isinstance(value, str),
-    "Path": lambda value: isinstance(value, os.PathLike),
-    "int": _is_number(numbers.Integral),
-    "float": _is_number(numbers.Real),
-    "bool": lambda value: isinstance(value, (bool, np.bool_)),
-    "slice": lambda value: isinstance(value, slice),
-    "Progress": callable,
-    "Mesh": _is("Mesh"),
-    "Clip": _is("Clip"),
+KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
+    "None": ("None", lambda value: value is None),
+    "str": ("text", lambda value: isinstance(value, str)),
+    "Path": ("a path", lambda value: isinstance(value, os.PathLike)),
+    "int": ("a whole number", _is_number(numbers.Integral)),
+    "float": ("a number", _is_number(numbers.Real)),
+    "bool": ("True or False", lambda value: isinstance(value, (bool, np.bool_))),
+    "slice": ("a slice", lambda value: isinstance(value, slice)),
+    "Progress": ("a function of (done, total)", callable),
+    "Mesh": ("a Mesh", _is("Mesh")),
+    "Clip": ("a Clip", _is("Clip")),
 }
-"""Kind in annotations -> whether a value is of it."""
-WORDS = {
-    "None": "None",
-    "str": "text",
-    "Path": "a path",
-    "int": "a whole number",
-    "float": "a number",
-    "bool": "True or False",
-    "slice": "a slice",
-    "Progress": "a function of (done, total)",
-    "Mesh": "a Mesh",
-    "Clip": "a Clip",
-}
+"""Kind in annotations -> what messages call it, and whether a value is of it."""
+
+
+def as_vertices(values: Any, name: str = "Mesh.vertices") -> Float[np.ndarray, "V 3"]:
+    """Convert anything that is like an array to vertices; arrays of float32 and float64 stay what they are.
+
+    Raises:
+        InputError: another shape, or no real numbers.
+    """
+    array = _as_array(name, values)
+    if array.ndim != 2 or array.shape[1] != 3:
+        hint = "give an array with a row x, y, z for each vertex"
+        if array.ndim == 2 and array.shape[0] == 3:
+            hint = "give vertices.T"
+        elif array.ndim == 3:
+            hint = "frames are those of a clip: mimesh.Clip(mesh, frames)"
+        raise InputError(f"{name}: expected shape (V, 3), found {array.shape}; {hint}")
+    return _as_real(name, array)
+
+
+def as_faces(values: Any) -> Int[np.ndarray, "F 3"]:
+    """Convert anything that is like an array of triangles to whole numbers; arrays of these stay what they are.
+
+    Quads are refused: splitting them here would change the number of faces that the caller knows.
+
+    Raises:
+        InputError: another shape, or numbers that are not whole.
+    """
+    name = "Mesh.faces"
+    if values is None:
+        raise InputError(f"{name}: expected shape (F, 3), found None; leave it out for a point cloud")
+    array = _as_array(name, values)
+    if array.shape == (0,):
+        array = np.zeros((0, 3), np.int64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        hint = "give an array with three vertices for each triangle"
+        if array.ndim == 2 and array.shape[1] == 4:
+            hint = "split quads into triangles: faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)"
+        elif array.ndim == 2 and array.shape[0] == 3:
+            hint = "give faces.T"
+        elif array.ndim == 1 and len(array) % 3 == 0:
+            hint = "give faces.reshape(-1, 3)"
+        raise InputError(f"{name}: expected shape (F, 3), found {array.shape}; {hint}")
+    if array.dtype.kind == "i":
+        return array
+    # Text files are often read as floats.
+    if array.dtype.kind == "u" or (array.dtype.kind == "f" and _are_whole(array)):
+        return array.astype(np.int64)
+    raise InputError(f"{name}: expected whole numbers, found {_kind(array)}; give the indices of vertices, from 0")
+
+
+def as_frames(values: Any, mesh: str, count: int) -> Float[np.ndarray, "T V 3"]:
+    """Convert anything that is like an array to the frames of a mesh, given by its name and number of vertices.
+
+    Raises:
+        InputError: another shape, or no real numbers.
+    """
+    array = _as_array("Clip.vertices", values)
+    if array.ndim != 3 or array.shape[1:] != (count, 3):
+        hint = f"give an array with a row x, y, z for each vertex of {mesh} in each frame"
+        if array.shape == (count, 3):
+            hint = "mimesh.Clip.still(mesh) is a clip of one frame"
+        elif array.ndim == 3 and array.shape[1:] == (3, count):
+            hint = "give vertices.transpose(0, 2, 1)"
+        elif array.ndim == 3 and array.shape[::2] == (count, 3):
+            hint = "give vertices.transpose(1, 0, 2)"
+        raise InputError(
+            f"Clip.vertices: expected shape (T, {count}, 3), one topology for the whole clip, found {array.shape}; "
+            + hint
+        )
+    return _as_real("Clip.vertices", array)
+
+
+def as_floats(name: str, values: Any, shape: tuple[int, ...], hint: str) -> Float[np.ndarray, "..."]:
+    """Convert anything that is like an array to floats of a shape; whole numbers from 0 to 1 and -1 are floats, too.
+
+    Larger ones are refused: they are bytes or pixels.
+
+    Raises:
+        InputError: another shape, with a hint for it, or other numbers.
+    """
+    array = _as_array(name, values)
+    if array.shape == shape and array.dtype.kind in "iu" and (abs(array.astype(np.float64)) <= 1).all():
+        return array.astype(np.float64)
+    if array.shape != shape or array.dtype.kind != "f":
+        raise InputError(
+            f"{name}: expected floats of shape {shape}, found {array.dtype} of shape {array.shape}; {hint}"
+        )
+    return array
+
+
+def _as_array(name: str, values: Any) -> np.ndarray:
+    """Convert to an array; memory maps stay what they are, other subclasses calculate in another way."""
+    if type(values) in (np.ndarray, np.memmap):
+        return values
+    if values is None or isinstance(values, (str, bytes)) or _is("Mesh")(values) or _is("Clip")(values):
+        raise InputError(f"{name}: expected an array, found {described(values)}; give one of NumPy")
+    if isinstance(values, np.ma.MaskedArray):
+        raise InputError(f"{name}: expected an array, found one with a mask; give one without, such as array.filled(0)")
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        raise InputError(f"{name}: expected an array, found '{error}'; give rows of one length") from error
+    except (TypeError, RuntimeError) as error:  # tensors on a GPU, or with gradients
+        advice = "convert it to an array of NumPy first (of PyTorch: tensor.detach().cpu().numpy())"
+        raise InputError(f"{name}: expected an array, found '{error}'; {advice}") from error
+
+
+def _as_real(name: str, array: np.ndarray) -> np.ndarray:
+    """Return float32 or float64: other real numbers become float64."""
+    if array.dtype.kind == "f" and array.dtype.itemsize in (4, 8):
+        return array
+    if array.dtype.kind not in "iuf":
+        raise InputError(f"{name}: expected real numbers, found {array.dtype}; convert them with astype(float)")
+    return array.astype(np.float64)
+
+
+def _are_whole(array: np.ndarray) -> bool:
+    return bool(np.isfinite(array).all() and (array == np.floor(array)).all())
+
+
+def _kind(array: np.ndarray) -> str:
+    """Say of what kind numbers are that are not whole."""
+    return f"{array.dtype}" if array.dtype.kind != "f" or np.isfinite(array).all() else "NaN or infinity"

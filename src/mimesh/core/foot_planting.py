@@ -1,10 +1,11 @@
 """Plant the feet of a moved identity where the driving's soles stand: correct the root path, then the legs by IK.
 
-What a sole is moved by is a sum: the correction of the root, which moves the whole body, and that of its leg. All are
-found together by linear least squares over the frames of a clip. Where the driving's sole stands, the identity's should
-not slide more than that one does, scaled, and should be as high; the root's correction should be a smooth path, the
-legs' small and smooth. So the root takes what is common and slow, such as a stride of another length, the legs take
-what is left, and corrections grow and fade between contacts by themselves.
+First it is detected when the driving's contact points stand. What a sole of the identity is moved by is a sum: the
+correction of the root, which moves the whole body, and that of its leg. All are found together by linear least squares
+over the frames of a clip. Where the driving's sole stands, the identity's should not slide more than that one does,
+scaled, and should be as high; the root's correction should be a smooth path, the legs' small and smooth. So the root
+takes what is common and slow, such as a stride of another length, the legs take what is left, and corrections grow and
+fade between contacts by themselves. A leg of two bones follows by inverse kinematics: bones keep their lengths.
 """
 
 from __future__ import annotations
@@ -12,14 +13,112 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from .foot_contacts import FootContacts, falling, find_contacts
-from .geometry import factor
+from .geometry import factor, smooth_step, unit_vectors
 from .joint_tracks import JointTrack
-from .leg_ik import longest_reach, move_ankle
+from .rig import descendants
 from .skinning import SkinnedMesh
 from .soles import Feet
+
+STANDING_SPEED = (0.4, 1.2)
+"""Leg lengths a second: a contact point slower than the first stands, one faster than the second does not. Captured
+runs slide by up to 0.7 where the foot stands; the foot in the air moves at 4 to 12."""
+STANDING_HEIGHT = (0.08, 0.18)
+"""Leg lengths over the ground, of a point that stands and of one that does not. Captures are uneven by 0.05."""
+NEAR_GROUND = (0.1, 0.35)
+"""Leg lengths over the ground: the height of a foot is corrected fully below the first, and not above the second."""
+HIPS_HEIGHT = (0.2, 0.35)
+"""Leg lengths over the ground: with the hips below the first, nobody stands: people lie, roll or swim."""
+GROUND_SHARE = 0.25
+"""The ground is the height that the lowest point has, or is below, in this share of the frames in which it stands."""
+TREADMILL_SPEED = 0.4
+"""Leg lengths a second from which on a ground that moves is looked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class FootContacts:
+    """Which contact points of F feet stand on the ground in T frames, from 0 (no) to 1 (yes)."""
+
+    soles: Float[np.ndarray, "T F C 3"]
+    """The contact points."""
+    standing: Float[np.ndarray, "S F C"]
+    """Between each frame and the next one (S = T - 1): low and slow."""
+    near: Float[np.ndarray, "T F"]
+    """In each frame: low."""
+    ground_step: Float[np.ndarray, " 3"]
+    """Displacement of the ground from frame to frame: zero, but for a person who walks or runs in place."""
+
+    @property
+    def planted(self) -> Bool[np.ndarray, "S F C"]:
+        """Whether points stand, yes or no."""
+        return self.standing > 0.5
+
+
+def find_contacts(track: JointTrack, feet: Feet) -> FootContacts | None:
+    """Detect contacts from the paths of a clip's contact points and of its root joint; None if it has none."""
+    if track.soles is None or len(track.soles) < 3:
+        return None
+    soles, root = track.soles / feet.driving_leg, track.positions[:, 0] / feet.driving_leg
+    velocity = np.diff(soles, axis=0) * track.fps
+    height = np.maximum(soles[1:, ..., 1], soles[:-1, ..., 1])
+    ground = _ground(height, np.linalg.norm(velocity, axis=-1))
+    low = falling(height - ground, STANDING_HEIGHT)
+    upright = 1 - falling(root[:, 1] - ground, HIPS_HEIGHT)
+    moving = _ground_velocity(velocity, low, np.diff(root, axis=0) * track.fps)
+    slow = falling(np.linalg.norm(velocity - moving, axis=-1), STANDING_SPEED)
+    standing = low * slow * np.minimum(upright[1:], upright[:-1])[:, None, None]
+    if not (standing > 0.5).any():
+        return None
+    near = falling(soles[..., 1].min(axis=2) - ground, NEAR_GROUND) * upright[:, None]
+    return FootContacts(track.soles, standing, near, moving * feet.driving_leg / track.fps)
+
+
+def _ground(height: Float[np.ndarray, "S F C"], speed: Float[np.ndarray, "S F C"]) -> float:
+    """Return the height of the ground: a low quantile of the lowest point's height in frames in which it is slow.
+
+    Not the lowest height of all: feet of captures sink into the ground for moments.
+    """
+    count = len(height)
+    lowest = height.reshape(count, -1).argmin(axis=1)
+    height, speed = (array.reshape(count, -1)[np.arange(count), lowest] for array in (height, speed))
+    # With a little weight for every frame, for clips in which feet never are slow (a treadmill).
+    weight = falling(speed, STANDING_SPEED) + 1e-3
+    order = height.argsort(kind="stable")
+    share = np.cumsum(weight[order]) / weight.sum()
+    return float(height[order][np.searchsorted(share, GROUND_SHARE)])
+
+
+def _ground_velocity(
+    velocity: Float[np.ndarray, "S F C 3"], low: Float[np.ndarray, "S F C"], root: Float[np.ndarray, "S 3"]
+) -> Float[np.ndarray, " 3"]:
+    """Return the velocity of the ground: zero, but for a person who walks or runs in place.
+
+    Then low points have one common velocity most of the time, which is not that of the root.
+    """
+    still = np.zeros(3)
+    if low.sum() == 0:
+        return still
+
+    def agreement(velocity_of_ground: Float[np.ndarray, " 3"]) -> float:
+        """Share of the low points that move with this velocity."""
+        return float(
+            (low * falling(np.linalg.norm(velocity - velocity_of_ground, axis=-1), STANDING_SPEED)).sum() / low.sum()
+        )
+
+    common = np.median(velocity[low > 0.5], axis=0) if (low > 0.5).any() else still
+    common[1] = 0
+    size = np.linalg.norm(common)
+    in_place = np.linalg.norm(root.mean(axis=0)[[0, 2]]) < 0.25 * size
+    if size > TREADMILL_SPEED and in_place and agreement(common) > max(0.4, 2 * agreement(still)):
+        return common
+    return still
+
+
+def falling(values: Float[np.ndarray, "*S"], limits: tuple[float, float]) -> Float[np.ndarray, "*S"]:
+    """Map values to 1 below the first limit and 0 above the second, smoothly in between."""
+    return 1 - smooth_step(values, limits)
+
 
 MISREAD_SPEED, MISREAD_HEIGHT = (1.5, 3.0), (0.2, 0.4)
 """Leg lengths a second and leg lengths: soles of the identity that slide or float by less are corrected, those that do
@@ -263,3 +362,93 @@ def _solve(
     sides = [measure.T @ (w * e) for w, e in zip(weight.T, error.T, strict=True)]
     side = np.concatenate([np.sum(sides, axis=0), *sides])
     return factor(sparse.csr_array(sparse.block_array(blocks))).solve(side).reshape(-1, frames)
+
+
+LONGEST = 0.995
+"""Largest distance of hip and ankle over the length of the leg, unless it was larger before."""
+STRAIGHT = (0.02, 0.08)
+"""Distance of the knee from the line of hip and ankle (thigh lengths): below the first the leg counts as straight and
+bends to the front of the thigh, from the second on it bends where it does already."""
+
+
+def move_ankle(
+    rotation: Float[np.ndarray, "T J 3 3"],
+    positions: Float[np.ndarray, "T J 3"],
+    leg: tuple[int, ...],
+    offset: Float[np.ndarray, "T 3"],
+    parents: tuple[int, ...],
+) -> Float[np.ndarray, "T J 3 3"]:
+    """Turn thigh and shin so that the ankle moves by `offset`, as far as the leg reaches.
+
+    The foot keeps its world rotation, and the knee stays in the plane of the leg, which turns with the line from hip to
+    ankle.
+
+    Args:
+        rotation: world rotation of all joints; z axes point to the front.
+        positions: their positions.
+        leg: hip, knee and ankle.
+        offset: displacement of the ankle.
+        parents: parent of each joint.
+
+    Returns:
+        World rotations of all joints.
+    """
+    hip, knee, ankle = leg
+    thigh, shin = positions[:, knee] - positions[:, hip], positions[:, ankle] - positions[:, knee]
+    upper, lower = _length(thigh), _length(shin)
+    before, after = thigh + shin, thigh + shin + offset
+    shortest = np.abs(upper - lower) + 1e-3 * upper
+    distance = np.clip(_length(after), shortest, longest_reach(positions, leg))
+    swing = _smallest_rotation(before, after)
+    line, sideways = unit_vectors(before), _knee_direction(thigh, before, rotation[:, hip, :, 2])
+    # Law of cosines: where the knee is along the line from hip to ankle, and how far from it.
+    along = (distance**2 + upper**2 - lower**2) / (2 * distance)
+    across = np.sqrt(np.maximum(upper**2 - along**2, 0))
+    new_thigh = _turn(swing, along * line + across * sideways)
+    new_shin = _turn(swing, distance * line) - new_thigh
+    thigh_turn = _smallest_rotation(_turn(swing, thigh), new_thigh) @ swing
+    shin_turn = _smallest_rotation(_turn(swing, shin), new_shin) @ swing
+    turned = rotation.copy()
+    below_hip, below_knee, foot = (descendants([joint], parents) for joint in leg)
+    turned[:, below_hip] = thigh_turn[:, None] @ rotation[:, below_hip]
+    turned[:, below_knee] = shin_turn[:, None] @ rotation[:, below_knee]
+    turned[:, foot] = rotation[:, foot]
+    return turned
+
+
+def longest_reach(positions: Float[np.ndarray, "T J 3"], leg: tuple[int, ...]) -> Float[np.ndarray, "T 1"]:
+    """Return the largest distance of hip and ankle that is allowed: almost straight, or as straight as the leg is."""
+    hip, knee, ankle = (positions[:, j] for j in leg)
+    return np.maximum(LONGEST * (_length(knee - hip) + _length(ankle - knee)), _length(ankle - hip))
+
+
+def _knee_direction(
+    thigh: Float[np.ndarray, "T 3"], line: Float[np.ndarray, "T 3"], front: Float[np.ndarray, "T 3"]
+) -> Float[np.ndarray, "T 3"]:
+    """Return the direction, perpendicular to the line from hip to ankle, in which the knee is or should be."""
+    axis = unit_vectors(line)
+    bend = thigh - (thigh * axis).sum(axis=-1, keepdims=True) * axis
+    front = unit_vectors(front - (front * axis).sum(axis=-1, keepdims=True) * axis)
+    size = _length(bend)
+    bent = smooth_step(size / _length(thigh), STRAIGHT)
+    mixed = bent * bend / np.maximum(size, 1e-12) + (1 - bent) * front
+    # A knee bent exactly to the back would cancel out half-way: it keeps its side.
+    return np.where(_length(mixed) > 1e-3, unit_vectors(mixed), front)
+
+
+def _smallest_rotation(old: Float[np.ndarray, "T 3"], new: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
+    """Return the smallest rotations from directions `old` to `new`, which are not opposite (Rodrigues' formula)."""
+    old, new = unit_vectors(old), unit_vectors(new)
+    x, y, z = np.cross(old, new).T
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+    cosine = (old * new).sum(axis=-1)[:, None, None]
+    return np.eye(3) + cross + cross @ cross / np.maximum(1 + cosine, 1e-6)
+
+
+def _turn(rotation: Float[np.ndarray, "T 3 3"], vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
+    return (rotation @ vectors[..., None])[..., 0]
+
+
+def _length(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 1"]:
+    return np.linalg.norm(vectors, axis=-1, keepdims=True)

@@ -12,6 +12,8 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float, Int
 
+from .errors import InputError
+
 T = TypeVar("T")
 LARGE = 64 * 2**20
 """Bytes from which on a buffer is a file on disk."""
@@ -43,8 +45,6 @@ def reserve_space(descriptor: int, size: int) -> None:
     Raises:
         InputError: there is too little.
     """
-    from .errors import InputError
-
     if not hasattr(os, "posix_fallocate"):
         return
     try:
@@ -123,8 +123,6 @@ def spread_exactly(frames: int, count: int, name: str) -> Int[np.ndarray, " N"]:
     Raises:
         InputError: the clip `name` has fewer.
     """
-    from .errors import InputError
-
     if not 1 <= count <= frames:
         raise InputError(f"{name}: expected {count} frames or more, found {frames}; ask for fewer, or leave it out")
     return evenly_spread(frames, count)

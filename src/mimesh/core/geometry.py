@@ -51,8 +51,9 @@ def face_normals(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "
 
 def vertex_normals(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V 3"]:
     """Compute area-weighted unit normals; vertices without faces, or whose face normals cancel, get +y."""
-    vectors = np.repeat(face_vectors(vertices, faces), 3, axis=0)
-    return _unit_or_up(_sum_by(faces.ravel(), vectors, len(vertices)))
+    vectors, corners = np.repeat(face_vectors(vertices, faces), 3, axis=0), faces.ravel()
+    sums = [np.bincount(corners, vectors[:, k], minlength=len(vertices)) for k in range(3)]
+    return _unit_or_up(np.stack(sums, axis=1).astype(float))
 
 
 def unit_vectors(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
@@ -130,6 +131,7 @@ def distinct_rows(columns: Sequence[np.ndarray]) -> tuple[Int[np.ndarray, " D"],
         The index of the first of the equal rows, and the number of each row among the distinct ones: what
         `np.unique(..., axis=0)` returns, without comparing rows byte by byte, which takes several times as long.
     """
+    # Equal rows are adjacent once sorted; a new one begins where any column differs from the row before.
     order = np.lexsort(tuple(columns)[::-1])
     new = np.zeros(len(order), bool)
     new[:1] = True
@@ -192,14 +194,8 @@ def weld(vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "W 3"], 
 
     Positions must be exactly equal: a tolerance would join surfaces that only touch. `merged[index]` are the vertices.
     """
-    # Equal positions are adjacent once sorted; a new group begins where a position differs from the one before.
-    order = np.lexsort(vertices.T[::-1])
-    ordered = vertices[order]
-    new = np.ones(len(vertices), bool)
-    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    index = np.empty(len(vertices), np.int64)
-    index[order] = np.cumsum(new) - 1
-    return ordered[new], index
+    first, index = distinct_rows(list(vertices.T))
+    return vertices[first], index
 
 
 def turn_normals(
@@ -275,6 +271,19 @@ def rotate_between(
     return np.where(opposite, -vectors, turned)
 
 
+def rotation_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """Compute the matrix of the smallest rotation from direction `old` to direction `new`."""
+    return rotations_between(old, new[None])[0]
+
+
+def rotations_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
+    """Compute the matrices of the smallest rotations from direction `old` to each of the directions `new`."""
+    olds, news = np.tile(old / np.linalg.norm(old), (3 * len(new), 1)), np.repeat(unit_vectors(new), 3, axis=0)
+    # The rotated unit vectors are the columns of the matrices.
+    columns = rotate_between(olds, news, np.tile(np.eye(3), (len(new), 1)))
+    return np.swapaxes(columns.reshape(-1, 3, 3), -1, -2)
+
+
 def slerp(
     start: Float[np.ndarray, "*B J 3 3"], stop: Float[np.ndarray, "*B J 3 3"], fraction: Float[np.ndarray, "*B 1"]
 ) -> Float[np.ndarray, "*B J 3 3"]:
@@ -326,11 +335,6 @@ def factor(matrix: csr_array) -> SuperLU:
     from scipy.sparse.linalg import splu
 
     return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-
-
-def _sum_by(index: Int[np.ndarray, " N"], values: Float[np.ndarray, "N 3"], size: int) -> Float[np.ndarray, "S 3"]:
-    """Sum the values of each index."""
-    return np.stack([np.bincount(index, values[:, k], minlength=size) for k in range(3)], axis=1).astype(float)
 
 
 def _unit_or_up(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:

@@ -14,11 +14,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from .arguments import check_kind
-from .array_inputs import as_faces, as_floats, as_frames, as_vertices
+from .arguments import as_faces, as_floats, as_frames, as_vertices, check_kind
 from .budgets import FACES, VERTICES, check_clip_size
 from .errors import InputError
 from .frame_buffer import each_frame, spread_exactly
+from .geometry import face_areas, turn_normals
 from .person_motion import JointSource
 
 UNNAMED = "mesh"
@@ -138,8 +138,6 @@ class Mesh:
             >>> mesh = mimesh.load_mesh("hero.glb")
             >>> twice = mesh.with_vertices(2 * mesh.vertices)
         """
-        from .geometry import turn_normals
-
         vertices = as_vertices(vertices, "vertices")
         if vertices.shape != self.vertices.shape:
             raise InputError(
@@ -251,7 +249,7 @@ def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
             f"{path}: expected a mesh with some size, found all {len(vertices)} vertices at one point; "
             "check the export's scale"
         )
-    if len(faces) and not _has_area(vertices, faces):
+    if len(faces) and not (face_areas(vertices, faces) > 0).any():
         raise InputError(
             f"{path}: expected faces with area, found only zero-area ones; check the export's scale and faces"
         )
@@ -404,9 +402,3 @@ def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:
     return dataclasses.replace(
         mesh, vertices=mesh.vertices[order], faces=rank[mesh.faces], vertex_colors=colors, source=None
     )
-
-
-def _has_area(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> bool:
-    from .geometry import face_areas
-
-    return bool((face_areas(vertices, faces) > 0).any())

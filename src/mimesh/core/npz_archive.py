@@ -96,7 +96,7 @@ def read_array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
         header = read_array_header(member)
         check_array_size(header, archive.getinfo(f"{name}.npy").file_size)
         member.seek(0)
-        with _without_warnings():
+        with warnings.catch_warnings(action="ignore"):  # as in `read_array_header`
             return np.lib.format.read_array(member, allow_pickle=False)
 
 
@@ -116,7 +116,8 @@ def read_array_header(file: IO[bytes] | io.BufferedIOBase, objects: bool = False
         raise ValueError(f"a header of {length} bytes")
     file.seek(start)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    with _without_warnings():
+    # NumPy warns of numbers such as 3L, as Python 2 wrote them, Python of escapes in the header.
+    with warnings.catch_warnings(action="ignore"):
         shape, fortran, dtype = read(file)
     if dtype.hasobject and not objects:
         raise ValueError("objects, which are never unpickled")
@@ -124,14 +125,6 @@ def read_array_header(file: IO[bytes] | io.BufferedIOBase, objects: bool = False
     if not whole or min(shape, default=0) < 0 or not dtype.itemsize:
         raise ValueError(f"an array of {dtype} {shape}")
     return ArrayHeader(shape, fortran, dtype, file.tell())
-
-
-@contextlib.contextmanager
-def _without_warnings() -> Iterator[None]:
-    """Have nobody warn of a header: NumPy of numbers such as 3L, as Python 2 wrote them, Python of escapes in it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 def check_array_size(header: ArrayHeader, size: int) -> None:

@@ -6,8 +6,10 @@ can show a name in another order than it is stored in (Boucher and Anderson 2021
 
 from __future__ import annotations
 
+import itertools
 import re
 import sys
+from collections.abc import Iterator
 
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
 """C0 and C1 control characters, marks of direction, line separators, byte order marks, and surrogates, which are no
@@ -28,3 +30,14 @@ def say(*lines: str, error: bool = False) -> None:
     """Print lines to stdout, or with `error` to stderr; every text for a terminal goes through here."""
     stream = sys.stderr if error else sys.stdout
     print(*map(printable, lines), sep="\n", file=stream, flush=error)
+
+
+def numbered(stem: str, gap: str = "-", suffix: str = "") -> Iterator[str]:
+    """Yield a name, then the same with numbers from 2 on (hat.png, hat-2.png, ...), to take the first free one.
+
+    Args:
+        gap: what stands before the number.
+        suffix: the end of every name.
+    """
+    yield stem + suffix
+    yield from (f"{stem}{gap}{number}{suffix}" for number in itertools.count(2))

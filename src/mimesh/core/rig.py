@@ -50,6 +50,24 @@ def descendants(tops: Iterable[int], parents: tuple[int, ...]) -> list[int]:
     return sorted(found)
 
 
+def homogeneous(
+    rotation: Float[np.ndarray, "*B 3 3"], position: Float[np.ndarray, "*B 3"]
+) -> Float[np.ndarray, "*B 4 4"]:
+    """Build the transforms x -> rotation x + position in homogeneous coordinates; `rotation` is any linear map."""
+    found = np.zeros((*position.shape[:-1], 4, 4))
+    found[..., :3, :3], found[..., :3, 3], found[..., 3, 3] = rotation, position, 1.0
+    return found
+
+
+def local_rotations(rotation: Float[np.ndarray, "T J 3 3"], parents: tuple[int, ...]) -> Float[np.ndarray, "T J 3 3"]:
+    """Compute rotations in the frames of the parents from those in the world; those of roots stay: R_parent^T R_j."""
+    local = rotation.copy()
+    below = [j for j, parent in enumerate(parents) if parent >= 0]
+    above = [parents[j] for j in below]
+    local[:, below] = rotation[:, above].swapaxes(-1, -2) @ rotation[:, below]
+    return local
+
+
 @cache
 def descendant_matrix(parents: tuple[int, ...]) -> Float[np.ndarray, "J J"]:
     """Build the matrix that has 1 at [j, k] if joint k is joint j or a descendant of it, else 0; read-only.

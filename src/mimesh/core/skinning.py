@@ -2,7 +2,7 @@
 
 There are three forms, because each is the fastest for its use: `skin_points` (one pose, any linear maps A_j),
 `skin_poses` (batches of poses) and `SkinnedMesh` (many poses of one mesh, single precision, in blocks). Code that needs
-derivatives has its own forms (`bodies.body_parameters`, `bodies.sampled_body`, torch in `learn`), and so do influences
+derivatives has its own forms (`bodies.chamfer_fit`, `bodies.sampled_body`, torch in `learn`), and so do influences
 with rest points of their own (`bodies.skinned_character`). tests/core/test_skinning.py checks that all of them agree.
 """
 
@@ -139,11 +139,9 @@ class SkinnedMesh:
     @classmethod
     def of(cls, vertices: Float[np.ndarray, "V 3"], rig: Rig, parents: tuple[int, ...]) -> SkinnedMesh:
         """Pack the vertices at rest that the rig belongs to."""
-        block = _blocks(rig.weights)
-        order = np.argsort(block, kind="stable")
-        rows = np.split(order, np.flatnonzero(np.diff(block[order])) + 1)
+        rows = _blocks(rig.weights)
         blocks = tuple(SkinBlock.of(vertices[some], rig.weights[some], rig) for some in rows)
-        return cls(parents, rig.bones(parents), blocks, np.argsort(order))
+        return cls(parents, rig.bones(parents), blocks, np.argsort(np.concatenate(rows)))
 
     @classmethod
     def of_influences(
@@ -164,16 +162,14 @@ class SkinnedMesh:
         """
         local = np.einsum("vklm,vkl->vkm", rig.rotation[joint_of], points - rig.joints[joint_of])
         packed = weights[..., None] * np.concatenate([local, np.ones((*weights.shape, 1))], axis=-1)
-        block = _blocks(rig.weights)
-        order = np.argsort(block, kind="stable")
-        blocks = []
-        for rows in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
+        blocks, rows_of_blocks = [], _blocks(rig.weights)
+        for rows in rows_of_blocks:
             joints = np.flatnonzero(rig.weights[rows].any(axis=0))
             column = np.searchsorted(joints, joint_of[rows]).clip(max=len(joints) - 1)
             of_block = np.zeros((len(rows), len(joints), 4))
             np.add.at(of_block, (np.arange(len(rows))[:, None], column), packed[rows])
             blocks.append(SkinBlock(joints, of_block.reshape(len(rows), -1).astype(np.float32)))
-        return cls(parents, rig.bones(parents), tuple(blocks), np.argsort(order))
+        return cls(parents, rig.bones(parents), tuple(blocks), np.argsort(np.concatenate(rows_of_blocks)))
 
     def part(self, vertices: Int[np.ndarray, " P"]) -> SkinnedMesh:
         """Select some vertices, which may repeat."""
@@ -212,8 +208,8 @@ class SkinnedMesh:
         return place_joints(root, self.bones, rotation, self.parents)
 
 
-def _blocks(weights: Float[np.ndarray, "V J"]) -> Int[np.ndarray, " V"]:
-    """Divide vertices into blocks, so that few joints move each.
+def _blocks(weights: Float[np.ndarray, "V J"]) -> list[Int[np.ndarray, " R"]]:
+    """Divide vertices, given by their indices, into blocks, so that few joints move each.
 
     Vertices with the same strongest joint are a block; then the two blocks are merged whose joints differ least, until
     a merge would cost more time than a block does. The size of a block is its vertices times its joints: all together
@@ -236,4 +232,6 @@ def _blocks(weights: Float[np.ndarray, "V J"]) -> Int[np.ndarray, " V"]:
         used, count = np.delete(used, second, axis=0), np.delete(count, second)
         block[block == second] = first
         block[block > second] -= 1
-    return block[group]
+    of_vertex = block[group]
+    order = np.argsort(of_vertex, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(of_vertex[order])) + 1)

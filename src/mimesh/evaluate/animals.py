@@ -21,10 +21,10 @@ from ..bodies.character_pool import Pool, PoolCharacter, local_frames, read_pool
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.mesh import Mesh
-from ..io.gltf.animal import read_rigged_animal
+from ..io.gltf.character import read_rigged_animal
+from .cross_body import shapeless
 from .pairs import Pair
-from .protocols import Protocol
-from .quadruped import quadruped
+from .protocols import Protocol, quadruped
 
 SUFFIXES = (".fbx", ".glb", ".gltf")
 SHARED = 0.6
@@ -119,18 +119,7 @@ def find_animal_landmarks(animal: PoolCharacter) -> Int[np.ndarray, " M"]:
     joints = place_animal_joints(animal, body) * scale
     target = rig.nearest_columns({j: body.joint(name) for name, j in animal.joints.items()}, body.joint("Hips"))
     weights = rig.summed_weights(target, len(body.parents))[:, body.carriers(animal.joints)]
-    nothing = np.zeros((0, len(weights), 3)), np.zeros((0, len(joints), 3))
-    wrapped = RiggedBody(
-        "quadruped",
-        scale * rig.mesh.vertices,
-        rig.mesh.faces,
-        nothing[0],
-        joints,
-        nothing[1],
-        weights,
-        body.joint_names,
-        body.parents,
-    )
+    wrapped = shapeless(body, "quadruped", scale * rig.mesh.vertices, rig.mesh.faces, joints, weights)
     return np.array(list(landmarks(wrapped).values()))
 
 

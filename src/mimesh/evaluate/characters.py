@@ -7,6 +7,11 @@ Frames of `clips` are from the driving character's own clips; characters without
 
 The files say which split a character belongs to. Packs take turns, files are drawn from a pack, so that a pack of many
 files counts as much as one of few. Pairs of `across-` are of two packs: all ordered pairs of packs take turns.
+
+As in `cross_body.pose_on_rig`, each limb is turned from its own direction at rest to that of the shipped body, so a
+pose means the same directions in the world for every character. Limbs are given by their ends, so that figures without
+hands or with one joint a limb take poses too: an arm of one joint has the direction from the body's shoulder to its
+wrist. Joints that a character lacks follow their parents.
 """
 
 from __future__ import annotations
@@ -15,17 +20,24 @@ import dataclasses
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..bodies.character_pool import CharacterMeta, Limb, Pool, PoolCharacter, read_pool, transferred_transforms
+from ..bodies import RiggedBody
+from ..bodies.body_model import EXTREMES, LANDMARKS, NEAR, landmarks
+from ..bodies.character_limbs import SIDES, TAILS, Limb
+from ..bodies.character_pool import CharacterMeta, Pool, PoolCharacter, read_pool, transferred_transforms
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
+from ..core.geometry import rotation_between
 from ..core.mesh import Mesh
-from .character_poses import body_pose, find_character_landmarks, pose_character
-from .pairs import Pair, random_orders, reorder_vertices
-from .protocols import SPLITS, Wide
+from ..core.rig import local_rotations
+from ..motions.animal_rig import rest_directions
+from .cross_body import as_body
+from .pairs import Pair, human
+from .protocols import Wide
 
 ACROSS = "across-"
 """Prefix of the kinds of pairs with different skeletons."""
@@ -63,6 +75,14 @@ class CharacterPair(Pair):
     driving_character: PosedCharacter
     """The driving character in its pose."""
 
+    def reordered(self, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> Self:
+        """Reorder the vertices of both meshes, and the weights of both characters with them."""
+        return dataclasses.replace(
+            super().reordered(order, driving_order),
+            identity_character=_permuted(self.identity_character, order),
+            driving_character=_permuted(self.driving_character, driving_order),
+        )
+
 
 @dataclass(frozen=True)
 class Characters(Wide):
@@ -76,13 +96,7 @@ class Characters(Wide):
         return _read_pool(self.data, split)
 
     def check(self, split: str) -> None:
-        """Check that the split has pairs of all kinds.
-
-        Raises:
-            InputError: no folder of the format, or too few characters.
-        """
-        if split not in SPLITS:
-            raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
+        """Raise InputError for a folder of another format, or with too few characters for pairs of all kinds."""
         if not _within(self.data, split) or not _across(self.data, split):
             found = [character.meta.pack for character in self.pool(split).characters]
             counts = ", ".join(f"{found.count(pack)} of {pack}" for pack in dict.fromkeys(found))
@@ -103,21 +117,7 @@ class Characters(Wide):
             pose = self.sample_rest_pose(split, base, number, rng)
             rest, rest_label = pose_character(identity, pose.rotmat), pose.label
         transforms, label = self.draw_pose(driving, split, base, number, rng)
-        make = _make_across_pair if across else _make_pair
-        return make(identity, driving, rest, transforms, (rest_label, label))
-
-    def pair(self, split: str, kind: str, i: int) -> CharacterPair:
-        """Generate pair `i` with the vertices of both meshes shuffled, and the weights of both characters with them."""
-        rng = self.rng(split, kind, i)
-        pair = self.unshuffled_pair(split, kind, i, rng)
-        orders = random_orders(pair, rng)
-        shuffled = reorder_vertices(pair, *orders)
-        assert isinstance(shuffled, CharacterPair)
-        return dataclasses.replace(
-            shuffled,
-            identity_character=_permuted(pair.identity_character, orders[0]),
-            driving_character=_permuted(pair.driving_character, orders[1]),
-        )
+        return _make_pair(identity, driving, rest, transforms, (rest_label, label), across)
 
     def draw_characters(
         self, split: str, kind: str, i: int, rng: np.random.Generator
@@ -189,43 +189,33 @@ def _across(data: Path, split: str) -> list[tuple[list[PoolCharacter], list[Pool
     return choices
 
 
-def _make_pair(identity, driving, rest, transforms, labels) -> CharacterPair:
-    """Make a pair of one skeleton, whose truth is the identity under the bone rotations of the driving character.
+def _make_pair(identity, driving, rest, transforms, labels, across: bool) -> CharacterPair:
+    """Make a pair; within one skeleton the truth is the identity under the bone rotations of the driving character.
 
-    The baseline `copy` needs a true correspondence, which exists only if both characters have the same triangles.
+    Across skeletons it is an estimate, see `CharacterPair`. The baseline `copy` needs a true correspondence, which
+    exists only if both characters have the same triangles.
     """
-    size = identity.leg / driving.leg
-    truth = identity.rig.skinned(transferred_transforms(driving.rig, identity.rig, transforms, size))
-    reference = driving.rig.skinned(transferred_transforms(identity.rig, driving.rig, rest, 1 / size))
-    pair = _pair(identity, driving, rest, transforms, labels, truth, truth_known=True)
-    same_topology = np.array_equal(identity.rig.mesh.faces, driving.rig.mesh.faces)
-    markers = np.stack([find_character_landmarks(identity), find_character_landmarks(driving)], axis=1)
-    markers[(markers < 0).any(axis=1), 1] = -1
-    return dataclasses.replace(
-        pair,
-        aligned=pair.driving.vertices if same_topology else None,
-        aligned_reference=reference if same_topology else None,
-        reference=reference,
-        markers=markers,
-    )
-
-
-def _make_across_pair(identity, driving, rest, transforms, labels) -> CharacterPair:
-    """Make a pair of two skeletons; its `truth` is an estimate, see `CharacterPair.truth_known`."""
-    # From what the driving mesh shows, not from the pose drawn: an arm of one joint has lost the bend of the elbow.
-    estimate = identity.rig.skinned(pose_character(identity, body_pose(driving, transforms)))
-    return _pair(identity, driving, rest, transforms, labels, estimate, truth_known=False)
-
-
-def _pair(identity, driving, rest, transforms, labels, truth, truth_known) -> CharacterPair:
     identity_posed, driving_posed = (
         PosedCharacter(character.meta, character.rig, character.limbs, pose)
         for character, pose in ((identity, rest), (driving, transforms))
     )
+    driving_mesh, extra = _mesh(driving_posed, labels[1]), {}
+    if across:
+        # From what the driving mesh shows, not from the pose drawn: an arm of one joint has lost the bend of the elbow.
+        truth = identity.rig.skinned(pose_character(identity, body_pose(driving, transforms)))
+    else:
+        size = identity.leg / driving.leg
+        truth = identity.rig.skinned(transferred_transforms(driving.rig, identity.rig, transforms, size))
+        reference = driving.rig.skinned(transferred_transforms(identity.rig, driving.rig, rest, 1 / size))
+        markers = np.stack([find_character_landmarks(identity), find_character_landmarks(driving)], axis=1)
+        markers[(markers < 0).any(axis=1), 1] = -1
+        extra = {"reference": reference, "markers": markers}
+        if np.array_equal(identity.rig.mesh.faces, driving.rig.mesh.faces):
+            extra |= {"aligned": driving_mesh.vertices, "aligned_reference": reference}
     height = float(np.ptp(identity.rig.mesh.vertices[:, 1]))
     return CharacterPair(
         identity=_mesh(identity_posed, labels[0]),
-        driving=_mesh(driving_posed, labels[1]),
+        driving=driving_mesh,
         truth=truth,
         height=height,
         metres=1.7 / height,
@@ -233,7 +223,8 @@ def _pair(identity, driving, rest, transforms, labels, truth, truth_known) -> Ch
         groups=(_group(identity.meta), _group(driving.meta)),
         identity_character=identity_posed,
         driving_character=driving_posed,
-        truth_known=truth_known,
+        truth_known=not across,
+        **extra,
     )
 
 
@@ -249,3 +240,127 @@ def _mesh(posed: PosedCharacter, label: str) -> Mesh:
 
 def _permuted(posed: PosedCharacter, order: Int[np.ndarray, " V"]) -> PosedCharacter:
     return dataclasses.replace(posed, rig=posed.rig.permuted(order))
+
+
+FRONTAL = np.array([1.0, 1.0, 0.0])
+"""Mask of the frontal plane: feet get only this part of their shin's calibration; see `retarget.alignments`."""
+
+
+def pose_character(character: PoolCharacter, rotmat: Float[np.ndarray, "B 3 3"]) -> Float[np.ndarray, "K 4 4"]:
+    """Compute the transforms of a character's joints, from rest, that give it a pose of the shipped body."""
+    body, rig, aligned = human(), character.rig, rest_alignments(character)
+    rotation, translation = body.skinning_transforms(body.joints, rotmat)
+    posed = np.einsum("jkl,jl->jk", rotation, body.joints) + translation
+    named = {}
+    for name, joint in character.joints.items():
+        turned = rotation[body.joint(name)]
+        if tail := body_tail(character, name):
+            # A limb of one joint also turns from the direction of the body's upper arm to that of the whole arm.
+            head, end = body.joint(name), body.joint(tail)
+            turned = (
+                rotation_between(turned @ (body.joints[end] - body.joints[head]), posed[end] - posed[head]) @ turned
+            )
+        named[joint] = turned @ aligned.get(name, np.eye(3)).T
+    hips = named[character.joints["Hips"]]
+    world = np.empty((len(rig.parents), 3, 3))
+    for j, parent in enumerate(rig.parents):
+        world[j] = named[j] if j in named else world[parent] if parent >= 0 else hips
+    return rig.skinning_transforms(local_rotations(world[None], rig.parents)[0])
+
+
+def body_pose(character: PoolCharacter, transforms: Float[np.ndarray, "K 4 4"]) -> Float[np.ndarray, "B 3 3"]:
+    """Compute the local joint rotations that give the shipped body a pose of a character; see `body_poses`."""
+    return body_poses(character, transforms[None])[0]
+
+
+def body_poses(
+    character: PoolCharacter, transforms: Float[np.ndarray, "T K 4 4"], body: RiggedBody | None = None
+) -> Float[np.ndarray, "T B 3 3"]:
+    """Compute the local joint rotations that give a shipped body poses of a character.
+
+    Args:
+        transforms: of each joint of the character from rest to the poses.
+        body: the shipped body whose joints the character has; None: the human.
+    """
+    body = body or human()
+    of_animal = body.name == "quadruped"
+    aligned = animal_alignments(character, body) if of_animal else rest_alignments(character)
+    world = np.empty((len(transforms), len(body.parents), 3, 3))
+    for j, (name, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
+        if name in character.joints:
+            world[:, j] = transforms[:, character.joints[name], :3, :3] @ aligned.get(name, np.eye(3))
+        else:
+            world[:, j] = world[:, parent] if parent >= 0 else np.eye(3)
+    return local_rotations(world, body.parents)
+
+
+def rest_alignments(character: PoolCharacter) -> dict[str, Float[np.ndarray, "3 3"]]:
+    """Compute the rotation of each limb joint from the shipped body's direction at rest to the character's.
+
+    Hands get that of the forearm; feet and toes get the part of the shin's in the frontal plane.
+    """
+    body, aligned = human(), {}
+    for side in SIDES:
+        for part in TAILS:
+            if tail := body_tail(character, side + part):
+                limb = character.limbs[side + part]
+                ours, theirs = (
+                    body.joints[body.joint(tail)] - body.joints[body.joint(side + part)],
+                    limb.end - limb.start,
+                )
+                aligned[side + part] = rotation_between(ours, theirs)
+                if tail.endswith("Hand"):
+                    aligned[tail] = aligned[side + part]
+                if tail.endswith("Foot"):
+                    foot = rotation_between(ours * FRONTAL, theirs * FRONTAL)
+                    aligned[tail] = aligned[f"{side}ToeBase"] = foot
+    return aligned
+
+
+def animal_alignments(character: PoolCharacter, body: RiggedBody) -> dict[str, Float[np.ndarray, "3 3"]]:
+    """Compute the rotations of an animal's joints from the shipped quadruped's rest pose to its own."""
+    positions = {name: character.rig.joints[joint] for name, joint in character.joints.items()}
+    return rest_directions(positions, float(character.rig.mesh.vertices[:, 1].min()), body)
+
+
+def body_tail(character: PoolCharacter, name: str) -> str | None:
+    """Find the joint of the shipped body at the far end of what a character's limb stands for; None for no limb."""
+    side, part = next(((side, name.removeprefix(side)) for side in SIDES if name.startswith(side)), ("", ""))
+    if part not in TAILS or name not in character.limbs:
+        return None
+    inner = [tail for tail in TAILS[part][:-1] if side + tail in character.limbs]
+    return side + (inner[0] if inner else TAILS[part][-1])
+
+
+@cache
+def find_character_landmarks(character: PoolCharacter) -> Int[np.ndarray, "M"]:
+    """Find the vertices of a character at the landmarks of the shipped body; -1 where it has no vertex there."""
+    rig, points = character.rig, place_body_joints(character)
+    t_pose = pose_character(character, np.tile(np.eye(3), (len(human().parents), 1, 1)))
+    wrapped = as_body(rig, t_pose, character.joints, points)
+    found = np.array(list(landmarks(wrapped).values()))
+    for k, name in enumerate(LANDMARKS):
+        if name in EXTREMES:
+            # A large low-poly fist may have no vertex near the line through the hand.
+            joint, direction = EXTREMES[name]
+            offset = wrapped.vertices[found[k]] - wrapped.joints[wrapped.joint(joint)]
+            if np.linalg.norm(np.cross(offset, direction)) >= NEAR:
+                found[k] = -1
+    return found
+
+
+def place_body_joints(character: PoolCharacter) -> dict[str, tuple[int, Float[np.ndarray, " 3"]]]:
+    """Place the shipped body's joints on a character: the joint that carries each, and the point at rest.
+
+    Elbows and knees of limbs of one joint are in the middle; missing hands and feet are at the ends, toes at the foot.
+    """
+    joints, rig = character.joints, character.rig
+    points = {name: (j, rig.joints[j]) for name, j in joints.items()}
+    for side in SIDES:
+        for upper, lower, end in (("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot")):
+            limb = character.limbs[side + upper]
+            points.setdefault(side + lower, (limb.joint, (limb.start + limb.end) / 2))
+            last = character.limbs.get(side + lower, limb)
+            points.setdefault(side + end, (last.joint, last.end))
+        points.setdefault(f"{side}ToeBase", points[f"{side}Foot"])
+    return points

@@ -1,11 +1,12 @@
 """`clips-aniformer`: AniFormer's protocol (section 4) on the shipped body; motions are seen, held out or a stress test.
+`clips-ordered` is the test of its public code's kind (`ClipsOrdered`).
 
 DFAUST, the paper's data, must not be redistributed. Here the 80 seen motions are disjoint seconds of the shipped CMU
 takes, mirror images of some of them, walks and splines. `procedural` are walks and splines with other seeds, because
 motions from the same generators are in the training data. The other two kinds are whole motions that nothing is trained
 on, read from files:
 
-* `held-out`: in `test` the 30 motions of `held_out_takes`; in `val` the 7 walks, turns and runs of DeepMimic, which
+* `held-out`: in `test` the 30 motions of TAKES; in `val` the 7 walks, turns and runs of DeepMimic, which
   were looked at during development.
 * `stress`: the other 13 clips of DeepMimic (flips, rolls, crawls, get-ups, kicks, dances), whose poses are far from all
   captures here. Both splits have the same ones. They were looked at during development, too.
@@ -23,6 +24,7 @@ import zlib
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -31,11 +33,22 @@ from ..bodies import RiggedBody
 from ..bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
 from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
-from ..motions import Motion, load_deepmimic, mirror, motion_clip, resample, spline_motion, walk_motion
+from ..io.gltf.document import open_document
+from ..io.gltf.motion import read_skeleton
+from ..motions import (
+    Motion,
+    load_bvh,
+    load_deepmimic,
+    mirror,
+    motion_clip,
+    resample,
+    retarget,
+    spline_motion,
+    walk_motion,
+)
 from ..motions.clips import split_windows
-from ..motions.deepmimic import CLIPS, deepmimic_folder
-from .held_out_takes import ORDER, find_takes, load_take
-from .pairs import Pair, Person, Pose, human, make_pair, random_orders, reorder_vertices
+from ..motions.deepmimic import CLIPS, deepmimic_folder, folder_with
+from .pairs import Pair, Person, Pose, human, make_pair
 from .protocols import Protocol
 from .remesh import template
 
@@ -77,6 +90,24 @@ class ClipPair(Pair):
     place: Int[np.ndarray, " V"] | None = None
     """Vertex of both meshes for each vertex of the body; None where they have the body's order, or two orders."""
 
+    def reordered(self, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> Self:
+        """Reorder the vertices in all frames."""
+        first = super().reordered(order, driving_order)
+        template = self.template
+        if template is not None:
+            # Vertex numbers follow by the inverse orders.
+            columns = zip((order, driving_order), template.T, strict=True)
+            template = np.stack([np.argsort(new_order)[vertices] for new_order, vertices in columns], axis=1)
+        rank = np.argsort(order)
+        return dataclasses.replace(
+            first,
+            clip=Clip(first.driving, self.clip.vertices[:, driving_order], self.clip.fps),
+            truth_frames=self.truth_frames[:, order],
+            aligned_frames=None if self.aligned_frames is None else self.aligned_frames[:, order],
+            template=template,
+            place=(rank if self.place is None else rank[self.place]) if np.array_equal(order, driving_order) else None,
+        )
+
     def frame(self, t: int) -> Pair:
         """Return frame t as a pair of meshes."""
         mesh = dataclasses.replace(self.driving, vertices=self.clip.vertices[t])
@@ -87,7 +118,7 @@ class ClipPair(Pair):
 
 @dataclass(frozen=True)
 class ClipsAniformer(Protocol):
-    """The protocol of this module."""
+    """`clips-aniformer`: see the module."""
 
     data: Path | None = None
     """Folder of the DeepMimic clips and the held-out motions. None: the clips of an installed pybullet alone."""
@@ -135,10 +166,6 @@ class ClipsAniformer(Protocol):
         """Return the joint rotations of the 80 seen motions."""
         return np.stack([motion.rotmat for motion in self.seen(body)])
 
-    def train_paths(self, body: RiggedBody) -> Float[np.ndarray, "N T 3"]:
-        """Return the root paths of the 80 seen motions (metres, for the body's mean shape)."""
-        return np.stack([motion.root for motion in self.seen(body)])
-
     def seen(self, body: RiggedBody) -> tuple[Motion, ...]:
         """Return the 80 seen motions."""
         return _seen_motions(body, self.seed("train/motions"))
@@ -178,11 +205,6 @@ class ClipsAniformer(Protocol):
         identity = Person(human(), sample_shape(human(), self.seed(split), i, self.spread), str(i))
         return identity, Pose(rotvec_to_rotmat(sample_pose(human(), self.seed(split), i)), str(i))
 
-    def pair(self, split: str, kind: str, i: int) -> ClipPair:
-        """Generate trial i as methods get it: vertices shuffled, with one order for all frames."""
-        rng = self.rng(split, kind, i)
-        return shuffle_clip_vertices(self.unshuffled_pair(split, kind, i, rng), rng)
-
 
 def make_clip_pair(identity: Person, driving: Person, rest: Pose, motion: Motion) -> ClipPair:
     """Make a trial from two people, the identity's pose and the driving's motion, in the body's vertex order."""
@@ -201,32 +223,6 @@ def make_clip_pair(identity: Person, driving: Person, rest: Pose, motion: Motion
         aligned_frames=clip.vertices,
         template=template().corners[:, :2] if identity.body is human() else None,
     )
-
-
-def shuffle_clip_vertices(trial: ClipPair, rng: np.random.Generator) -> ClipPair:
-    """Shuffle the vertices of identity and driving clip independently, with one order for all frames."""
-    return reorder_clip_vertices(trial, *random_orders(trial, rng))
-
-
-def reorder_clip_vertices(
-    trial: ClipPair, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]
-) -> ClipPair:
-    """Reorder the vertices of a trial in all frames, as `reorder_vertices`."""
-    first = reorder_vertices(trial, order, driving_order)
-    template = trial.template
-    if template is not None:
-        # Vertex numbers follow by the inverse orders.
-        columns = zip((order, driving_order), template.T, strict=True)
-        template = np.stack([np.argsort(new_order)[vertices] for new_order, vertices in columns], axis=1)
-    rank = np.argsort(order)
-    return dataclasses.replace(
-        first,
-        clip=Clip(first.driving, trial.clip.vertices[:, driving_order], trial.clip.fps),
-        truth_frames=trial.truth_frames[:, order],
-        aligned_frames=None if trial.aligned_frames is None else trial.aligned_frames[:, order],
-        template=template,
-        place=(rank if trial.place is None else rank[trial.place]) if np.array_equal(order, driving_order) else None,
-    )  # pyright: ignore[reportReturnType] (replace keeps the class)
 
 
 def on_template(trial: ClipPair) -> ClipPair:
@@ -305,7 +301,7 @@ def _deepmimic_second(folder: Path, name: str) -> Motion:
 
 @cache
 def _held_out_second(folder: Path, number: int) -> Motion:
-    """Read the middle second of a motion of `held_out_takes.TAKES`."""
+    """Read the middle second of a motion of TAKES."""
     return _middle_second(load_take(folder, number))
 
 
@@ -341,3 +337,176 @@ def _begin_at_origin(motion: Motion) -> Motion:
     rotmat = motion.rotmat.copy()
     rotmat[:, 0] = turn @ rotmat[:, 0]
     return dataclasses.replace(motion, rotmat=rotmat, root=(motion.root - motion.root[0] * [1.0, 0.0, 1.0]) @ turn.T)
+
+
+UNSEEN = 20
+"""Unseen motions of `test`, as many as the paper's."""
+UNSEEN_STRIDE = 7
+"""Trial i of `unseen` uses motion 7 i mod 20 of `test`, so that the first few trials cover both takes."""
+
+
+@dataclass(frozen=True)
+class ClipsOrdered(ClipsAniformer):
+    """`clips-ordered`: what AniFormer's public code trains for: one vertex order, training people drive.
+
+    The public code never shuffles the sequences that it trains on, so driving vertex i is identity vertex i unless it
+    shuffles the identity (which then no longer matches the truth). Its test is not published; the paper's test clips
+    are those of its training, and 20 others of the same people. `clips-aniformer` has neither: its meshes are shuffled
+    apart, as NPT's are, and its driving people are new. The two protocols share the 16 training people, the 80 motions,
+    the targets and their poses.
+
+    * `seen`: the 80 motions of the training; a training person drives a new target. With `unseen`, the paper's columns.
+    * `unseen`: 20 other seconds of the takes that the motions are from. In `test` they are the last ones of the takes,
+      in `val` those between these and the training's (`motions.clips.SPLITS`), so that nothing is chosen by what is
+      tested.
+    * `held-out`: whole motions of other makers, as in `clips-aniformer`; only where their files are given.
+
+    Both meshes of a trial get the same random order: no method profits from how the body is numbered.
+    """
+
+    @property
+    def validation_kinds(self) -> tuple[str, ...]:
+        """Kinds of `val` that need no files."""
+        return ("seen", "unseen")
+
+    def seed(self, split: str) -> int:
+        """Return the seed of a stream of samples of `clips-aniformer`, whose people and motions these are."""
+        return CLIPS_ANIFORMER.seed(split)
+
+    def check(self, split: str) -> None:
+        """Raise InputError for `train`, which has no trials, and if files of `held-out` are missing."""
+        self._check_name(split)
+        if "held-out" in self.kinds:
+            find = find_takes if split == "test" else deepmimic_folder
+            find(self.data)
+
+    def motion(self, split: str, kind: str, i: int) -> Motion:
+        """Return the motion of trial i."""
+        if (split, kind) == ("test", "unseen"):
+            return _last_seconds()[UNSEEN_STRIDE * i % UNSEEN]
+        return super().motion(split, kind, i)
+
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> ClipPair:
+        """Generate trial i in the body's vertex order; everything is drawn from seeds and nothing from `rng`."""
+        self._check_name(split)
+        # Each time that a target comes round again, the driving people are one further on.
+        number = (i + i // self.targets) % self.people
+        shape = sample_shape(human(), self.seed("train"), number, self.spread)
+        identity, rest = self.target(split, i)
+        return make_clip_pair(
+            identity, Person(human(), shape, str(self.targets + number)), rest, self.motion(split, kind, i)
+        )
+
+    def pair(self, split: str, kind: str, i: int) -> ClipPair:
+        """Generate trial i as methods get it: one random vertex order for both meshes and all frames."""
+        rng = self.rng(split, kind, i)
+        trial = self.unshuffled_pair(split, kind, i, rng)
+        order = rng.permutation(len(trial.identity.vertices))
+        return trial.reordered(order, order)
+
+
+def clips_ordered(data: Path | None = None) -> ClipsOrdered:
+    """Return the protocol; with a folder of the files (see `clips_aniformer`) it has the kind `held-out`, too."""
+    kinds = ("seen", "unseen", *(("held-out",) if data is not None else ()))
+    fields = {field.name: getattr(CLIPS_ANIFORMER, field.name) for field in dataclasses.fields(ClipsAniformer)}
+    return ClipsOrdered(**{**fields, "name": "clips-ordered", "version": 1, "kinds": kinds, "data": data})
+
+
+CLIPS_ORDERED = clips_ordered()
+
+
+@cache
+def _last_seconds() -> tuple[Motion, ...]:
+    """Return 20 of the seconds that begin every half second of the takes' last parts, and of their mirror images."""
+    seconds = [second for take in split_windows("test") for second in split_into_seconds(take, FRAMES // 2)]
+    both = [*seconds, *map(mirror, seconds)]
+    return tuple(both[k] for k in np.linspace(0, len(both) - 1, UNSEEN).round().astype(int))
+
+
+# Whole motions that no training may use, read from a folder: 10 seconds of a boxing capture and 20 animated clips.
+# The capture is of the Debian package assimp-testmodels: one take of 31 s by a person and with a skeleton that no other
+# data here have. Its origin is not documented, so it is read and not shipped. The clips are by an animator, not
+# captured: KayKit Character Animations by Kay Lousberg (CC0). Both were chosen by their names and length before any
+# method was measured on them.
+BOXING_FILE = "Boxing_Toes.bvh"
+BOXING_SECONDS = tuple(range(0, 20, 2))
+"""Start (s) of each second of the capture. After 22 s the boxer is knocked out and lies, which no other second has."""
+ANIMATED = {
+    "Med_MovementBasic.glb": (
+        *("Walking_A", "Walking_B", "Walking_C", "Running_A", "Running_B", "Jump_Full_Long", "Jump_Full_Short"),
+    ),
+    "Med_MovementAdvanced.glb": ("Walking_Backwards", "Running_Strafe_Left", "Running_HoldingRifle", "Sneaking"),
+    "Med_CombatMelee.glb": (
+        *("Melee_1H_Attack_Chop", "Melee_1H_Attack_Slice_Horizontal", "Melee_1H_Attack_Stab"),
+        *("Melee_Unarmed_Attack_Punch_A", "Melee_Unarmed_Attack_Kick"),
+    ),
+    "Med_CombatRanged.glb": ("Ranged_Bow_Draw",),
+    "Med_General.glb": ("PickUp", "Throw"),
+    "Med_Simulation.glb": ("Waving",),
+}
+"""The 20 animated clips, by file."""
+FAMILIES = (
+    *("Walking_", "Skeletons_Walking", "Running_", "Jump_", "Sneaking", "Melee_1H_", "Melee_Unarmed_", "Ranged_Bow_"),
+    *("PickUp", "Throw", "Waving"),
+)
+"""Beginnings of the names of the 20 clips and of all their variants, parts and mirror images in the 110 clips."""
+SHIPPED_CAPTURES = ("01_01.", "01_03.")
+"""Beginnings of the names of the CMU captures of the shipped takes, whose later seconds are `val` and `test`."""
+PACKAGES = f"{BOXING_FILE} is in the Debian package assimp-testmodels, Med_*.glb are KayKit Character Animations (CC0)"
+TAKES = (
+    *((file, clip) for file, clips in ANIMATED.items() for clip in clips),
+    *((BOXING_FILE, str(start)) for start in BOXING_SECONDS),
+)
+"""File, and name of the clip or start (s) of the second, of each of the 30 motions."""
+ORDER = tuple(k for n in range(10) for k in (2 * n, 2 * n + 1, 20 + n))
+"""Order of the trials: two animated clips, then one captured second, so that the first few trials have both."""
+
+
+def is_held_out(clip: str) -> bool:
+    """Tell whether training must leave out a KayKit clip: one of the 20 or a variant ("Rig_Medium|Jump_Land")."""
+    return clip.rpartition("|")[2].startswith(FAMILIES)
+
+
+def is_held_out_file(name: str) -> bool:
+    """Tell whether training must leave out a motion file: the boxing capture, or a capture whose end is tested on."""
+    return name == BOXING_FILE or name.startswith(SHIPPED_CAPTURES)
+
+
+def find_takes(folder: Path | None) -> dict[str, Path]:
+    """Find the files of the held-out motions in a folder or its subfolders, two levels deep, by name.
+
+    Raises:
+        InputError: no folder, or a file is missing.
+    """
+    if folder is None:
+        raise InputError(f"held-out motions: expected a folder, found none; give it with --data: {PACKAGES}")
+    found = {name: folder_with(folder, (name,)) for name in (BOXING_FILE, *ANIMATED)}
+    missing = [name for name, path in found.items() if path is None]
+    if missing:
+        raise InputError(
+            f"{folder}: expected the files of the held-out motions in it or its subfolders, found no {missing[0]}"
+            f"{f' and {len(missing) - 1} others' if missing[1:] else ''}; copy them there: {PACKAGES}"
+        )
+    return {name: path / name for name, path in found.items() if path is not None}
+
+
+@cache
+def load_take(folder: Path, number: int) -> Motion:
+    """Load motion `number` of TAKES, retargeted to the shipped body: a whole animated clip, or a second of the capture.
+
+    Raises:
+        InputError: as `find_takes`, or a damaged file.
+    """
+    file, name = TAKES[number]
+    path = find_takes(folder)[file]
+    if file == BOXING_FILE:
+        take, start = _boxing(path), round(int(name) * 30)
+        return Motion(
+            f"boxing@{name}", take.joint_names, take.rotmat[start : start + 30], take.root[start : start + 30]
+        )
+    return retarget(read_skeleton(open_document(path), 30.0, name), human(), name)
+
+
+@cache
+def _boxing(path: Path) -> Motion:
+    return resample(retarget(load_bvh(path), human(), "boxing"), 30.0)

@@ -27,8 +27,9 @@ from ..bodies.joint_names import named_joints, require_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.mesh import Mesh
+from ..core.rig import local_rotations
 from ..io.gltf.skin_file import read_skin
-from ..motions.retarget import BONES, NEEDED, alignments, to_local
+from ..motions.retarget import BONES, NEEDED, alignments
 from .pairs import Pair, Pose, human
 from .protocols import Wide
 
@@ -89,14 +90,14 @@ def pose_on_rig(
     world = np.empty((len(rig.parents), 3, 3))
     for j, parent in enumerate(rig.parents):
         world[j] = named[j] if j in named else world[parent] if parent >= 0 else named[index["Hips"]]
-    return to_local(world[None], rig.parents)[0]
+    return local_rotations(world[None], rig.parents)[0]
 
 
 def pose_at_rest(rig: SkinnedCharacter, body: RiggedBody) -> Float[np.ndarray, "J 3 3"]:
     """Return the local joint rotations that give the shipped body the rest pose of a rig, such as an A-pose."""
     aligned = alignments(rig.joints, named_joints(rig.joint_names, rig.parents), body)
     world = np.stack([aligned.get(joint, np.eye(3)) for joint in body.joint_names])
-    return to_local(world[None], body.parents)[0]
+    return local_rotations(world[None], body.parents)[0]
 
 
 def find_landmarks(rig: SkinnedCharacter) -> Int[np.ndarray, "M"]:
@@ -127,18 +128,28 @@ def as_body(
     """
     body = human()
     scale = np.ptp(body.vertices[:, 1]) / np.ptp(rig.mesh.vertices[:, 1])
-    joints, body_joint = body.joints.copy(), {j: body.joint(joint) for joint, j in index.items()}
+    joints = body.joints.copy()
     for joint, (j, point) in points.items():
         joints[body.joint(joint)] = scale * (t_pose[j] @ [*point, 1.0])[:3]
-    for j, parent in enumerate(rig.parents):
-        body_joint.setdefault(j, body_joint.get(parent, 0))
-    weights = np.zeros((len(rig.weights), len(body.parents)))
-    # The last entry is for influences of the fixed world (index J of `joint_of`); they count as the root joint.
-    columns = np.array([body_joint[j] for j in range(len(rig.parents))] + [0])[rig.joint_of]
-    np.add.at(weights, (np.arange(len(weights))[:, None], columns), rig.weights)
-    no_shapes, no_joint_shapes = np.zeros((0, len(weights), 3)), np.zeros((0, len(joints), 3))
-    return RiggedBody("", scale * rig.skinned(t_pose), rig.mesh.faces, no_shapes, joints, no_joint_shapes, weights,
-                      body.joint_names, body.parents)  # fmt: skip
+    # Influences of the fixed world count as the root joint.
+    columns = rig.nearest_columns({j: body.joint(joint) for joint, j in index.items()}, other=0)
+    weights = rig.summed_weights(columns, len(body.parents))
+    return shapeless(body, "", scale * rig.skinned(t_pose), rig.mesh.faces, joints, weights)
+
+
+def shapeless(
+    body: RiggedBody,
+    name: str,
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    joints: Float[np.ndarray, "J 3"],
+    weights: Float[np.ndarray, "V J"],
+) -> RiggedBody:
+    """Return another body with the joint tree of a shipped one, and no shape coefficients."""
+    no_shapes, no_joint_shapes = np.zeros((0, len(vertices), 3)), np.zeros((0, len(joints), 3))
+    return RiggedBody(
+        name, vertices, faces, no_shapes, joints, no_joint_shapes, weights, body.joint_names, body.parents
+    )
 
 
 def check_character(rig: SkinnedCharacter, path: str | Path) -> SkinnedCharacter:

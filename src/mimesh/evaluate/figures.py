@@ -12,20 +12,23 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..bodies.animals import ANIMALS
+from ..bodies.quadruped import posture
 from ..bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
 from ..core.errors import InputError, did_you_mean
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, permute_vertices
 from ..io import load_mesh
 from ..methods.find import check_weights, how_to_make, missing_weights
+from ..motions.gaits import SEEDS, gait_rotations
+from ..motions.motion import Motion, rotmat_to_rotvec
+from ..motions.procedural import planted
 from ..pipeline import animate, transfer
-from .clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair, make_clip_pair
-from .clips_ordered import CLIPS_ORDERED
+from .clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, FPS, FRAMES, ClipPair, make_clip_pair
 from .cross_body import SUFFIXES
-from .measure import on_supported_vertices, result_frames, result_vertices
-from .named_animals import species_clip
-from .pairs import Pair, Person, human, shuffle_vertices
-from .protocols import HUMAN_NPT, NOISE, with_noise
+from .measure import on_supported_vertices, run_on_clip, run_on_pair
+from .pairs import Pair, Person, Pose, human
+from .protocols import HUMAN_NPT, NOISE, quadruped, with_noise
 from .run import check_method
 
 if TYPE_CHECKING:
@@ -144,11 +147,9 @@ def vertex_order_rows(models: tuple[str, ...], count: int, data: Path | None) ->
     """Make rows of one pair with another vertex order in each row, coloured by vertex index (NPT Fig. 8, 15)."""
     pair = HUMAN_NPT.unshuffled_pair("test", "unseen", 0, HUMAN_NPT.rng("test", "unseen", 0))
     for i in range(count):
-        ordered = shuffle_vertices(pair, np.random.default_rng(i)) if i else pair
-        identity = ordered.identity
-        results = [(model, dataclasses.replace(identity, vertices=result_vertices(ordered, model))) for model in models]
-        shown = [("identity", identity), ("driving", ordered.driving), *results]
-        yield [Tile(label, mesh, vertex_index_colors(len(mesh.vertices))) for label, mesh in shown]
+        ordered = pair.shuffled(np.random.default_rng(i)) if i else pair
+        tiles = _pair_row(ordered, models)[:-1]  # without the truth
+        yield [tile._replace(colors=vertex_index_colors(len(tile.mesh.vertices))) for tile in tiles if tile.mesh]
 
 
 def noise_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
@@ -243,7 +244,9 @@ def clip_noise_rows(models: tuple[str, ...], count: int, data: Path | None) -> I
 def foreign_clip_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
     """Make rows of identities from a folder, driven by clips of the shipped body (AniFormer Fig. 5)."""
     for i, path in enumerate(mesh_files(data)[:count]):
-        clip = CLIPS_ANIFORMER.pair("test", "procedural", i).clip
+        trial = CLIPS_ANIFORMER.pair("test", "procedural", i)
+        assert isinstance(trial, ClipPair)
+        clip = trial.clip
         yield [EMPTY, *_frame_tiles("driving", clip.vertices, clip.mesh.faces)]
         identity = load_mesh(path)
         for model in models:
@@ -267,35 +270,24 @@ def animal_clip_rows(models: tuple[str, ...], count: int, data: Path | None) -> 
         yield from _clip_rows(trial, models, trial.driving.name)
 
 
+seen_rows, unseen_rows = (partial(comparison_rows, kind=kind) for kind in ("seen", "unseen"))
 SPARSE_DT = ("deformation-transfer-5", "deformation-transfer-13")
 FIGURES = {
     "npt-3": Figure("shape, pose and vertex order", influence_rows, (), 3),
-    "npt-6": Figure(
-        "seen poses, beside deformation transfer",
-        partial(comparison_rows, kind="seen"),
-        (*SPARSE_DT, "npt-full"),
-        4,
-    ),
-    "npt-7": Figure(
-        "unseen poses, beside deformation transfer",
-        partial(comparison_rows, kind="unseen"),
-        (*SPARSE_DT, "npt-full"),
-        4,
-    ),
+    "npt-6": Figure("seen poses, beside deformation transfer", seen_rows, (*SPARSE_DT, "npt-full"), 4),
+    "npt-7": Figure("unseen poses, beside deformation transfer", unseen_rows, (*SPARSE_DT, "npt-full"), 4),
     "npt-8": Figure("vertex order as colour", vertex_order_rows, ("npt-full",), 2),
-    "npt-9": Figure("ablations", partial(comparison_rows, kind="unseen"), NPT_ABLATIONS, 3),
+    "npt-9": Figure("ablations", unseen_rows, NPT_ABLATIONS, 3),
     "npt-10": Figure("identities from other makers", foreign_identity_rows, ("npt-full",), 3, needs_people=True),
     "npt-11": Figure("poses from other makers", foreign_driving_rows, ("npt-full",), 3, needs_people=True),
     "npt-12": Figure("noise, beside deformation transfer", noise_rows, ("deformation-transfer-13", "npt-full"), 4),
-    "npt-13": Figure(
-        "other baselines", partial(comparison_rows, kind="unseen"), ("skeleton", "npt-maxpool", "npt-full"), 4
-    ),
+    "npt-13": Figure("other baselines", unseen_rows, ("skeleton", "npt-maxpool", "npt-full"), 4),
     "npt-14": Figure("a horse in poses of a camel", animal_rows, ("npt-maxpool-quadruped", "npt-quadruped"), 3),
     "npt-15": Figure("more vertex orders", vertex_order_rows, ("npt-full",), 5),
     "npt-16": Figure("more noise", noise_rows, ("npt-full",), 6),
     "npt-17": Figure("more identities from other makers", foreign_identity_rows, ("npt-full",), 12, needs_people=True),
-    "npt-19": Figure("more seen poses", partial(comparison_rows, kind="seen"), ("npt-full",), 8),
-    "npt-20": Figure("more unseen poses", partial(comparison_rows, kind="unseen"), ("npt-full",), 8),
+    "npt-19": Figure("more seen poses", seen_rows, ("npt-full",), 8),
+    "npt-20": Figure("more unseen poses", unseen_rows, ("npt-full",), 8),
     "aniformer-1": Figure("one clip, several identities", one_clip_rows, ("aniformer-ordered-mixed",), 2),
     "aniformer-3": Figure(
         "unseen motions, beside methods that go frame by frame",
@@ -359,7 +351,7 @@ def mesh_files(data: Path | None) -> list[Path]:
 
 def _pair_row(pair: Pair, models: tuple[str, ...]) -> list[Tile]:
     identity, faces = pair.identity, pair.identity.faces
-    results = [Tile(model, Mesh(result_vertices(pair, model), faces)) for model in models]
+    results = [Tile(model, Mesh(run_on_pair(pair, model).vertices, faces)) for model in models]
     return [Tile("identity", identity), Tile("driving", pair.driving), *results, Tile("truth", Mesh(pair.truth, faces))]
 
 
@@ -369,7 +361,7 @@ def _clip_rows(trial: ClipPair, models: tuple[str, ...], driving: str = "driving
     for model in models:
         supported = on_supported_vertices(trial, model)
         faces_of_model = supported.identity.faces
-        frames = [result_frames(_window(supported, int(t)), model)[1] for t in SHOWN_FRAMES]
+        frames = [run_on_clip(_window(supported, int(t)), model).vertices[1] for t in SHOWN_FRAMES]
         tiles = [
             Tile(f"{model}, frame {t}", Mesh(frame.astype(np.float64), faces_of_model))
             for t, frame in zip(SHOWN_FRAMES, frames, strict=True)
@@ -388,3 +380,25 @@ def _window(trial: ClipPair, t: int) -> ClipPair:
 
 def _frame_tiles(label: str, frames: Float[np.ndarray, "T V 3"], faces: Int[np.ndarray, "F 3"]) -> list[Tile]:
     return [Tile(f"{label}, frame {t}", Mesh(frames[t].astype(np.float64), faces)) for t in SHOWN_FRAMES]
+
+
+def species_clip(identity: str, driving: str, gait: str, number: int = 0) -> ClipPair:
+    """Make a trial: an animal of a species, which stands, and one of another in a gait; vertices are shuffled.
+
+    Args:
+        identity: a species of `bodies.animals.ANIMALS`.
+        driving: another one.
+        gait: a key of `motions.gaits.GAITS`.
+        number: chooses among random gaits of that kind, which no network is trained on.
+    """
+    body = quadruped()
+    pose = rotmat_to_rotvec(gait_rotations(body, gait, SEEDS["test"], number, FRAMES / FPS, FPS)) + posture(
+        body, driving
+    )
+    rotmat = rotvec_to_rotmat(pose)
+    motion = Motion(gait, body.joint_names, rotmat, planted(body, rotmat), FPS)
+    target, actor = (Person(body, np.array(ANIMALS[name].shape), name) for name in (identity, driving))
+    trial = make_clip_pair(target, actor, Pose(rotvec_to_rotmat(posture(body, identity)), "standing"), motion)
+    mesh = dataclasses.replace(trial.driving, name=f"{driving}, {gait}")
+    trial = dataclasses.replace(trial, driving=mesh, clip=Clip(mesh, trial.clip.vertices, FPS))
+    return trial.shuffled(np.random.default_rng(number))

@@ -12,23 +12,29 @@ import dataclasses
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies.character_limbs import SIDES
 from ..bodies.character_pool import PoolCharacter, read_pool
-from ..bodies.finger_poses import finger_rotations, sample_finger_poses
-from ..bodies.hands import HAND_PARENTS, body_with_fingers, fingertips, hand_alignment
+from ..bodies.hands import (
+    HAND_PARENTS,
+    body_with_fingers,
+    finger_rotations,
+    fingertips,
+    hand_alignment,
+    sample_finger_poses,
+)
 from ..bodies.joint_names import finger_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.geometry import MIRROR, angles_between, rigid_motion
 from ..core.rig import descendants
 from ..core.skinning import skinning_transforms
-from .character_poses import pose_character
-from .pairs import Pair, Person, Pose, human, random_orders, reorder_vertices
+from .characters import pose_character
+from .pairs import Pair, Person, Pose, human
 from .protocols import Wide
 
 PERSON_HEIGHT_MM = 1700.0
@@ -51,6 +57,11 @@ class FingerPair(Pair):
     tips: Int[np.ndarray, "10"]
     """Vertices at the fingertips, of the left hand first."""
 
+    def reordered(self, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> Self:
+        """Reorder the vertices of both meshes, with what belongs to those of the identity."""
+        shuffled = super().reordered(order, driving_order)
+        return dataclasses.replace(shuffled, part=self.part[order], tips=np.argsort(order)[self.tips])
+
 
 @dataclass(frozen=True)
 class FingerGestures(Wide):
@@ -60,11 +71,7 @@ class FingerGestures(Wide):
     """The folder of a pool, for the kind `characters`."""
 
     def check(self, split: str) -> None:
-        """Check that a pool has two characters that can be measured, if one is given.
-
-        Raises:
-            InputError: it has not.
-        """
+        """Raise InputError for a pool without two characters that can be measured."""
         if self.data is not None and len(fingered_characters(self.data, split)) < 2:
             raise InputError(
                 f"{self.data}: expected two characters with fifteen joints a hand in the split {split}, and "
@@ -96,15 +103,6 @@ class FingerGestures(Wide):
             part=part,
             tips=tips,
         )
-
-    def pair(self, split: str, kind: str, i: int) -> FingerPair:
-        """Generate pair `i` with the vertices of both meshes shuffled."""
-        rng = self.rng(split, kind, i)
-        pair = self.unshuffled_pair(split, kind, i, rng)
-        orders = random_orders(pair, rng)
-        shuffled = reorder_vertices(pair, *orders)
-        assert isinstance(shuffled, FingerPair)
-        return dataclasses.replace(shuffled, part=pair.part[orders[0]], tips=np.argsort(orders[0])[pair.tips])
 
     def _characters(self, pool: tuple[PoolCharacter, ...], split: str, i: int, rng: np.random.Generator) -> FingerPair:
         """Make a pair of two characters; the driving one has a pose of Table 6 and a gesture."""

@@ -1,4 +1,16 @@
-"""Pairs and clips of a user's own files, as lists name them (`triples`): one more source of pairs to measure on.
+"""Pairs and clips of a user's own files, as lists name them: lines of "identity driving truth", as beside NPT's data.
+
+    # people of the test set
+    id0_17.obj id4_203.obj id0_203.obj
+    id1_5 id2_88 id1_88
+    "a person.obj" /data/pose.obj truth/17.obj
+
+Three names stand in a line, with blanks between; a name with blanks is put in double quotes. Names are relative to the
+list's folder or to another one, and may lack their suffix. Empty lines, and all after a word that begins with `#`, do
+not count. Lists are UTF-8 or Latin-1, with line ends of any system.
+
+Beside `seen.txt`, `seen.heights.json` may give the height at rest of each identity, in the unit of its file:
+`{"id0_17.obj": 1.71}`, by the names of the list.
 
 Meshes are y up and face +z. The truth has the vertices of the identity in the identity's order, as in the public data
 of NPT. Where the driving mesh has the identity's triangles, its vertices are taken to correspond by number, for the
@@ -8,11 +20,14 @@ baseline `copy`. Both meshes are shuffled before a method gets them, the truth w
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 import os
 import re
+import sys
 import zlib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,11 +38,12 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import clear_up
-from ..io import load_clip, load_mesh
-from .clip_protocols import ClipPair, shuffle_clip_vertices
+from ..io import clip_suffixes, load_clip, load_mesh, mesh_suffixes
+from ..io.atomic import together, whole_file
+from ..io.text import decoded
+from .clip_protocols import ClipPair
 from .pairs import Pair
 from .protocols import Protocol
-from .triples import Triple, find_lists, heights_file, list_checksum, read_heights, read_list
 
 HEIGHT = 1.7
 """Height (metres) at which millimetres of the files are those of reports; taken where nothing is known."""
@@ -189,11 +205,6 @@ class ListedClips(ListedPairs):
             template=None,
         )
 
-    def pair(self, split: str, kind: str, i: int) -> ClipPair:
-        """Read clip `i` as methods get it: vertices shuffled, with one order for all frames."""
-        rng = self.rng(split, kind, i)
-        return shuffle_clip_vertices(self.unshuffled_pair(split, kind, i, rng), rng)
-
 
 def listed_pairs(
     source: Path, data: Path | None = None, height: float | None = None, fps: float | None = None
@@ -297,3 +308,155 @@ def _files_in(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     return sorted(Path(parent, name) for parent, _, names in os.walk(path, followlinks=True) for name in names)
+
+
+SUFFIX = ".txt"
+"""Suffix of the lists in a folder."""
+HEIGHTS = ".heights.json"
+"""What the name of a list's heights ends with, instead of its suffix."""
+_WORD = re.compile(r'"([^"]*)"|(\S+)')
+
+
+@dataclass(frozen=True)
+class Triple:
+    """A line of a list: the names and paths of an identity, of a driving mesh or clip, and of the true result."""
+
+    where: str
+    """The list and the number of the line, for errors."""
+    names: tuple[str, str, str]
+    """As in the list."""
+    paths: tuple[Path, Path, Path]
+    """Files, or folders of a clip's frames."""
+
+
+def find_lists(source: Path) -> list[Path]:
+    """Return the lists of a folder in the order of their names, or the one that is given.
+
+    Raises:
+        InputError: nothing of that name, or a folder without lists.
+    """
+    if source.is_file():
+        return [source]
+    if not source.is_dir():
+        raise InputError(f"{source}: expected a list of files or a folder of lists, found nothing; check the path")
+    found = sorted(path for path in source.glob(f"*{SUFFIX}") if path.is_file() and not path.name.startswith("."))
+    if not found:
+        raise InputError(
+            f"{source}: expected lists (*{SUFFIX}) with lines of identity, driving and truth, found none in the "
+            "folder; name the list"
+        )
+    return found
+
+
+def read_list(path: Path, folder: Path | None = None) -> tuple[Triple, ...]:
+    """Read a list and find its files.
+
+    Args:
+        folder: what names are relative to; None: the list's folder.
+
+    Raises:
+        InputError: no text, a line that is not three names, a file that does not exist, or no line.
+    """
+    content = path.read_bytes()
+    if b"\0" in content:
+        raise InputError(f"{path}: expected a list as text, found binary data or UTF-16; save it as UTF-8")
+    triples = []
+    for number, line in enumerate(re.split(r"\r\n|\r|\n", decoded(content).removeprefix("\ufeff")), 1):
+        names = _names(line)
+        if not names:
+            continue
+        where = f"{path}, line {number}"
+        if len(names) != 3:
+            raise InputError(
+                f"{where}: expected three names (identity, driving, truth), found {len(names)} in "
+                f"{line.strip()[:60]!r}; put a name with blanks in double quotes, or name the lists if this is none"
+            )
+        identity, driving, truth = names
+        found = [_find(name, folder or path.parent, where) for name in names]
+        triples.append(Triple(where, (identity, driving, truth), (found[0], found[1], found[2])))
+    if not triples:
+        raise InputError(f"{path}: expected lines of identity, driving and truth, found none; write one for each pair")
+    return tuple(triples)
+
+
+def read_heights(path: Path) -> dict[str, float] | None:
+    """Read the heights beside a list, by the name of the identity in the list; None where there are none.
+
+    Raises:
+        InputError: a file that does not hold a positive number for each name.
+    """
+    path = heights_file(path)
+    if not path.is_file():
+        return None
+    try:
+        heights = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected heights as JSON, found '{str(error)[:80]}'; correct that place") from None
+    wrong = [value for value in heights.values() if not _is_height(value)] if isinstance(heights, dict) else [heights]
+    if wrong:
+        raise InputError(
+            f'{path}: expected an object such as {{"id0_17.obj": 1.71}}, found {str(wrong[0])[:40]!r}; correct it'
+        )
+    return {name: float(height) for name, height in heights.items()}
+
+
+def write_list(path: Path, triples: Iterable[tuple[str, str, str]], heights: Mapping[str, float]) -> None:
+    """Write a list, and beside it the heights of its identities by their names."""
+    with together(), whole_file(heights_file(path)) as temporary, whole_file(path) as listed:
+        temporary.write_text(json.dumps(dict(heights), indent=2) + "\n", encoding="utf-8", newline="\n")
+        listed.write_text(
+            "".join(" ".join(map(_quoted, names)) + "\n" for names in triples), encoding="utf-8", newline="\n"
+        )
+
+
+def heights_file(path: Path) -> Path:
+    """Return the path of the heights that belong to a list: seen.txt has seen.heights.json."""
+    return path.with_name(path.stem + HEIGHTS)
+
+
+def list_checksum(path: Path) -> str:
+    """Return the first 16 hex digits of the SHA-256 of a list's bytes."""
+    return f"sha256 {hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"
+
+
+def _names(line: str) -> list[str]:
+    """Split a line at its blanks, up to a comment; what stands in double quotes is one name."""
+    names = []
+    for word in _WORD.finditer(line):
+        if word[0].startswith("#"):
+            break
+        names.append(word[2] if word[1] is None else word[1])
+    return names
+
+
+def _quoted(name: str) -> str:
+    return f'"{name}"' if name.startswith("#") or re.search(r"\s", name) else name
+
+
+def _find(name: str, folder: Path, where: str) -> Path:
+    """Find the file or folder of a name: as it is, else with the suffix of a mesh or clip.
+
+    Raises:
+        InputError: there is none, or the name without suffix fits several files.
+    """
+    suffixes = dict.fromkeys((*mesh_suffixes(), *clip_suffixes()))
+    for spelled in (name, name.replace("\\", "/")) if name else ():
+        path = folder / spelled
+        if os.path.exists(path):  # unlike Path.exists, False for a name that is too long
+            return path
+        found = [Path(f"{path}{suffix}") for suffix in suffixes if os.path.isfile(f"{path}{suffix}")]
+        if len(found) > 1:
+            raise InputError(
+                f"{where}: expected one file called {name!r}, found {' and '.join(file.name for file in found)} in "
+                f"{path.parent}; write the suffix, too"
+            )
+        if found:
+            return found[0]
+    raise InputError(
+        f"{where}: expected the file {name!r} in {folder}, found none; correct the name, or give the folder of the "
+        "files with --data"
+    )
+
+
+def _is_height(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= sys.float_info.max

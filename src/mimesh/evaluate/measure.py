@@ -21,15 +21,13 @@ from ..core.errors import InputError, RefusedMeshError
 from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, bbox_centre
-from ..methods.base import Method, RigMethod, ShapeMethod, SizedMethod
+from ..methods.base import Method, RigMethod, ShapeMethod, SizedMethod, check_size
 from ..methods.find import find_method, weights_path
-from ..methods.root_motion import check_size
 from ..pipeline import ClipResult, Result, animate, transfer
 from .characters import CharacterPair
-from .clip_protocols import ClipPair, on_template, reorder_clip_vertices
+from .clip_protocols import ClipPair, on_template
 from .fingers import FingerPair, finger_metrics
-from .limb_calibration import LimbedCharacter
-from .limb_metrics import limb_metrics
+from .limb_metrics import LimbedCharacter, limb_metrics
 from .metrics import (
     acceleration_ratio,
     box_radius,
@@ -85,20 +83,21 @@ def extra_inputs(method: str) -> str:
         return EXTRA_INPUTS[method]
     network = find_method(method)
     shipped = "our quadruped" if getattr(network, "body", "human") == "quadruped" else "our body"
-    body = {"meshes": "own meshes", "imported": "its authors' meshes"}.get(trained_on(method) or "", shipped)
+    card, body = card_of(method), shipped
+    if "imported" in card:
+        body = "its authors' meshes"
+    elif card and card["config"]["data"]["kind"] == "meshes":
+        body = "own meshes"
     body += ", true correspondence" * (getattr(network, "pairing", "random") == "order")
     if needs_true_size(network):
         return f"trained on {body}, true size"
     return f"trained on {body}, which it fits" if getattr(network, "fits_body", False) else f"trained on {body}"
 
 
-def trained_on(method: str) -> str | None:
-    """Give the kind of data (`data.kind`) that a network's card names, or "imported"; None without a card."""
+def card_of(method: str) -> dict[str, Any]:
+    """Read the card next to a network's weights; empty without one."""
     path = weights_path(method).with_suffix(".json")
-    if not path.exists():
-        return None
-    card = json.loads(path.read_text(encoding="utf-8"))
-    return "imported" if "imported" in card else card["config"]["data"]["kind"]
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
 def training_facts(method: str) -> dict[str, Any]:
@@ -106,20 +105,18 @@ def training_facts(method: str) -> dict[str, Any]:
 
     `before` in a card lists the earlier stages of a training in several stages; time and pairs are their sums.
     """
-    path = weights_path(method)
     if method in EXTRA_INPUTS:
         return {"trained": "none"}
-    if not path.with_suffix(".json").exists():
+    card = card_of(method)
+    if not card:
         return {"trained": "unknown"}
-    card = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
     if "imported" in card:
         return {"trained": f"by its authors, {card['imported']['file']}"}
-    data = TRAINED_ON[card["config"]["data"]["kind"]]
-    if card["config"]["data"].get("body") == "quadruped":
+    settings = card["config"]["data"]
+    data = TRAINED_ON[settings["kind"]]
+    if settings.get("body") == "quadruped":
         data = data.replace("people", "animals")
-    mixed = [
-        name for name, key in (("people", "mix_people"), ("limbs", "recombine")) if card["config"]["data"].get(key)
-    ]
+    mixed = [name for name, key in (("people", "mix_people"), ("limbs", "recombine")) if settings.get(key)]
     data += f" with mixed {' and '.join(mixed)}" if mixed else ""
     if "meshes" in card:
         data += f", {card['meshes']['people']} people x {card['meshes']['poses']} poses"
@@ -172,11 +169,6 @@ class Output(NamedTuple):
         """Move the result to where it is compared with the truth, frame by frame."""
         origin = bbox_centre(self.vertices) if self.origin is None else self.origin
         return self.vertices + (bbox_centre(truth) - origin)[..., None, :]
-
-
-def result_vertices(pair: Pair, method: str | Method, **options: Any) -> Float[np.ndarray, "V 3"]:
-    """Run a method on a pair and return the result's vertices in metres; see `run_on_pair`."""
-    return run_on_pair(pair, method, **options).vertices
 
 
 def run_on_pair(
@@ -233,7 +225,7 @@ def deformation_transfer_inputs(pair: Pair, method: str) -> tuple[Mesh, dict[str
         driving, reference = (
             Mesh(required_input(points, method), pair.identity.faces)
             for points in (pair.aligned, pair.aligned_reference)
-        )  # fmt: skip
+        )
         return driving, {"reference": reference}
     if len(pair.driving.faces) == 0:
         raise NotApplicableError(f"{method}: expected triangles to take gradients of, found points")
@@ -287,28 +279,22 @@ def placed_shapes(
 def measure(pair: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
     """Measure a method on one pair and return its metrics.
 
-    {"why": reason} if the method cannot be applied, {"failed": reason} if its result is not finite.
+    Of two characters, their limbs are compared, too, and vertices only if their truth is known; of people with fingers,
+    the fingers. {"why": reason} if the method cannot be applied, {"failed": reason} if its result is not finite.
     """
     result, facts = timed(run_on_pair, pair, method, options)
-    return facts if result is None else shape_metrics(result.beside(pair.truth), pair.truth, pair) | facts
-
-
-def measure_characters(pair: CharacterPair, method: str | Method, **options: Any) -> dict[str, Any]:
-    """Measure a method on two characters: limbs against the driving character's; vertices if their truth is known."""
-    result, facts = timed(run_on_pair, pair, method, options)
     if result is None:
         return facts
-    metrics = shape_metrics(result.beside(pair.truth), pair.truth, pair) if pair.truth_known else {}
-    identity, driving = (LimbedCharacter(c.rig, c.limbs) for c in (pair.identity_character, pair.driving_character))
-    return metrics | limb_metrics(identity, driving, result.vertices, pair.driving.vertices) | facts
-
-
-def measure_fingers(pair: FingerPair, method: str | Method, **options: Any) -> dict[str, Any]:
-    """Measure a method on a pair of people with fingers: vertices as `measure`, and fingers in the palm's frame."""
-    result, facts = timed(run_on_pair, pair, method, options)
-    if result is None:
-        return facts
-    return shape_metrics(result.beside(pair.truth), pair.truth, pair) | finger_metrics(result.vertices, pair) | facts
+    metrics: dict[str, Any] = {}
+    if pair.truth_known:
+        metrics |= shape_metrics(result.beside(pair.truth), pair.truth, pair)
+    if isinstance(pair, CharacterPair):
+        characters = (pair.identity_character, pair.driving_character)
+        identity, driving = (LimbedCharacter(character.rig, character.limbs) for character in characters)
+        metrics |= limb_metrics(identity, driving, result.vertices, pair.driving.vertices)
+    if isinstance(pair, FingerPair):
+        metrics |= finger_metrics(result.vertices, pair)
+    return metrics | facts
 
 
 def timed(
@@ -351,11 +337,6 @@ def required_input(array: Any, method: str) -> Any:
     if array is None:
         raise NotApplicableError(f"{method}: expected a correspondence, found none in this test set")
     return array
-
-
-def result_frames(trial: ClipPair, method: str, **options: Any) -> Float[np.ndarray, "T V 3"]:
-    """Run a method on a clip and return the result's vertices in all frames, in metres; see `run_on_clip`."""
-    return run_on_clip(trial, method, **options).vertices
 
 
 def run_on_clip(
@@ -409,7 +390,7 @@ def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]
         "path_mm": path_error_mm(moved, truth, trial.height),
         "jitter": jitter(moved, truth, trial.height, fps),
         "liveliness": acceleration_ratio(moved, truth),
-        "still_mm": largest_step_mm(result_frames(repeat_first_frame(trial), method, **options), trial.height),
+        "still_mm": largest_step_mm(run_on_clip(repeat_first_frame(trial), method, **options).vertices, trial.height),
         "skate_cm_s": foot_skate(moved, truth, trial.height, fps),
         **facts,
         "seconds": facts["seconds"] / len(moved),
@@ -433,13 +414,12 @@ def on_supported_vertices(trial: ClipPair, method: str) -> ClipPair:
             )
         return on_template(trial)
     if trial.place is not None and getattr(network, "vertices", 0):
-        return reorder_clip_vertices(trial, trial.place, trial.place)
+        return trial.reordered(trial.place, trial.place)
     return trial
 
 
 def repeat_first_frame(trial: ClipPair) -> ClipPair:
     """Return the trial as a static clip: STATIC_FRAMES copies of its first frame."""
-
     still = (STATIC_FRAMES, 1, 1)
     return dataclasses.replace(
         trial,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import cache
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -53,6 +54,29 @@ class Pair:
     """Whether `truth` is the true result. If not, it is an estimate, for its size and for pictures."""
     groups: tuple[str, str] = ("", "")
     """The identity person, and the driving person (in clips the take): pairs that share one are not independent."""
+
+    def shuffled(self, rng: np.random.Generator) -> Self:
+        """Shuffle the vertices of both meshes independently; truth, extra inputs and markers follow."""
+        return self.reordered(*(rng.permutation(len(mesh.vertices)) for mesh in (self.identity, self.driving)))
+
+    def reordered(self, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> Self:
+        """Reorder the vertices of a pair: new vertex k of the identity is old vertex `order[k]`, and so on."""
+        # Markers are vertex numbers, so they need the inverse orders: the rank of each old vertex in the new order.
+        ranks = np.argsort(order), np.argsort(driving_order)
+        markers = None
+        if self.markers is not None:
+            columns = zip(ranks, self.markers.T, strict=True)
+            markers = np.stack([np.where(column < 0, -1, rank[column]) for rank, column in columns], axis=1)
+        return dataclasses.replace(
+            self,
+            identity=permute_vertices(self.identity, order),
+            driving=permute_vertices(self.driving, driving_order),
+            truth=self.truth[order],
+            aligned=_rows(self.aligned, order),
+            aligned_reference=_rows(self.aligned_reference, order),
+            reference=_rows(self.reference, driving_order),
+            markers=markers,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,36 +166,6 @@ def mirrored(pair: Pair) -> Pair:
     arrays = {name: getattr(pair, name) for name in ("truth", "aligned", "aligned_reference", "reference")}
     reflected = {name: None if array is None else array * MIRROR for name, array in arrays.items()}
     return dataclasses.replace(pair, **meshes, **reflected)
-
-
-def shuffle_vertices(pair: Pair, rng: np.random.Generator) -> Pair:
-    """Shuffle the vertices of both meshes independently; truth, extra inputs and markers follow."""
-    return reorder_vertices(pair, *random_orders(pair, rng))
-
-
-def random_orders(pair: Pair, rng: np.random.Generator) -> tuple[Int[np.ndarray, " V"], Int[np.ndarray, " U"]]:
-    """Draw a random order of the identity's vertices and one of the driving mesh's."""
-    return rng.permutation(len(pair.identity.vertices)), rng.permutation(len(pair.driving.vertices))
-
-
-def reorder_vertices(pair: Pair, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> Pair:
-    """Reorder the vertices of a pair: new vertex k of the identity is old vertex `order[k]`, and so on."""
-    # Markers are vertex numbers, so they need the inverse orders: the rank of each old vertex in the new order.
-    ranks = np.argsort(order), np.argsort(driving_order)
-    markers = None
-    if pair.markers is not None:
-        columns = zip(ranks, pair.markers.T, strict=True)
-        markers = np.stack([np.where(column < 0, -1, rank[column]) for rank, column in columns], axis=1)
-    return dataclasses.replace(
-        pair,
-        identity=permute_vertices(pair.identity, order),
-        driving=permute_vertices(pair.driving, driving_order),
-        truth=pair.truth[order],
-        aligned=_rows(pair.aligned, order),
-        aligned_reference=_rows(pair.aligned_reference, order),
-        reference=_rows(pair.reference, driving_order),
-        markers=markers,
-    )
 
 
 def _rows(array: Float[np.ndarray, "N 3"] | None, order: Int[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"] | None:

@@ -21,13 +21,15 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies import RiggedBody
+from ..bodies import RiggedBody, load_body
 from ..bodies.contacts import CONTACTS, touching
 from ..bodies.dress import GARMENTS, TEST_GARMENTS, dressed_body, garment_file
+from ..bodies.quadruped import LIMITS, USUAL, lowered_head, postures
 from ..bodies.sampling import JOINT_LIMITS, lowered_arms, rotvec_to_rotmat, sample_pose, sample_shape
 from ..motions import pose_bank
+from ..motions.gaits import quadruped_poses
 from . import remesh
-from .pairs import Pair, Person, Pose, human, make_pair, remesh_driving, shuffle_vertices
+from .pairs import Pair, Person, Pose, human, make_pair, remesh_driving
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[str, ...] = get_args(Split)
@@ -66,7 +68,7 @@ class Protocol:
     def pair(self, split: str, kind: str, i: int) -> Pair:
         """Generate pair `i` with the vertices of both meshes shuffled, as methods get it."""
         rng = self.rng(split, kind, i)
-        return shuffle_vertices(self.unshuffled_pair(split, kind, i, rng), rng)
+        return self.unshuffled_pair(split, kind, i, rng).shuffled(rng)
 
     def count(self, kind: str, requested: int = 0, split: str = "test") -> int:
         """Return the number of pairs of a kind to measure: the requested number, or the protocol's own for 0."""
@@ -174,10 +176,7 @@ class Wide(Protocol):
         else:
             bank = split_pose_bank(split)
             rotvec = bank[rng.integers(len(bank))].astype(np.float64)
-        rotmat = rotvec_to_rotmat(rotvec)
-        turn = np.radians(self.heading) * rng.uniform(-1, 1)
-        rotmat[0] = rotvec_to_rotmat(np.array([0.0, turn, 0.0])) @ rotmat[0]
-        return Pose(rotmat, f"{kind}{i}")
+        return Pose(with_heading(rotvec, self.heading, rng), f"{kind}{i}")
 
 
 @dataclass(frozen=True)
@@ -203,6 +202,16 @@ class Dressed(Wide):
         people = self.sample_people(identity_body, driving_body, split, kind, i)
         pair = make_pair(*people, self.sample_rest_pose(split, kind, i, rng), pose)
         return pair if identity_body is driving_body else dataclasses.replace(pair, aligned_reference=None)
+
+
+def with_heading(
+    rotvec: Float[np.ndarray, "J 3"], largest: float, rng: np.random.Generator
+) -> Float[np.ndarray, "J 3 3"]:
+    """Return the rotations of a pose, turned about the vertical by up to `largest` degrees to either side."""
+    rotmat = rotvec_to_rotmat(rotvec)
+    turn = np.radians(largest) * rng.uniform(-1, 1)
+    rotmat[0] = rotvec_to_rotmat(np.array([0.0, turn, 0.0])) @ rotmat[0]
+    return rotmat
 
 
 def sample_garments(rng: np.random.Generator) -> tuple[str, ...]:
@@ -343,3 +352,49 @@ def dressed_human(garments: tuple[str, ...], folder: Path | None = None) -> Rigg
 def split_pose_bank(split: Literal["train", "val", "test"]) -> np.ndarray:
     """Return the poses (N, J, 3), rotation vectors in radians, of every third frame of a split's shipped motions."""
     return pose_bank(split)
+
+
+@cache
+def quadruped() -> RiggedBody:
+    """Return the shipped quadruped, read once."""
+    return load_body("quadruped")
+
+
+@cache
+def split_poses(split: Literal["train", "val", "test"]) -> np.ndarray:
+    """Return the frames of the split's gaits and postures."""
+    return quadruped_poses(quadruped(), split)
+
+
+@dataclass(frozen=True)
+class Quadruped(Protocol):
+    """Identities standing or with a lowered head, or in an everyday pose; driving animals in poses of the kind."""
+
+    body: ClassVar[str] = "quadruped"
+    heading: float = 45.0
+    """Largest angle (degrees) by which driving animals are turned about the vertical, to either side."""
+
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        body, seed = quadruped(), self.seed(f"{split}/{kind}")
+        identity, driving = (
+            Person(body, sample_shape(body, seed, 2 * i + k, self.spread), str(2 * i + k)) for k in range(2)
+        )
+        rest = lowered_head(body, rng.random(3))
+        if rng.random() < 0.5:
+            rest = sample_pose(body, seed, 10_000 + i, USUAL)
+        if kind == "gaits":
+            assert split in ("train", "val", "test")
+            frames = split_poses(split)
+            pose = frames[rng.integers(len(frames))].astype(np.float64)
+        else:
+            pose = sample_pose(body, seed, i, LIMITS if kind == "limits" else USUAL)
+        stands = postures(body)
+        rest, pose = (
+            angles if limited else angles + rng.random() * stands[rng.integers(len(stands))]
+            for angles, limited in ((rest, False), (pose, kind == "limits"))
+        )
+        turned = Pose(with_heading(pose, self.heading, rng), f"{kind}{i}")
+        return make_pair(identity, driving, Pose(rotvec_to_rotmat(rest), f"{kind}{10_000 + i}"), turned)
+
+
+QUADRUPED = Quadruped("quadruped", 1, ("gaits", "usual", "limits"), 72, 1.0)

@@ -6,6 +6,7 @@ import contextlib
 import os
 import platform
 import subprocess
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -14,6 +15,7 @@ LIBRARIES = ("numpy", "scipy", "onnxruntime", "fast-simplification")
 """Whose versions might change a figure."""
 
 
+@cache
 def commit() -> str:
     """Short hash of the code's git commit, `-dirty` if files differ from it; `unknown` outside a checkout."""
     commands = ["git ls-files --error-unmatch __init__.py", "git describe --always --dirty"]

@@ -12,7 +12,10 @@ import re
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
 
 from ..bodies.dress import TEST_FILE
 from ..core.errors import InputError, did_you_mean
@@ -30,24 +33,47 @@ from ..methods.find import (
 )
 from .animals import animals
 from .characters import Characters, characters
-from .clip_protocols import ClipsAniformer, clips_aniformer
-from .clips_ordered import clips_ordered
+from .clip_protocols import ClipPair, ClipsAniformer, clips_aniformer, clips_ordered
 from .cross_body import cross_body
 from .fingers import FingerGestures, fingers
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
 from .listed_pairs import ListedClips, ListedPairs, listed_pairs
-from .measure import EXTRA_INPUTS, Runtime, measure, measure_characters, measure_clip, measure_fingers
-from .metrics import VERSION
+from .measure import (
+    EXTRA_INPUTS,
+    Runtime,
+    measure,
+    measure_clip,
+    run_on_clip,
+    run_on_pair,
+)
+from .metrics import VERSION, pmd
 from .pairs import Pair, mirrored
-from .protocols import DRESSED, PROTOCOLS, SPLITS, Dressed, Protocol, with_test_garments
+from .protocols import DRESSED, PROTOCOLS, QUADRUPED, SPLITS, Dressed, Protocol, with_test_garments
 from .provenance import commit, libraries, machine
-from .quadruped import QUADRUPED
 from .summary import summary
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 WITHOUT_FOLDER: dict[str, Protocol] = {**PROTOCOLS, QUADRUPED.name: QUADRUPED}
 """Protocols that need no folder."""
-FOLDERS = ("cross-body", "characters", "clips-aniformer", "clips-ordered", "fingers", "animals")
+READ_A_FOLDER: dict[str, Callable[[Any], Protocol]] = {
+    "cross-body": cross_body,
+    "characters": characters,
+    "clips-aniformer": clips_aniformer,
+    "clips-ordered": clips_ordered,
+    "fingers": fingers,
+    "animals": animals,
+}
+"""Name -> function that makes the protocol from its folder, or None where only some kinds need one."""
+FOLDERS = tuple(READ_A_FOLDER)
 """Names of the protocols that read a folder."""
+NEED_A_FOLDER = {
+    "cross-body": "a folder of rigged characters",
+    "characters": "the folder of a pool of rigged characters",
+    "animals": "a folder of rigged animals",
+}
+"""Protocols that are nothing without their folder, and what it is."""
 
 
 def evaluate_command(
@@ -74,7 +100,7 @@ def evaluate_command(
     of the code, without changes to it, and for methods whose weights are the same.
 
     Args:
-        protocol: a name, or the path of a list of files or of a folder of lists (`triples`).
+        protocol: a name, or the path of a list of files or of a folder of lists (`listed_pairs`).
         pairs: number of pairs of each kind; 0 for the protocol's own.
         dump: folder for pictures of the worst pairs.
         data: folder of a protocol that reads one, or that the names of a list are relative to.
@@ -96,15 +122,17 @@ def evaluate_command(
     if dump is not None and of_pool and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
                          "give --split val")  # fmt: skip
-    if mirror and (dump is not None or measurement_of(chosen) is not measure):
+    of_more = isinstance(chosen, Characters | FingerGestures)
+    if mirror and (dump is not None or of_more or is_of_clips(chosen)):
         raise InputError("--mirror: expected a test set of single meshes and no --dump, found another; leave one out")
-    if runtime and measurement_of(chosen) not in (measure, measure_clip):
+    if runtime and of_more:
         raise InputError(f"--torch: expected a test set of meshes or clips, found {protocol}; leave it out")
     options: dict[str, Any] = {"ensemble": ensemble, "refine": refine}
     config = {**data_facts(chosen, split, data), "pairs": pairs or chosen.pairs, **options}
-    options |= {"runtime": runtime} if runtime else {}
     config |= {"mirror": True} if mirror else {}
-    config |= {"runtime": runtime_name} if runtime else {}
+    if runtime:
+        options |= {"runtime": runtime}
+        config |= {"runtime": runtime_name}
     made = provenance(config)
     question = {**config, "protocol": settings(chosen), "metrics": VERSION, "machine": machine(), **libraries()}
     question["commit"] = made["commit"]
@@ -132,8 +160,6 @@ def evaluate_command(
             if label not in sets:  # every method gets the same pairs
                 sets[label] = set_facts(chosen, split, kind, [metrics["pair"] for metrics in figures], mirror)
             if dump is not None:
-                from .dump import dump_worst
-
                 dump_worst(chosen, split, kind, method, options, figures, dump)
     report = {
         "protocol": chosen.name,
@@ -154,11 +180,7 @@ def evaluate_command(
 
 
 def keep_other_report(out: Path, protocol: str, config: dict[str, Any]) -> None:
-    """Check that a report would not replace one of another test set or of other options.
-
-    Raises:
-        InputError: it would.
-    """
+    """Raise InputError if a report would replace one of another test set or of other options."""
     if not out.exists():
         return
     try:
@@ -183,19 +205,16 @@ def _on_one_line(found: re.Match[str]) -> str:
     return re.sub(r"\n\s*", "", re.sub(r",\n\s*", ", ", found[0]))
 
 
-def measurement_of(protocol: Protocol) -> Callable[..., dict[str, Any]]:
-    """Return the function that measures a method on one pair of a protocol."""
-    if isinstance(protocol, (ClipsAniformer, ListedClips)):
-        return measure_clip
-    if isinstance(protocol, FingerGestures):
-        return measure_fingers
-    return measure_characters if isinstance(protocol, Characters) else measure
+def is_of_clips(protocol: Protocol) -> bool:
+    """Return whether the trials of a protocol are clips."""
+    return isinstance(protocol, ClipsAniformer | ListedClips)
 
 
 def measure_trial(protocol: Protocol, trial: Pair, method: str, options: dict[str, Any]) -> dict[str, Any]:
     """Measure a method on one trial, a pair of meshes or a clip, and return its metrics with what identifies it."""
     labels = {"pair": pair_checksum(trial), "identity": trial.groups[0], "driving": trial.groups[1]}
-    return labels | measurement_of(protocol)(trial, method, **options)
+    measurement: Callable[..., dict[str, Any]] = measure_clip if is_of_clips(protocol) else measure
+    return labels | measurement(trial, method, **options)
 
 
 class PartialReport:
@@ -266,11 +285,7 @@ def data_facts(protocol: Protocol, split: str, data: Path | None) -> dict[str, A
 
 
 def folder_checksum(folder: Path) -> str:
-    """Return the first 16 hex digits of a SHA-256 over the files of a folder and its subfolders, and their number.
-
-    Raises:
-        InputError: no files.
-    """
+    """Return `files_checksum` of a folder and its subfolders; raise InputError if there are no files."""
     # Protocols read through links to folders, which `Path.rglob` does not.
     files = sorted(Path(parent, name) for parent, _, names in os.walk(folder, followlinks=True) for name in names)
     if not files:
@@ -301,26 +316,10 @@ def find_protocol(
     for option, value in (("--height", height), ("--fps", fps)):
         if value is not None:
             raise InputError(f"{option}: expected it with a list of files, found the protocol {name}; leave it out")
-    if name == "cross-body":
-        if data is None:
-            raise InputError("cross-body: expected a folder of rigged characters, found none; give it with --data")
-        return cross_body(data)
-    if name == "characters":
-        if data is None:
-            raise InputError(
-                "characters: expected a pool of rigged characters, found none; give its folder with --data"
-            )
-        return characters(data)
-    if name == "animals":
-        if data is None:
-            raise InputError("animals: expected a folder of rigged animals, found none; give it with --data")
-        return animals(data)
-    if name == "clips-aniformer":
-        return clips_aniformer(data)
-    if name == "clips-ordered":
-        return clips_ordered(data)
-    if name == "fingers":
-        return fingers(data)
+    if name in NEED_A_FOLDER and data is None:
+        raise InputError(f"{name}: expected {NEED_A_FOLDER[name]}, found none; give it with --data")
+    if name in READ_A_FOLDER:
+        return READ_A_FOLDER[name](data)
     if name == DRESSED.name and data is not None:
         return with_test_garments(data)
     if name not in WITHOUT_FOLDER:
@@ -370,3 +369,60 @@ def provenance(config: dict[str, Any]) -> dict[str, Any]:
         "libraries": libraries(),
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
+
+
+WORST = 3
+"""Number of pairs of each method and kind that are drawn."""
+
+
+def dump_worst(
+    protocol: Protocol,
+    split: str,
+    kind: str,
+    method: str,
+    options: dict[str, Any],
+    figures: list[dict[str, Any]],
+    folder: Path,
+) -> list[Path]:
+    """Draw the WORST pairs as `<folder>/<method>-<kind>-<rank>.png` and return the paths.
+
+    Means do not show them. The worst have the largest PMD or, where no true mesh is known, the largest angle between
+    limbs.
+    """
+    measured = {i: metrics.get("pmd_e4", metrics.get("limb_deg")) for i, metrics in enumerate(figures)}
+    errors = {i: error for i, error in measured.items() if error is not None}
+    worst = sorted(errors, key=errors.__getitem__, reverse=True)[:WORST]
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for rank, i in enumerate(worst, 1):
+        pair = protocol.pair(split, kind, i)
+        path = folder / f"{Path(method).stem}-{kind}-{rank}.png"
+        trial_picture(*_to_draw(pair, method, options)).save(path)
+        paths.append(path)
+    return paths
+
+
+def _to_draw(pair: Pair, method: str, options: dict[str, Any]) -> tuple[Pair, Float[np.ndarray, "V 3"]]:
+    """Return a pair and the method's result beside its truth; for a clip, those of the frame with the largest PMD."""
+    if not isinstance(pair, ClipPair):
+        return pair, run_on_pair(pair, method, **options).beside(pair.truth)
+    frames = run_on_clip(pair, method, **options).beside(pair.truth_frames)
+    worst = int(np.argmax([pmd(a, b) for a, b in zip(frames, pair.truth_frames, strict=True)]))
+    return pair.frame(worst), frames[worst]
+
+
+def trial_picture(pair: Pair, result: Float[np.ndarray, "V 3"]) -> Image.Image:
+    """Draw identity, driving, result and truth in a row, above the result's heat map (mm for a person of 1.7 m).
+
+    The result lies where it is compared with the truth.
+
+    Without a true mesh, the first three are drawn.
+    """
+    from ..render.heat import heat_map
+    from ..render.sheet import stack, transfer_sheet
+
+    scale = 1.7 / pair.height
+    shown, truth = (dataclasses.replace(pair.identity, vertices=scale * points) for points in (result, pair.truth))
+    if not pair.truth_known:
+        return transfer_sheet(pair.identity, pair.driving, shown)
+    return stack([transfer_sheet(pair.identity, pair.driving, shown, truth), heat_map(shown, truth)])

@@ -12,20 +12,15 @@ from .measure import extra_inputs, training_facts
 
 DISTRIBUTIONS = {"pmd_e4": 4, "pmd_public_e4": 4, "mm": 2, "limb_deg": 2, "end_effector": 3, "fingertip_mm": 2}
 """Metrics with mean, interval, median, 90th percentile and maximum in a report, and their decimals."""
-MEANS = {"chamfer_e4": 4, "edge_score": 4, "flipped": 5}
-"""Metrics with a mean only, and their decimals."""
-CLIP_METRICS = {"path_mm": 2, "jitter": 4, "liveliness": 3, "still_mm": 4, "skate_cm_s": 3}
-"""The same for metrics that are defined for clips only; means are over the clips that have a value."""
-LIMB_METRICS = {"joint_pct": 2, "sole_height": 3, "touching": 3, "penetration": 2}
-"""The same for metrics of results without a true mesh (`limb_metrics`)."""
-FINGER_METRICS = {"finger_deg": 2}
-"""The same for metrics of fingers (`finger_metrics`)."""
-LABELS = ("pair", "identity", "driving")
-"""What identifies a pair in a report: its checksum, and the groups that its two meshes are drawn from."""
+MEANS = {
+    **{"chamfer_e4": 4, "edge_score": 4, "flipped": 5},
+    **{"path_mm": 2, "jitter": 4, "liveliness": 3, "still_mm": 4, "skate_cm_s": 3},  # of clips
+    **{"joint_pct": 2, "sole_height": 3, "touching": 3, "penetration": 2},  # without a true mesh (`limb_metrics`)
+    "finger_deg": 2,
+}
+"""Metrics with a mean only, over the pairs that have a value, and their decimals."""
 DIGITS = 6
 """Significant digits of the figures of single pairs."""
-BAD_E4, GOOD_E4 = 50.0, 10.0
-"""PMD x1e4 above which a result is bad, and below which it is good, where warnings are measured."""
 
 
 def summary(method: str, kind: str, figures: list[dict[str, Any]], body: str = "human") -> dict[str, Any]:
@@ -49,7 +44,7 @@ def summary(method: str, kind: str, figures: list[dict[str, Any]], body: str = "
         chosen = [metrics for metrics in measured if metrics.get(name) is not None]
         if chosen:
             row |= {f"{name}{end}": round(value, digits) for end, value in _distribution(name, chosen).items()}
-    for name, digits in (MEANS | CLIP_METRICS | LIMB_METRICS | FINGER_METRICS).items():
+    for name, digits in MEANS.items():
         values = [metrics[name] for metrics in measured if metrics.get(name) is not None]
         if values:
             row[name] = round(float(np.mean(values)), digits)
@@ -119,25 +114,3 @@ def _errors_by_pair(row: dict[str, Any]) -> dict[str, float]:
     each = row.get("each", {})
     pairs = zip(each.get("pair", ()), each.get("pmd_e4", ()), strict=True)
     return {pair: error for pair, error in pairs if error is not None}
-
-
-def warnings_count(rows: list[dict[str, Any]]) -> dict[str, int] | None:
-    """Count bad and good results, and how many of each came with a warning; None if the method gives no confidence."""
-    figures = confidence_figures(rows)
-    if not len(figures):
-        return None
-    error, _, warned = figures.T
-    bad, good = error > BAD_E4, error < GOOD_E4
-    counts = {"pairs": len(figures), "bad": bad.sum(), "bad_warned": (bad & (warned > 0)).sum()}
-    counts |= {"good": good.sum(), "good_warned": (good & (warned > 0)).sum()}
-    return {name: int(count) for name, count in counts.items()}
-
-
-def confidence_figures(rows: list[dict[str, Any]]) -> Float[np.ndarray, "N 3"]:
-    """Return PMD x1e4, uncertainty and whether there was a warning, of all pairs of rows that have them."""
-    found = []
-    for row in rows:
-        each = row.get("each", {})
-        columns = [each.get(name, ()) for name in ("pmd_e4", "uncertainty", "warned")]
-        found += [line for line in zip(*columns, strict=False) if None not in line]
-    return np.array(found, dtype=float).reshape(-1, 3)

@@ -31,13 +31,8 @@ def confined(folder: Path) -> Iterator[None]:
         _FOLDER.reset(token)
 
 
-def is_confined() -> bool:
-    """Return whether referenced files are confined to a folder."""
-    return _FOLDER.get() is not None
-
-
 def confining_folder() -> Path | None:
-    """Return the folder that referenced files are confined to, for a child process; None where they are not."""
+    """Return the folder that referenced files are confined to; None where they are not."""
     return _FOLDER.get()
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..bodies import RiggedBody
 from ..core.errors import InputError
-from ..motions.motion import Motion
 from .atomic import whole_file, writing
+
+if TYPE_CHECKING:  # slow to import, also for the child processes that read native formats
+    from ..bodies import RiggedBody
+    from ..motions.motion import Motion
 
 ORDER = "ZXY"
 """Order of the rotation channels of every joint: R = R_z R_x R_y, so the last one applies first."""

@@ -2,7 +2,7 @@
 
 A damaged or malicious file can make a C or C++ library crash, loop, or allocate all memory. In a child process this
 ends the child, and the caller gets an InputError of one line. The child has a limit on memory, processor time, clock
-time and the size of the files it writes (Linux; other systems have fewer, see `_limit_resources`), and of the
+time and the size of the files it writes (Linux; other systems have fewer, see `core.system`), and of the
 environment only what Python needs to start. It writes its result to a file, its errors to another, and the number of
 frames done to a third. `watched` lets the caller end it.
 
@@ -33,6 +33,7 @@ from ..core.errors import LONGEST_MESSAGE, InputError, one_line
 from ..core.frame_buffer import Progress
 from ..core.system import end_with_parent, limit_process, limit_processor_time
 from .atomic import scratch_folder, temporary_folder
+from .beside import confined, confining_folder
 
 MIB = 2**20
 """Bytes."""
@@ -50,6 +51,7 @@ BOOT = "import json, sys; call = json.loads(sys.argv[1]); sys.path[:] = call.pop
 BOOT += f"from {__name__} import run_call; run_call(call)"
 """Program of the child. It starts isolated (`python -I`), so the modules are found by the parent's search path."""
 FULL_DISK = "a full disk"
+TOO_SLOW = "that its decoder does not end; the file is damaged or too large, export it again"
 REFUSED, NO_MEMORY, FAILED = 3, 4, 5
 """Exit codes of the child: InputError, MemoryError, any other exception."""
 LAST_BYTES = 4 * LONGEST_MESSAGE + 100
@@ -114,7 +116,8 @@ def child_result(
 
     Args:
         function: "package.module:function". It is called as function(source, target, **arguments), writes the file
-            `target`, may write others beside it, and may raise InputError. `arguments` are values that JSON has.
+            `target`, may write others beside it, and may raise InputError. `arguments` are values that JSON has. Files
+            that `source` refers to are confined there as they are here (`beside.confined`).
         source: the file to read.
         name: file that error messages name.
         limits: by default those for the size of `source`; without effect where the budgets are lifted.
@@ -131,6 +134,7 @@ def child_result(
         call = {"function": function, "source": str(source.absolute()), "target": str(target), "arguments": arguments}
         call |= {"limits": asdict(limits), "path": [str(Path(entry).absolute()) for entry in sys.path]}
         call |= {"lifted": lifted, "counts": None if progress is None else str(folder / COUNTS_FILE)}
+        call["confined_to"] = None if (outer := confining_folder()) is None else str(outer)
         code = _run(call, folder, limits, name, progress)
         message = last_line(folder / ERRORS_FILE).replace(str(folder), str(folder.parent))
         if code == REFUSED:
@@ -155,11 +159,15 @@ def run_call(call: dict[str, Any]) -> None:
         lift_limits()
     try:
         imported = import_module(module)
-        # After the imports, whose time depends on the machine and not on the file.
-        _limit_resources(limits)
+        # After the imports, whose time depends on the machine and not on the file. Where the system has no limits, the
+        # parent's clock ends the child, and the size of the result is checked.
+        limit_process(limits.memory, limits.output)
+        limit_processor_time(limits.cpu_seconds)
         if call["counts"] is not None:
             arguments["progress"] = _reporter(Path(call["counts"]), limits)
-        getattr(imported, function)(Path(call["source"]), Path(call["target"]), **arguments)
+        folder = call["confined_to"]
+        with contextlib.nullcontext() if folder is None else confined(Path(folder)):
+            getattr(imported, function)(Path(call["source"]), Path(call["target"]), **arguments)
         code = 0
     except InputError as error:
         code = REFUSED
@@ -239,17 +247,8 @@ def _wait(process: subprocess.Popen[bytes], counts: Path, limits: Limits, name: 
             seen, since = now, time.monotonic()
             progress(*now)
         if code is None and time.monotonic() - since > limits.clock_seconds:
-            raise InputError(f"{name}: expected a file that can be read, found {_too_slow()}")
+            raise InputError(f"{name}: expected a file that can be read, found {TOO_SLOW}")
     return code
-
-
-def _limit_resources(limits: Limits) -> None:
-    """Set the limits of this process, as far as the system has them.
-
-    Where it has none, the parent's clock ends a child, and the size of the result is checked.
-    """
-    limit_process(limits.memory, limits.output)
-    limit_processor_time(limits.cpu_seconds)
 
 
 def _reason(code: int, message: str, limits: Limits) -> str:
@@ -258,7 +257,7 @@ def _reason(code: int, message: str, limits: Limits) -> str:
         memory = f"{limits.memory // MIB:,} MiB"
         return f"that it needs more than {memory} of memory; the file is damaged or too large, export it again"
     if code in (-getattr(signal, "SIGXCPU", 24), -getattr(signal, "SIGKILL", 9)):
-        return _too_slow()
+        return TOO_SLOW
     if code == -getattr(signal, "SIGXFSZ", 25) or "File too large" in message:
         return f"more than {limits.output // MIB:,} MiB in it; the file is damaged, export it again"
     if code < 0 or code != FAILED:
@@ -266,10 +265,6 @@ def _reason(code: int, message: str, limits: Limits) -> str:
     if message == FULL_DISK:
         return f"no room for its frames in {temporary_folder()}; free some, or set TMPDIR to another folder"
     return f"{message}; the file is damaged, export it again"
-
-
-def _too_slow() -> str:
-    return "that its decoder does not end; the file is damaged or too large, export it again"
 
 
 def last_line(path: Path) -> str:

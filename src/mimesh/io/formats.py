@@ -14,7 +14,9 @@ from pathlib import Path
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import archive_names
+from .alembic import read_alembic, read_alembic_clip, write_alembic, write_alembic_clip
 from .atomic import scratch_folder, whole_file
+from .hdf5 import read_hdf5_clip
 from .npz import read_npz, write_npz, write_npz_clip
 from .npz import read_npz_clip as read_points_clip
 from .obj import read_obj, write_obj
@@ -58,30 +60,6 @@ def _write_gltf_clip(clip: Clip, path: Path, progress: Progress | None) -> None:
 
     with gltf_file(path) as temporary:
         write_gltf_clip(clip, temporary, progress)
-
-
-def _read_alembic(path: Path) -> Mesh:
-    from .alembic import read_alembic
-
-    return read_alembic(path)
-
-
-def _read_alembic_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
-    from .alembic import read_alembic_clip
-
-    return read_alembic_clip(path, fps, progress)
-
-
-def _write_alembic(mesh: Mesh, path: Path) -> None:
-    from .alembic.write import write_alembic
-
-    write_alembic(mesh, path)
-
-
-def _write_alembic_clip(clip: Clip, path: Path, progress: Progress | None) -> None:
-    from .alembic.write import write_alembic_clip
-
-    write_alembic_clip(clip, path, progress)
 
 
 def _read_motion(path: Path) -> Mesh:
@@ -128,12 +106,6 @@ def is_body_model(path: Path) -> bool:
     return path.suffix.lower() in BODY_MODELS or (path.suffix.lower() == ".npz" and MARK in archive_names(path))
 
 
-def _read_hdf5_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
-    from .hdf5 import read_hdf5_clip
-
-    return read_hdf5_clip(path, fps, None, progress)
-
-
 def _read_cache(path: Path, fps: float | None, progress: Progress | None) -> Clip:
     """Read a point cache with a mesh of the same name beside it, in any mesh format; .obj and .ply are tried first."""
 
@@ -166,17 +138,17 @@ POINTS_ALONE = ("materials", "texture coordinates", "normals", "vertex colours")
 FORMATS = {
     ".abc": Format(
         "Alembic",
-        _read_alembic,
-        _write_alembic,
-        _read_alembic_clip,
-        _write_alembic_clip,
+        read_alembic,
+        write_alembic,
+        read_alembic_clip,
+        write_alembic_clip,
         lacks=("colours of materials", "textures", "vertex colours"),
     ),
     ".bvh": Format("BVH", _read_motion, None, _read_motion_clip),
     ".fbx": Format("FBX", _read_gltf, _write_gltf, None, _write_gltf_clip),
     ".glb": Format("GLB", _read_gltf, _write_gltf, None, _write_gltf_clip),
     ".gltf": Format("glTF", _read_gltf, _write_gltf, None, _write_gltf_clip),
-    ".hdf5": Format("HDF5", None, None, _read_hdf5_clip),
+    ".hdf5": Format("HDF5", None, None, read_hdf5_clip),
     ".mdd": Format("MDD points", None, None, _read_cache, write_mdd),
     ".npy": Format("NumPy points", None, None, _read_cache, write_npy),
     ".npz": Format("NumPy archive", _read_npz, write_npz, _read_npz_clip, write_npz_clip, POINTS_ALONE),

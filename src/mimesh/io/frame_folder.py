@@ -18,8 +18,7 @@ from ..core.frame_buffer import Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh, check_mesh
 from .atomic import whole_folder
 from .formats import FORMATS
-from .obj import read_obj_points
-from .obj_source import ObjSource
+from .obj import ObjSource, read_obj_points
 from .stl import read_stl_points
 
 OTHER_FRAMES = {".glb", *(suffix for suffix, format in FORMATS.items() if format.one_mesh)}

@@ -20,7 +20,6 @@ from ..core.budgets import check_clip_size
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, store_frames
 from ..core.mesh import Clip, Mesh
-from .gltf.animation import find_animation
 
 DEFAULT_FPS = 60.0
 """Frames per second without `--fps`."""
@@ -45,7 +44,7 @@ def clip_lengths(path: Path) -> dict[str, int]:
 
 
 def read_hdf5_clip(
-    path: Path, fps: float | None = None, animation: str | None = None, progress: Progress | None = None
+    path: Path, fps: float | None = None, progress: Progress | None = None, animation: str | None = None
 ) -> Clip:
     """Read one clip of a file; axes and unit are the file's.
 
@@ -70,6 +69,8 @@ def read_hdf5_clip(
 def _chosen(names: Sequence[str], animation: str | None, path: Path) -> str:
     """Return the name of the chosen clip, or of the only one."""
     if animation is not None:
+        from .gltf.animation import find_animation
+
         return names[find_animation(names, animation, path)]
     if len(names) > 1:
         raise InputError(
@@ -123,14 +124,6 @@ def _clips(file: Any, path: Path) -> dict[str, Any]:
     return clips
 
 
-def _frames_at_once(data: Any) -> int:
-    """Give the frames of a block, such that a chunk is unpacked once, unless so many would be too large."""
-    if data.chunks is None:
-        return BLOCK
-    frame = data.shape[0] * 3 * data.dtype.itemsize
-    return max(BLOCK, min(data.chunks[2], LARGEST_CHUNK // max(frame, 1)))
-
-
 def _is_own_dataset(file: Any, name: str | bytes) -> bool:
     """Whether an entry is a dataset with a name that can be printed and values that lie in this file."""
     import h5py
@@ -159,8 +152,10 @@ def _check_stored(data: Any, name: str, path: Path) -> None:
 
 
 def _frames(data: Any) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """Yield the frames of a dataset (V, 3, T)."""
-    block = _frames_at_once(data)
+    """Yield the frames of a dataset (V, 3, T), so many at once that a chunk is unpacked once, unless they are large."""
+    block, frame = BLOCK, data.shape[0] * 3 * data.dtype.itemsize
+    if data.chunks is not None:
+        block = max(BLOCK, min(data.chunks[2], LARGEST_CHUNK // max(frame, 1)))
     for t in range(0, data.shape[2], block):
         yield from np.moveaxis(data[:, :, t : t + block], 2, 0)
 

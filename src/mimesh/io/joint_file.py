@@ -48,15 +48,7 @@ def load_corrections(path: str | Path) -> JointCorrections:
         values = json.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected joints as JSON, found '{str(error)[:80]}'; correct that place") from None
-    return parse_corrections(values, str(path))
-
-
-def parse_corrections(values: Any, source: str) -> JointCorrections:
-    """Make corrections from the contents of such a file.
-
-    Raises:
-        InputError: see `load_corrections`.
-    """
+    source = str(path)
     if not isinstance(values, dict) or not isinstance(values.get("joints"), dict):
         raise InputError(f'{source}: expected an object with "joints", found none; see docs/formats.md')
     if values.get("format", FORMAT) != FORMAT or values.get("version", VERSION) != VERSION:

@@ -20,6 +20,7 @@ from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip
 from ..core.system import refuse_pipe
 from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, COLLECTIONS, MESH_READERS, MOTIONS, found_suffix
 from .frame_folder import read_frame, read_sequence
+from .hdf5 import clip_lengths, read_hdf5_clip
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 
@@ -46,7 +47,13 @@ def load_mesh(path: str | Path) -> Mesh:
         raise InputError(f"{path}: expected a mesh file, found a folder; name one file in it (a folder is a clip)")
     _must_exist(path)
     if path.suffix.lower() in CLIP_READERS.keys() - MESH_READERS.keys():
-        return _single_frame(load_clip(path), path)
+        clip = load_clip(path)
+        if len(clip) > 1:
+            raise InputError(
+                f"{path}: expected one mesh, found a clip of {len(clip)} frames; "
+                "give it as the driving clip or save one frame"
+            )
+        return clip.mesh
     if path.suffix.lower() not in MESH_READERS:
         raise InputError(
             f"{path}: expected one of {' '.join(sorted(MESH_READERS.keys() | CLIP_READERS))}, {found_suffix(path)}; "
@@ -110,28 +117,25 @@ def load_clip(
 
 def _whole_clip(path: Path, fps: float | None, animation: str | None, progress: Progress | None) -> Clip:
     """Read all frames of a clip."""
-    if path.is_dir():
-        with _reading(path):
-            clip = read_sequence(
-                path, fps or DEFAULT_FPS, MESH_READERS.keys() - MOTIONS - BODY_MODELS, _load_frame, progress
-            )
-        # The clip takes the name of the folder, not that of its first frame.
-        return check_clip(dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=path.name)), path)
-    if path.suffix.lower() in COLLECTIONS:
-        from .hdf5 import read_hdf5_clip
+    suffix = path.suffix.lower()
+    if path.is_file() and suffix not in (*CLIP_READERS, *ANIMATED):
+        mesh = load_mesh(path)
+        return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
+    with _reading(path):
+        if path.is_dir():
+            suffixes = MESH_READERS.keys() - MOTIONS - BODY_MODELS
+            clip = read_sequence(path, fps or DEFAULT_FPS, suffixes, _load_frame, progress)
+            # The clip takes the name of the folder, not that of its first frame.
+            clip = dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=path.name))
+        elif suffix in COLLECTIONS:
+            clip = read_hdf5_clip(path, fps, progress, animation)
+        elif suffix in ANIMATED:
+            from .gltf import read_gltf_clip
 
-        with _reading(path):
-            return check_clip(read_hdf5_clip(path, fps, animation, progress), path)
-    if path.suffix.lower() in CLIP_READERS:
-        with _reading(path):
-            return check_clip(CLIP_READERS[path.suffix.lower()](path, fps, progress), path)
-    if path.suffix.lower() in ANIMATED:
-        from .gltf import read_gltf_clip
-
-        with _reading(path):
-            return check_clip(read_gltf_clip(path, fps, animation, progress), path)
-    mesh = load_mesh(path)
-    return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
+            clip = read_gltf_clip(path, fps, animation, progress)
+        else:
+            clip = CLIP_READERS[suffix](path, fps, progress)
+        return check_clip(clip, path)
 
 
 def load_points(path: str | Path, first: Mesh, first_path: Path) -> Float[np.ndarray, "V 3"]:
@@ -174,9 +178,18 @@ def load_recorded_clip(
     Raises:
         InputError: one of the files cannot be used.
     """
-    path = Path(path)
+    from ..bodies.smpl_model import load_smpl_model
+    from ..motions.smpl_clip import recorded_clip
+
+    path, body_model = Path(path), Path(body_model)
     _check_clip_options(path, fps, animation)
-    return _recorded(path, Path(body_model), fps, progress, count, betas)
+    _must_exist(path)
+    _must_exist(body_model)
+    with _reading(body_model):
+        model = load_smpl_model(body_model)
+    with _reading(path):
+        clip, notes = recorded_clip(path, model, fps, progress, count, betas)
+    return check_clip(clip, path), notes
 
 
 def load_recorded_mesh(path: str | Path, body_model: str | Path) -> tuple[Mesh, tuple[str, ...]]:
@@ -185,29 +198,8 @@ def load_recorded_mesh(path: str | Path, body_model: str | Path) -> tuple[Mesh, 
     Raises:
         InputError: one of the files cannot be used.
     """
-    clip, notes = _recorded(Path(path), Path(body_model), count=1)
+    clip, notes = load_recorded_clip(path, body_model, count=1)
     return clip.mesh, notes
-
-
-def _recorded(
-    path: Path,
-    body_model: Path,
-    fps: float | None = None,
-    progress: Progress | None = None,
-    count: int | None = None,
-    betas: Float[np.ndarray, " K"] | None = None,
-) -> tuple[Clip, tuple[str, ...]]:
-    """Read a body model and what was recorded with it."""
-    from ..bodies.smpl_model import load_smpl_model
-    from ..motions.smpl_clip import recorded_clip
-
-    _must_exist(path)
-    _must_exist(body_model)
-    with _reading(body_model):
-        model = load_smpl_model(body_model)
-    with _reading(path):
-        clip, notes = recorded_clip(path, model, fps, progress, count, betas)
-    return check_clip(clip, path), notes
 
 
 def list_animations(path: str | Path) -> tuple[str, ...]:
@@ -221,8 +213,6 @@ def list_animations(path: str | Path) -> tuple[str, ...]:
     path = Path(path)
     _must_exist(path)
     if path.is_file() and path.suffix.lower() in COLLECTIONS:
-        from .hdf5 import clip_lengths
-
         with _reading(path):
             return tuple(clip_lengths(path))
     if path.is_dir() or path.suffix.lower() not in ANIMATED:
@@ -255,16 +245,6 @@ def _load_frame(path: Path) -> Mesh:
     if path.suffix.lower() in ANIMATED and mesh.source is None:
         raise InputError(f"{path}: expected a mesh as a frame of a clip, found joints that move; give that file alone")
     return mesh
-
-
-def _single_frame(clip: Clip, path: Path) -> Mesh:
-    """Return the mesh of a clip of one frame; raises InputError for several frames."""
-    if len(clip) > 1:
-        raise InputError(
-            f"{path}: expected one mesh, found a clip of {len(clip)} frames; "
-            "give it as the driving clip or save one frame"
-        )
-    return clip.mesh
 
 
 def _must_exist(path: Path) -> None:

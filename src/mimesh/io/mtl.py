@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ..core.mesh import Material, Mesh
-from ..core.printable import plain
+from ..core.printable import numbered, plain
 from .atomic import whole_file, written
 from .beside import is_there
 from .text import decoded, encoded
@@ -63,9 +63,8 @@ def image_suffix(content: bytes) -> str:
 def write_image(content: bytes, folder: Path, stem: str) -> str:
     """Write an image into a folder under the first free name and return the name; an equal file there is reused."""
     stem = _file_name(safe_name(stem))[:LONGEST_STEM]
-    name, number = f"{stem}{image_suffix(content)}", 2
-    while (there := written(folder / name)).exists() and there.read_bytes() != content:
-        name, number = f"{stem}-{number}{image_suffix(content)}", number + 1
+    places = ((name, written(folder / name)) for name in numbered(stem, suffix=image_suffix(content)))
+    name, there = next(place for place in places if not place[1].exists() or place[1].read_bytes() == content)
     if not there.exists():
         with whole_file(folder / name) as temporary:
             temporary.write_bytes(content)
@@ -92,9 +91,8 @@ def write_library(mesh: Mesh, path: Path) -> Path:
 
     A library of that name that was not written by mimesh is not overwritten: a number is added to the name.
     """
-    first_choice, number = path, 2
-    while path.exists() and not path.read_text("utf-8", "replace").startswith(_SIGNATURE):
-        path, number = first_choice.with_stem(f"{first_choice.stem}-{number}"), number + 1
+    paths = (path.with_name(name) for name in numbered(path.stem, suffix=path.suffix))
+    path = next(p for p in paths if not p.exists() or p.read_text("utf-8", "replace").startswith(_SIGNATURE))
     text = _SIGNATURE + "".join(_material_text(name, material, path) for material, name in material_names(mesh).items())
     with whole_file(path) as temporary:
         temporary.write_bytes(encoded(text))
@@ -107,20 +105,15 @@ def material_names(mesh: Mesh) -> dict[Material, str]:
     used_names = {DEFAULT} if any(part.material is None for part in mesh.parts) else set()
     for material in (part.material for part in mesh.parts if part.material):
         if material not in names:
-            names[material] = _unique_name(safe_name(material.name), used_names)
-            used_names |= {names[material].lower(), _file_name(names[material]).lower()}
+            # Images are named after it: names that differ in case, or in characters replaced by `_`, are not free.
+            free = numbered(safe_name(material.name))
+            names[material] = next(name for name in free if used_names.isdisjoint(_equal_names(name)))
+            used_names |= _equal_names(names[material])
     return names
 
 
-def _unique_name(name: str, used_names: set[str]) -> str:
-    """Return the name, with the next free number added where it is in use.
-
-    Image files are named after it, so names that differ only in case or in characters replaced by `_` are not free.
-    """
-    stem, number = name, 2
-    while name.lower() in used_names or _file_name(name).lower() in used_names:
-        name, number = f"{stem}-{number}", number + 1
-    return name
+def _equal_names(name: str) -> set[str]:
+    return {name.lower(), _file_name(name).lower()}
 
 
 def _file_name(name: str) -> str:

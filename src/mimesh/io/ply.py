@@ -1,14 +1,19 @@
-"""Read PLY files in all three encodings (ASCII, little and big endian), and write new binary ones."""
+"""Read PLY files in all three encodings (ASCII, little and big endian), and write new binary ones.
+
+One scheme serves all encodings: the numbers of an ASCII file become a binary body, in which each of them has 64 bits.
+"""
 
 from __future__ import annotations
 
 import itertools
+import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.budgets import CORNERS
+from ..core.budgets import CORNERS, ELEMENTS
 from ..core.errors import InputError
 from ..core.geometry import unit_vectors
 from ..core.mesh import Material, Mesh, Part
@@ -16,15 +21,60 @@ from .atomic import whole_file
 from .beside import is_there
 from .colors import linear_rgba, srgb_rgba
 from .mtl import read_image, write_image
-from .ply_layout import PlyColumn, PlyHeader, gather, locate_columns, read_header, read_units
 from .polygons import PolygonSource, fan_corners, polygon_corners, polygon_sizes, smooth_normals
-from .text import encoded
+from .text import decoded, encoded
+
+_TYPES = {  # type names of the original specification and of later writers -> NumPy types
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
+    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
+}
+_BYTE_ORDERS = {"ascii": "ascii", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 _COLOR_NAMES = ("red", "green", "blue", "alpha")
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
 """Names of texture coordinates of vertices; PLY does not standardise them, and exporters differ."""
 ROUNDING = 1e-6
 """Largest rounding of a written vertex, as a fraction of the mesh's longest side; double precision where it is more."""
+
+
+@dataclass(frozen=True)
+class _Property:
+    """One property of an element: a single value or a list."""
+
+    name: str
+    dtype: np.dtype
+    """Type of the value, or of the items of a list, in the body."""
+    count: np.dtype | None
+    """Type of the length of a list in the body; None for a single value."""
+    white: float
+    """Value of full intensity where it is a colour: the largest of the declared type if that is an integer, else 1."""
+
+
+@dataclass(frozen=True)
+class _Element:
+    """One table of the file, such as `vertex` or `face`."""
+
+    name: str
+    length: int
+    """Number of rows."""
+    properties: tuple[_Property, ...]
+    """Columns in file order."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Column:
+    """The values of one property."""
+
+    values: np.ndarray
+    """One for each row; of lists all items, one list after another."""
+    white: float
+    counts: Int[np.ndarray, " N"] | None = None
+    """Items of the list of each row; None for single values."""
+
+
+_Columns = dict[str, dict[str, _Column]]
+"""Element -> property -> its values."""
 
 
 def read_ply(path: Path) -> Mesh:
@@ -38,16 +88,15 @@ def read_ply(path: Path) -> Mesh:
         InputError: the header or body is damaged or truncated, or there is no x, y, z.
     """
     data = path.read_bytes()
-    header = read_header(data, path)
-    units = read_units(data, header, path)
-    columns = locate_columns(header, units, path)
-    vertices = _read_points(columns, units, ("x", "y", "z"))
+    elements, comments, body = _read_header(data, path)
+    columns = _read_body(elements, body, path)
+    vertices = _vectors(columns, ("x", "y", "z"))
     if vertices is None:
         raise InputError(f"{path}: expected an element 'vertex' with x, y, z, found none; export it again")
     polygons = _polygon_column(columns, path)
     sizes = polygons.counts if polygons is not None and polygons.counts is not None else np.zeros(0, int)
     CORNERS.check(int(sizes.max(initial=0)), path)
-    corners = gather(units, polygons).astype(np.int64) if polygons is not None else np.zeros(0, np.int64)
+    corners = polygons.values.astype(np.int64) if polygons is not None else np.zeros(0, np.int64)
     triangles, _ = fan_corners(sizes)
     faces = corners[triangles]
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
@@ -56,16 +105,16 @@ def read_ply(path: Path) -> Mesh:
             f"{path}: expected face indices in 0..{len(vertices) - 1}, found {worst}; "
             "the file is damaged, export it again"
         )
-    normals = _read_points(columns, units, ("nx", "ny", "nz"))
+    normals = _vectors(columns, ("nx", "ny", "nz"))
     normals = unit_vectors(normals) if normals is not None else None
     return Mesh(
         vertices,
         faces,
         name=path.stem,
-        corner_uv=_read_uv(columns, units, faces, triangles, sizes),
+        corner_uv=_read_uv(columns, faces, triangles, sizes),
         corner_normals=normals[faces] if normals is not None and len(faces) else None,
-        vertex_colors=_read_colors(columns["vertex"], units),
-        parts=_read_texture(header, path, len(faces)),
+        vertex_colors=_read_colors(columns["vertex"]),
+        parts=_read_texture(comments, path, len(faces)),
         source=PolygonSource(".ply", sizes),
     )
 
@@ -141,15 +190,15 @@ def _polygon_bytes(mesh: Mesh, sizes: Int[np.ndarray, " P"], count: str) -> byte
     return body.tobytes()
 
 
-def _read_points(columns, units: np.ndarray, names: tuple[str, str, str]) -> Float[np.ndarray, "V 3"] | None:
-    """Read three properties of the vertex element as vectors; None where one of them is missing or a list."""
+def _vectors(columns: _Columns, names: tuple[str, ...]) -> Float[np.ndarray, "V C"] | None:
+    """Return properties of the vertex element as vectors; None where one of them is missing or a list."""
     vertex = columns.get("vertex", {})
     if not all(name in vertex and vertex[name].counts is None for name in names):
         return None
-    return np.stack([gather(units, vertex[name]).astype(np.float64) for name in names], axis=1)
+    return np.stack([vertex[name].values.astype(np.float64) for name in names], axis=1)
 
 
-def _polygon_column(columns, path: Path) -> PlyColumn | None:
+def _polygon_column(columns: _Columns, path: Path) -> _Column | None:
     """Return the column with the vertex indices of the faces; None for a point cloud.
 
     Raises:
@@ -161,41 +210,180 @@ def _polygon_column(columns, path: Path) -> PlyColumn | None:
     for name in ("vertex_indices", "vertex_index"):
         if name in face and face[name].counts is not None:
             return face[name]
-    if any(len(column.starts) for column in face.values()):
+    if any(len(column.values if column.counts is None else column.counts) for column in face.values()):
         raise InputError(f"{path}: expected faces with a list vertex_indices, found {', '.join(face)}; export it again")
     return None
 
 
-def _read_uv(columns, units: np.ndarray, faces, triangles, sizes) -> Float[np.ndarray, "F 3 2"] | None:
+def _read_uv(columns: _Columns, faces, triangles, sizes) -> Float[np.ndarray, "F 3 2"] | None:
     """Read texture coordinates per face corner, else per vertex; None where the file has neither."""
-    vertex, texcoord = columns["vertex"], columns.get("face", {}).get("texcoord")
+    texcoord = columns.get("face", {}).get("texcoord")
     if texcoord is not None and texcoord.counts is not None and len(sizes) and (texcoord.counts == 2 * sizes).all():
-        return gather(units, texcoord).astype(np.float64).reshape(-1, 2)[triangles]
-    for pair in _UV_NAMES:
-        if len(faces) and all(name in vertex and vertex[name].counts is None for name in pair):
-            return np.stack([gather(units, vertex[name]).astype(np.float64) for name in pair], axis=1)[faces]
-    return None
+        return texcoord.values.astype(np.float64).reshape(-1, 2)[triangles]
+    of_vertices = (_vectors(columns, names) for names in _UV_NAMES) if len(faces) else ()
+    return next((uv[faces] for uv in of_vertices if uv is not None), None)
 
 
-def _read_colors(vertex: dict[str, PlyColumn], units: np.ndarray) -> Float[np.ndarray, "V 4"] | None:
+def _read_colors(vertex: dict[str, _Column]) -> Float[np.ndarray, "V 4"] | None:
     """Read linear RGBA of the vertices; integers are scaled by the largest value of their type, floats are 0..1."""
     names = [name for name in _COLOR_NAMES if name in vertex and vertex[name].counts is None]
     if names[:3] != list(_COLOR_NAMES[:3]):
         return None
-    values = [gather(units, vertex[name]) / _white_level(vertex[name].dtype) for name in names]
+    values = [vertex[name].values / vertex[name].white for name in names]
     return linear_rgba(np.stack(values, axis=1).astype(np.float64))
 
 
-def _white_level(dtype: np.dtype) -> float:
-    """Return the value of full intensity in a colour channel of this type."""
-    return 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max)
-
-
-def _read_texture(header: PlyHeader, path: Path, faces: int) -> tuple[Part, ...]:
+def _read_texture(comments: list[str], path: Path, faces: int) -> tuple[Part, ...]:
     """Read the image of `comment TextureFile`, if there is one, as one part with a material."""
-    names = [comment.split(None, 1)[1] for comment in header.comments if comment.startswith("TextureFile ")]
+    names = [comment.split(None, 1)[1] for comment in comments if comment.startswith("TextureFile ")]
     found = [name for name in names if is_there(path.parent / name)]
     if not found or not faces:
         return ()
     material = Material(Path(found[0]).stem, (1.0, 1.0, 1.0, 1.0), read_image(path.parent / found[0]))
     return (Part(path.stem, 0, faces, material),)
+
+
+def _read_header(data: bytes, path: Path) -> tuple[list[_Element], list[str], np.ndarray]:
+    """Parse the header; return the elements, the comments, and the bytes of the body.
+
+    Raises:
+        InputError: the file is no PLY file, its header is truncated or has an unknown format or type, or an ASCII body
+            has other words than numbers.
+    """
+    end = re.search(rb"([\r\n])end_header[ \t]*", data)
+    if not data.startswith(b"ply") or end is None:
+        raise InputError(
+            f"{path}: expected a PLY header from 'ply' to 'end_header', found none; export it again as PLY"
+        )
+    texts = [decoded(line) for line in data[: end.start()].splitlines()]
+    lines = [text.split() for text in texts]
+    try:
+        encoding = next(words[1] for words in lines if words[:1] == ["format"])
+        order = _BYTE_ORDERS[encoding]
+        elements = _read_elements(lines, order)
+    except (StopIteration, LookupError, ValueError) as error:
+        raise InputError(
+            f"{path}: expected a PLY header with a known format, elements and property types, "
+            f"found {str(error) or 'no format'}; export it again as binary PLY"
+        ) from error
+    ELEMENTS.check(sum(1 + len(element.properties) for element in elements), path)
+    comments = [text.strip().removeprefix("comment").strip() for text in texts if text.split()[:1] == ["comment"]]
+    # The header ends with one line end, which is CR LF only where the other lines end so too: after a bare CR, an LF is
+    # the first byte of the body.
+    is_pair = end[1] == b"\n" and data[end.end() :][:2] == b"\r\n"
+    size = end.end() + (2 if is_pair else 1)
+    if order != "ascii":
+        return elements, comments, np.frombuffer(data, np.uint8, offset=min(size, len(data)))
+    try:
+        numbers = np.array(list(map(float, data[size:].split())), np.float64)
+    except ValueError as error:
+        raise InputError(f"{path}: expected numbers after the header, found {error!r:.80}; export it again") from error
+    return elements, comments, numbers.view(np.uint8)
+
+
+def _read_elements(lines: list[list[str]], order: str) -> list[_Element]:
+    """Parse the `element` and `property` lines of a header; `order` is the byte order as NumPy writes it, or ascii."""
+
+    def stored(name: str) -> np.dtype:
+        kind = _TYPES[name]
+        return np.dtype(np.float64 if order == "ascii" else order + kind)
+
+    elements: list[_Element] = []
+    for words in lines:
+        if words[:1] == ["element"]:
+            if int(words[2]) < 0:
+                raise ValueError(f"an element of {words[2]} rows")
+            elements.append(_Element(words[1], int(words[2]), ()))
+        elif words[:1] == ["property"]:
+            count, kind, name = words[2:5] if words[1] == "list" else (None, *words[1:3])
+            declared = np.dtype(_TYPES[kind])
+            white = 1.0 if declared.kind == "f" else float(np.iinfo(declared).max)
+            new = _Property(name, stored(kind), None if count is None else stored(count), white)
+            last = elements.pop()
+            elements.append(_Element(last.name, last.length, (*last.properties, new)))
+    return elements
+
+
+def _read_body(elements: list[_Element], body: np.ndarray, path: Path) -> _Columns:
+    """Read every property of every element.
+
+    Raises:
+        InputError: the body is shorter than the header declares.
+    """
+    columns: _Columns = {}
+    start = 0
+    for element in elements:
+        # Tested before anything is allocated: the header of a damaged file may declare any number of rows.
+        fewest = element.length * sum((p.dtype if p.count is None else p.count).itemsize for p in element.properties)
+        found = None
+        if start + fewest <= len(body):
+            found = _read_uniform(element, body, start) if element.length else None
+            found = found or _read_rows(element, body, start)
+        if found is None:
+            raise InputError(
+                f"{path}: expected {element.length} rows of element '{element.name}', found the file cut short; "
+                "export it again"
+            )
+        values, start = found
+        columns[element.name] = {p.name: column for p, column in zip(element.properties, values, strict=True)}
+    return columns
+
+
+def _read_uniform(element: _Element, body: np.ndarray, start: int) -> tuple[list[_Column], int] | None:
+    """Read an element whose lists have the same length in every row; None where they do not.
+
+    All rows then have the layout of the first, so that no Python loop is needed. Returns the columns, and the place
+    after the element.
+    """
+    first = _read_rows(_Element(element.name, 1, element.properties), body, start)
+    if first is None:
+        return None
+    width = first[1] - start
+    stop = start + width * element.length
+    if stop > len(body):
+        return None
+    rows, at, columns = body[start:stop].reshape(element.length, width), 0, []
+
+    def take(dtype: np.dtype, count: int) -> np.ndarray:
+        nonlocal at
+        at += count * dtype.itemsize
+        return np.ascontiguousarray(rows[:, at - count * dtype.itemsize : at]).view(dtype)
+
+    for p, of_first in zip(element.properties, first[0], strict=True):
+        counts = None
+        if p.count is not None:
+            counts = np.full(element.length, len(of_first.values))
+            if (take(p.count, 1)[:, 0] != counts).any():
+                return None
+        columns.append(_Column(take(p.dtype, len(of_first.values)).reshape(-1), p.white, counts))
+    return columns, stop
+
+
+def _read_rows(element: _Element, body: np.ndarray, start: int) -> tuple[list[_Column], int] | None:
+    """Read an element row by row, for lists of any length; None where the body ends too early.
+
+    Returns the columns, and the place after the element.
+    """
+    values: list[list[np.ndarray]] = [[np.zeros(0, p.dtype)] for p in element.properties]
+    counts: list[list[int]] = [[] for _ in element.properties]
+    for _ in range(element.length if element.properties else 0):
+        for k, p in enumerate(element.properties):
+            count = 1
+            if p.count is not None:
+                length = body[start : start + p.count.itemsize]
+                start += p.count.itemsize
+                # The length is a number of the file: a negative or absurd one means damage.
+                if start > len(body) or not 0 <= (found := length.view(p.count)[0]) <= len(body):
+                    return None
+                count = int(found)
+                counts[k].append(count)
+            stop = start + count * p.dtype.itemsize
+            if stop > len(body):
+                return None
+            values[k].append(body[start:stop].view(p.dtype))
+            start = stop
+    columns = [
+        _Column(np.concatenate(values[k]), p.white, np.array(counts[k], int) if p.count is not None else None)
+        for k, p in enumerate(element.properties)
+    ]
+    return columns, start

@@ -11,7 +11,6 @@ import dataclasses
 import math
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Literal
 
@@ -33,13 +32,8 @@ ARCHIVE = b"PK\3\4"
 """First bytes of a .npz archive."""
 
 
-@dataclass(frozen=True, eq=False)
-class PointCache:
-    """The frames of a point cache, mapped from the file, and their times."""
-
-    frames: Float[np.ndarray, "T V 3"]
-    times: Float[np.ndarray, " T"] | None
-    """Seconds of each frame; None where the format stores no times."""
+PointCache = tuple[Float[np.ndarray, "T V 3"], Float[np.ndarray, " T"] | None]
+"""The frames of a point cache, mapped from the file, and their times in seconds; None where the format has no times."""
 
 
 def read_cache(
@@ -60,19 +54,17 @@ def read_cache(
     Raises:
         InputError: the file is damaged or truncated, or the mesh beside it has another number of vertices.
     """
-    cache = {".pc2": _open_pc2, ".mdd": _open_mdd, ".npy": _open_npy}[path.suffix.lower()](path)
-    count, vertices = cache.frames.shape[:2]
+    stored_frames, times = {".pc2": _open_pc2, ".mdd": _open_mdd, ".npy": _open_npy}[path.suffix.lower()](path)
+    count, vertices = stored_frames.shape[:2]
     mesh = _mesh_beside(path, vertices, suffixes, read)
-    dtype = cache.frames.dtype.newbyteorder("=")
+    dtype = stored_frames.dtype.newbyteorder("=")
     # Without times, or without a wanted rate, the stored frames are the clip's frames.
-    if cache.times is None:
-        frames, fps = each_frame(cache.frames), fps or DEFAULT_FPS
-    elif fps is None:
-        frames, fps = each_frame(cache.frames), sample_rate(cache.times) or DEFAULT_FPS
+    if times is None or fps is None:
+        frames, fps = each_frame(stored_frames), fps or (None if times is None else sample_rate(times)) or DEFAULT_FPS
     else:
-        count = frame_count(float(cache.times[-1] - cache.times[0]), fps)
+        count = frame_count(float(times[-1] - times[0]), fps)
         check_clip_size(count, vertices, path)
-        frames = _resample(cache, cache.times[0] + np.arange(count) / fps)
+        frames = _resample(stored_frames, times, times[0] + np.arange(count) / fps)
     stored = store_frames(frames, count, vertices, dtype, progress)
     first = stored[0].astype(np.float64)
     if mesh is None:
@@ -112,11 +104,12 @@ def _write_points(file: BinaryIO, frames: Iterable[Float[np.ndarray, "V 3"]], dt
         file.write(points.astype(dtype).tobytes())
 
 
-def _resample(cache: PointCache, times: Float[np.ndarray, " K"]) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """Yield the points at each of the times, interpolated linearly."""
-    assert cache.times is not None
-    for before, after, weight in zip(*surrounding_samples(cache.times, times), strict=True):
-        a, b = (cache.frames[t].astype(np.float64) for t in (before, after))
+def _resample(
+    frames: Float[np.ndarray, "T V 3"], times: Float[np.ndarray, " T"], wanted: Float[np.ndarray, " K"]
+) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """Yield the points at each of the wanted times, interpolated linearly."""
+    for before, after, weight in zip(*surrounding_samples(times, wanted), strict=True):
+        a, b = (frames[t].astype(np.float64) for t in (before, after))
         yield a + weight * (b - a)
 
 
@@ -130,7 +123,7 @@ def _open_pc2(path: Path) -> PointCache:
         )
     if not step > 0:
         raise InputError(f"{path}: expected a positive sample rate, found {step:g}; export it again")
-    return PointCache(_map_frames(path, "<f4", _PC2.size, count, points), None)
+    return (_map_frames(path, "<f4", _PC2.size, count, points), None)
 
 
 def _open_mdd(path: Path) -> PointCache:
@@ -141,7 +134,7 @@ def _open_mdd(path: Path) -> PointCache:
         raise InputError(
             f"{path}: expected times that rise, found others; the file is damaged or no MDD, export it again"
         )
-    return PointCache(frames, times)
+    return (frames, times)
 
 
 def _open_npy(path: Path) -> PointCache:
@@ -160,7 +153,7 @@ def _open_npy(path: Path) -> PointCache:
         raise InputError(f"{path}: expected floating-point numbers, found {dtype}; save it as float32")
     order = "F" if header.fortran else "C"
     frames = _mapped(path, dtype, header.size, (math.prod(shape[:-2]), shape[-2], 3), order)
-    return PointCache(frames, None)
+    return (frames, None)
 
 
 def _read_start(path: Path, size: int) -> bytes:

@@ -6,8 +6,9 @@ so (`mesh.RewritableSource`: OBJ, glTF, NPZ). `formats` maps suffixes to the fun
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,7 @@ from .formats import CACHES, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS
 from .frame_folder import write_sequence
 from .load import load_mesh
 from .mtl import copy_companions
-from .obj_source import ObjSource
+from .obj import ObjSource
 
 if TYPE_CHECKING:
     from ..motions.bone_motion import BoneMotion
@@ -99,10 +100,9 @@ def save_clip(
     check_numbers(clip.mesh, clip.mesh.name)
     check_frames(clip, clip.mesh.name)
     path, clip = Path(path), dataclasses.replace(clip, mesh=with_printable_names(clip.mesh))
-    is_folder = path.is_dir() or not path.suffix
     if blendshapes is not None:
         return _save_blend_shapes(clip, path, progress, blendshapes)
-    if is_folder:
+    if path.is_dir() or not path.suffix:
         _save_folder(clip, path, suffix, progress)
         return None
     if path.suffix.lower() not in CLIP_WRITERS:
@@ -110,7 +110,7 @@ def save_clip(
             f"{path}: expected a clip format ({' '.join(CLIP_WRITERS)}) or a folder, found '{path.suffix}'; "
             f"write {path.with_suffix('.glb').name}, or {path.stem} for a folder of one mesh per frame"
         )
-    check_clip_output_size(clip, path, path.suffix)
+    _check_clip_output_size(clip, path, path.suffix)
     mesh_path = _mesh_path_of_cache(clip, path) if path.suffix.lower() in CACHES else None
     with writing(path), together():
         CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
@@ -119,7 +119,7 @@ def save_clip(
     return None
 
 
-def check_clip_output_size(clip: Clip, path: Path, suffix: str) -> None:
+def _check_clip_output_size(clip: Clip, path: Path, suffix: str) -> None:
     """Check the expected size of a clip that is written frame by frame; see `core.output_size`.
 
     Raises:
@@ -140,7 +140,7 @@ def _save_folder(clip: Clip, path: Path, suffix: str | None, progress: Progress 
         )
     if path.is_file():
         raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
-    check_clip_output_size(clip, path, suffix)
+    _check_clip_output_size(clip, path, suffix)
     with writing(path), together():
         write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh, progress)
         if source_suffix == suffix:
@@ -176,10 +176,8 @@ def save_rig_animations(animations: Sequence[RigAnimation], path: str | Path) ->
     """
     from .gltf.skinned import write_gltf_skinned
 
-    path = Path(path)
     refuse_vrm(path)
-    _must_hold_joints(path)
-    with writing(path), gltf_file(path) as temporary:
+    with _file_of_joints(Path(path)) as temporary:
         return write_gltf_skinned(animations, temporary)
 
 
@@ -191,10 +189,8 @@ def save_own_animations(animations: Sequence[OwnAnimation], path: str | Path) ->
     """
     from .gltf.own_animation import write_own_animations
 
-    path = Path(path)
     refuse_vrm(path)
-    _must_hold_joints(path)
-    with writing(path), gltf_file(path) as temporary:
+    with _file_of_joints(Path(path)) as temporary:
         return write_own_animations(animations, temporary)
 
 
@@ -206,9 +202,7 @@ def save_own_pose(animation: OwnAnimation, path: str | Path) -> None:
     """
     from .gltf.own_animation import write_own_pose
 
-    path = Path(path)
-    _must_hold_joints(path)
-    with writing(path), gltf_file(path) as temporary:
+    with _file_of_joints(Path(path)) as temporary:
         write_own_pose(animation, temporary)
 
 
@@ -218,7 +212,7 @@ def save_vrma(motions: Sequence[BoneMotion], path: str | Path) -> None:
     Raises:
         InputError: another format, or a path that cannot be written to.
     """
-    from .gltf.vrma import write_vrma
+    from .gltf.vrm import write_vrma
 
     path = Path(path)
     if path.suffix.lower() != ".vrma":
@@ -262,11 +256,15 @@ def check_writable(path: Path) -> None:
         find_blender(path)
 
 
-def _must_hold_joints(path: Path) -> None:
+@contextlib.contextmanager
+def _file_of_joints(path: Path) -> Iterator[Path]:
+    """Yield a temporary path for a glTF file with joints, which becomes the file `path` when the block ends."""
     if path.suffix.lower() not in JOINTED:
         raise InputError(
             f"{path}: expected .glb, .gltf or .fbx for joints, found '{path.suffix}'; name another with -o"
         )
+    with writing(path), gltf_file(path) as temporary:
+        yield temporary
 
 
 def _mesh_path_of_cache(clip: Clip, path: Path) -> Path | None:

@@ -14,7 +14,7 @@ from ..commands.terminal import Json, Model, Quiet, Stop, given_path, print_json
 from ..core.printable import say
 
 if TYPE_CHECKING:
-    from .summary import BatchResult
+    from .run import BatchResult
     from .table import BatchJob
 
 SOME_FAILED = 3

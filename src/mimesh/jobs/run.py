@@ -1,12 +1,15 @@
 """`batch`: check all jobs, have worker processes or a cluster do those that are not finished, and write a summary.
 
+The summary is a table of all jobs as CSV and as JSON, and a sheet with a picture of each result.
 Beside an output lies a record of what it was made from, so that the same batch again does only what is left: that of
 `walk.glb` is `.walk.glb.job.json`. It is removed before a job starts and written after its output.
 """
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
 import os
 import signal
@@ -14,32 +17,55 @@ import sys
 import threading
 import time
 import traceback
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from importlib import import_module
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..core.arguments import public
 from ..core.errors import InputError, command_line_words
+from ..core.printable import printable
 from ..core.system import ctrl_c_held, resident_memory, usable_cores
-from ..io.atomic import whole_file, writing
+from ..io import load_clip
+from ..io.atomic import together, whole_file, writing
 from ..io.child_process import VARIABLES as LIBRARY_THREADS
 from ..io.joint_file import side_file
 from ..methods.find import weights_path
 from ..methods.mime.kept_results import keep_results
 from ..methods.onnx_runtime import THREADS
-from .summary import DONE, DONE_BEFORE, FAILED, NOT_RUN, BatchResult, draw_tile, save_sheet, shown_jobs
+from ..render.camera import fit
+from ..render.raster import render_mesh
+from ..render.shading import BACKGROUND
+from ..render.sheet import captioned, page
+from ..tools.convert import file_stem
+from ..tools.preview import save_picture
 from .table import BatchJob, check_jobs, option_values, read_jobs, run_command
 
+if TYPE_CHECKING:
+    from PIL import Image
+
+STATES = DONE, DONE_BEFORE, FAILED, NOT_RUN = ("done", "done before", "failed", "not run")
+"""Of a job, in the order of messages: done now, by an earlier batch, with an error, or stopped before its start."""
+COLUMNS = (
+    *("number", "command", "identity", "driving", "output"),
+    *("state", "seconds", "frames", "vertices", "confidence", "notes", "error"),
+)
+TILE = (180, 220)
+"""Width and height of a picture in pixels."""
+MOST_TILES = 240
+"""Largest number of results on a sheet; of more, as many evenly spread."""
+MOST_COLUMNS = 16
 Report = Callable[[int, int, BatchJob | None, dict[str, Any]], None]
 """Gets the jobs finished, the jobs in all, and the job with its outcome; None for those that were finished before."""
 ONE_THREAD = {**LIBRARY_THREADS, THREADS: "1"}
@@ -64,6 +90,60 @@ class BatchTask:
     """Its fingerprint."""
     draw: bool
     """Whether a picture of the result is wanted."""
+
+
+@dataclass(frozen=True, eq=False)
+class BatchResult:
+    """What became of the jobs of a batch."""
+
+    jobs: Sequence[BatchJob]
+    outcomes: Sequence[dict[str, Any]]
+    """For each job its state (one of STATES) and, as far as they are known, seconds, frames, vertices, confidence (the
+    lower one of identity and driving), notes, error."""
+    seconds: float
+    """Wall time of the whole batch."""
+    workers: int
+    files: dict[str, str] = field(default_factory=dict)
+    """Paths of the summary (csv, json) and of the contact sheet, as far as they were written."""
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of jobs in each state."""
+        counted = Counter(outcome["state"] for outcome in self.outcomes)
+        return {state: counted[state] for state in STATES}
+
+    @property
+    def failed(self) -> int:
+        """Number of jobs that failed."""
+        return self.counts[FAILED]
+
+    def facts(self) -> dict[str, Any]:
+        """Return everything for JSON."""
+        head = {"jobs": len(self.jobs), "seconds": round(self.seconds, 2), "workers": self.workers}
+        return {**head, "counts": self.counts, "files": self.files, "each": self.rows()}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a row for each job."""
+        return [
+            {"number": number, **asdict(job), "options": dict(job.options), **outcome}
+            for number, (job, outcome) in enumerate(zip(self.jobs, self.outcomes, strict=True), 1)
+        ]
+
+    def save(self, csv_path: Path, json_path: Path) -> None:
+        """Write the summary in both formats."""
+        with together():
+            with (
+                writing(csv_path),
+                whole_file(csv_path) as temporary,
+                temporary.open("w", newline="", encoding="utf-8") as file,
+            ):
+                table = csv.DictWriter(file, COLUMNS, extrasaction="ignore", restval="")
+                table.writeheader()
+                for row in self.rows():
+                    cells = {**row, "notes": " | ".join(row.get("notes") or ())}
+                    table.writerow({key: printable(x) if isinstance(x, str) else x for key, x in cells.items()})
+            with writing(json_path), whole_file(json_path) as temporary:
+                temporary.write_text(json.dumps(self.facts(), indent=1) + "\n", encoding="utf-8", newline="\n")
 
 
 @public()
@@ -129,7 +209,7 @@ def batch(
             record_path(job).unlink(missing_ok=True)
     shown = set(shown_jobs(len(jobs))) if sheet else set()
     tasks = [BatchTask(job, fingerprint(job), k in shown) for k, job in enumerate(jobs)]
-    outcomes = [_recorded(task) or {"state": NOT_RUN} for task in tasks]
+    outcomes = [recorded(task) or {"state": NOT_RUN} for task in tasks]
     workers = workers or usable_cores()
     count = min(workers, sum(outcome["state"] == NOT_RUN for outcome in outcomes))
 
@@ -221,7 +301,7 @@ def _digest(path: Path, modified: int, size: int) -> str:
     return digest.hexdigest()
 
 
-def _recorded(task: BatchTask) -> dict[str, Any] | None:
+def recorded(task: BatchTask) -> dict[str, Any] | None:
     """Return the recorded outcome of a job whose output exists and was made from the same, else None."""
     try:
         record = json.loads(record_path(task.job).read_text(encoding="utf-8"))
@@ -242,7 +322,7 @@ def do_task(task: BatchTask) -> dict[str, Any]:
     job, begin = task.job, time.perf_counter()
     failed: dict[str, Any] = {"state": FAILED}
     try:
-        outcome = _recorded(task) or _do_job(task, begin)
+        outcome = recorded(task) or _do_job(task, begin)
         return {**outcome, "tile": draw_tile(job)} if task.draw else outcome
     except InputError as error:
         failed["error"] = " ".join(str(error).split())
@@ -470,3 +550,55 @@ def _do_in_folder(tasks: list[BatchTask], folder: str) -> list[dict[str, Any]]:
     os.chdir(folder)
     keep_results()
     return [do_task(task) for task in tasks]
+
+
+def shown_jobs(count: int) -> list[int]:
+    """Return the numbers of the jobs that a sheet shows."""
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_TILES)).round().astype(int)).tolist()
+
+
+def draw_tile(job: BatchJob) -> bytes | None:
+    """Draw the middle frame of a result as a PNG; None where its format cannot be read or drawn."""
+    try:
+        clip = load_clip(Path(job.output), fps=1.0 if Path(job.output).is_dir() else None)
+        mesh = clip.mesh.with_vertices(clip.vertices[len(clip) // 2].astype(np.float64))
+        picture = render_mesh(mesh, TILE, fit(mesh.vertices, TILE, "three-quarter"), background=BACKGROUND)
+    except InputError:
+        return None
+    data = io.BytesIO()
+    captioned(picture, job.name).save(data, "PNG")
+    return data.getvalue()
+
+
+def save_sheet(
+    jobs: Sequence[BatchJob], outcomes: Sequence[dict[str, Any]], tiles: Mapping[int, bytes | None], path: Path
+) -> None:
+    """Write a sheet of `shown_jobs`: a row for each identity if all have as many jobs, else rows of one length.
+
+    Args:
+        jobs: all jobs of the batch.
+        outcomes: of all jobs; a job without a picture has its outcome as text.
+        tiles: pictures by the number of the job.
+        path: where to write the PNG.
+    """
+    from PIL import Image
+
+    def picture(k: int) -> Image.Image:
+        if tile := tiles.get(k):
+            return Image.open(io.BytesIO(tile))
+        color = (np.array(BACKGROUND) * 255).round().astype(np.uint8)
+        label = f"{jobs[k].name}: {outcomes[k].get('error') or outcomes[k]['state']}"
+        return captioned(np.broadcast_to(color, (TILE[1], TILE[0], 3)).copy(), label)
+
+    shown = shown_jobs(len(jobs))
+    save_picture(page([picture(k) for k in shown], _columns([file_stem(jobs[k].identity) for k in shown])), path)
+
+
+def _columns(identities: Sequence[str]) -> int:
+    """Return the number of pictures in a row."""
+    count = len(identities)
+    row = next((k for k, name in enumerate(identities) if name != identities[0]), count)
+    even = count % row == 0 and all(len(set(identities[k : k + row])) == 1 for k in range(0, count, row))
+    if even and row <= MOST_COLUMNS and count > row:
+        return row
+    return min(count, MOST_COLUMNS, int(np.ceil(np.sqrt(1.6 * count))))

@@ -31,6 +31,7 @@ from ..io import mesh_suffixes
 from ..io.formats import ANIMATED, CLIP_READERS, COLLECTIONS, MESH_WRITERS
 from ..methods.find import find_method
 from ..pipeline.prepared import MotionOptions
+from ..tools.convert import file_stem
 from ..tools.preview import names_beside
 
 COMMANDS = ("animate", "transfer")
@@ -66,7 +67,7 @@ class BatchJob:
     @property
     def name(self) -> str:
         """Name of the pair in lists and pictures."""
-        return f"{stem(self.identity)} + {stem(self.driving)}"
+        return f"{file_stem(self.identity)} + {file_stem(self.driving)}"
 
     def inputs(self) -> dict[str, Path]:
         """Return the files that it reads by what they are: identity, driving, and those that its options name."""
@@ -77,15 +78,8 @@ class BatchJob:
         """Return the files that it writes: the output, and its preview if one is wanted."""
         if not option_values(self.command, self.options)["preview"]:
             return [Path(self.output)]
-        suffix = Path(self.identity).suffix
-        usual = ".glb" if self.command == "animate" or suffix.lower() == ".fbx" else suffix  # as the command has it
+        usual = ".glb" if self.command == "animate" else move.usual_suffix(Path(self.identity))
         return [Path(self.output), *names_beside(Path(self.output), usual=usual)]
-
-
-def stem(path: str) -> str:
-    """Return the name of a file without folder and suffix, or that of a folder."""
-    resolved = Path(path).resolve()
-    return resolved.name if resolved.is_dir() else resolved.stem
 
 
 def read_jobs(
@@ -226,7 +220,7 @@ def filled(pattern: str, identity: str, driving: str, number: int) -> str:
     try:
         names = {name for _, name, _, _ in string.Formatter().parse(pattern) if name is not None}
         if names <= set(PLACEHOLDERS):
-            return pattern.format(identity=stem(identity), driving=stem(driving), number=number)
+            return pattern.format(identity=file_stem(identity), driving=file_stem(driving), number=number)
     except ValueError:
         names = {"a brace without its other half"}
     known = ", ".join(f"{{{name}}}" for name in PLACEHOLDERS)

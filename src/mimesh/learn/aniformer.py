@@ -38,9 +38,10 @@ from ..core.errors import InputError
 from ..evaluate.clip_protocols import FRAMES, ClipPair
 from ..evaluate.pairs import Pair
 from . import layers
+from .data.bodies import numbers_of_step
 from .data.endless import PeopleOptions
 from .data.people import BodySampler
-from .data.registered import MeshOptions, MeshSampler, WindowBatch
+from .data.registered import MeshOptions, MeshWindowSource, WindowBatch
 from .layers import PointConv, ResBlock, edge_vectors, instance_norm, match_frames, mean_squared_distance
 from .task import OnnxInterface, TrainConfig
 from .validation import PaperTask, clip_error, pair_error
@@ -61,7 +62,7 @@ class AniFormerConfig:
     """T, the driving frames of a window."""
     encoder: tuple[int, int, int] = (64, 128, 1024)
     """Channels of the pose feature extractor, as NPT's."""
-    layers: tuple[int, int, int, int] = (1024, 512, 512, 256)
+    layers: tuple[int, ...] = (1024, 512, 512, 256)
     """Output channels of each layer (the public code's; the paper leaves them to a supplement)."""
     attention: Literal["both", "frames", "vertices", "off"] = "both"
     """What a vertex attends to: itself in all frames, vertices of its frame, or both in that order."""
@@ -268,7 +269,7 @@ class AniFormer(nn.Module):
         for layer in self.layers:
             h = layer(h, points)
         if self.config.head == "regression":
-            h = self._mlp(h.mean(dim=2, keepdim=True))
+            h = self.mlp[1](self.mlp[0](h.mean(dim=2, keepdim=True)).relu())
         bound = 2.0 if self.config.output == "2tanh" else 1.0
         return bound * torch.tanh(self.head(h).float()).permute(1, 2, 3, 0)
 
@@ -278,10 +279,6 @@ class AniFormer(nn.Module):
         if index is None or not self.config.vertices:
             return self.embedding
         return self.embedding[:, 0][..., index].transpose(1, 2)
-
-    def _mlp(self, h: Float[Tensor, "C B 1 V"]) -> Float[Tensor, "C B 1 V"]:
-        """Apply the MLP block of the regression head."""
-        return self.mlp[1](self.mlp[0](h).relu())
 
     def estimate_flops(self, vertices: int) -> float:
         """Count floating-point operations of a window's forward pass, a driving frame: two for each use of a weight.
@@ -332,8 +329,7 @@ class WindowSource(BodySampler):
     """Makes batches of windows of one length."""
 
     def batch(self, size: int, step: int) -> WindowBatch:
-        """Make the windows of a step."""
-        rng = self._generator(step)
+        rng = numbers_of_step(self.seed, step, self.device)
         (identity_shape, driving_shape), identity_pose, poses = self.people.windows(size, rng)
         index, driving_index, edges, share = self._sample_vertices(size, rng)
         identity, radius = self._normalized_mesh(identity_shape, identity_pose, index)
@@ -357,14 +353,6 @@ class WindowSource(BodySampler):
         scale = None if radius is None else radius.repeat_interleave(frames, dim=0)
         points, radii = self._normalized_mesh(shape, rotmat.flatten(0, 1), index, scale)
         return points.unflatten(0, (-1, frames)), radii.view(-1, frames)
-
-
-class MeshWindowSource(MeshSampler):
-    """Makes batches of windows of registered clips."""
-
-    def batch(self, size: int, step: int) -> WindowBatch:
-        """Make the windows of a step."""
-        return self.sample(size, step)
 
 
 def reconstruction(result: Float[Tensor, "B T V 3"], truth: Float[Tensor, "B T V 3"]) -> Float[Tensor, ""]:
@@ -490,7 +478,6 @@ class AniFormerTask(PaperTask[AniFormerTrainConfig, AniFormer]):
         return bool(self.config.model.vertices)
 
     def make_model(self) -> AniFormer:
-        """Build the network with fresh weights."""
         return AniFormer(self.config.model)
 
     def source(self, seed: int) -> WindowSource | MeshWindowSource:
@@ -507,7 +494,6 @@ class AniFormerTask(PaperTask[AniFormerTrainConfig, AniFormer]):
         return WindowSource(self.config.data, self.body, self.device, seed, self.config.model.frames)
 
     def loss(self, model: AniFormer, batch: WindowBatch, step: int) -> Tensor:
-        """Compute Eq. 6 over V."""
         with self.autocast():
             result = model(batch.identity, batch.driving, batch.index)
         given = (batch.truth, batch.identity, batch.driving, batch.edges, batch.unit)
@@ -529,14 +515,12 @@ class AniFormerTask(PaperTask[AniFormerTrainConfig, AniFormer]):
         return pair_error(infer, trial, *where)
 
     def batch_error(self, model: AniFormer, batch: WindowBatch) -> float:
-        """Compute the mean PMD of a batch."""
         with self.autocast():
             result = model(batch.identity, batch.driving, batch.index)
         truth, unit = (match_frames(of_frames, result.shape[1]) for of_frames in (batch.truth, batch.truth_radius))
         return float(mean_squared_distance(result, truth, unit))
 
     def flops_per_pair(self, model: AniFormer) -> float:
-        """Count the floating-point operations of one training window's forward pass."""
         return self.config.model.frames * model.estimate_flops(self.vertices)
 
     @staticmethod

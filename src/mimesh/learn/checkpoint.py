@@ -25,21 +25,6 @@ from .task import TrainConfig, UserData
 
 SCHEDULE = ("seed", "pairs", "minutes", "decay", "learning_rate", "accumulate", "doublings")
 """Keys of the schedule, which may change where a training is resumed."""
-POSITION = (
-    "step",
-    "seconds",
-    "best",
-    "metrics",
-    "before",
-    "validated",
-    "precision",
-    "characters",
-    "meshes",
-    "changes",
-    "operations",
-    "samples",
-)
-"""Fields of a Checkpoint that are neither configuration nor tensors."""
 
 
 @dataclass(frozen=True)
@@ -65,14 +50,11 @@ class Checkpoint:
     """Makers, numbers, licences and checksum of the characters trained on (`TrainingCharacters.facts`), if any."""
     changes: tuple[dict[str, Any], ...] = ()
     """What was changed where the training was resumed: `after_pairs`, the new values by their keys, and in `was` the
-    values before. Where its network was averaged with others, `averaged` lists them (`average`).
-    """
-
+    values before. Where its network was averaged with others, `averaged` lists them (`average`)."""
     operations: float | None = None
     """Floating-point operations of this training so far (`cost`); None in checkpoints that do not say."""
     meshes: dict[str, Any] = field(default_factory=dict)
     """Layout, numbers and checksum of the registered meshes trained on (`RegisteredMeshes.facts`), if any."""
-
     samples: int | None = None
     """Parts of batches so far (`TrainingRun.samples`); None in checkpoints that do not say."""
 
@@ -94,9 +76,11 @@ class Checkpoint:
 
 def save(path: Path, checkpoint: Checkpoint) -> None:
     """Write a checkpoint whole or not at all."""
+    position = {f.name: getattr(checkpoint, f.name) for f in dataclasses.fields(checkpoint)}
+    del position["config"], position["tensors"]
     header = {
         "config": json.dumps(dataclasses.asdict(checkpoint.config)),
-        "state": json.dumps({key: getattr(checkpoint, key) for key in POSITION} | {"version": VERSION}),
+        "state": json.dumps(position | {"version": VERSION}),
         "commit": commit(),
         "hardware": hardware(),
     }
@@ -109,9 +93,6 @@ def load(path: Path) -> Checkpoint:
     """Read a checkpoint, compact or not, with all numbers in float32.
 
     Without its validation figures if they are of another version of the metrics.
-
-    Raises:
-        InputError: the file is not a checkpoint of `mimesh train`.
     """
     try:
         with safe_open(path, "pt") as file:
@@ -156,9 +137,6 @@ def average(checkpoints: Sequence[Checkpoint], shares: Sequence[float]) -> Check
 
     What they learned in different ways cancels less than their errors do (Wortsman et al. 2022, "Model soups" and
     "Robust fine-tuning"). Everything else is that of the first; the result has no optimizer state.
-
-    Raises:
-        InputError: the checkpoints do not hold the same network.
     """
     first, weights = checkpoints[0], [checkpoint.weights() for checkpoint in checkpoints]
     for number, checkpoint in enumerate(checkpoints, start=1):
@@ -243,9 +221,8 @@ def resumable(config: TrainConfig) -> list[str]:
 
 def changes_at_resume(state: Checkpoint, config: TrainConfig, user_data: UserData | None) -> list[dict[str, Any]]:
     """List what a resumed training changes: nothing, or one entry of `Checkpoint.changes`."""
-    values = {key: (attrgetter(key)(config), attrgetter(key)(state.config)) for key in resumable(config)}
-    changed: dict[str, Any] = {key: new for key, (new, old) in values.items() if new != old}
-    was = {key: old for key, (new, old) in values.items() if new != old}
+    differing = [key for key in resumable(config) if attrgetter(key)(config) != attrgetter(key)(state.config)]
+    changed, was = ({key: attrgetter(key)(one) for key in differing} for one in (config, state.config))
     if user_data and "clips" in user_data.facts and "clips" not in state.characters:
         changed["clips"] = user_data.facts["clips"]["makers"]
     return [{"after_pairs": state.step * config.batch, **changed, "was": was}] if changed else []

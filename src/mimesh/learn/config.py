@@ -39,9 +39,7 @@ def load_config(name_or_path: str, model: str = "npt", changes: Sequence[str] = 
         )
     refuse_pipe(path)
     values = {"network": model, **(yaml.safe_load(path.read_text(encoding="utf-8")) or {})}
-    for change in changes:
-        _change(values, change)
-    config = config_from(values, str(path))
+    config = config_from(_changed(values, changes), str(path))
     if config.network != model:
         raise InputError(
             f"{path}: expected a configuration of {model}, found one of {config.network}; train {config.network}"
@@ -50,31 +48,27 @@ def load_config(name_or_path: str, model: str = "npt", changes: Sequence[str] = 
 
 
 def changed_config(config: TrainConfig, changes: Sequence[str]) -> TrainConfig:
-    """Copy a configuration with "key=value" changes.
+    """Copy a configuration with "key=value" changes."""
+    return config_from(_changed(dataclasses.asdict(config), changes), f"--set {', '.join(changes)}")
 
-    Raises:
-        InputError: a key or value that does not belong.
-    """
-    values = dataclasses.asdict(config)
+
+def _changed(values: dict[str, Any], changes: Sequence[str]) -> dict[str, Any]:
+    """Put changes such as "model.blocks=conv" into new nested dictionaries; values as in JSON, else a word."""
     for change in changes:
-        _change(values, change)
-    return config_from(values, f"--set {', '.join(changes)}")
-
-
-def _change(values: dict[str, Any], change: str) -> None:
-    """Put "model.blocks=conv" into nested dictionaries; numbers, lists, true and false as in JSON, else a word."""
-    key, equals, value = change.partition("=")
-    if not (key and equals and value):
-        raise InputError(f"--set {change}: expected KEY=VALUE, found something else; for example model.blocks=conv")
-    *groups, last = key.split(".")
-    for group in groups:
-        values = values.setdefault(group, {})
-        if not isinstance(values, dict):
-            raise InputError(f"--set {change}: expected {group} to hold keys, found a value; check the key")
-    try:
-        values[last] = json.loads(value)
-    except json.JSONDecodeError:
-        values[last] = value
+        key, equals, value = change.partition("=")
+        if not (key and equals and value):
+            raise InputError(f"--set {change}: expected KEY=VALUE, found something else; for example model.blocks=conv")
+        group = values
+        *above, last = key.split(".")
+        for name in above:
+            group = group.setdefault(name, {})
+            if not isinstance(group, dict):
+                raise InputError(f"--set {change}: expected {name} to hold keys, found a value; check the key")
+        try:
+            group[last] = json.loads(value)
+        except json.JSONDecodeError:
+            group[last] = value
+    return values
 
 
 def config_differences(here: TrainConfig, there: TrainConfig, of: Sequence[str] = ()) -> str:
@@ -104,11 +98,7 @@ def _flat(values: dict[str, Any]) -> dict[str, str]:
 
 
 def config_from(values: dict[str, Any], where: str) -> TrainConfig:
-    """Build a network's configuration from nested dictionaries.
-
-    Raises:
-        InputError: a key or value that does not belong; the message begins with `where`.
-    """
+    """Build a network's configuration from nested dictionaries; messages of errors begin with `where`."""
     if not isinstance(values, dict):
         raise InputError(f"{where}: expected keys and values, found {values!r}")
     network = values.get("network", "npt")

@@ -16,13 +16,11 @@ import onnx
 import onnxscript.optimizer
 import torch
 from google.protobuf.message import DecodeError
-from jaxtyping import Float
 from torch import Tensor, nn
 
 from ..core.errors import InputError
 from ..evaluate.metrics import VERSION
 from ..io.atomic import together, whole_file, written
-from ..methods.onnx_runtime import import_onnxruntime
 from . import checkpoint
 from .checkpoint import Checkpoint
 from .config import recorded_config
@@ -90,11 +88,7 @@ def export_command(path: Path, out: Path, bits: int = 16) -> dict[str, Any]:
 
 
 def check_output(out: Path, bits: int, allowed: Sequence[int]) -> None:
-    """Check where a network is to be written and in how many bits a weight.
-
-    Raises:
-        InputError: the name does not end in .onnx, or `bits` is not one of those allowed, of which the first is usual.
-    """
+    """Check where a network is to be written and in how many bits a weight; the first of those allowed is usual."""
     if out.suffix != ".onnx":
         raise InputError(f"{out}: expected an output that ends in .onnx, found {out.suffix or 'none'}; rename it")
     if bits not in allowed:
@@ -165,14 +159,6 @@ def test_set(card: dict[str, Any]) -> str:
     return find_task(card["config"].get("network", "npt")).test_set
 
 
-def infer_onnx(
-    network: onnx.ModelProto, identity: Float[np.ndarray, "B V 3"], driving: Float[np.ndarray, "B *T U 3"]
-) -> Float[np.ndarray, "B *R V 3"]:
-    """Run an exported network once, to compare it with torch."""
-    session = import_onnxruntime().InferenceSession(network.SerializeToString(), providers=["CPUExecutionProvider"])
-    return np.asarray(session.run(["result"], {"identity": identity, "driving": driving})[0])
-
-
 def to_onnx(interface: OnnxInterface) -> onnx.ModelProto:
     """Export a network; all inputs and outputs are float32."""
     with warnings.catch_warnings():
@@ -234,20 +220,12 @@ def compress(network: onnx.ModelProto, bits: int = 16, smallest: int = SMALLEST)
 
 
 def load_start(path: Path) -> tuple[nn.Module, Checkpoint]:
-    """Load the network that a training begins with, from a checkpoint or from a file of `mimesh export`.
-
-    Raises:
-        InputError: the file is neither, or lacks its card or weights.
-    """
+    """Load the network that a training begins with, from a checkpoint or from a file of `mimesh export`."""
     return load_exported(path) if path.suffix == ".onnx" else checkpoint.load_model(path)
 
 
 def load_exported(path: Path) -> tuple[nn.Module, Checkpoint]:
-    """Load an exported network in float32, and from its card how it was trained.
-
-    Raises:
-        InputError: not a file of `mimesh export`, no card beside it, or weights that are not found in it.
-    """
+    """Load an exported network in float32, and from its card how it was trained."""
     card_path = path.with_suffix(".json")
     try:
         card = json.loads(card_path.read_text(encoding="utf-8"))
@@ -308,11 +286,7 @@ def renamed_weights(stored: dict[str, Tensor], twin: nn.Module, task: type[Task]
 
 
 def stored_weights(path: Path) -> dict[str, Tensor]:
-    """Read the arrays of an exported network in float32, by their names in it.
-
-    Raises:
-        InputError: the file is missing or damaged.
-    """
+    """Read the arrays of an exported network in float32, by their names in it."""
     try:
         stored = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in onnx.load(str(path)).graph.initializer}
     except (OSError, DecodeError, ValueError) as error:

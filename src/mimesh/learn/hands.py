@@ -22,15 +22,23 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from ..bodies import RiggedBody
-from ..bodies.finger_poses import finger_rotations, sample_finger_poses
-from ..bodies.hands import HAND_PARENTS, left_hand_body
+from ..bodies.hands import HAND_PARENTS, finger_rotations, left_hand_body, sample_finger_poses
 from ..bodies.joint_names import finger_joints
 from ..core.errors import InputError
-from .data.bodies import rotvec_to_rotmat, scaled_joints, skinned_surface, world_rotations
+from .data.bodies import (
+    gather_points,
+    normal,
+    numbers_of_step,
+    on_device,
+    rotvec_to_rotmat,
+    scaled_joints,
+    skinned_surface,
+    uniform,
+    world_rotations,
+)
 from .data.characters import CharacterOptions, TrainingCharacters
 from .data.figures import LAST, pick_rows, rows_by_group
 from .data.hands import FINGERLESS, HUMAN, HandSurface, training_hands
-from .data.surfaces import gather_points
 from .mime import MimeConfig, MimeNetwork, Prediction, joint_errors, masked_mean, rms_normalize
 from .task import OnnxInterface, Task, TrainConfig, shipped_body
 
@@ -104,10 +112,8 @@ class HandsTrainConfig(TrainConfig):
     structure: HandLossConfig = field(default_factory=HandLossConfig)
 
     def check(self, where: str) -> None:
-        """Raise InputError for a width that the heads do not divide."""
         super().check(where)
-        if self.model.heads < 1 or self.model.width % self.model.heads:
-            raise InputError(f"{where}: expected heads that divide width {self.model.width}, found {self.model.heads}")
+        self.model.check(where)
 
 
 class HandNetwork(MimeNetwork):
@@ -165,22 +171,12 @@ def gesture_bank(seed: int) -> Float[np.ndarray, "P 15 3 3"]:
     return finger_rotations(sample_finger_poses(GESTURES, np.random.default_rng(seed)), left=True)
 
 
-class HandSource(nn.Module):
+class HandSource:
     """Makes batches of hands; a batch is a pure function of the seed and its step.
 
     A batch is drawn in five steps: which hands, rotations of their joints, the posed surfaces, which points of them are
     given, and the errors of these points.
     """
-
-    points: Tensor
-    normals: Tensor
-    weights: Tensor
-    joints: Tensor
-    alignment: Tensor
-    bones: Tensor
-    separate: Tensor
-    gestures: Tensor
-    branching: Tensor
 
     def __init__(self, surfaces: list[HandSurface], device: torch.device, seed: int, characters: float) -> None:
         """Put the hands on the device.
@@ -190,24 +186,22 @@ class HandSource(nn.Module):
             characters: share of characters' hands with fingers; those without have FINGERLESS_SHARE, the shipped body's
                 the rest.
         """
-        super().__init__()
         self.seed, self.device = seed, device
-        for name in ("points", "normals", "weights", "joints", "alignment", "bones"):
-            stacked = np.stack([getattr(surface, name) for surface in surfaces])
-            self.register_buffer(name, torch.from_numpy(stacked).float())
-        self.register_buffer("separate", torch.tensor([surface.separate for surface in surfaces]))
-        self.register_buffer("gestures", torch.from_numpy(gesture_bank(seed)).float())
-        self.register_buffer("branching", torch.tensor([j == 0 for j in range(16)]))  # the hand has five bones
+        self.points, self.normals, self.weights, self.joints, self.alignment, self.bones = (
+            on_device(np.stack([getattr(surface, name) for surface in surfaces]), device)
+            for name in ("points", "normals", "weights", "joints", "alignment", "bones")
+        )
+        self.separate = torch.tensor([surface.separate for surface in surfaces], device=device)
+        self.gestures = on_device(gesture_bank(seed), device)
+        self.branching = torch.arange(16, device=device) == 0  # the hand has five bones
         rows = rows_by_group([surface.group for surface in surfaces], device)
         kinds = [group if surfaces[int(some[0])].separate else FINGERLESS for group, some in rows.items()]
         self.rows, self.shares = list(rows.values()), torch.tensor(group_shares(kinds, characters), device=device)
-        self.to(device)
 
     def batch(self, size: int, step: int) -> HandBatch:
-        """Make the hands of a step."""
-        rng = torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
+        rng = numbers_of_step(self.seed, step, self.device)
         group = self.shares.multinomial(size, replacement=True, generator=rng)
-        which = pick_rows(self.rows, group, torch.rand(size, generator=rng, device=self.device))
+        which = pick_rows(self.rows, group, uniform(rng, size))
         rotation = self._rotations(which, rng)
         points, normals, joints = self._posed(which, rotation, rng)
         weights, centre = self.weights[which], points.mean(1, keepdim=True)
@@ -215,11 +209,11 @@ class HandSource(nn.Module):
         points, joints = (points - centre) / spread, (joints - centre) / spread
         index = self._choose(points, normals, weights, rng)
         points, normals, weights = (gather_points(values, index) for values in (points, normals, weights))
-        noise = MAX_NOISE * self._uniform(rng, size, 1, 1).pow(3)
-        points = points + noise * torch.randn(points.shape, generator=rng, device=self.device)
+        noise = MAX_NOISE * uniform(rng, size, 1, 1).pow(3)
+        points = points + noise * normal(rng, *points.shape)
         turn = self._turn(rng, size, FRAME_ERROR)
         points, normals, joints = (vectors @ turn.mT for vectors in (points, normals, joints))
-        normals = normals * (self._uniform(rng, size, 1, 1) >= WITHOUT_NORMALS)
+        normals = normals * (uniform(rng, size, 1, 1) >= WITHOUT_NORMALS)
         of_hand = torch.cat([weights[..., :2].sum(-1, keepdim=True), weights[..., 2:]], -1)
         given, queries = slice(HAND_POINTS), slice(HAND_POINTS, None)
         return HandBatch(
@@ -241,7 +235,7 @@ class HandSource(nn.Module):
         posed = world_rotations(torch.cat([hand, self.gestures[gesture]], 1), HAND_PARENTS)
         alignment = self.alignment[which]
         rest = alignment[:, :1].mT @ alignment
-        own = self._uniform(rng, size, 1, 1, 1) < OWN_REST
+        own = uniform(rng, size, 1, 1, 1) < OWN_REST
         return torch.where(own | ~self.separate[which][:, None, None, None], rest, posed)
 
     def _posed(
@@ -264,19 +258,19 @@ class HandSource(nn.Module):
 
     def _proportions(self, size: int, rng: torch.Generator) -> tuple[Float[Tensor, "B 16"], Float[Tensor, "B 16"]]:
         """Draw scales along and across the bones: the lengths of one finger, and the girths of one hand, are alike."""
-        fingers = LENGTH_SPREAD * self._normal(rng, size, 6)  # the hand and five fingers
+        fingers = LENGTH_SPREAD * normal(rng, size, 6)  # the hand and five fingers
         length = torch.cat([fingers[:, :1], fingers[:, 1:].repeat_interleave(3, 1)], 1)
-        length = length + 0.5 * LENGTH_SPREAD * self._normal(rng, size, 16)
-        girth = GIRTH_SPREAD * (self._normal(rng, size, 1) + self._normal(rng, size, 16))
+        length = length + 0.5 * LENGTH_SPREAD * normal(rng, size, 16)
+        girth = GIRTH_SPREAD * (normal(rng, size, 1) + normal(rng, size, 16))
         return length.clamp(-LARGEST_LENGTH, LARGEST_LENGTH).exp(), girth.clamp(-LARGEST_GIRTH, LARGEST_GIRTH).exp()
 
     def _bumpy(self, which: Int[Tensor, " B"], rng: torch.Generator) -> Float[Tensor, "B N 3"]:
         """Move the points of hands at rest along their normals by a sine wave through space."""
         size, points = len(which), self.points[which]
         spread = _spread(points)
-        direction = BUMP_FREQUENCY * self._normal(rng, size, 1, 3) / spread
-        phase = 2 * math.pi * self._uniform(rng, size, 1, 1)
-        height = BUMP_HEIGHT * spread * self._uniform(rng, size, 1, 1).square()
+        direction = BUMP_FREQUENCY * normal(rng, size, 1, 3) / spread
+        phase = 2 * math.pi * uniform(rng, size, 1, 1)
+        height = BUMP_HEIGHT * spread * uniform(rng, size, 1, 1).square()
         wave = ((points * direction).sum(-1, keepdim=True) + phase).sin()
         return points + height * wave * self.normals[which]
 
@@ -293,32 +287,26 @@ class HandSource(nn.Module):
         that is not given, and by more beyond the wrist. If others are too few, they are repeated.
         """
         size, total = points.shape[:2]
-        key = torch.rand(size, total, generator=rng, device=self.device)
+        key = uniform(rng, size, total)
         low, high = WRIST_CUT
-        least = low + (high - low) * self._uniform(rng, size, 1)
+        least = low + (high - low) * uniform(rng, size, 1)
         centre = torch.randint(total, (size, 1), generator=rng, device=self.device)
-        radius = MAX_HOLE * self._uniform(rng, size, 1) * (self._uniform(rng, size, 1) < MISSING)
+        radius = MAX_HOLE * uniform(rng, size, 1) * (uniform(rng, size, 1) < MISSING)
         in_hole = (points - gather_points(points, centre)).norm(dim=-1) < radius
-        side = F.normalize(self._normal(rng, size, 1, 3), dim=-1)
-        hidden = ((normals * side).sum(-1) < 0) & (self._uniform(rng, size, 1) < ONE_SIDED)
+        side = F.normalize(normal(rng, size, 1, 3), dim=-1)
+        hidden = ((normals * side).sum(-1) < 0) & (uniform(rng, size, 1) < ONE_SIDED)
         beyond = weights[..., 1:].sum(-1) < least
         key = key + LAST * (in_hole | hidden) + 2 * LAST * beyond
         order = key.topk(HAND_POINTS + QUERIES, dim=1, largest=False).indices
         enough = (key < LAST).sum(1, keepdim=True).clamp_min(1)
         order = order.gather(1, torch.arange(order.shape[1], device=self.device) % enough)
-        shuffled = torch.rand(size, order.shape[1], generator=rng, device=self.device).argsort(1)
+        shuffled = uniform(rng, size, order.shape[1]).argsort(1)
         return order.gather(1, shuffled)
 
     def _turn(self, rng: torch.Generator, size: int, largest: float) -> Float[Tensor, "B 3 3"]:
         """Draw rotations about any axis by up to an angle (radians)."""
-        axis = F.normalize(self._normal(rng, size, 3), dim=-1)
-        return rotvec_to_rotmat(axis * largest * self._uniform(rng, size, 1))
-
-    def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
-        return torch.rand(*size, generator=rng, device=self.device)
-
-    def _normal(self, rng: torch.Generator, *size: int) -> Tensor:
-        return torch.randn(*size, generator=rng, device=self.device)
+        axis = F.normalize(normal(rng, size, 3), dim=-1)
+        return rotvec_to_rotmat(axis * largest * uniform(rng, size, 1))
 
 
 def _spread(points: Float[Tensor, "B N 3"]) -> Float[Tensor, "B 1 1"]:
@@ -371,11 +359,9 @@ class HandTrials:
         self.source = source
 
     def count(self, kind: str, limit: int) -> int:
-        """Give the number of trials: as many as are asked for."""
         return limit
 
     def pair(self, split: str, kind: str, index: int) -> HandBatch:
-        """Make a trial; all are of one kind."""
         return self.source.batch(TRIAL_HANDS, index)
 
 
@@ -396,21 +382,17 @@ class HandsTask(Task[HandsTrainConfig, HandNetwork]):
         return HandTrials(HandSource(list(unseen_hands()), self.device, TRIAL_SEED, 0.0))
 
     def make_model(self) -> HandNetwork:
-        """Build the network with fresh weights."""
         return HandNetwork(self.config.model)
 
     def source(self, seed: int) -> HandSource:
-        """Build the generator of hands."""
         characters = self.user_data.characters if isinstance(self.user_data, TrainingCharacters) else ()
         return HandSource(training_hands(shipped_body(), characters), self.device, seed, self.config.data.characters)
 
     def loss(self, model: HandNetwork, batch: HandBatch, step: int) -> Tensor:
-        """Compute the loss of a batch."""
         with self.autocast():
             return hands_loss(model, batch, self.config.structure)
 
     def trial_error(self, model: HandNetwork, trial: HandBatch) -> float:
-        """Compute the error of a trial, as of any batch."""
         return self.batch_error(model, trial)
 
     def batch_error(self, model: HandNetwork, batch: HandBatch) -> float:
@@ -420,7 +402,6 @@ class HandsTask(Task[HandsTrainConfig, HandNetwork]):
         return float(joint_error(prediction, batch)[batch.separate].mean()) if batch.separate.any() else 0.0
 
     def flops_per_pair(self, model: HandNetwork) -> float:
-        """Count the floating-point operations of the forward pass of one hand."""
         return model.estimate_flops(QUERIES, HAND_POINTS)
 
     @staticmethod

@@ -24,14 +24,15 @@ from torch import Tensor, nn
 from ..bodies import RiggedBody
 from ..core import geometry
 from ..core.errors import InputError
-from ..evaluate import protocols
-from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, on_template
+from ..evaluate.clip_protocols import ClipPair, on_template
+from ..evaluate.pairs import Pair
 from ..evaluate.remesh import template
+from .data.bodies import numbers_of_step
 from .data.endless import PeopleOptions
-from .data.people import BodySampler, PairBatch
+from .data.people import PairBatch, PairSource
 from .layers import PointConv, edge_vectors, instance_norm, mean_squared_distance
-from .task import OnnxInterface, Task, TrainConfig
-from .validation import clip_error
+from .task import OnnxInterface, TrainConfig
+from .validation import PaperTask
 
 NEAR = 0.15
 """Metres along the surface up to which two vertices of the template count as near."""
@@ -145,7 +146,7 @@ def _layers(*channels: int) -> nn.ModuleList:
     return nn.ModuleList(PointConv(i, o) for i, o in itertools.pairwise(channels))
 
 
-class TemplateSource(BodySampler):
+class TemplateSource(PairSource):
     """Makes pairs whose meshes all have the template's vertices in its order."""
 
     def __init__(self, config: LIMPData, body: RiggedBody, device: torch.device, seed: int) -> None:
@@ -155,10 +156,6 @@ class TemplateSource(BodySampler):
         # Straight distances between vertices this near change little in any pose, as those along the surface do.
         points = body.vertices[mesh.corners[:, 0]]
         self.near = torch.from_numpy(geometry.near_pairs(points, mesh.faces, NEAR)).to(device)
-
-    def batch(self, size: int, step: int) -> PairBatch:
-        """Make the pairs of a step."""
-        return self.pairs(size, self._generator(step))
 
     def _sample_vertices(self, size: int, rng: torch.Generator):
         index = self.index.expand(size, -1)
@@ -213,46 +210,29 @@ def _lengths(mesh: Float[Tensor, "B V 3"], pairs: Int[Tensor, "E 2"]) -> Float[T
     return edge_vectors(mesh, pairs.expand(len(mesh), -1, -1)).norm(dim=2).clamp_min(1e-6)
 
 
-class LIMPTask(Task[LIMPTrainConfig, LIMP]):
+class LIMPTask(PaperTask[LIMPTrainConfig, LIMP]):
     """Training, validation and export of LIMP."""
 
     config_type = LIMPTrainConfig
     test_set = "clips-aniformer"
 
-    @property
-    def protocol(self) -> protocols.Protocol:
-        """AniFormer's clips: of pairs of meshes there is no truth on the template."""
-        return CLIPS_ANIFORMER
-
     def make_model(self) -> LIMP:
-        """Build the network with fresh weights."""
         return LIMP(self.config.model)
 
     def source(self, seed: int) -> TemplateSource:
-        """Build the generator of pairs on the template."""
         return TemplateSource(self.config.data, self.body, self.device, seed)
 
     def loss(self, model: LIMP, batch: PairBatch, step: int) -> Tensor:
         """Compute the reconstruction and the metric terms; the truth is the same person in another pose."""
-        rng = torch.Generator(self.device).manual_seed(self.config.seed * 1_000_003 + step)
+        rng = numbers_of_step(self.config.seed, step, self.device)
         meshes = (batch.identity, batch.truth, batch.driving)
         with self.autocast():
             return limp_loss(model, *meshes, batch.edges[0], self.config.metrics, rng)
 
-    def trial_error(self, model: LIMP, trial: ClipPair) -> float:
+    def trial_error(self, model: LIMP, trial: Pair | ClipPair) -> float:
         """Compute the mean PMD over frames of a clip's window on the template's vertices."""
-
-        def infer(identity: Float[Tensor, "V 3"], driving: Float[Tensor, "T U 3"]) -> Float[Tensor, "T V 3"]:
-            with self.autocast():
-                return model(identity.expand(len(driving), -1, -1), driving)
-
-        return clip_error(infer, on_template(trial), self.config.data.target_scale, self.device)
-
-    def batch_error(self, model: LIMP, batch: PairBatch) -> float:
-        """Compute the mean PMD of a batch."""
-        with self.autocast():
-            result = model(batch.identity, batch.driving)
-        return float(mean_squared_distance(result, batch.truth, batch.truth_radius))
+        assert isinstance(trial, ClipPair), "of pairs of meshes there is no truth on the template"
+        return super().trial_error(model, on_template(trial))
 
     def flops_per_pair(self, model: LIMP) -> float:
         """Count the floating-point operations of one training pair's forward pass: three codes, seven decodings."""

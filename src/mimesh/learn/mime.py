@@ -30,9 +30,8 @@ from ..core.errors import InputError
 from ..core.mesh import Mesh
 from ..evaluate.metrics import pmd_aligned
 from ..evaluate.pairs import Pair
-from ..evaluate.protocols import Protocol
-from ..evaluate.quadruped import QUADRUPED
-from .data.bodies import posed_joints, skinned
+from ..evaluate.protocols import QUADRUPED, Protocol
+from .data.bodies import gather_points, normal, numbers_of_step, posed_joints, skinned, uniform
 from .data.characters import CharacterOptions, TrainingCharacters
 from .data.endless import TABLE_KINDS, EndlessPeople, PeopleOptions
 from .data.figures import CharacterPairs, share_of
@@ -44,7 +43,6 @@ from .data.surfaces import (
     PeopleSampler,
     PosedSurface,
     SurfaceBody,
-    gather_points,
     plain_people,
     repeat_visible,
     scanned,
@@ -104,6 +102,11 @@ class MimeConfig:
     """Channels of a point in a joint's frame."""
     skinning: int = 32
     """Channels of a vertex in a joint's frame, for the skinning weights."""
+
+    def check(self, where: str) -> None:
+        """Raise InputError for a width that the heads do not divide."""
+        if self.heads < 1 or self.width % self.heads:
+            raise InputError(f"{where}: expected heads that divide width {self.width}, found {self.heads}")
 
 
 @dataclass(frozen=True)
@@ -170,10 +173,8 @@ class MimeTrainConfig(TrainConfig):
     structure: MimeLossConfig = field(default_factory=MimeLossConfig)
 
     def check(self, where: str) -> None:
-        """Raise InputError for a width that the heads do not divide."""
         super().check(where)
-        if self.model.heads < 1 or self.model.width % self.model.heads:
-            raise InputError(f"{where}: expected heads that divide width {self.model.width}, found {self.model.heads}")
+        self.model.check(where)
 
 
 @dataclass(frozen=True)
@@ -492,7 +493,7 @@ class SurfaceSource:
     ) -> None:
         self.config, self.device, self.seed = config, device, seed
         self.people = (TablePeople if config.kind in TABLE_KINDS else EndlessPeople)(config, body, device)
-        self.surface = SurfaceBody(body, low_poly=config.low_poly > 0).to(device)
+        self.surface = SurfaceBody(body, low_poly=config.low_poly > 0, device=device)
         self.dressed = PeopleSampler(body, config.spread, device)
         self.count = config.vertices or DEFAULT_POINTS
         if config.characters:
@@ -506,8 +507,7 @@ class SurfaceSource:
             self.people.add_poses(characters.all_poses)
 
     def batch(self, size: int, step: int) -> SurfaceBatch:
-        """Make the pairs of a step."""
-        rng = torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
+        rng = numbers_of_step(self.seed, step, self.device)
         figures = share_of(size, self.config.characters, step)
         groups = [self._people(size - figures, rng)] if figures < size else []
         groups += [self._figures(figures, rng)] if figures else []
@@ -548,29 +548,26 @@ class SurfaceSource:
     def _damage(self, identity: PosedSurface, driving: PosedSurface, rng: torch.Generator):
         """Add noise to driving points, leave out one side of some and the normals of others; make scans of a share."""
         size, index = len(driving.points), self._one_sided(driving.normals, rng)
-        noise = torch.randn(driving.points.shape, generator=rng, device=self.device)
-        noisy = gather_points(driving.points, index) + MAX_NOISE * self._uniform(size, rng).square() * noise
+        noise = normal(rng, *driving.points.shape)
+        noisy = gather_points(driving.points, index) + MAX_NOISE * uniform(rng, size, 1, 1).square() * noise
         normals = gather_points(driving.normals, index)
         if self.config.scans:
-            some = self._uniform(size, rng) < self.config.scans
+            some = uniform(rng, size, 1, 1) < self.config.scans
             scan = scanned(driving.points, driving.normals, rng)
             noisy, normals = torch.where(some, scan[0], noisy), torch.where(some, scan[1], normals)
         meshes = ((identity.points, identity.normals), (noisy, normals))
         return tuple(
-            (points, normals * (self._uniform(size, rng) >= share))
+            (points, normals * (uniform(rng, size, 1, 1) >= share))
             for (points, normals), share in zip(meshes, WITHOUT_NORMALS, strict=True)
         )
 
     def _one_sided(self, normals: Float[Tensor, "B N 3"], rng: torch.Generator) -> Int[Tensor, "B N"]:
         """Choose all points, or for a share of the meshes those that face one side, repeated up to N."""
         size = len(normals)
-        angle = 2 * math.pi * self._uniform(size, rng)
+        angle = 2 * math.pi * uniform(rng, size, 1, 1)
         side = torch.cat([angle.sin(), torch.zeros_like(angle), angle.cos()], -1)
-        hidden = ((normals * side).sum(-1) <= 0) & (self._uniform(size, rng)[..., 0] < ONE_SIDED)
+        hidden = ((normals * side).sum(-1) <= 0) & (uniform(rng, size, 1, 1)[..., 0] < ONE_SIDED)
         return repeat_visible(hidden)
-
-    def _uniform(self, size: int, rng: torch.Generator) -> Float[Tensor, "B 1 1"]:
-        return torch.rand(size, 1, 1, generator=rng, device=self.device)
 
 
 def mime_loss(model: MimeNetwork, batch: SurfaceBatch, weights: MimeLossConfig) -> Float[Tensor, ""]:
@@ -634,16 +631,13 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
         return QUADRUPED if self.config.data.body == "quadruped" else super().protocol
 
     def make_model(self) -> MimeNetwork:
-        """Build the network with fresh weights."""
         return MimeNetwork(self.config.model, self.body)
 
     def source(self, seed: int) -> SurfaceSource:
-        """Build the generator of pairs."""
         characters = self.user_data if isinstance(self.user_data, TrainingCharacters) else None
         return SurfaceSource(self.config.data, self.body, self.device, seed, characters)
 
     def loss(self, model: MimeNetwork, batch: SurfaceBatch, step: int) -> Tensor:
-        """Compute reconstruction and structural terms."""
         with self.autocast():
             return mime_loss(model, batch, self.config.structure)
 
@@ -680,7 +674,6 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
         return pmd_aligned(*pair)
 
     def flops_per_pair(self, model: MimeNetwork) -> float:
-        """Count the floating-point operations of one training pair's forward pass."""
         return model.estimate_flops(self.vertices, self.vertices)
 
     @staticmethod

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..core.errors import InputError
+from ..core.errors import InputError, did_you_mean
 from .task import Task
 
 NETWORKS = ("npt", "aniformer", "limp", "mime", "hands")
@@ -10,11 +10,7 @@ NETWORKS = ("npt", "aniformer", "limp", "mime", "hands")
 
 
 def find_task(network: str) -> type[Task]:
-    """Give the task of a network by its name.
-
-    Raises:
-        InputError: no network of that name can be trained.
-    """
+    """Give the task of a network by its name."""
     match network:
         case "npt":
             from .npt import NPTTask as task
@@ -27,5 +23,8 @@ def find_task(network: str) -> type[Task]:
         case "hands":
             from .hands import HandsTask as task
         case _:
-            raise InputError(f"{network}: expected a model that can be trained ({', '.join(NETWORKS)}), found another")
+            raise InputError(
+                f"{network}: expected a model that can be trained ({', '.join(NETWORKS)}), found another"
+                + did_you_mean(network, NETWORKS)
+            )
     return task

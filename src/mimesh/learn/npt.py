@@ -15,15 +15,13 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from ..evaluate.clip_protocols import ClipPair
-from ..evaluate.pairs import Pair
 from .data.characters import TrainingCharacters
 from .data.figures import CharacterPairSource, PairOptions
-from .data.people import BodySampler, PairBatch
-from .data.registered import MeshOptions, MeshSampler
-from .layers import PointConv, ResBlock, edge_ratio, edge_vectors, instance_norm, mean_squared_distance, reconstruction
+from .data.people import PairBatch, PairSource
+from .data.registered import MeshOptions, MeshPairSource
+from .layers import PointConv, ResBlock, edge_ratio, edge_vectors, instance_norm, reconstruction
 from .task import BatchSource, OnnxInterface, TrainConfig
-from .validation import PaperTask, clip_error, pair_error
+from .validation import PaperTask
 
 
 @dataclass(frozen=True)
@@ -164,24 +162,6 @@ def npt_loss(
     return loss
 
 
-class PairSource(BodySampler):
-    """Makes batches of pairs of people: `BodySampler.pairs` draws, skins, shuffles and normalises them."""
-
-    def batch(self, size: int, step: int) -> PairBatch:
-        """Make the pairs of a step."""
-        return self.pairs(size, self._generator(step))
-
-
-class MeshPairSource(MeshSampler):
-    """Makes batches of pairs of registered meshes."""
-
-    def batch(self, size: int, step: int) -> PairBatch:
-        """Make the pairs of a step."""
-        drawn = self.sample(size, step)
-        truth, own = drawn.truth[:, 0], drawn.truth_radius[:, 0]
-        return PairBatch(drawn.identity, drawn.driving[:, 0], truth, own, drawn.edges, drawn.edges_of_mesh)
-
-
 class NPTTask(PaperTask[NPTTrainConfig, NPT]):
     """Training, validation and export of NPT."""
 
@@ -189,11 +169,9 @@ class NPTTask(PaperTask[NPTTrainConfig, NPT]):
     test_set = "human-npt"
 
     def make_model(self) -> NPT:
-        """Build the network with fresh weights."""
         return NPT(self.config.model)
 
     def source(self, seed: int) -> BatchSource:
-        """Build the generator of pairs."""
         if self.meshes:
             return MeshPairSource(self.config.data, self.meshes, self.device, seed)
         if isinstance(self.user_data, TrainingCharacters):
@@ -201,30 +179,12 @@ class NPTTask(PaperTask[NPTTrainConfig, NPT]):
         return PairSource(self.config.data, self.body, self.device, seed)
 
     def loss(self, model: NPT, batch: PairBatch, step: int) -> Tensor:
-        """Compute Eq. 4 over V."""
         with self.autocast():
             result = model(batch.identity, batch.driving)
         edge = (self.config.edge, self.config.edge_weight)
         return npt_loss(result, batch.truth, batch.edges, *edge, batch.edges_of_mesh)
 
-    def trial_error(self, model: NPT, trial: Pair | ClipPair) -> float:
-        """Compute the PMD of a pair, or the mean over frames of a clip's window."""
-
-        def infer(identity: Float[Tensor, "V 3"], driving: Float[Tensor, "T U 3"]) -> Float[Tensor, "T V 3"]:
-            with self.autocast():
-                return model(identity.expand(len(driving), -1, -1), driving)
-
-        where = (self.config.data.target_scale, self.device)
-        return clip_error(infer, trial, *where) if isinstance(trial, ClipPair) else pair_error(infer, trial, *where)
-
-    def batch_error(self, model: NPT, batch: PairBatch) -> float:
-        """Compute the mean PMD of a batch."""
-        with self.autocast():
-            result = model(batch.identity, batch.driving)
-        return float(mean_squared_distance(result, batch.truth, batch.truth_radius))
-
     def flops_per_pair(self, model: NPT) -> float:
-        """Count the floating-point operations of one training pair's forward pass."""
         return model.estimate_flops(self.vertices, self.vertices)
 
     @staticmethod

@@ -87,9 +87,6 @@ def joined_processes() -> Iterator[Processes]:
     """Join the processes that `torchrun` started, which says so in the environment; without it there is one.
 
     Each process has a CUDA device of its own, or the CPU.
-
-    Raises:
-        InputError: this machine has fewer CUDA devices than processes.
     """
     rank, count = _rank_and_count()
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")

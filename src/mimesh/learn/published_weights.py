@@ -92,11 +92,7 @@ def import_command(path: Path, out: Path, maxpool: bool = False, bits: int = FUL
 
 
 def load_published(path: Path, maxpool: bool = False) -> PublishedNetwork:
-    """Load a published network into our layout; every tensor of the file must belong to it, with its shape.
-
-    Raises:
-        InputError: the file is no state dict of the networks.
-    """
+    """Load a published network into our layout; every tensor of the file must belong to it, with its shape."""
     state = read_state(path)
     network = find_network(state, maxpool, path)
     check_state(state, network, path)
@@ -108,11 +104,7 @@ def load_published(path: Path, maxpool: bool = False) -> PublishedNetwork:
 
 
 def read_state(path: Path) -> dict[str, Tensor]:
-    """Read the tensors of a PyTorch file by name, without running anything that it may hold.
-
-    Raises:
-        InputError: no such file, or it holds something else.
-    """
+    """Read the tensors of a PyTorch file by name, without running anything that it may hold."""
     if not path.is_file():
         raise InputError(f"{path}: expected a PyTorch file of weights (.model, .pt, .pth), found no file")
     try:
@@ -142,11 +134,7 @@ def _is_dense(value: Any) -> bool:
 
 
 def find_network(state: dict[str, Tensor], maxpool: bool, path: Path) -> PublishedNetwork:
-    """Recognise the network by its names.
-
-    Raises:
-        InputError: they are those of another network.
-    """
+    """Recognise the network by its names."""
     if EMBEDDING in state:
         if maxpool:
             raise InputError(f"{path}: expected weights of NPT with --maxpool, found those of AniFormer; leave it out")
@@ -239,11 +227,7 @@ def in_our_layout(published: Tensor, own: Tensor) -> Tensor:
 
 
 def check_state(state: dict[str, Tensor], network: PublishedNetwork, path: Path) -> None:
-    """Check that a file has exactly the tensors of a network, in their shapes, with finite numbers.
-
-    Raises:
-        InputError: it has not.
-    """
+    """Check that a file has exactly the tensors of a network, in their shapes, with finite numbers."""
     expected = network.shapes()
     missing, further = sorted(set(expected) - set(state)), sorted(set(state) - set(expected))
     if missing or further:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from ..core.errors import InputError, did_you_mean
+from ..core.errors import InputError
 from . import checkpoint
 from .config import changed_config, config_differences, load_config, options_of
 from .cost import operations_of
@@ -15,7 +15,7 @@ from .data.characters import CharacterOptions
 from .data.user_data import Folders, ProgressBar, read_user_data
 from .export import load_start
 from .loop import TrainingRun, train
-from .models import NETWORKS
+from .models import find_task
 from .processes import joined_processes
 from .task import TrainConfig, UserData
 
@@ -23,10 +23,9 @@ CHARACTER_SHARE = 0.5
 """Share of every batch that characters of a folder have, unless the configuration says otherwise."""
 
 
-@contextlib.contextmanager
-def no_bar(title: str) -> Iterator[None]:
+def no_bar(title: str) -> contextlib.AbstractContextManager[None]:
     """Show no progress."""
-    yield None
+    return contextlib.nullcontext()
 
 
 def train_command(
@@ -56,11 +55,7 @@ def train_command(
         meshes: folder of registered meshes or clips to train on instead of the shipped body.
         pattern: how its files are named (`registered.LAYOUTS`); empty: found.
     """
-    if model not in NETWORKS:
-        raise InputError(
-            f"{model}: expected a model that can be trained ({', '.join(NETWORKS)}), found another"
-            + did_you_mean(model, NETWORKS)
-        )
+    find_task(model)  # which refuses unknown ones
     folders = Folders(characters, clips, meshes, pattern)
     with joined_processes() as processes:
         if resume is not None:
@@ -79,17 +74,13 @@ def train_command(
 def new_config(
     model: str, config: str, out: Path | None, changes: Sequence[str], folders: Folders, leave_out: Sequence[str]
 ) -> tuple[TrainConfig, Path]:
-    """Read the configuration of a new training, and name its folder.
-
-    Raises:
-        InputError: the folder holds a training.
-    """
+    """Read the configuration of a new training, and name its folder, which must hold none."""
     folders.check(model, options_of(model))
     settings = load_config(config, model, [*folders.settings(), *changes])
     more = [f"data.leave_out={json.dumps(list(leave_out))}"] if leave_out else []
     if folders.characters and isinstance(settings.data, CharacterOptions) and not settings.data.characters:
         more.append(f"data.characters={CHARACTER_SHARE}")
-    settings = load_config(config, model, [*folders.settings(), *changes, *more])
+    settings = changed_config(settings, more) if more else settings
     words = [*(change.partition("=")[2] for change in changes), *(f"without-{pack}" for pack in leave_out)]
     words += ["meshes"] if folders.meshes else []
     folder = out or Path("runs") / "-".join([model, Path(config).stem, *words])
@@ -105,10 +96,6 @@ def resumed_config(model: str, folder: Path, changes: Sequence[str], fixed: Sequ
 
     Args:
         fixed: other options that were given, which cannot change.
-
-    Raises:
-        InputError: no training of the model in the folder, a change that is not possible, or a value that does not
-            belong.
     """
     last = folder / "last.safetensors"
     if not last.exists():
@@ -132,9 +119,6 @@ def begin_with(config: TrainConfig, weights: Path, folder: Path, user_data: User
     """Write the first checkpoint of a training whose network is that of another, from a checkpoint or `.onnx` file.
 
     All else is new.
-
-    Raises:
-        InputError: the checkpoint holds another network.
     """
     model, trained = load_start(weights)
     if trained.config.model != config.model:
@@ -146,8 +130,7 @@ def begin_with(config: TrainConfig, weights: Path, folder: Path, user_data: User
     run = TrainingRun.start(config, folder, user_data)
     run.model.load_state_dict(model.state_dict())
     run.ema = {name: value.detach().clone() for name, value in model.state_dict().items()} if config.ema else {}
-    counted = {
-        "operations": operations_of(trained.config, int(trained.spent()["pairs"]))
-    }  # older checkpoints do not say
-    run.before = (*trained.before, counted | trained.spent())
+    spent = trained.spent()
+    counted = operations_of(trained.config, int(spent["pairs"]))  # older checkpoints do not say
+    run.before = (*trained.before, {"operations": counted, **spent})
     run.save(folder / "last.safetensors")

@@ -157,9 +157,6 @@ def train_row(row: str, seed: int, minutes: float, folder: Path) -> None:
 
     What is finished is kept and what was interrupted goes on. The last weights are exported, not the best ones:
     rows that are compared have one training time and one schedule.
-
-    Raises:
-        InputError: the folder holds a training of another configuration.
     """
     config, run = row_config(row, seed, minutes), folder / row
     last, onnx = run / "last.safetensors", folder / f"{row}.onnx"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,15 +13,13 @@ from torch import Tensor, nn
 
 from ..core.frame_buffer import Progress
 from ..core.normalization import bbox_centre, radius
-from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, ClipsAniformer, reorder_clip_vertices
-from ..evaluate.clips_ordered import CLIPS_ORDERED
+from ..evaluate.clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair
 from ..evaluate.metrics import box_radius, pmd
-from ..evaluate.pairs import Pair, reorder_vertices
-from ..evaluate.protocols import HUMAN_NPT, Protocol
-from ..evaluate.quadruped import QUADRUPED
+from ..evaluate.pairs import Pair
+from ..evaluate.protocols import HUMAN_NPT, QUADRUPED, Protocol
 from .data.registered import HeldOutMeshes, RegisteredMeshes
-from .layers import match_frames
-from .task import Config, DataConfig, Network, Task
+from .layers import match_frames, mean_squared_distance
+from .task import Config, Network, Task
 
 WINDOW = 3
 """Frames of each clip that networks of pairs are validated on, from its middle."""
@@ -50,9 +49,7 @@ class Validation:
         trial = protocol.unshuffled_pair("val", kind, index, rng)
         count = len(trial.identity.vertices)
         order = np.arange(count) if self.task.of_one_order else rng.permutation(count)
-        if isinstance(trial, ClipPair):
-            return reorder_clip_vertices(trial, order, order)
-        return reorder_vertices(trial, order, order)
+        return trial.reordered(order, order)
 
     @torch.no_grad()
     def measure(
@@ -92,7 +89,7 @@ class Validation:
 
 
 class PaperTask(Task[Config, Network]):
-    """The task of a network that is trained on people or on registered meshes, and measured as in its paper."""
+    """The task of a paper's network, which maps an identity and a driving mesh to vertices and is measured as there."""
 
     @property
     def meshes(self) -> RegisteredMeshes | None:
@@ -113,12 +110,23 @@ class PaperTask(Task[Config, Network]):
             return QUADRUPED
         if self.test_set == HUMAN_NPT.name and self.config.data.kind not in ("clips", "clips80"):
             return HUMAN_NPT
-        return clips_protocol(self.config.data)
+        return CLIPS_ORDERED if self.config.data.pairing == "order" else CLIPS_ANIFORMER
 
+    def trial_error(self, model: Network, trial: Pair | ClipPair) -> float:
+        """Compute the PMD of a pair, or the mean over frames of a clip's window, each frame of which is a pair."""
 
-def clips_protocol(data: DataConfig) -> ClipsAniformer:
-    """Give the protocol of networks that are trained on clips: meshes in one vertex order, or shuffled apart."""
-    return CLIPS_ORDERED if data.pairing == "order" else CLIPS_ANIFORMER
+        def infer(identity: Float[Tensor, "V 3"], driving: Float[Tensor, "T U 3"]) -> Float[Tensor, "T V 3"]:
+            with self.autocast():
+                return model(identity.expand(len(driving), -1, -1), driving)
+
+        where = (self.config.data.target_scale, self.device)
+        return clip_error(infer, trial, *where) if isinstance(trial, ClipPair) else pair_error(infer, trial, *where)
+
+    def batch_error(self, model: Network, batch: Any) -> float:
+        """Compute the mean PMD of a batch of pairs."""
+        with self.autocast():
+            result = model(batch.identity, batch.driving)
+        return float(mean_squared_distance(result, batch.truth, batch.truth_radius))
 
 
 def pair_error(infer: Infer, trial: Pair, target_scale: str, device: torch.device) -> float:

@@ -23,7 +23,7 @@ from ..core.canonical_order import CanonicalOrder, canonical_order, file_order
 from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
 from ..core.surface_points import padded_vertices
-from .base import Drive
+from .base import Drive, Shapes
 from .npt import (
     METRES,
     Corresponding,
@@ -35,7 +35,6 @@ from .npt import (
     generator,
     radii_in_metres,
 )
-from .root_motion import Shapes
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -92,11 +91,7 @@ class AniFormerMethod:
         return drive_of(self, identity, driving)
 
     def shapes(self, identity: Mesh, driving: Clip) -> Shapes:
-        """As `ShapeMethod.shapes`.
-
-        Raises:
-            InputError: as `prepare`.
-        """
+        """As `ShapeMethod.shapes`."""
         match = self._in_file_order if self.vertices else self._paired
         ranked, points_at, pairings = match(identity, driving.mesh)
         rest = ranked.merge(identity.vertices)

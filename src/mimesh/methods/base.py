@@ -6,6 +6,7 @@ The identity has a normalisation of its own; all frames of the driving have that
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Protocol, runtime_checkable
@@ -14,19 +15,22 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies.joint_names import ancestors
+from ..core.errors import InputError
 from ..core.foot_planting import PosedJoints, plant_feet
 from ..core.geometry import rotate_between, unit_vectors
 from ..core.joint_tracks import JointTrack, root_path
 from ..core.mesh import Clip, Mesh
+from ..core.normalization import bbox_centre, radius
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from ..core.soles import Feet, Soles, find_soles
 from ..core.surface_points import SurfacePoints
 from .confidence import Confidence
-from .root_motion import Shapes, check_size
 
 Drive = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray, "V 3"]]]
 """Maps driving frames to the identity's vertices, one frame at a time, so that memory does not grow with the clip."""
+Shapes = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray, "V 3"]]]
+"""Maps driving frames to the identity's vertices in these poses, each at any position."""
 Pose = tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]
 """World rotation and position of every joint."""
 RestPose = tuple[Float[np.ndarray, "D 3 3"], Float[np.ndarray, "D 3"]]
@@ -314,7 +318,8 @@ class SkinnedDrive:
 
     def __call__(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield the identity's vertices for every driving frame; of a known motion, for all frames from its first."""
-        for rotation, positions in self._poses(frames):
+        for t, vertices in enumerate(check_size(frames, self.name)):
+            rotation, positions = self.driving_pose(t, vertices)
             yield self.posed(self._linked(rotation[None], positions[None])[0], self.stride * positions[0])
 
     def at(self, frames: list[int]) -> SkinnedDrive:
@@ -379,10 +384,42 @@ class SkinnedDrive:
         """Names of the driving's joints."""
         return self.joints if self.linked is None else self.linked.driving
 
-    def _poses(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Pose]:
-        return (self.driving_pose(t, vertices) for t, vertices in enumerate(check_size(frames, self.name)))
-
     def _linked(
         self, rotation: Float[np.ndarray, "T D 3 3"], positions: Float[np.ndarray, "T D 3"]
     ) -> Float[np.ndarray, "T J 3 3"]:
         return rotation if self.linked is None else self.linked.rotations(rotation, positions)
+
+
+def with_root_motion(
+    frames: Iterable[Float[np.ndarray, "U 3"]], shapes: Shapes, name: str
+) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """Move the centre of each shape's bounding box to that of the driving frame, scaled.
+
+    Driving frames are in the driving's normalisation, where its first frame has radius 1. The scale is the radius of
+    the first result, so that a large identity moves as far as a small one in multiples of its own size.
+
+    Raises:
+        InputError: all vertices of a frame of the clip `name` are at one point.
+    """
+    scale = None
+    # Shapes may be made of windows, which read ahead; `tee` keeps the frames between the two.
+    given, ahead = itertools.tee(check_size(frames, name))
+    for vertices, shape in zip(given, shapes(ahead), strict=True):
+        result = shape - bbox_centre(shape)
+        scale = radius(result) if scale is None else scale  # of the first frame: a size that does not change over time
+        yield result + bbox_centre(vertices) * scale
+
+
+def check_size(frames: Iterable[Float[np.ndarray, "U 3"]], name: str) -> Iterator[Float[np.ndarray, "U 3"]]:
+    """Yield the frames of the clip `name`, checking that they have a size.
+
+    Raises:
+        InputError: all vertices of a frame are at one point.
+    """
+    for t, vertices in enumerate(frames):
+        if not (vertices != vertices[0]).any():
+            raise InputError(
+                f"{name}: expected some size in frame {t} of those taken, found all vertices at one point; "
+                "repair that frame, or end the clip before it with --stop"
+            )
+        yield vertices

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
-from functools import cache, partial
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from ..core.errors import InputError, did_you_mean
-from ..core.mesh import Mesh
-from .base import Method, RigMethod
+from ..core.mesh import Clip, Mesh
+from .base import Drive, Method, RigMethod
 from .onnx_metadata import PAIRINGS
 
 # Names that `find_method` takes, besides those of WITHOUT_NETWORK and paths of .onnx files.
@@ -63,6 +65,32 @@ MODELS = (*WITHOUT_NETWORK, *SHIPPED_NETWORKS)
 """Names of the methods that every installation has."""
 PAIRING_CHOICES = ("auto", *PAIRINGS, "body")
 """Values of `--pairing`."""
+
+
+@dataclass(frozen=True)
+class CopyMethod:
+    """The method `copy`: vertex i of the result is vertex i of the driving."""
+
+    rough: ClassVar[bool] = False
+    name: str = "copy"
+
+    def prepare(self, identity: Mesh, driving: Clip) -> Drive:
+        """Check that the vertex counts agree, which is all that can be checked, and return the driving frames.
+
+        Raises:
+            InputError: the vertex counts differ.
+        """
+        count = len(driving.mesh.vertices)
+        if len(identity.vertices) != count:
+            raise InputError(
+                f"{driving.mesh.name}: expected {len(identity.vertices)} vertices as in {identity.name} for model "
+                f"copy, found {count}; choose another model"
+            )
+        return _copy
+
+
+def _copy(frames: Iterable[Float[np.ndarray, "V 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
+    yield from frames
 
 
 def weights_path(model: str) -> Path:
@@ -177,7 +205,7 @@ def find_method(
         ensemble: average over this many random pairings of driving and identity vertices (index-paired networks only).
         seed: seed of those pairings, and of sampled points.
         pairing: "random" or "order": how the network must pair vertices, where INDEX_PAIRED have weights for both;
-            "body": one that pairs by order gets the driving points that the fitted body finds (see `body_pairs`);
+            "body": one that pairs by order gets the points that the fitted body finds (`MimeMethod.body_pairs`);
             "auto": as it does, at random where there are both.
         reference: the driving subject in the identity's pose, normalised like the driving mesh, whose vertices and
             faces it shares (deformation transfer only).
@@ -187,7 +215,6 @@ def find_method(
         InputError: no such model, its file is missing or was not written by `mimesh export`, or an option cannot be
             used with it.
     """
-    from .copy import CopyMethod
     from .onnx_models import load_network
 
     if ensemble < 1:
@@ -244,7 +271,6 @@ def _with_body_pairs(network: Method, model: str, seed: int) -> Method:
         InputError: it was trained otherwise, or for the vertices of one mesh.
     """
     from .aniformer import AniFormerMethod
-    from .mime.body_pairs import body_pairs
     from .mime.drive import MimeMethod
     from .npt import NPTMethod
 
@@ -257,7 +283,7 @@ def _with_body_pairs(network: Method, model: str, seed: int) -> Method:
         )
     mime = find_method(NETWORK_OF_BODY[network.body], seed=seed)
     assert isinstance(mime, MimeMethod)
-    return dataclasses.replace(network, pairing="body", corresponding=partial(body_pairs, mime))
+    return dataclasses.replace(network, pairing="body", corresponding=mime.body_pairs)
 
 
 def _other_pairing(pairing: str, model: str) -> InputError:

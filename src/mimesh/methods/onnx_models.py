@@ -11,11 +11,9 @@ from ..core.errors import InputError
 from ..core.system import refuse_pipe
 from .aniformer import AniFormerMethod
 from .base import Method
-from .limp import LIMPMethod
 from .mime.drive import MimeMethod
-from .mime.hand_network import FingerNetwork
-from .mime.hands import HandFinder
-from .npt import NPTMethod
+from .mime.hands import FingerNetwork, HandFinder
+from .npt import LIMPMethod, NPTMethod
 from .onnx_metadata import read_metadata
 from .onnx_runtime import import_onnxruntime, open_session
 

@@ -18,11 +18,11 @@ from ..bodies.anatomy import QUADRUPED
 from ..bodies.animals import ANIMALS, animal, animal_body, standing
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core.errors import InputError
+from ..core.foot_planting import move_ankle
 from ..core.geometry import smooth_step
-from ..core.leg_ik import move_ankle
 from ..core.mesh import Clip
-from ..core.rig import descendants
-from .gaits import LEGS, SEEDS, Gait, foreleg, hind_leg, posture_rotations
+from ..core.rig import descendants, local_rotations
+from .gaits import LEGS, SEEDS, Gait, leg_angles, posture_rotations
 from .procedural import planted
 
 RUNS = {
@@ -180,10 +180,8 @@ def gait_rotations(
     for k in range(1, 7):
         bend(f"Tail{k}", style.tail / 6)
         bend(f"Tail{k}", style.sway * np.sin(2 * np.pi * (cycle - 0.08 * k)), axis=1)
-    for leg, start in zip(LEGS, gait.phases, strict=True):
-        side, angles = leg.removesuffix("Hind").removesuffix("Front"), hind_leg if leg.endswith("Hind") else foreleg
-        for joint, degrees in angles((cycle - start) % 1.0, gait.duty, style.stride, style.lift).items():
-            bend(f"{side}{joint}", degrees)
+    for joint, degrees in leg_angles(gait, cycle, style.stride, style.lift).items():
+        bend(joint, degrees)
     return rotvec_to_rotmat(np.radians(turn))
 
 
@@ -202,9 +200,7 @@ def _soles(
     for _, _, ankle in _leg_joints(body):
         foot = np.flatnonzero(body.weights[:, descendants([ankle], body.parents)[1:]].sum(axis=1) > 0.5)
         sole = foot[standing_height[foot] < standing_height[foot].min() + SOLE]
-        part = dataclasses.replace(
-            body, vertices=body.vertices[foot], components=body.components[:, foot], weights=body.weights[foot]
-        ).posed(np.zeros(0), rotmat, np.zeros((len(rotmat), 3)))
+        part = body.part(foot).posed(np.zeros(0), rotmat, np.zeros((len(rotmat), 3)))
         place = part[:, np.isin(foot, sole)].mean(axis=1)
         place[:, 1] = part[..., 1].min(axis=1)
         soles.append(place)
@@ -253,7 +249,4 @@ def _with_moved_ankle(
     world, displaced = body.skinning_transforms(body.joints, rotmat)
     positions = (world @ body.joints[..., None])[..., 0] + displaced
     turned = move_ankle(world, positions, leg, offset, body.parents)
-    above = [max(parent, 0) for parent in body.parents]
-    local = turned[:, above].swapaxes(-1, -2) @ turned
-    local[:, 0] = turned[:, 0]
-    return local
+    return local_rotations(turned, body.parents)

@@ -19,9 +19,9 @@ from ..bodies.animal_limbs import LEGS, LOOSE_FOOT, NECK, TAIL, name_animal_join
 from ..bodies.character_limbs import SIDES, moves_vertices, with_parents
 from ..bodies.joint_names import ancestors
 from ..bodies.skinned_character import SkinnedCharacter
+from ..core.geometry import rotation_between
 from ..core.rig import leg_length
 from .humanoid_rig import HumanoidRig
-from .rest_calibration import rotation_between
 
 CHAINS = tuple(tuple(side + part for part in parts) for side in SIDES for parts in LEGS.values())
 """Joints of each leg from the top."""

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies.character_limbs import Limb
+from ..bodies.character_limbs import SIDES, Limb
 from ..bodies.engine_names import SCHEMES
 from ..bodies.hands import body_with_fingers
 from ..bodies.joint_names import ancestors
-from .humanoid_rig import SIDES, rest_frames
+from .humanoid_rig import rest_frames
 from .retarget import BONES
 
 BONE_OF_JOINT = SCHEMES["vrm"].bones

@@ -79,7 +79,6 @@ def pose_bank(split: Literal["train", "val", "test"], every: int = 3) -> Float32
 
 @cache
 def _take(name: str) -> Motion:
-    """Load a whole take."""
     with np.load(str(resources.files("mimesh.motions") / "cmu.npz")) as data:
         rotvec = data[f"{name}_rotvec"].astype(np.float64) * QUANTUM
         root: Float[np.ndarray, "T 3"] = data[f"{name}_root"].astype(np.float64)

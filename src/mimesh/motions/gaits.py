@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from ..bodies import RiggedBody
+from ..bodies.joint_names import without_side
 from ..bodies.sampling import rotvec_to_rotmat
 from .motion import Motion, rotmat_to_rotvec
 from .procedural import planted
@@ -109,11 +110,21 @@ def gait_rotations(
     for k in range(1, 7):
         bend(f"Tail{k}", tail / 6)
         bend(f"Tail{k}", sway * np.sin(2 * np.pi * (cycle - 0.08 * k)), axis=1)
-    for leg, phase in zip(LEGS, gait.phases, strict=True):
-        side, joints = leg.removesuffix("Hind").removesuffix("Front"), (hind_leg if leg.endswith("Hind") else foreleg)
-        for joint, degrees in joints((cycle - phase) % 1.0, gait.duty, stride, lift).items():
-            bend(f"{side}{joint}", degrees)
+    for joint, degrees in leg_angles(gait, cycle, stride, lift).items():
+        bend(joint, degrees)
     return rotvec_to_rotmat(np.radians(turn))
+
+
+def leg_angles(
+    gait: Gait, cycle: Float[np.ndarray, " T"], stride: float, lift: float
+) -> dict[str, Float[np.ndarray, " T"]]:
+    """Compute the angles of the joints of all legs in a gait."""
+    angles = {}
+    for leg, start in zip(LEGS, gait.phases, strict=True):
+        side, of_leg = leg.removesuffix("Hind").removesuffix("Front"), hind_leg if leg.endswith("Hind") else foreleg
+        phase = (cycle - start) % 1.0
+        angles |= {side + joint: angle for joint, angle in of_leg(phase, gait.duty, stride, lift).items()}
+    return angles
 
 
 def swing(phase: Float[np.ndarray, " T"], duty: float) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]:
@@ -168,7 +179,7 @@ def posture_rotations(
     share = np.sin(np.pi * at)[:, None, None] ** 2 * rng.uniform(0.7, 1.1)
     goal = np.zeros((len(body.joint_names), 3))
     for j, joint in enumerate(body.joint_names):
-        goal[j, 0] = POSTURES[name].get(joint.removeprefix("Left").removeprefix("Right"), 0.0)
+        goal[j, 0] = POSTURES[name].get(without_side(joint), 0.0)
     turn = share * (goal + rng.normal(0.0, 3.0, goal.shape))
     return rotvec_to_rotmat(np.radians(turn))
 

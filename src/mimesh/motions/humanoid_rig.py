@@ -19,13 +19,12 @@ from ..bodies import RiggedBody, load_body
 from ..bodies.anatomy import anatomy_of
 from ..bodies.character_limbs import SIDES, Limb, attach_feet, find_limbs, moves_vertices, name_limb_joints
 from ..bodies.hands import body_with_fingers
-from ..bodies.joint_names import FINGERS, ancestors, finger_joints, named_fingers
+from ..bodies.joint_names import FINGERS, ancestors, finger_joints, named_fingers, parents_first
 from ..bodies.skinned_character import SkinnedCharacter
-from ..core.geometry import nearest_rotation, unit_vectors
+from ..core.geometry import nearest_rotation, rotation_between, unit_vectors
 from ..core.normalization import axis_name
 from ..core.person_motion import PersonMotion
 from ..core.rig import descendants
-from .rest_calibration import rotation_between
 from .retarget import BONES, limb_alignments
 
 LEG = ("UpLeg", "Leg", "Foot")
@@ -59,7 +58,7 @@ class HumanoidRig:
 
     @property
     def body(self) -> RiggedBody:
-        """That body, read from its file."""
+        """That body."""
         return load_body(self.body_name)
 
     @property
@@ -126,10 +125,7 @@ class HumanoidRig:
         for joint in kept[1:]:
             chain = [j for j in ancestors(parents, joint)[1:] if j in place]
             above.append(place[chain[0]] if chain else 0)
-        if all(parent < k for k, parent in enumerate(above)):
-            return kept, tuple(above)
-        depth = [_depth(above, k) for k in range(len(kept))]
-        order = np.argsort(depth, kind="stable")
+        order = parents_first(above)
         rank = np.argsort(order)
         return [kept[k] for k in order], tuple(int(rank[above[k]]) if above[k] >= 0 else -1 for k in order)
 
@@ -231,10 +227,3 @@ def _axes(first: Float[np.ndarray, " 3"], second: Float[np.ndarray, " 3"]) -> Fl
     x = unit_vectors(first)
     y = unit_vectors(second - (second @ x) * x)
     return np.stack([x, y, np.cross(x, y)], axis=1)
-
-
-def _depth(parents: list[int], joint: int) -> int:
-    depth = 0
-    while parents[joint] >= 0:
-        joint, depth = parents[joint], depth + 1
-    return depth

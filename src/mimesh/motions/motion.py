@@ -170,16 +170,11 @@ def motion_clip(
     """
     shape = np.zeros(0) if shape is None else shape
     _, root = _joints_and_path(body, motion, shape)
-    frames = chain.from_iterable(_posed_chunks(body, shape, motion.rotmat, root))
+    chunks = (slice(t, t + _CHUNK) for t in range(0, len(motion), _CHUNK))
+    frames = chain.from_iterable(body.posed(shape, motion.rotmat[chunk], root[chunk]) for chunk in chunks)
     vertices = store_frames(frames, len(motion), len(body.vertices), dtype, progress)
     rest = dataclasses.replace(body.mesh(body.shaped(shape)[0]), name=motion.name)
     return Clip(rest, vertices, motion.fps)
-
-
-def _posed_chunks(body, shape, rotmat, root):
-    """Iterate over the vertices of one person in all frames, _CHUNK frames at a time."""
-    for t in range(0, len(rotmat), _CHUNK):
-        yield body.posed(shape, rotmat[t : t + _CHUNK], root[t : t + _CHUNK])
 
 
 def _joints_and_path(body, motion, shape):

@@ -96,7 +96,9 @@ def played(motion: Motion, progress: Progress | None = None) -> Clip:
 
     The mesh is that of the first frame. Positions are single precision; the frames of long clips are stored on disk.
     """
-    body, joints = load_body(), _joints_on_body(motion)
+    body = load_body()
+    leg = leg_length(body.joints, body.joint_names)
+    joints = PersonMotion(motion.joint_names, *joint_tracks(body, motion), leg, body.weights)
     rest = Rig(np.tile(np.eye(3), (len(body.parents), 1, 1)), body.joints, body.weights)
     # Long captures have thousands of frames: single precision takes a quarter of the time of `motion_clip`.
     skinned = SkinnedMesh.of(body.vertices, rest, body.parents)
@@ -104,15 +106,6 @@ def played(motion: Motion, progress: Progress | None = None) -> Clip:
     vertices = store_frames(frames, len(motion), len(body.vertices), np.float32, progress)
     mesh = dataclasses.replace(body.mesh(np.asarray(vertices[0], np.float64)), name=motion.name, up="+y")
     return Clip(mesh, vertices, motion.fps, joints.rotation[:, 0, :, 2], KnownJoints(joints))
-
-
-def _joints_on_body(motion: Motion) -> PersonMotion:
-    """Compute the joints of the shipped body in a motion, and their weights on its surface."""
-    body = load_body()
-    rotation, positions = joint_tracks(body, motion)
-    return PersonMotion(
-        motion.joint_names, rotation, positions, leg_length(body.joints, body.joint_names), body.weights
-    )
 
 
 def first_frame(motion: Motion) -> Mesh:

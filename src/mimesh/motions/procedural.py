@@ -6,13 +6,11 @@ They contain no captured data, so their number and use are not limited. The root
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
-from ..bodies.sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat
+from ..bodies.sampling import JOINT_LIMITS, limits_rotvec, pose_of, rotvec_to_rotmat
 from .motion import Motion, lowest
 
 SOLE = 0.03
@@ -45,7 +43,7 @@ def spline_motion(
     at = np.arange(_frames(seconds, fps)) / fps
     keys = np.arange(int(np.ceil(seconds / beat)) + 2) * beat
     low, high = limits_rotvec(body, JOINT_LIMITS)
-    standing = _pose(body, LOWERED_ARMS)
+    standing = pose_of(body, LOWERED_ARMS)
     poses = standing + reach * (rng.uniform(low, high, (len(keys), *low.shape)) - standing)
     rotmat = rotvec_to_rotmat(PchipInterpolator(keys, poses)(at))
     heading = PchipInterpolator(keys, rng.uniform(-np.pi, np.pi) + rng.normal(0, 0.5, len(keys)).cumsum())(at)
@@ -110,9 +108,7 @@ def planted(body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"]) -> Float[np.
     """
     sole = np.flatnonzero(body.vertices[:, 1] < SOLE)
     # Only the vertices of the soles are posed, with the root at the origin.
-    soles = dataclasses.replace(
-        body, vertices=body.vertices[sole], components=body.components[:, sole], weights=body.weights[sole]
-    ).posed(np.zeros(0), rotmat, np.zeros((len(rotmat), 3)))
+    soles = body.part(sole).posed(np.zeros(0), rotmat, np.zeros((len(rotmat), 3)))
     height = soles[:-1, :, 1] + soles[1:, :, 1]
     # A soft minimum over two frames: the sole that is lowest in both carries the body.
     weight = np.exp(-(height - height.min(axis=1, keepdims=True)) / (2 * SOFTNESS))
@@ -133,14 +129,6 @@ def _bump(phase: Float[np.ndarray, " T"], centre: float, width: float) -> Float[
 def _about(axis: int, angle: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3 3"]:
     """Compute rotation matrices by `angle` (radians) about coordinate axis 0, 1 or 2."""
     return rotvec_to_rotmat(angle[:, None] * np.eye(3)[axis])
-
-
-def _pose(body: RiggedBody, degrees: dict[str, tuple[float, float, float]]) -> Float[np.ndarray, "J 3"]:
-    """Convert a table of rotation vectors by joint (degrees) to all joints' rotation vectors (radians)."""
-    pose = np.zeros((len(body.joint_names), 3))
-    for name, turn in degrees.items():
-        pose[body.joint(name)] = np.radians(turn)
-    return pose
 
 
 def _frames(seconds: float, fps: float) -> int:

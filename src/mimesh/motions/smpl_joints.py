@@ -16,6 +16,7 @@ from ..bodies.smpl_model import SmplModel
 from ..core.errors import InputError
 from ..core.mesh import Mesh
 from ..core.person_motion import PersonMotion
+from ..core.rig import homogeneous
 from ..core.skinning import skinning_transforms
 from .amass import JOINTS
 from .humanoid_rig import HumanoidRig, humanoid_rig
@@ -90,9 +91,8 @@ class RecordedJoints:
         rig = smpl_rig(self.model, self.shape)
         joints = self.model.shaped(self.shape)[1]
         rotation, translation = skinning_transforms(joints, self.rotmat, self.model.parents, self.root)
-        world = np.tile(np.eye(4), (*rotation.shape[:2], 1, 1))
-        world[..., :3, :3] = self.axes @ rotation
-        world[..., :3, 3] = ((rotation @ joints[..., None])[..., 0] + translation) @ self.axes.T
+        positions = (rotation @ joints[..., None])[..., 0] + translation
+        world = homogeneous(self.axes @ rotation, positions @ self.axes.T)
         place = {name: j for j, name in enumerate(NAMES[len(joints)])}
         chosen = [place[rig.character.joint_names[rig.joints[name]]] for name in rig.person]
         # Where the person faces differs from frame to frame, and is read from the hips.
@@ -101,6 +101,4 @@ class RecordedJoints:
 
 def _rest(joints: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 4 4"]:
     """Make the transforms of joints at rest, where all have the world's axes."""
-    transforms = np.tile(np.eye(4), (len(joints), 1, 1))
-    transforms[:, :3, 3] = joints
-    return transforms
+    return homogeneous(np.tile(np.eye(3), (len(joints), 1, 1)), joints)

@@ -21,18 +21,17 @@ from ..core.geometry import nearest_rotation
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import ORIENTATIONS, ROTATIONS
 from ..core.person_motion import KnownJoints, PersonMotion
-from ..io.gltf.animal import animal_facing
-from ..io.gltf.character import NO_PERSON, carried_part, standing_facing
+from ..core.rig import local_rotations
+from ..io.gltf.character import NO_PERSON, animal_facing, carried_part, standing_facing
 from ..io.gltf.own_rig import check_sound
-from ..io.gltf.vrma import with_posed_hands
+from ..io.gltf.vrm import with_posed_hands
 from ..motions.animal_rig import animal_rig
 from ..motions.bone_motion import bone_joints
 from ..motions.bvh import Bvh
 from ..motions.humanoid_rig import HumanoidRig, humanoid_rig
 from ..motions.motion import LEG, leg_length
 from ..motions.on_body import on_body, played
-from ..motions.rest_calibration import axes_from_motion
-from ..motions.retarget import axes_from_rest, rests_standing, to_local
+from ..motions.retarget import axes_from_motion, axes_from_rest, rests_standing
 
 FORWARD = {"+z": "-y", "-z": "+y"}
 """Where characters face by custom, for each up axis: in Blender the front view looks along +y. Others: +z."""
@@ -191,7 +190,7 @@ def _skeleton(
     steps = (rotation[:, above].swapaxes(-1, -2) @ (position - position[:, above])[..., None])[..., 0]
     moved = {j: steps[:, j] for j in range(1, len(parents))}
     order = tuple(parents.tolist())
-    return Bvh(bones.name, names, order, offsets, {}, to_local(rotation, order), position[:, 0], fps, moved)
+    return Bvh(bones.name, names, order, offsets, {}, local_rotations(rotation, order), position[:, 0], fps, moved)
 
 
 def _with_fingers(

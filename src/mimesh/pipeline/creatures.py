@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies.rig_matching import Creature, RigMatch, match_rigs, named_front
+from ..bodies.rig_matching import Creature, CreatureMotion, RigMatch, match_rigs, moved_creature, named_front
 from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import ORIENTATIONS, ROTATIONS, parse_axis
-from ..io.gltf.bake import AnimatedValues, sample_nodes
+from ..io.gltf.animation import AnimatedValues, sample_nodes
 from ..io.gltf.own_rig import FileRig, GltfJoints, has_rig, read_file_rig
-from ..motions.creature_rig import CreatureMotion, moved_creature
 from .report import MatchReport
 from .rigs import Axes
 

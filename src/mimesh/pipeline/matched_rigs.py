@@ -6,8 +6,7 @@ import dataclasses
 from typing import TypeGuard
 
 from ..bodies import load_body
-from ..bodies.character_limbs import FindJoints
-from ..bodies.joint_matching import match_joints
+from ..bodies.character_limbs import FindJoints, match_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.mesh import Mesh

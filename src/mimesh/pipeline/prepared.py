@@ -15,9 +15,8 @@ from jaxtyping import Float
 from ..bodies.character_limbs import FindJoints
 from ..core.errors import InputError
 from ..core.frame_buffer import evenly_spread
-from ..core.heading import turn, turned_to_front, without_heading
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import Normalization
+from ..core.normalization import Normalization, turn, turned_to_front, without_heading
 from ..methods.base import (
     BodyMethod,
     Drive,

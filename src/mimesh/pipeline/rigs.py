@@ -23,13 +23,12 @@ from ..core.person_motion import JointSource, PersonMotion
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from ..io.gltf import still_joints
-from ..io.gltf.bake import AnimatedValues
+from ..io.gltf.animation import AnimatedValues
 from ..io.gltf.character import NO_PERSON
+from ..io.gltf.copied_motion import SharedMotion, copy_morphs, copy_motion, morph_tracks, named_weights
 from ..io.gltf.edit import GltfSource
-from ..io.gltf.morph_weights import morph_tracks, named_weights
 from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
 from ..io.gltf.scene import node_parents
-from ..io.gltf.shared_skeleton import SharedMotion, copy_morphs, copy_motion
 from ..methods.base import KnownDriving, KnownIdentity, Method, RigMethod
 from ..motions.humanoid_rig import HumanoidRig
 from .bone_rigs import BoneJoints

@@ -18,7 +18,7 @@ from ..core.normalization import ORIENTATIONS, ROTATIONS
 from ..io import save_vrma
 from ..io.gltf.own_animation import OwnAnimation
 from ..io.gltf.own_rig import read_own_rig
-from ..io.gltf.scene import local_matrices, world_matrices
+from ..io.gltf.scene import world_matrices
 from ..io.gltf.vrm import vrm_bones, vrm_version
 from ..motions.bone_motion import NEEDED, TRUNK, BoneMotion, bone_joints, t_pose, t_pose_frames
 
@@ -77,7 +77,7 @@ def _own_bone_motion(identity: Mesh, animation: OwnAnimation, name: str, path: P
     joints = _checked_joints(person, path)
     nodes = [person[joint] for joint in joints]
     is_vrm = vrm_version(document) is not None and bool(vrm_bones(document))
-    at_rest = world_matrices(document, local_matrices(document)) if is_vrm else rig.scene.T_world_node
+    at_rest = world_matrices(document) if is_vrm else rig.scene.T_world_node
     rest, world = at_rest[nodes], animation.node_matrices(nodes)
     moved = nearest_rotation(world[..., :3, :3] @ np.linalg.pinv(rest[:, :3, :3]))
     turn = humanoid.turn

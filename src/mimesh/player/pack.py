@@ -7,20 +7,22 @@ documents every field. Positions have 16 bits, vertices keep their order, materi
 from __future__ import annotations
 
 import dataclasses
+import functools
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from ..core.errors import InputError
 from ..core.frame_buffer import each_frame
+from ..core.geometry import weld
 from ..core.mesh import Clip, Mesh
 from ..render import camera
-from .encoding import Quantization, encode_frames, pack_array
-from .split_vertices import SplitMesh, split_vertices
-from .texture_store import TextureStore
+from ..render.textures import creased_normals, decode_image
+from .encoding import Quantization, encode_frames, pack_array, to_base64
 from .thinning import DENSE_VERTICES, drop_frames, simplify_clip, simplify_surfaces, too_dense
 
 ROLES = ("identity", "driving", "result", "truth", "mesh")
@@ -253,3 +255,147 @@ def _mean_diagonal(clip: Clip) -> float:
     chosen = np.unique(np.linspace(0, len(clip) - 1, 12).round().astype(int))
     frames = each_frame(clip.vertices[chosen])
     return float(np.mean([np.linalg.norm(np.ptp(points, axis=0)) for points in frames]))
+
+
+SMOOTH_COSINE = 0.98
+"""Cosine between the corner normals of two faces at one end of an edge, above which the edge is smooth there."""
+
+
+@dataclass(frozen=True, eq=False)
+class SplitMesh:
+    """A mesh with split vertices: R render vertices, in the order of the mesh's vertices."""
+
+    corners: Int[np.ndarray, "F 3"]
+    """Render vertex of each face corner."""
+    origin: Int[np.ndarray, " R"]
+    """Vertex of the mesh of each render vertex."""
+    smooth: Int[np.ndarray, " R"]
+    """Smoothing group: render vertices of one group share a normal, the sum of the normals of their faces."""
+    uv: Float[np.ndarray, "R 2"] | None
+    """Texture coordinates; None without a texture."""
+
+
+def split_vertices(mesh: Mesh) -> SplitMesh:
+    """Split the vertices of a mesh; a point cloud is not changed.
+
+    Edges are hard where the file's corner normals differ, or, without any, where `textures.creased_normals` differ.
+    Custom normals of a file are not kept: the player computes normals from the geometry of every frame.
+    """
+    count = len(mesh.vertices)
+    if len(mesh.faces) == 0:
+        return SplitMesh(np.zeros((0, 3), np.int64), np.arange(count), np.arange(count), None)
+    normals = creased_normals(mesh.vertices, mesh.faces) if mesh.corner_normals is None else mesh.corner_normals
+    group = smoothing_groups(mesh, normals).ravel()
+    textured = mesh.corner_uv is not None and any(part.material and part.material.texture for part in mesh.parts)
+    uv = np.ascontiguousarray(mesh.corner_uv, np.float32).reshape(-1, 2) if textured else None
+    # A render vertex is a distinct combination of vertex, smoothing group and texture coordinates.
+    key = _number_pairs(mesh.faces.ravel(), group)
+    if uv is not None:
+        # Two float32 are compared as one uint64, much faster than rows.
+        key = _number_pairs(key, np.unique(uv.view(np.uint64).ravel(), return_inverse=True)[1])
+    first, corners = np.unique(key, return_index=True, return_inverse=True)[1:]
+    return SplitMesh(
+        corners.reshape(-1, 3),
+        mesh.faces.ravel()[first].astype(np.int64),
+        np.unique(group[first], return_inverse=True)[1],
+        None if uv is None else uv[first],
+    )
+
+
+def smoothing_groups(mesh: Mesh, normals: Float[np.ndarray, "F 3 3"]) -> Int[np.ndarray, "F 3"]:
+    """Number the smoothing groups of corners: corners at one position that smooth edges connect, directly or not.
+
+    An edge is smooth at an end if the normals of its two faces there have a cosine above SMOOTH_COSINE. Positions, not
+    vertex indices, are compared, so that files with split vertices are smooth, too. Groups are the connected components
+    of a graph of corners: half-edges are sorted by their end positions, which puts the two of an edge side by side.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    position = weld(mesh.vertices)[1][mesh.faces]
+    corner = np.arange(position.size).reshape(-1, 3)
+    start, stop = position.ravel(), np.roll(position, -1, axis=1).ravel()
+    start_corner, stop_corner = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
+    swapped = start > stop
+    # Corners at the end with the smaller and with the larger position index, whichever way the half-edge runs.
+    low, high = np.where(swapped, stop_corner, start_corner), np.where(swapped, start_corner, stop_corner)
+    order = np.lexsort((np.maximum(start, stop), np.minimum(start, stop)))
+    low, high = low[order], high[order]
+    flat = position.ravel()
+    # Successive half-edges of the same positions share the edge; an edge of three faces gives two pairs.
+    same = (flat[low[1:]] == flat[low[:-1]]) & (flat[high[1:]] == flat[high[:-1]])
+    a = np.concatenate([low[:-1][same], high[:-1][same]])
+    b = np.concatenate([low[1:][same], high[1:][same]])
+    flat_normals = normals.reshape(-1, 3)
+    similar = np.einsum("nk,nk->n", flat_normals[a], flat_normals[b]) > SMOOTH_COSINE
+    a, b = a[similar], b[similar]
+    size = position.size
+    groups = connected_components(coo_array((np.ones(len(a), bool), (a, b)), shape=(size, size)), directed=False)[1]
+    return groups.reshape(-1, 3)
+
+
+def _number_pairs(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Number the distinct pairs (first, second) in lexicographic order; return the number of each pair."""
+    return np.unique(first.astype(np.int64) * (int(second.max()) + 1) + second, return_inverse=True)[1]
+
+
+JPEG_QUALITY = 86
+"""Of reduced textures, 1 to 95 (Pillow)."""
+SMALLEST = 256
+"""Pixels of a side below which textures are not reduced."""
+
+
+class TextureStore:
+    """Collects the textures of the panels, each once; damaged ones are left out and counted."""
+
+    def __init__(self) -> None:
+        self._contents: list[bytes] = []
+        self._damaged: list[bytes] = []
+
+    def index(self, content: bytes | None) -> int | None:
+        """Add a texture, unless it is there, and return its index; None without a texture or if it is damaged."""
+        if content is None or content in self._damaged:
+            return None
+        if content not in self._contents:
+            if not _readable(content):
+                self._damaged.append(content)
+                return None
+            self._contents.append(content)
+        return self._contents.index(content)
+
+    def pack(self, budget: int, left_out: list[str]) -> list[dict[str, Any]]:
+        """Encode all textures in about `budget` characters.
+
+        The largest is halved until all fit or none gets smaller; a message about that is appended to `left_out`.
+        """
+        contents = list(self._contents)
+        if self._damaged:
+            left_out.append(f"textures that cannot be read are left out: {len(self._damaged)}")
+        # Base64 takes 4 characters for 3 bytes.
+        while 4 / 3 * sum(map(len, contents)) > budget:
+            largest = max(range(len(contents)), key=lambda k: len(contents[k]))
+            smaller = _halve(contents[largest])
+            if len(smaller) >= len(contents[largest]):
+                break
+            contents[largest] = smaller
+        if contents != self._contents:
+            left_out.append("textures are shown smaller than they are, to keep this page small")
+        return [{"type": _media_type(content), "data": to_base64(content)} for content in contents]
+
+
+@functools.lru_cache(maxsize=16)  # the studio packs the same textures for every result
+def _readable(content: bytes) -> bool:
+    return decode_image(content) is not None
+
+
+def _media_type(content: bytes) -> str:
+    return "image/png" if content.startswith(b"\x89PNG") else "image/jpeg"
+
+
+def _halve(content: bytes) -> bytes:
+    """Reduce a picture to half its width and height, as JPEG; the player draws no transparency."""
+    image, written = decode_image(content), io.BytesIO()
+    assert image is not None
+    size = [max(side // 2, min(side, SMALLEST)) for side in image.size]
+    image.resize((size[0], size[1])).save(written, "JPEG", quality=JPEG_QUALITY)
+    return written.getvalue()

@@ -31,6 +31,8 @@ At negative azimuths the camera is at the subject's right, so that it faces the 
 
 FIELD_OF_VIEW = 26.0
 """Degrees from top to bottom: narrow, as a portrait lens, so that perspective distorts proportions little."""
+SLOPE = float(np.tan(np.radians(FIELD_OF_VIEW / 2)))
+"""Tangent of half the field of view."""
 MARGIN = 0.08
 """Share of the picture that stays empty at each edge."""
 
@@ -102,7 +104,7 @@ def fit(
     # Relative to the centre, so that a mesh far from the origin gets the same picture to the last bits.
     local = (flat - centre) @ rotmat.T
     solve = _fit_perspective if perspective else _fit_orthographic
-    offset, half_height = solve(local, _half_extent(size, margin), _slope(), radius)
+    offset, half_height = solve(local, _half_extent(size, margin), SLOPE, radius)
     return Camera(
         rotmat_camera_world=rotmat,
         eye=centre + offset @ rotmat,
@@ -151,7 +153,7 @@ def extreme_points(
     """
     world = axes(up, front)
     rotmat = _view_rotation(*_angles(view)) @ world
-    reach = _slope() * _half_extent(size, MARGIN)
+    reach = SLOPE * _half_extent(size, MARGIN)
     # What `fit` looks at: the four planes of the lens (see `_fit_perspective`), the nearest point, the floor, the box.
     planes = [[1, 0, reach[0]], [-1, 0, reach[0]], [0, 1, reach[1]], [0, -1, reach[1]], [0, 0, 1]]
     directions = np.concatenate([np.array(planes) @ rotmat, -world[1:2], np.eye(3), -np.eye(3)])
@@ -206,11 +208,6 @@ def _axis_rotation(axis, degrees) -> Float[np.ndarray, "3 3"]:
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     angle = np.radians(degrees)
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-
-
-def _slope() -> float:
-    """Return the tangent of half the field of view."""
-    return float(np.tan(np.radians(FIELD_OF_VIEW / 2)))
 
 
 def _half_extent(size: tuple[int, int], margin: float) -> Float[np.ndarray, " 2"]:

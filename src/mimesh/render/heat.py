@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ..core.errors import InputError
 from ..core.frame_buffer import each_frame
@@ -124,7 +124,9 @@ def stretch_of(clip: Clip, reference: Float[np.ndarray, "V 3"]) -> Measure:
     _same_vertices(clip, len(reference), "the reference")
     if len(clip.mesh.faces) == 0:
         raise InputError(f"{clip.mesh.name}: expected faces to measure stretch, found points alone; give a mesh")
-    pairs, lengths = _edges_with_length(clip.mesh.faces, reference)
+    pairs = edges(clip.mesh.faces)
+    lengths = _lengths(reference, pairs)
+    pairs, lengths = pairs[lengths > 0], lengths[lengths > 0]
     # Each edge counts at both of its vertices; isolated vertices get 0.
     degree = np.maximum(np.bincount(pairs.ravel(), minlength=len(reference)), 1)
 
@@ -177,12 +179,6 @@ def _same_vertices(clip: Clip, count: int, what: str) -> None:
             f"{clip.mesh.name}: expected {what} to have {expected} vertices, found {count}; "
             "compare meshes of one topology"
         )
-
-
-def _edges_with_length(faces: Int[np.ndarray, "F 3"], points: Float[np.ndarray, "V 3"]):
-    pairs = edges(faces)
-    lengths = _lengths(points, pairs)
-    return pairs[lengths > 0], lengths[lengths > 0]
 
 
 def _lengths(points, pairs):

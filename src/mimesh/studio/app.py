@@ -24,9 +24,9 @@ from starlette.routing import Route
 from ..bodies.engine_rig import Layout
 from ..core.errors import InputError
 from ..io.joint_file import SUFFIX
+from .items import parse_rate
 from .jobs import Cancelled, error_line
-from .joints import describe_file
-from .options import parse_rate
+from .operations import describe_file
 from .session import Session
 from .state import describe, scene
 from .uploads import TooLarge, Upload, clip_name, find_clip, find_meshes
@@ -44,7 +44,9 @@ TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
 SERVED = (PAGE, "player.js", "studio.js", "studio.css")
 """Files of the web bundle that are served."""
 
-Handler = Callable[[Request], Awaitable[Response]]
+Answer = Response | dict[str, Any] | None
+"""Of a handler; values are sent as JSON, and None as an empty object."""
+Handler = Callable[[Request], Awaitable[Answer]]
 
 
 def make_app(session: Session, is_closing: Callable[[], bool]) -> Starlette:
@@ -111,10 +113,9 @@ class Routes:
         name = request.path_params.get("name", PAGE)
         if name not in SERVED:
             raise LookupError(name)
-        file = resources.files("mimesh.player") / "web" / name
-        return Response(file.read_bytes(), media_type=TYPES[Path(name).suffix])
+        return web_file(name)
 
-    async def state(self, request: Request) -> Response:
+    async def state(self, request: Request) -> dict[str, Any]:
         """Send everything the page shows, once its version differs from `?since=`."""
         known_version = request.query_params.get("since", "")
         waited = 0.0
@@ -122,20 +123,20 @@ class Routes:
         while str(self._session.version) == known_version and waited < STATE_TIMEOUT and not self._is_closing():
             await asyncio.sleep(POLL_SECONDS)
             waited += POLL_SECONDS
-        return JSONResponse(describe(self._session))
+        return describe(self._session)
 
-    async def begin_upload(self, request: Request) -> Response:
+    async def begin_upload(self, request: Request) -> dict[str, Any]:
         """Create a folder for files that belong together; answers its number."""
-        return JSONResponse({"upload": self._session.uploads.new_upload().number})
+        return {"upload": self._session.uploads.new_upload().number}
 
-    async def receive_file(self, request: Request) -> Response:
+    async def receive_file(self, request: Request) -> dict[str, Any]:
         """Receive one file of an upload, the request's body, under the name `?name=`."""
         upload = self._session.uploads.upload(request.path_params["number"])
         path = self._session.uploads.add_file(upload, request.query_params.get("name", ""))
         size = await _store_body(self._session, upload, path, request)
-        return JSONResponse({"name": path.name, "bytes": size})
+        return {"name": path.name, "bytes": size}
 
-    async def end_upload(self, request: Request) -> Response:
+    async def end_upload(self, request: Request) -> dict[str, Any]:
         """Use the files of a complete upload as meshes to move (`identity`) or as the driving clip (`driving`)."""
         number, role = request.path_params["number"], request.path_params["role"]
         if role not in ("identity", "driving"):
@@ -146,17 +147,16 @@ class Routes:
         except InputError:
             self._session.uploads.remove_upload(number)
             raise
-        return JSONResponse({"meshes": added})
+        return {"meshes": added}
 
-    async def discard_upload(self, request: Request) -> Response:
+    async def discard_upload(self, request: Request) -> None:
         """Delete an upload that failed."""
         number = request.path_params["number"]
         if self._session.uses(number):
             raise InputError(f"upload {number}: expected one that no mesh uses, found one in use; remove the mesh")
         self._session.uploads.remove_upload(number)
-        return JSONResponse({})
 
-    async def use_demo(self, request: Request) -> Response:
+    async def use_demo(self, request: Request) -> None:
         """Load a shipped character or animal, a shipped motion of people or animals, or both."""
         from ..bodies.animals import ANIMALS
         from ..bodies.characters import CHARACTERS
@@ -171,23 +171,18 @@ class Routes:
         if motion not in ANIMAL_MOTIONS:
             await self._in_thread(load_motion, motion)  # raises InputError for an unknown motion
         self._session.use_demo(what, name, motion)
-        return JSONResponse({})
 
-    async def set_options(self, request: Request) -> Response:
+    async def set_options(self, request: Request) -> None:
         self._session.set_options(await _json(request))
-        return JSONResponse({})
 
-    async def change_item(self, request: Request) -> Response:
+    async def change_item(self, request: Request) -> None:
         self._session.set_item(request.path_params["number"], await _json(request))
-        return JSONResponse({})
 
-    async def remove_item(self, request: Request) -> Response:
+    async def remove_item(self, request: Request) -> None:
         self._session.remove(request.path_params["number"])
-        return JSONResponse({})
 
-    async def stop(self, request: Request) -> Response:
+    async def stop(self, request: Request) -> None:
         self._session.stop(request.path_params["number"])
-        return JSONResponse({})
 
     async def pose(self, request: Request) -> Response:
         """Send the positions of a mesh in one frame, (V, 3) little-endian float32; nothing (204) if it was cancelled.
@@ -205,18 +200,17 @@ class Routes:
             return Response(status_code=204)
         return Response(np.asarray(vertices, "<f4").tobytes(), media_type="application/octet-stream")
 
-    async def joints(self, request: Request) -> Response:
+    async def joints(self, request: Request) -> Answer:
         """Send the joints found on a mesh and on the driving clip; nothing (204) if it was cancelled."""
         try:
             found = self._session.joints(request.path_params["number"])
-            return JSONResponse(await self._unless_closing(asyncio.wrap_future(found)))
+            return await self._unless_closing(asyncio.wrap_future(found))
         except Cancelled:
             return Response(status_code=204)
 
-    async def set_joints(self, request: Request) -> Response:
+    async def set_joints(self, request: Request) -> None:
         """Replace the corrected joints of a mesh or the driving clip by the positions `joints`."""
         self._session.set_joints(request.path_params["number"], (await _json(request)).get("joints"))
-        return JSONResponse({})
 
     async def download_joints(self, request: Request) -> Response:
         """Send the side file with the corrected joints of a mesh or the driving clip."""
@@ -225,11 +219,11 @@ class Routes:
         headers = {"content-disposition": f"attachment; filename*=UTF-8''{name}"}
         return JSONResponse(describe_file(item), headers=headers)
 
-    async def scene(self, request: Request) -> Response:
+    async def scene(self, request: Request) -> dict[str, Any]:
         """Send what the stage shows, packed for the player."""
-        return JSONResponse(await self._in_thread(scene, self._session))
+        return await self._in_thread(scene, self._session)
 
-    async def begin_export(self, request: Request) -> Response:
+    async def begin_export(self, request: Request) -> dict[str, Any]:
         """Start to write results in a format; answers the number of the export."""
         body = await _json(request)
         shapes, numbers = body.get("blendshapes"), body.get("meshes") or []
@@ -240,7 +234,7 @@ class Routes:
         suffix, skinned = str(body.get("suffix", ".glb")), body.get("skinned") is True
         names, rest = (str(body.get(key, default)) for key, default in (("names", "own"), ("rest", "file")))
         layout = Layout(names, body.get("root_bone") is True, rest, parse_rate(body.get("fps")))
-        return JSONResponse({"export": self._session.export(suffix, numbers, skinned, shapes, layout)})
+        return {"export": self._session.export(suffix, numbers, skinned, shapes, layout)}
 
     async def download_export(self, request: Request) -> Response:
         export = self._session.exports.get(request.path_params["number"])
@@ -248,17 +242,17 @@ class Routes:
             raise LookupError("export")
         return FileResponse(export.path, filename=export.path.name, media_type="application/octet-stream")
 
-    async def remove_export(self, request: Request) -> Response:
+    async def remove_export(self, request: Request) -> None:
         self._session.remove_export(request.path_params["number"])
-        return JSONResponse({})
 
 
-def _with_errors(handler: Handler) -> Handler:
-    """Wrap a handler: errors become the responses of the module's docstring."""
+def _with_errors(handler: Handler) -> Callable[[Request], Awaitable[Response]]:
+    """Wrap a handler: what it returns becomes a response, and errors those of the module's docstring."""
 
     async def answer(request: Request) -> Response:
         try:
-            return await handler(request)
+            answered = await handler(request)
+            return answered if isinstance(answered, Response) else JSONResponse(answered or {})
         except TooLarge as error:
             return JSONResponse({"error": error_line(error)}, 413)
         except InputError as error:
@@ -269,6 +263,12 @@ def _with_errors(handler: Handler) -> Handler:
             return JSONResponse({"error": "nothing of that name was found"}, 404)
 
     return answer
+
+
+def web_file(name: str) -> Response:
+    """Send a file of the web bundle."""
+    file = resources.files("mimesh.player") / "web" / name
+    return Response(file.read_bytes(), media_type=TYPES[Path(name).suffix])
 
 
 async def _not_found(request: Request, error: Exception) -> Response:

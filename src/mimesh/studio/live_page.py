@@ -11,8 +11,6 @@ import html
 import threading
 import time
 from dataclasses import dataclass
-from importlib import resources
-from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -29,7 +27,7 @@ from ..pipeline.live import LiveSession
 from ..player.pack import Panel, pack_scene
 from ..player.page import embed_json
 from . import open_socket, page_address, quiet_server
-from .app import TYPES
+from .app import web_file
 from .security import AccessControl, new_token
 
 PAGE = """<!doctype html>
@@ -157,7 +155,4 @@ def _page(session: LiveSession) -> str:
 
 async def _file(request: Request) -> Response:
     name = request.path_params["name"]
-    if name not in SERVED:
-        return Response(status_code=404)
-    content = (resources.files("mimesh.player") / "web" / name).read_bytes()
-    return Response(content, media_type=TYPES[Path(name).suffix])
+    return web_file(name) if name in SERVED else Response(status_code=404)

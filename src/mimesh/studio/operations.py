@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,38 +14,26 @@ import numpy as np
 from ..bodies import load_body
 from ..bodies.animals import ANIMALS, animal
 from ..bodies.characters import character
-from ..core.errors import command_line_words
+from ..core.errors import InputError, command_line_words
 from ..core.frame_buffer import Progress
+from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..io import load_clip, load_mesh
 from ..io.beside import confined
+from ..io.joint_file import describe_corrections, load_corrections, side_file
+from ..methods.base import CorrectableMethod, Method
 from ..methods.find import find_method
 from ..motions.animal_clips import ANIMAL_MOTIONS, animal_clip
 from ..pipeline import driving_axes
-from ..pipeline.corrections import Corrections
-from ..pipeline.move import PreparedMove, frame_of_move, play_move, prepare_move, refined_move
+from ..pipeline.corrections import Corrections, correctable_joints, found_joints, shown_bones
+from ..pipeline.move import PreparedMove, play_move, prepare_move
+from ..pipeline.prepared import Prepared
 from ..pipeline.report import facing
 from ..pipeline.result import ClipResult, Timer
 from ..pipeline.rigs import OTHER
 from ..tools.demo import driving_clip
-from .items import Item
-from .joints import applicable_corrections
-from .options import Options
-
-__all__ = [
-    "animations",
-    "compute_result",
-    "demo_clip",
-    "demo_mesh",
-    "detect_facing",
-    "for_page",
-    "frame_of_move",
-    "prepare_inputs",
-    "read_clip",
-    "read_mesh",
-    "refined_move",
-]
+from .items import Item, Options
 
 OPTION_WORDS = {
     "--body human or quadruped": "choose the body",
@@ -124,10 +112,9 @@ def demo_clip(motion: str) -> Clip:
 def detect_facing(content: Mesh | Clip, axes: tuple[str | None, str | None]) -> dict[str, Any]:
     """Detect the axes of a mesh, or of a clip's first frame (see `report.facing`), and whether they are uncertain."""
     if isinstance(content, Clip):
-        first = dataclasses.replace(content.mesh, vertices=content.vertices[0].astype(np.float64))
-        normalization = Normalization.fit(first, *driving_axes(content, *axes))
-    else:
-        normalization = Normalization.fit(content, *axes)
+        axes = driving_axes(content, *axes)
+        content = dataclasses.replace(content.mesh, vertices=content.vertices[0].astype(np.float64))
+    normalization = Normalization.fit(content, *axes)
     return {**facing(normalization), "unsure": normalization.unsure}
 
 
@@ -183,3 +170,79 @@ def for_page(text: str, folder: Path) -> str:
     for option, page_field in OPTION_WORDS.items():
         text = text.replace(option, page_field)
     return OPTION.sub(lambda found: OPTION_FIELDS[found[1]], text)
+
+
+def read_side_file(path: Path | None) -> JointCorrections | None:
+    """Read the corrections beside a mesh or clip; None if there are none.
+
+    Raises:
+        InputError: they cannot be read.
+    """
+    if path is None or not side_file(path).is_file():
+        return None
+    corrections = load_corrections(side_file(path))
+    return corrections if corrections.positions else None
+
+
+def check_corrections(item: Item, corrections: JointCorrections) -> None:
+    """Check corrections of a mesh, or of the driving clip in their frame."""
+    if item.content is None:
+        raise InputError(f"{item.name}: expected a mesh that has been read, found none; wait for it")
+    vertices = item.content.vertices
+    if isinstance(item.content, Clip):
+        if corrections.frame >= len(item.content):
+            raise InputError(
+                f"{corrections.source}: expected a frame of {item.name}, which has {len(item.content)} counted from "
+                f"0, found {corrections.frame}; correct the joints again"
+            )
+        vertices = vertices[corrections.frame]
+    # Whether a person or an animal is moved is known later: the method checks the names again.
+    corrections.check(np.asarray(vertices, np.float64), correctable_joints(), item.name)
+
+
+def parse_positions(item: Item, positions: Any) -> JointCorrections | None:
+    """Make corrections from the positions that the page sends, in the frame of the earlier ones; None from none.
+
+    Raises:
+        InputError: they are not positions of joints, or do not belong to the mesh.
+    """
+    if not isinstance(positions, Mapping):
+        raise InputError("joints: expected an object of positions, found something else; reload the page")
+    frame = 0 if item.corrections is None else item.corrections.frame
+    corrections = JointCorrections.of(positions, "joints", frame=frame)
+    check_corrections(item, corrections)
+    return corrections if corrections.positions else None
+
+
+def applicable_corrections(method: Method, identity: Item, driving: Item) -> Corrections:
+    """Return the corrections of both items if the method can use them, else none."""
+    if not isinstance(method, CorrectableMethod) or not isinstance(driving.content, Clip):
+        return Corrections()
+    return Corrections.read(identity.corrections, driving.corrections, driving.content)
+
+
+def describe_joints(prepared: PreparedMove, identity: Item, driving: Item) -> dict[str, Any]:
+    """Return the joints found on both meshes as JSON values; empty if the model has none."""
+    frame = 0 if driving.corrections is None else driving.corrections.frame
+    found = found_joints(prepared, frame) if isinstance(prepared, Prepared) else None
+    if found is None:
+        return {}
+    shown = shown_bones(found.body)
+    return {
+        "parents": shown,
+        "meshes": {
+            str(item.number): {
+                "frame": 0 if item is identity else frame,
+                "joints": {name: [float(x) for x in joints[name]] for name in shown if name in joints},
+            }
+            for item, joints in ((identity, found.identity), (driving, found.driving))
+        },
+    }
+
+
+def describe_file(item: Item) -> dict[str, Any]:
+    """Return the contents of the side file with the corrections of an item."""
+    corrections = item.corrections or JointCorrections()
+    mesh = item.content.mesh if isinstance(item.content, Clip) else item.content
+    count = len(mesh.vertices) if isinstance(mesh, Mesh) else None
+    return describe_corrections(JointCorrections(corrections.positions, corrections.frame, item.name, count))

@@ -23,15 +23,13 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import parse_axis
-from ..pipeline.move import PreparedMove
+from ..pipeline.move import PreparedMove, frame_of_move, refined_move
 from ..pipeline.result import ClipResult
 from ..pipeline.skinned import AS_IT_IS
 from . import operations
 from .exports import MAX_EXPORTS, Export, write
-from .items import Item, Outcome, Preparation, finished_result, preparation_inputs
+from .items import Item, Options, Outcome, Preparation, finished_result, parse_rate, preparation_inputs
 from .jobs import Cancelled, Worker, error_line
-from .joints import check_corrections, describe_joints, parse_positions, read_side_file
-from .options import Options, parse_rate
 from .uploads import UploadFolder
 
 MOST_IDENTITIES = 32
@@ -181,7 +179,7 @@ class Session:
 
         def work(progress: Progress) -> Float[np.ndarray, "V 3"]:
             prepared, clip = self._prepare(item)
-            return operations.frame_of_move(prepared, min(max(frame, 0), len(clip) - 1))
+            return frame_of_move(prepared, min(max(frame, 0), len(clip) - 1))
 
         return self.worker.submit(("pose", number), work, urgent=True)
 
@@ -192,13 +190,13 @@ class Session:
             InputError: not positions of joints near the mesh.
         """
         item = self.item(number)
-        item.corrections, item.corrections_error = parse_positions(item, positions), ""
+        item.corrections, item.corrections_error = operations.parse_positions(item, positions), ""
         self.refresh()
 
     def joints(self, number: int) -> Future:
         """Find the joints of a mesh and of the driving clip, before other work; cancels earlier calls for it.
 
-        The future gives a dictionary for the page; see `describe_joints`.
+        The future gives a dictionary for the page; see `operations.describe_joints`.
 
         Raises:
             Cancelled: one of them has been removed.
@@ -208,7 +206,7 @@ class Session:
             raise Cancelled
 
         def work(progress: Progress) -> dict[str, Any]:
-            return describe_joints(self._prepare(item)[0], item, driving)
+            return operations.describe_joints(self._prepare(item)[0], item, driving)
 
         return self.worker.submit(("joints", number), work, urgent=True)
 
@@ -305,9 +303,9 @@ class Session:
         """Take the corrected joints beside the file of an item that has been read, unless it has some already."""
         try:
             if item.corrections is None:
-                item.corrections = read_side_file(item.path)
+                item.corrections = operations.read_side_file(item.path)
             if item.corrections is not None:
-                check_corrections(item, item.corrections)
+                operations.check_corrections(item, item.corrections)
         except InputError as error:
             item.corrections, item.corrections_error = None, self.page_error(error)
 
@@ -367,7 +365,7 @@ class Session:
             prepared = operations.prepare_inputs(item, driving, options)
             cached = Preparation(inputs, options.motion_changes, False, prepared)
         if cached.refine != options.refine:
-            refined = operations.refined_move(cached.prepared, options.refine)
+            refined = refined_move(cached.prepared, options.refine)
             cached = dataclasses.replace(cached, refine=options.refine, prepared=refined)
         item.preparation = cached
         return cached.prepared, driving.content
@@ -378,10 +376,6 @@ class Session:
 
 
 def check_room(count: int) -> None:
-    """Check the number of meshes to move.
-
-    Raises:
-        InputError: more than MOST_IDENTITIES.
-    """
+    """Check the number of meshes to move."""
     if count > MOST_IDENTITIES:
         raise InputError(f"meshes to move: expected {MOST_IDENTITIES} or fewer, found {count}; remove some")

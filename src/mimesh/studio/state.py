@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any, get_args
 
 from ..bodies.animals import ANIMALS
@@ -76,11 +75,11 @@ def scene(session: Session) -> dict[str, Any]:
     """
     key, driving = scene_key(session), session.driving
     identities = [item for item in list(session.identities.values()) if item.content is not None]
-    panels = [(item, _identity_panel(session, item)) for item in identities]
+    panels = [(item, _panel(session, item, "identity")) for item in identities]
     if driving is not None and driving.content is not None:
         first = panels if len(panels) == 1 else []
         results = [(item, _result_panel(session, item)) for item in identities]
-        panels = [*first, (driving, _driving_panel(session, driving)), *results]
+        panels = [*first, (driving, _panel(session, driving, "driving")), *results]
     packed = pack_scene([panel for _, panel in panels], budget=SCENE_BUDGET) if panels else None
     return {"key": key, "numbers": [item.number for item, _ in panels], "scene": packed}
 
@@ -103,23 +102,18 @@ def used_facing(session: Session, item: Item) -> dict[str, Any]:
     return item.facing
 
 
-def _identity_panel(session: Session, item: Item) -> Panel:
-    assert isinstance(item.content, Mesh)
-    facing = used_facing(session, item)
-    return Panel("identity", Clip.still(item.content), item.name, facing["up"], facing["front"])
-
-
-def _driving_panel(session: Session, item: Item) -> Panel:
-    assert isinstance(item.content, Clip)
-    facing = used_facing(session, item)
-    return Panel("driving", item.content, item.name, facing["up"], facing["front"])
+def _panel(session: Session, item: Item, role: str) -> Panel:
+    """Return the panel of a mesh or a clip as it was read."""
+    assert item.content is not None
+    clip, facing = item.content, used_facing(session, item)
+    return Panel(role, Clip.still(clip) if isinstance(clip, Mesh) else clip, item.name, facing["up"], facing["front"])
 
 
 def _result_panel(session: Session, item: Item) -> Panel:
     """Return the panel of the current or else of the previous result; without any, the mesh itself."""
     result = item.outcome.result if item.outcome else None
     if result is None:
-        return dataclasses.replace(_identity_panel(session, item), role="result")
+        return _panel(session, item, "result")
     axes = result.report["identity"]
     return Panel("result", result.clip, item.name, axes["up"], axes["front"])
 

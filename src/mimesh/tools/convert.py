@@ -1,8 +1,9 @@
-"""Convert files between all formats (`mimesh convert`), and make notes on what a format does not keep."""
+"""Convert files between all formats (`mimesh convert`), choose and read driving clips, and note what is not kept."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from ..io import (
 )
 from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
+from ..io.gltf.animation import find_animation
 from ..io.gltf.own_animation import OwnAnimation
 from ..io.gltf.scene import node_parents
 from ..io.polygons import smooth_normals
@@ -32,9 +34,11 @@ from ..io.timing import DEFAULT_FPS
 from ..motions.amass import parse_betas
 from ..motions.on_body import is_motion_file
 from ..pipeline.odd_frames import LONE_FRAMES, first_frame_note
+from ..pipeline.skinned import distinct_names
 from ..render.movie import MOVIES, write_clip
-from .driving_clips import ALL, DrivingClip
 
+ALL = "all"
+"""Value of `--animation` for all animations of a file."""
 BONES_ONLY = ".vrma"
 """Format that holds the motion of bones and no mesh."""
 RATELESS = (".hdf5", ".npy", ".pc2")
@@ -178,6 +182,76 @@ def read_clip(
     chosen = {"count": count, "betas": betas}
     clip, notes = load_recorded_clip(path, body_model, fps=fps, animation=animation, progress=progress, **chosen)
     return cut_clip(clip, frames.start or 0, frames.stop, 1 if frames.step is None else frames.step), notes
+
+
+@dataclass(frozen=True)
+class DrivingClip:
+    """A clip of a driving file: the whole file, or one of its animations."""
+
+    path: Path
+    animation: str | None
+    """Name or number of the animation, as `io.load_clip` takes it; None: the first, with those that complement it."""
+    name: str
+    """Name of the animation in the result: that of the animation if the file has several, else that of the file."""
+    animations: tuple[str, ...] = ()
+    """Names of all animations of the file."""
+
+
+def choose_clips(driving: Sequence[Path], selectors: Sequence[str] | None) -> list[DrivingClip]:
+    """Choose clips of driving files, with distinct names.
+
+    Args:
+        driving: the files or folders.
+        selectors: names or numbers of animations, or ALL. Several of one file, one for each of several files in their
+            order, or ALL once for all files; empty or None takes the default of each file.
+
+    Raises:
+        InputError: another number of selectors, no such animation, or a damaged file.
+    """
+    chosen = list(selectors or ())
+    if not chosen:
+        pairs = [(path, None) for path in driving]
+    elif len(driving) == 1:
+        pairs = [(driving[0], selector) for selector in chosen]
+    elif chosen == [ALL]:
+        pairs = [(path, ALL) for path in driving]
+    elif len(chosen) == len(driving):
+        pairs = list(zip(driving, chosen, strict=True))
+    else:
+        raise InputError(
+            f"--animation: expected one for each of {len(driving)} DRIVING, found {len(chosen)}; "
+            f"give them in the order of the files, or --animation {ALL} once"
+        )
+    clips = [clip for path, selector in pairs for clip in _clips_of(path, selector)]
+    names = distinct_names([clip.name for clip in clips])
+    return [dataclasses.replace(clip, name=name) for clip, name in zip(clips, names, strict=True)]
+
+
+def _clips_of(path: Path, selector: str | None) -> Iterator[DrivingClip]:
+    """Yield the clips of a file that one value of `--animation` chooses."""
+    names = list_animations(path)
+    if not names:  # reading the file refuses a selector
+        yield DrivingClip(path, None if selector == ALL else selector, file_stem(path))
+    elif selector is None:
+        yield DrivingClip(path, None, _clip_name(path, names, 0) if len(names) > 1 else file_stem(path), names)
+    else:
+        numbers = range(len(names)) if selector == ALL else (find_animation(names, selector, path),)
+        for number in numbers:
+            # Of animations of one name only the number tells which is meant.
+            exact = names[number] if names.count(names[number]) == 1 else str(number)
+            yield DrivingClip(path, exact, _clip_name(path, names, number), names)
+
+
+def file_stem(path: str | Path) -> str:
+    """Return the name of a file without its suffix, or that of a folder, which may be given as "." or "walk/"."""
+    resolved = Path(path).resolve()
+    return resolved.name if resolved.is_dir() else resolved.stem
+
+
+def _clip_name(path: Path, names: Sequence[str], number: int) -> str:
+    """Return the name of an animation without what Blender puts before it ("Armature|"); the file's if it has none."""
+    name = names[number].rpartition("|")[2]
+    return file_stem(path) if name in ("", str(number)) else name
 
 
 def read_driving(

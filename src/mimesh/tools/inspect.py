@@ -127,6 +127,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
     """Collect the facts of a mesh in memory, and of its clip and its file where given."""
     path = None if path is None else Path(path)
     rig = rig_facts(mesh)
+    rig_details = () if rig is None else (("rig", rig.text if rig.used else f"not used: {rig.text}"),)
     merged, index = weld(mesh.vertices)
     faces = index[mesh.faces]
     # Faces between three distinct positions.
@@ -166,16 +167,11 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         fps=float(clip.fps) if clip is not None and moving else None,
         seconds=float(clip.seconds) if clip is not None and moving else None,
         animations=getattr(mesh.source, "animations", ()),  # not all formats have these three
-        details=getattr(mesh.source, "details", ()) + ((("rig", _rig_text(rig)),) if rig else ()),
+        details=getattr(mesh.source, "details", ()) + rig_details,
         stands=(rig and rig.stands) or (_stands(mesh, rig) if len(mesh.faces) else None),
         notes=getattr(mesh.source, "notes", ()) if rig is None or not rig.used else (),
         missing_images=missing_images(mesh),
     )
-
-
-def _rig_text(rig: RigFacts) -> str:
-    """Describe the file's own rig."""
-    return rig.text if rig.used else f"not used: {rig.text}"
 
 
 def _rows(facts: FileFacts) -> Iterator[tuple[str, str]]:

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from itertools import product
 from pathlib import Path
 
 import gltf_samples as samples
 import numpy as np
 import pytest
 import zoo
-from matrix import matrix
 from scipy.spatial.transform import Rotation, Slerp
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_clip
-from mimesh.io.gltf import write_gltf_clip
 from mimesh.io.gltf.animation import AnimationChannel, animated_nodes, frame_rate, select_channels
-from mimesh.io.gltf.document import Document, open_document
+from mimesh.io.gltf.document import Document, MappedFiles, open_document
 
 HIP_QUATERNIONS = [[0, 0, 0, 1], [0, 0, 0.6, 0.8]]
 """Rotation (xyzw) of the hero's hip at 0 s and 1 s."""
+FACE = 4
+"""Node of the hero with two morph targets."""
 
 
 def hero_with_hip_rotation(tmp_path, quaternion):
@@ -28,17 +27,6 @@ def hero_with_hip_rotation(tmp_path, quaternion):
     sample = samples.hero()
     sample.gltf["nodes"][1]["rotation"] = list(quaternion)
     return load_mesh(sample.glb(tmp_path / "turned.glb")).vertices
-
-
-def test_clip_written_with_morph_targets_is_read_back(tmp_path):
-    cube = zoo.cube()
-    frames = np.stack([cube.vertices * [1, 1 + 0.1 * t, 1] + [t, 0, 0] for t in range(7)])
-    write_gltf_clip(Clip(cube, frames, 24.0), tmp_path / "clip.glb")
-    clip = load_clip(tmp_path / "clip.glb")
-    assert (len(clip), clip.fps) == (7, 24.0)
-    for t in range(7):
-        points = {tuple(np.round(p, 4)) for p in clip.vertices[t]}
-        assert points == {tuple(np.round(p, 4)) for p in frames[t]}
 
 
 def test_skinned_vertices_equal_the_mesh_at_rest_in_each_pose(tmp_path):
@@ -55,23 +43,16 @@ def test_skinned_vertices_equal_the_mesh_at_rest_in_each_pose(tmp_path):
 
 def test_animated_morph_weights_interpolate_linearly(tmp_path):
     sample = samples.hero()
-    rest = load_mesh(sample.glb(tmp_path / "still.glb")).vertices
-    node = next(i for i, n in enumerate(sample.gltf["nodes"]) if n.get("mesh") == 1)
-    count = len(sample.gltf["meshes"][1]["primitives"][0]["targets"])
-    keys = np.zeros((2, count))
-    keys[1, 0] = 1.0
-    times = sample.accessor([0.0, 0.5])
-    channel = {"sampler": 0, "target": {"node": node, "path": "weights"}}
-    samplers = [{"input": times, "output": sample.accessor(keys.ravel())}]
-    sample.gltf["animations"] = [{"channels": [channel], "samplers": samplers}]
+    keys = np.array([[0.0, 0.0], [1.0, 0.0]])
+    samplers = [{"input": sample.accessor([0.0, 0.5]), "output": sample.accessor(keys.ravel())}]
+    channels = [{"sampler": 0, "target": {"node": FACE, "path": "weights"}}]
+    sample.gltf["animations"] = [{"channels": channels, "samplers": samplers}]
     clip = load_clip(sample.glb(tmp_path / "morph.glb"), fps=4.0)
     assert len(clip) == 3
-    middle = (clip.vertices[0] + clip.vertices[2]) / 2
-    assert np.allclose(clip.vertices[1], middle)
+    assert np.allclose(clip.vertices[1], (clip.vertices[0] + clip.vertices[2]) / 2)
     assert not np.allclose(clip.vertices[2], clip.vertices[0])
-    sample.gltf["nodes"][node]["weights"] = keys[1].tolist()
+    sample.gltf["nodes"][FACE]["weights"] = keys[1].tolist()
     assert np.allclose(load_mesh(sample.glb(tmp_path / "posed.glb")).vertices, clip.vertices[2])
-    assert rest.shape == clip.vertices[2].shape
 
 
 def channel(values, interpolation, path="translation"):
@@ -107,11 +88,7 @@ def test_frame_rate_is_that_of_the_keys():
     assert frame_rate(keys([0.0, 1 / 24, 3 / 24])) == 24, "a frame without a key"
 
 
-@matrix(
-    ("frames", "fps"),
-    product([2, 13], [10.0, 12.0, 15.0, 23.976, 29.97, 72.0]),
-    quick=[(2, 12.0), (2, 23.976), (13, 29.97), (13, 72.0)],
-)
+@pytest.mark.parametrize(("frames", "fps"), [(2, 12.0), (2, 23.976), (13, 10.0), (13, 15.0), (13, 29.97), (13, 72.0)])
 def test_clip_keeps_frames_and_rate_when_written_and_read(fps, frames, tmp_path):
     mesh = zoo.cube()
     clip = Clip(mesh, np.stack([mesh.vertices + [np.sin(k), k * k, 0] for k in range(frames)]), fps)
@@ -130,12 +107,15 @@ def hero_with_three_animations(tmp_path):
     return sample.glb(tmp_path / "named.glb")
 
 
-@pytest.mark.parametrize(
-    ("selector", "frames"),
-    [(None, 11), ("turn", 11), ("rig|short", 6), ("short", 6), ("2", 6), ("Turn", 11), ("SHORT", 6)],
-)
-def test_animation_is_selected_by_name_or_index(tmp_path, selector, frames):
-    assert len(load_clip(hero_with_three_animations(tmp_path), fps=10.0, animation=selector)) == frames
+def test_animation_is_selected_by_name_or_index(tmp_path):
+    path = hero_with_three_animations(tmp_path)
+    frames = {None: 11, "turn": 11, "rig|short": 6, "short": 6, "2": 6, "Turn": 11, "SHORT": 6}
+    assert {name: len(load_clip(path, fps=10.0, animation=name)) for name in frames} == frames
+    with pytest.raises(InputError, match=r"turn, rig\|short, 2.*animation"):
+        load_clip(path, animation="walk")
+    (tmp_path / "cube.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(InputError, match=r"with animation=..."):
+        load_clip(tmp_path / "cube.obj", animation="walk")
 
 
 def moving(node, path="rotation"):
@@ -157,7 +137,8 @@ def test_animations_of_other_nodes_are_read_with_the_first_and_alternatives_are_
 def test_nodes_that_any_animation_moves_are_listed():
     """A new animation has keys for all of them: other programs mix it with those of other nodes."""
     gltf = {"nodes": [{}, {}, {}], "animations": [moving(0), moving(2), moving(1, "weights"), moving(9)]}
-    assert animated_nodes(Document(Path("a.glb"), gltf, b"", ()), {"rotation"}) == {0, 2}
+    path = Path("a.glb")
+    assert animated_nodes(Document(path, gltf, b"", (), MappedFiles(path)), {"rotation"}) == {0, 2}
 
 
 def test_a_damaged_animation_beside_the_first_is_refused_only_if_it_is_asked_for(tmp_path):
@@ -169,14 +150,6 @@ def test_a_damaged_animation_beside_the_first_is_refused_only_if_it_is_asked_for
     assert len(load_clip(path, fps=10.0)) == 11
     with pytest.raises(InputError, match="samplers in animation 1"):
         load_clip(path, animation="empty")
-
-
-def test_missing_animation_is_refused_with_the_names_of_others(tmp_path):
-    with pytest.raises(InputError, match=r"turn, rig\|short, 2.*animation"):
-        load_clip(hero_with_three_animations(tmp_path), animation="walk")
-    (tmp_path / "cube.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    with pytest.raises(InputError, match=r"with animation=..."):
-        load_clip(tmp_path / "cube.obj", animation="walk")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,7 @@
-"""Rigged glTF and VRM files as characters: rest pose, facing, VRM's bones, clips, origin, and what is refused."""
+"""Rigged glTF and VRM files as characters: rest pose, facing, VRM's bones, clips, origin, and what is refused.
+
+Animals are the same rig as was written, whatever they face, and have clips that pose it.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rigs
+from animals import FEET, animal, bones, random_turns
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.joint_names import other_side
 from mimesh.core.errors import InputError
-from mimesh.io import load_clip
-from mimesh.io.gltf.character import read_rigged_character
+from mimesh.io import load_clip, load_mesh
+from mimesh.io.gltf.character import read_rigged_animal, read_rigged_character
+from mimesh.io.gltf.own_rig import read_own_rig
 from mimesh.io.gltf.vrm import VRM_BONES
 
 BODY = load_body()
@@ -80,15 +85,12 @@ def test_the_bones_of_vrm_count_before_names(tmp_path, version):
         nodes = {bone: 2 + BODY.joint(joint) for bone, joint in joints.items()}
         for k, node in enumerate(gltf["nodes"]):
             node["name"] = f"bone{k}"
-        if version:
-            bones = {bone: {"node": node} for bone, node in nodes.items()}
-            meta = {"authors": ["ann", "bob"], "licenseUrl": "https://vrm.dev/licenses/1.0/"}
-            gltf["extensions"] = {"VRMC_vrm": {"humanoid": {"humanBones": bones}, "meta": meta}}
-        else:
-            rows = [{"bone": bone, "node": node} for bone, node in nodes.items()]
-            gltf["extensions"] = {
-                "VRM": {"humanoid": {"humanBones": rows}, "meta": {"author": "eve", "licenseName": "CC0"}}
-            }
+        bones = {bone: {"node": node} for bone, node in nodes.items()}
+        meta = {"authors": ["ann", "bob"], "licenseUrl": "https://vrm.dev/licenses/1.0/"}
+        new = {"VRMC_vrm": {"humanoid": {"humanBones": bones}, "meta": meta}}
+        rows = [{"bone": bone, "node": node} for bone, node in nodes.items()]
+        old = {"VRM": {"humanoid": {"humanBones": rows}, "meta": {"author": "eve", "licenseName": "CC0"}}}
+        gltf["extensions"] = new if version else old
 
     path = edited(rigs.character(tmp_path / "a.gltf", turn=None if version else BACK), humanoid)
     found = read_rigged_character(path, licence="License.txt")
@@ -100,15 +102,10 @@ def test_the_bones_of_vrm_count_before_names(tmp_path, version):
     assert joint_at(found, "LeftArm")[0] > 0
 
 
-@pytest.mark.parametrize(
-    "extensions",
-    [
-        {"VRM": [1]},
-        {"VRM": {"humanoid": {"humanBones": {"hips": 3}}}},
-        {"VRMC_vrm": {"humanoid": {"humanBones": {"hips": {"node": 10**9}, "head": {"node": "x"}}}, "meta": []}},
-    ],
-)
-def test_damaged_extensions_of_vrm_leave_the_names(tmp_path, extensions):
+def test_damaged_extensions_of_vrm_leave_the_names(tmp_path):
+    """What else is damaged: tests/io/gltf/test_vrm.py."""
+    damaged = {"humanoid": {"humanBones": {"hips": {"node": 10**9}, "head": {"node": "x"}}}, "meta": []}
+    extensions = {"VRMC_vrm": damaged, "VRM": [1]}
     path = edited(rigs.character(tmp_path / "a.gltf"), lambda gltf: gltf.update(extensions=extensions))
     found = read_rigged_character(path)
     assert found.rig.joint_names[found.joints["LeftArm"]] == "LeftArm"
@@ -150,3 +147,50 @@ def test_a_character_that_lies_in_its_file_is_read_as_it_stands_in_its_bind_pose
 def test_what_is_no_character_is_refused(tmp_path):
     with pytest.raises(InputError, match="expected a thigh and an upper arm"):
         read_rigged_character(rigs.character(tmp_path / "b.glb", name=lambda name: f"x{BODY.joint(name)}"))
+
+
+def frames(made, count: int = 3):
+    return [(random_turns(t, made.order, 15), np.array([0.0, 0.05 * t, 0.1 * t])) for t in range(count)]
+
+
+@pytest.mark.parametrize("detached", [(), FEET])
+def test_an_animal_is_read_with_its_joints_and_clips(detached, tmp_path):
+    made = animal(0, bones(4), detached)
+    motion = frames(made)
+    found = read_rigged_animal(made.write(tmp_path / "cow.glb", {"go": motion}), "pack")
+    assert (found.meta.body_class, found.meta.facing, found.meta.pack) == ("quadruped", "+z", "pack")
+    assert list(found.clips) == ["go"]
+    for name in ("LeftForearm", "RightShin", "LeftToes", "Neck1", "Head", "Tail3"):
+        np.testing.assert_allclose(found.rig.joints[found.joints[name]], made.joints[made.order.index(name)], atol=1e-5)
+    for t, frame in enumerate(motion):
+        posed = found.rig.skinned(found.clip_transforms("go", t))
+        np.testing.assert_allclose(posed, made.posed(*frame), atol=2e-3)
+
+
+def test_an_animal_is_turned_to_face_z(tmp_path):
+    made = animal(0)
+    straight = read_rigged_animal(made.write(tmp_path / "a.glb", {"go": frames(made, 2)}))
+    for degrees, facing in ((180, "-z"), (90, "+x")):
+        turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+        path = made.write(tmp_path / "b.glb", {"go": frames(made, 2), "stay": frames(made, 1)}, turn=turn)
+        turned = read_rigged_animal(path, left_out=lambda name: name == "stay")
+        assert (turned.meta.facing, list(turned.clips)) == (facing, ["go"])
+        assert turned.joints == straight.joints
+        np.testing.assert_allclose(turned.rig.joints, straight.rig.joints, atol=1e-5)
+        np.testing.assert_allclose(turned.rig.mesh.vertices, straight.rig.mesh.vertices, atol=1e-5)
+        for t in range(2):
+            one, other = (read.rig.skinned(read.clip_transforms("go", t)) for read in (straight, turned))
+            np.testing.assert_allclose(other, one, atol=2e-3)
+        own = read_own_rig(load_mesh(path), body="quadruped").humanoid
+        np.testing.assert_allclose(own.turn @ turn, np.eye(3), atol=1e-6)
+
+
+def test_a_person_and_an_animal_are_no_rigs_of_the_other_body(tmp_path):
+    with pytest.raises(InputError, match="expected a skin, found none"):
+        read_own_rig(animal(0).mesh, body="quadruped")
+    with pytest.raises(InputError, match=r"cow\.glb: expected a thigh and an upper arm"):
+        read_own_rig(load_mesh(animal(0).write(tmp_path / "cow.glb")))
+    with pytest.raises(InputError, match=r"man\.glb: expected"):
+        read_own_rig(load_mesh(rigs.character(tmp_path / "man.glb")), body="quadruped")
+    with pytest.raises(InputError, match=r"man\.glb: expected"):
+        read_rigged_animal(tmp_path / "man.glb")

@@ -1,17 +1,17 @@
 """Draco and meshopt compressed files read as the plain ones they were made of."""
 
 import importlib.util
-import json
-import struct
 
 import gltf_samples as samples
 import numpy as np
 import pytest
-from compressed_files import DRACO, MESHOPT, draco_glb, meshopt_glb, require, save_glb
-from gltf_reference import json_of
+from compressed_files import DRACO, MESHOPT, draco_glb, meshopt_glb, require
+from gltf_reference import binary_of, json_of
+from gltf_samples import pack_glb
 
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh, save_mesh
+from mimesh.io.gltf.check import list_primitives
 from mimesh.io.gltf.document import open_document, read_accessor
 from mimesh.io.gltf.draft import AccessorCopier
 from mimesh.io.gltf.skin_file import read_skin
@@ -19,10 +19,25 @@ from mimesh.io.gltf.skin_file import read_skin
 pytestmark = pytest.mark.usefixtures("in_process")
 
 
-@pytest.fixture
-def plain(tmp_path):
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
     """A file with a skin, morph targets, an animation, strides, sparse accessors, strips, points and images."""
-    return samples.hero().glb(tmp_path / "plain.glb")
+    return samples.hero().glb(tmp_path_factory.mktemp("plain") / "plain.glb")
+
+
+@pytest.fixture(scope="module")
+def by_meshopt(plain):
+    return meshopt_glb(plain, plain.with_name("meshopt.glb"))
+
+
+@pytest.fixture(scope="module")
+def by_draco(plain):
+    return draco_glb(plain, plain.with_name("draco.glb"))
+
+
+@pytest.fixture(params=["meshopt", "draco"])
+def compressed(request):
+    return request.getfixturevalue(f"by_{request.param}")
 
 
 @pytest.mark.parametrize(("name", "version"), [(MESHOPT, 0), ("KHR_meshopt_compression", 1)])
@@ -59,7 +74,8 @@ def test_meshopt_filters_are_undone(tmp_path):
         "scenes": [{"nodes": [0]}],
     }
     require(gltf, MESHOPT)
-    mesh = load_mesh(save_glb(gltf, blob, tmp_path / "a.glb"))
+    (tmp_path / "a.glb").write_bytes(pack_glb(gltf, blob))
+    mesh = load_mesh(tmp_path / "a.glb")
     np.testing.assert_allclose(mesh.vertices, points, atol=np.abs(points).max() / 2**13)
 
 
@@ -68,8 +84,8 @@ def at_corners(mesh, values):
     return np.asarray(values)[..., mesh.faces, :]
 
 
-def test_draco_is_decoded_within_its_quantization(plain, tmp_path):
-    path = draco_glb(plain, tmp_path / "small.glb")
+def test_draco_is_decoded_within_its_quantization(plain, by_draco):
+    path = by_draco
     expected, mesh = load_mesh(plain), load_mesh(path)
     step = 2 * np.ptp(expected.vertices, axis=0).max() / 2**16
     np.testing.assert_allclose(at_corners(mesh, mesh.vertices), at_corners(expected, expected.vertices), atol=step)
@@ -80,29 +96,26 @@ def test_draco_is_decoded_within_its_quantization(plain, tmp_path):
         values, expected_values = getattr(rig, name), getattr(expected_rig, name)
         np.testing.assert_array_equal(at_corners(mesh, values), at_corners(expected, expected_values))
     np.testing.assert_array_equal(mesh.corner_uv, expected.corner_uv)
+    small, whole = open_document(path), open_document(plain)
+    for primitive, old in zip(list_primitives(small.gltf), list_primitives(whole.gltf), strict=True):
+        if "WEIGHTS_0" in old["attributes"]:  # weights that add up keep their bytes
+            stored = read_accessor(small, primitive["attributes"]["WEIGHTS_0"])
+            np.testing.assert_array_equal(stored, read_accessor(whole, old["attributes"]["WEIGHTS_0"]))
 
 
-@pytest.mark.parametrize("compress", [meshopt_glb, draco_glb])
-def test_compressed_file_is_written_plain(compress, plain, tmp_path):
-    mesh = load_mesh(compress(plain, tmp_path / "small.glb"))
+def test_compressed_file_is_written_plain(compressed, tmp_path):
+    mesh = load_mesh(compressed)
     save_mesh(mesh, tmp_path / "again.glb")
     again = open_document(tmp_path / "again.glb").gltf
     assert not {DRACO, MESHOPT} & {*again.get("extensionsUsed", []), *again.get("extensionsRequired", [])}
     np.testing.assert_allclose(load_mesh(tmp_path / "again.glb").vertices, mesh.vertices, atol=1e-5)
-
-
-@pytest.mark.parametrize("compress", [meshopt_glb, draco_glb])
-def test_compressed_bytes_are_dropped_and_views_keep_their_numbers(compress, plain, tmp_path):
-    path = compress(plain, tmp_path / "small.glb")
-    gltf = json_of(path)
-    document = open_document(path)
+    # Compressed bytes are dropped, and views keep their numbers.
+    gltf, document = json_of(compressed), open_document(compressed)
     views = document.gltf["bufferViews"]
     assert len(views) >= len(gltf["bufferViews"])
-    compressed = {
-        p["extensions"][DRACO]["bufferView"] for m in gltf["meshes"] for p in m["primitives"] if "extensions" in p
-    }
-    assert all(views[k]["byteLength"] == 1 for k in compressed)
-    used = sum(view["byteLength"] + 4 for k, view in enumerate(views) if k not in compressed)
+    dead = {p["extensions"][DRACO]["bufferView"] for p in list_primitives(gltf) if "extensions" in p}
+    assert all(views[k]["byteLength"] == 1 for k in dead)
+    used = sum(view["byteLength"] + 4 for k, view in enumerate(views) if k not in dead)
     assert len(document.binary) <= used
     AccessorCopier(document, whole=True).draft.save(tmp_path / "again.glb")
     again = open_document(tmp_path / "again.glb")
@@ -110,9 +123,8 @@ def test_compressed_bytes_are_dropped_and_views_keep_their_numbers(compress, pla
         np.testing.assert_array_equal(read_accessor(again, index), read_accessor(document, index))
 
 
-def test_compressed_copies_of_plain_data_are_dropped(plain, tmp_path):
-    path = meshopt_glb(plain, tmp_path / "small.glb")
-    expected = open_document(path)
+def test_compressed_copies_of_plain_data_are_dropped(by_meshopt, tmp_path):
+    expected = open_document(by_meshopt)
 
     def optional(gltf):
         """Give the views their data in the first buffer too."""
@@ -122,31 +134,26 @@ def test_compressed_copies_of_plain_data_are_dropped(plain, tmp_path):
             view |= {"buffer": 0, "byteOffset": gltf["buffers"][0]["byteLength"] + whole["byteOffset"]}
         gltf["buffers"][0]["byteLength"] += len(expected.binary)
 
-    content = path.read_bytes()
-    start = 28 + struct.unpack_from("<I", content, 12)[0]
-    path.write_bytes(content + bytes(expected.binary))
-    document = open_document(altered(path, optional))
+    document = open_document(altered(by_meshopt, optional, tmp_path, bytes(expected.binary)))
     assert len(document.binary) == len(expected.binary)
-    assert len(document.binary) < len(content) - start + len(expected.binary)
     for index in range(len(document.gltf["accessors"])):
         np.testing.assert_array_equal(read_accessor(document, index), read_accessor(expected, index))
 
 
-@pytest.mark.parametrize(("compress", "package"), [(meshopt_glb, "meshopt"), (draco_glb, "DracoPy")])
-def test_missing_decoder_names_the_extra(compress, package, plain, tmp_path, monkeypatch):
-    path, find = compress(plain, tmp_path / "small.glb"), importlib.util.find_spec
+def test_missing_decoder_names_the_extra(compressed, monkeypatch):
+    find, package = importlib.util.find_spec, {"meshopt": "meshopt", "draco": "DracoPy"}[compressed.stem]
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == package else find(name, *rest))
     with pytest.raises(InputError, match=rf"expected {package} to read .*pip install 'mimesh\[compressed\]'"):
-        load_mesh(path)
+        load_mesh(compressed)
 
 
-def altered(path, change):
-    """Write a .glb again with another JSON."""
-    content = path.read_bytes()
-    length = struct.unpack_from("<I", content, 12)[0]
-    gltf = json.loads(content[20 : 20 + length])
+def altered(path, change, folder, more=b""):
+    """Write a .glb with another JSON, and more bytes at its end, into a folder."""
+    gltf = json_of(path)
     change(gltf)
-    return save_glb(gltf, content[28 + length :], path)
+    target = folder / "altered.glb"
+    target.write_bytes(pack_glb(gltf, binary_of(path) + more))
+    return target
 
 
 def every_view(**changes):
@@ -182,15 +189,15 @@ MESHOPT_FAULTS = {
 
 
 @pytest.mark.parametrize("fault", MESHOPT_FAULTS)
-def test_contradictory_meshopt_is_refused(fault, plain, tmp_path):
+def test_contradictory_meshopt_is_refused(fault, by_meshopt, tmp_path):
     change, message = MESHOPT_FAULTS[fault]
     with pytest.raises(InputError, match=message):
-        load_mesh(altered(meshopt_glb(plain, tmp_path / "small.glb"), change))
+        load_mesh(altered(by_meshopt, change, tmp_path))
 
 
 def every_primitive(change):
     def apply(gltf):
-        for primitive in (p for mesh in gltf["meshes"] for p in mesh["primitives"] if "extensions" in p):
+        for primitive in (p for p in list_primitives(gltf) if "extensions" in p):
             change(gltf, primitive["extensions"][DRACO], primitive)
 
     return apply
@@ -205,32 +212,29 @@ DRACO_FAULTS = {
         every_primitive(lambda g, e, p: g["accessors"][p["indices"]].update(count=3)),
         "in indices of its Draco data",
     ),
+    "huge": (  # refused before anything is allocated
+        lambda g: [accessor.update(count=2**31) for accessor in g["accessors"] if "bufferView" not in accessor],
+        "bytes when it is unpacked",
+    ),
 }
 
 
-def test_draco_without_indices_gives_its_attributes(plain, tmp_path):
+def test_draco_without_indices_gives_its_attributes(plain, by_draco, tmp_path):
     """Without an accessor of indices the vertices are drawn in order."""
-    path = altered(draco_glb(plain, tmp_path / "small.glb"), every_primitive(lambda g, e, p: p.pop("indices")))
+    path = altered(by_draco, every_primitive(lambda g, e, p: p.pop("indices")), tmp_path)
     found, expected = load_mesh(path).vertices, load_mesh(plain).vertices
     for bound in (np.min, np.max):
         np.testing.assert_allclose(bound(found, axis=0), bound(expected, axis=0), atol=1e-3)
 
 
 @pytest.mark.parametrize("fault", DRACO_FAULTS)
-def test_contradictory_draco_is_refused(fault, plain, tmp_path):
+def test_contradictory_draco_is_refused(fault, by_draco, tmp_path):
     change, message = DRACO_FAULTS[fault]
+    path = altered(by_draco, change, tmp_path)
     with pytest.raises(InputError, match=message) as caught:
-        load_mesh(altered(draco_glb(plain, tmp_path / "small.glb"), change))
+        load_mesh(path)
     assert "\n" not in str(caught.value)
-    assert str(caught.value).startswith(f"{tmp_path / 'small.glb'}: ")
-
-
-def test_huge_count_is_refused_before_anything_is_allocated(plain, tmp_path):
-    path = draco_glb(plain, tmp_path / "small.glb")
-    with pytest.raises(InputError, match="bytes when it is unpacked"):
-        load_mesh(
-            altered(path, lambda gltf: [a.update(count=2**31) for a in gltf["accessors"] if "bufferView" not in a])
-        )
+    assert str(caught.value).startswith(f"{path}: ")
 
 
 def quantized(name, values):
@@ -244,48 +248,33 @@ def quantized(name, values):
 
 def test_draco_results_keep_the_rules_that_quantization_breaks(tmp_path):
     sample = samples.hero()
-    for mesh in sample.gltf["meshes"]:
-        for primitive in mesh["primitives"]:
-            attributes = primitive["attributes"]
-            count = sample.gltf["accessors"][attributes["POSITION"]]["count"]
-            attributes["TANGENT"] = sample.accessor(np.tile([1.0, 0.0, 0.0, -1.0], (count, 1)))
-            for name in [name for name in attributes if name.startswith("WEIGHTS")]:
-                attributes[name] = sample.accessor(np.tile([0.7, 0.2, 0.1, 0.0], (count, 1)))
-            attributes["COLOR_0"] = sample.accessor(np.full((count, 3), 200), "u1", normalized=True)
+    for primitive in list_primitives(sample.gltf):
+        attributes = primitive["attributes"]
+        count = sample.gltf["accessors"][attributes["POSITION"]]["count"]
+        attributes["TANGENT"] = sample.accessor(np.tile([1.0, 0.0, 0.0, -1.0], (count, 1)))
+        if "WEIGHTS_0" in attributes:
+            attributes["WEIGHTS_0"] = sample.accessor(np.tile([0.7, 0.2, 0.1, 0.0], (count, 1)))
+        attributes["COLOR_0"] = sample.accessor(np.full((count, 3), 200), "u1", normalized=True)
     plain = sample.glb(tmp_path / "plain.glb")
     document = open_document(draco_glb(plain, tmp_path / "small.glb", 8, quantized))
-    expected = open_document(plain)
     accessors, views = document.gltf["accessors"], document.gltf["bufferViews"]
     found = set()
-    for before, after in zip(expected.gltf["meshes"], document.gltf["meshes"], strict=True):
-        for old, primitive in zip(before["primitives"], after["primitives"], strict=True):
-            attributes = primitive["attributes"]
-            if attributes == old["attributes"]:
-                continue  # not compressed
-            values = {name: read_accessor(document, index) for name, index in attributes.items()}
-            weights = [values[name] for name in values if name.startswith("WEIGHTS")]
-            if weights:
-                np.testing.assert_allclose(np.concatenate(weights, axis=1).sum(axis=1), 1.0, atol=1e-6)
-            assert set(np.abs(values["TANGENT"][:, 3])) == {1.0}
-            for name, index in attributes.items():
-                bounds = accessors[index]
-                for key in {"min", "max"} & bounds.keys():
-                    assert bounds[key] == getattr(values[name], key)(axis=0).tolist()
-                    found.add(name)
-                view = views[bounds["bufferView"]]
-                assert view["target"] == 34962
-                assert view.get("byteStride", 4) % 4 == 0
-                assert (view.get("byteStride") == 4) == (name == "COLOR_0")
-            assert views[accessors[primitive["indices"]]["bufferView"]]["target"] == 34963
+    for old, primitive in zip(*(list_primitives(d.gltf) for d in (open_document(plain), document)), strict=True):
+        attributes = primitive["attributes"]
+        if attributes == old["attributes"]:
+            continue  # not compressed
+        values = {name: read_accessor(document, index) for name, index in attributes.items()}
+        if "WEIGHTS_0" in values:
+            np.testing.assert_allclose(values["WEIGHTS_0"].sum(axis=1), 1.0, atol=1e-6)
+        assert set(np.abs(values["TANGENT"][:, 3])) == {1.0}
+        for name, index in attributes.items():
+            bounds = accessors[index]
+            for key in {"min", "max"} & bounds.keys():
+                assert bounds[key] == getattr(values[name], key)(axis=0).tolist()
+                found.add(name)
+            view = views[bounds["bufferView"]]
+            assert view["target"] == 34962
+            assert view.get("byteStride", 4) % 4 == 0
+            assert (view.get("byteStride") == 4) == (name == "COLOR_0")
+        assert views[accessors[primitive["indices"]]["bufferView"]]["target"] == 34963
     assert {"POSITION", "COLOR_0", "WEIGHTS_0"} <= found
-
-
-def test_weights_that_add_up_keep_their_bytes(tmp_path):
-    plain = samples.hero().glb(tmp_path / "plain.glb")
-    document, expected = open_document(draco_glb(plain, tmp_path / "small.glb")), open_document(plain)
-    for before, after in zip(expected.gltf["meshes"], document.gltf["meshes"], strict=True):
-        for old, primitive in zip(before["primitives"], after["primitives"], strict=True):
-            for name, index in primitive["attributes"].items():
-                if name.startswith("WEIGHTS"):
-                    stored = read_accessor(document, index)
-                    np.testing.assert_array_equal(stored, read_accessor(expected, old["attributes"][name]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from mimesh.io.gltf.draft import Draft
 from mimesh.io.gltf.edit import GltfSource
 from mimesh.io.gltf.own_animation import OwnAnimation, write_own_animations
 from mimesh.io.gltf.own_rig import GltfJoints, read_own_rig
-from mimesh.io.gltf.scene import local_matrices, node_parents, world_matrices
+from mimesh.io.gltf.scene import node_parents, world_matrices
 
 SAME = 1e-6
 """Largest distance of a vertex or a node, over the size of the mesh, with and without a root bone."""
@@ -131,16 +130,41 @@ def saved(animation: OwnAnimation, path: Path, name: str | None, moves: bool = T
 
 
 def worlds(document: Document) -> dict[str, np.ndarray]:
-    world = world_matrices(document, local_matrices(document))
+    world = world_matrices(document)
     return dict(zip((node["name"] for node in document.gltf["nodes"]), world, strict=True))
 
 
-@matrix("kind", FILES, quick=["metres, y up", "three skins", "nodes in another pose", "props on a still joint"])
+QUICK = ("the armature moves", "three skins", "nodes in another pose", "old splines", "props on a still joint")
+
+
+@matrix("kind", FILES, quick=QUICK)
 def test_the_bone_is_on_the_floor_with_the_axes_of_the_world_and_in_the_skin(kind, tmp_path):
+    """It has the way of the hips over the ground, and vertices and nodes stay in all animations."""
     animation = written(tmp_path / "a.glb", kind)
-    old, new = animation.source.document, saved(animation, tmp_path / "b.glb", "Root")
+    plain = saved(animation, tmp_path / "plain.glb", None)
+    still, rooted = (saved(animation, tmp_path / f"{n}.glb", "Root", moves=n == "Root") for n in ("still", "Root"))
+    check_bone(animation, rooted)
+    check_way(animation, rooted, tmp_path / "Root.glb")
+    assert not any(channel.node == len(plain.gltf["nodes"]) for channel in read_channels(still, 0))
+    size = np.ptp(animation.source.vertices, axis=0).max()
+    at_rest = worlds(plain)
+    for name, document in (("still", still), ("Root", rooted)):
+        vertices = load_mesh(tmp_path / f"{name}.glb").vertices
+        np.testing.assert_allclose(vertices, animation.source.vertices, atol=SAME * size, rtol=0)
+        for number in range(len(plain.gltf["animations"])):
+            one, other = (load_clip(tmp_path / f"{n}.glb", animation=str(number)).vertices for n in ("plain", name))
+            np.testing.assert_allclose(other, one, atol=SAME * size, rtol=0)
+        now = worlds(document)
+        for node, world in at_rest.items():
+            np.testing.assert_allclose(now[node][:3, 3], world[:3, 3], atol=SAME * size)
+            np.testing.assert_allclose(now[node][:3, :3], world[:3, :3], atol=1e-6 * np.abs(world).max())
+
+
+def check_bone(animation: OwnAnimation, new: Document) -> None:
+    """Check the place of a bone at rest and in the skins."""
+    old = animation.source.document
     root, size = len(old.gltf["nodes"]), np.ptp(animation.source.vertices, axis=0).max()
-    world = world_matrices(new, local_matrices(new))
+    world = world_matrices(new)
     hips = world[animation.joints["Hips"], :3, 3]
     scale = np.cbrt(np.linalg.det(world[root, :3, :3]))
     np.testing.assert_allclose(world[root, :3, :3] / scale, np.eye(3), atol=1e-6)
@@ -161,47 +185,16 @@ def test_the_bone_is_on_the_floor_with_the_axes_of_the_world_and_in_the_skin(kin
     assert all(root in ancestors(parents, joint) for joint in new.gltf["skins"][0]["joints"])
 
 
-@matrix("kind", FILES, quick=["hips on top", "turned", "the armature moves", "unequal scale above"])
-def test_the_bone_has_the_way_of_the_hips_over_the_ground(kind, tmp_path):
-    animation = written(tmp_path / "a.glb", kind)
-    new = saved(animation, tmp_path / "b.glb", "Root")
+def check_way(animation: OwnAnimation, new: Document, path: Path) -> None:
+    """Check that a bone has the way of the hips over the ground in a written file."""
     root, size = len(new.gltf["nodes"]) - 1, np.ptp(animation.source.vertices, axis=0).max()
     hips = animation.node_matrices([animation.joints["Hips"]])[:, 0, :3, 3]
     assert np.ptp(hips[:, [0, 2]], axis=0).max() > 0.1 * size
-    mesh, clip = load_mesh(tmp_path / "b.glb"), load_clip(tmp_path / "b.glb", animation="0")
+    mesh, clip = load_mesh(path), load_clip(path, animation="0")
     moved = OwnAnimation(mesh.source, "", clip.skeleton.values(), clip.fps, len(clip), {}).node_matrices([root])[:, 0]
-    way = moved[:, :3, 3] - world_matrices(new, local_matrices(new))[root, :3, 3]
+    way = moved[:, :3, 3] - world_matrices(new)[root, :3, 3]
     np.testing.assert_allclose(way, (hips - hips[0]) * [1, 0, 1], atol=SAME * size)
     assert {channel.path for channel in read_channels(new, 0) if channel.node == root} == {"translation"}
-
-
-@matrix(
-    ("kind", "moves"),
-    product(FILES, [False, True]),
-    quick=[
-        ("a joint above the hips moves", True),
-        ("a joint above the hips is still", False),
-        ("feet on roots", True),
-        ("old splines", True),
-    ],
-)
-def test_vertices_and_nodes_stay_in_all_animations(kind, moves, tmp_path):
-    animation = written(tmp_path / "a.glb", kind)
-    size = np.ptp(animation.source.vertices, axis=0).max()
-    plain, rooted = (saved(animation, tmp_path / f"{name}.glb", name, moves) for name in (None, "Root"))
-    np.testing.assert_allclose(
-        load_mesh(tmp_path / "Root.glb").vertices, animation.source.vertices, atol=SAME * size, rtol=0
-    )
-    for number in range(len(plain.gltf["animations"])):
-        one, other = (load_clip(tmp_path / f"{name}.glb", animation=str(number)) for name in (None, "Root"))
-        np.testing.assert_allclose(other.vertices, one.vertices, atol=SAME * size, rtol=0)
-    at_rest, now = worlds(plain), worlds(rooted)
-    for name, world in at_rest.items():
-        np.testing.assert_allclose(now[name][:3, 3], world[:3, 3], atol=SAME * size)
-        np.testing.assert_allclose(now[name][:3, :3], world[:3, :3], atol=1e-6 * np.abs(world).max())
-    root = len(plain.gltf["nodes"])
-    if not moves:
-        assert not any(channel.node == root for channel in read_channels(rooted, 0))
 
 
 def test_a_still_joint_above_the_hips_goes_along(tmp_path):
@@ -218,6 +211,8 @@ def test_a_bone_that_the_file_has_is_used(tmp_path):
     """A file with a root bone that stands still gets no second one, and keeps its name."""
     animation = written(tmp_path / "a.glb", "a joint above the hips moves")
     saved(animation, tmp_path / "still.glb", "root", moves=False)
+    before, after = (read_own_rig(load_mesh(tmp_path / name)).person for name in ("a.glb", "still.glb"))
+    assert after == before, "own rigs are read with the bone"
     again = animation_of(tmp_path / "still.glb", list(animation.joints))
     new = saved(again, tmp_path / "b.glb", "Root")
     names = [node["name"] for node in new.gltf["nodes"]]
@@ -233,19 +228,9 @@ def test_a_bone_that_the_file_has_is_used(tmp_path):
 
 
 def test_a_root_of_the_file_that_moves_is_no_root_bone(tmp_path):
-    rigs.character(
-        tmp_path / "a.glb", person=below("Root", (0, 0, 0)), clips={"move": rigs.exercise(below("Root", (0, 0, 0)))}
-    )
-    animation = animation_of(tmp_path / "a.glb", ["Hips"])
-    new = saved(animation, tmp_path / "b.glb", "Root")
+    person = below("Root", (0, 0, 0))
+    rigs.character(tmp_path / "a.glb", person=person, clips={"move": rigs.exercise(person)})
+    new = saved(animation_of(tmp_path / "a.glb", ["Hips"]), tmp_path / "b.glb", "Root")
     names = [node["name"] for node in new.gltf["nodes"]]
-    assert names[FIRST] == "Root (of the file)"
-    assert names[-1] == "Root"
+    assert (names[FIRST], names[-1]) == ("Root (of the file)", "Root")
     assert new.gltf["nodes"][-1]["children"] == [FIRST]
-
-
-def test_own_rigs_are_read_with_the_bone(tmp_path):
-    animation = written(tmp_path / "a.glb", "a joint above the hips moves")
-    saved(animation, tmp_path / "b.glb", "Root")
-    before, after = (read_own_rig(load_mesh(tmp_path / name)).person for name in ("a.glb", "b.glb"))
-    assert after == before

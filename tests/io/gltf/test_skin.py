@@ -12,48 +12,35 @@ from mimesh.core.errors import InputError
 from mimesh.io import load_mesh, save_mesh
 from mimesh.io.gltf.skin_file import read_skin
 
+FACE, BODY = slice(0, 12), slice(12, 36)
+"""Vertices of the hero's meshes."""
 
-def body_of(sample: samples.Sample) -> dict:
+
+def body_of(sample: samples.Sample) -> list[dict]:
     return sample.gltf["meshes"][0]["primitives"]
 
 
-def test_joint_transforms_match_the_reference_reader(tmp_path):
+def test_joints_and_influences_match_the_reference_reader(tmp_path):
+    """Weights are normalised bytes here, and the scale of the armature is 100; the face is unskinned below the chest,
+    with its morph targets at their default weights."""
     path = samples.hero().glb(tmp_path / "a.glb")
-    skin, reference = read_skin(path), ReferenceReader(path)
+    skin, mesh, reference = read_skin(path), load_mesh(path), ReferenceReader(path)
     assert (skin.joint_names, skin.parents) == (("hip", "chest"), (-1, 0))
-    for j, node in enumerate((1, 2)):
-        np.testing.assert_allclose(skin.T_world_joint[j], reference.world(node), atol=1e-12)
-
-
-def test_vertices_are_the_weighted_mean_of_their_influence_positions(tmp_path):
-    path = samples.hero().glb(tmp_path / "a.glb")
-    skin, mesh = read_skin(path), load_mesh(path)
-    np.testing.assert_allclose((skin.weights[..., None] * skin.points).sum(axis=1), mesh.vertices, atol=1e-12)
-    np.testing.assert_allclose(skin.weights.sum(axis=1), 1, atol=1e-12)
-    np.testing.assert_array_equal(skin.mesh.faces, mesh.faces)
-
-
-def test_influence_positions_match_the_reference_reader(tmp_path):
-    """Weights are normalised bytes here, and the scale of the armature is 100."""
-    path = samples.hero().glb(tmp_path / "a.glb")
-    skin, reference = read_skin(path), ReferenceReader(path)
+    worlds = [reference.world(node) for node in (1, 2)]
+    np.testing.assert_allclose(skin.T_world_joint, worlds, atol=1e-12)
     bind = [row.reshape(4, 4, order="F") for row in reference.values(reference.file.skins[0].inverseBindMatrices)]
     positions, weights = reference.attribute(3, 0, "POSITION"), reference.attribute(3, 0, "WEIGHTS_0")
+    np.testing.assert_allclose(skin.weights[BODY], weights, atol=1e-12)
     for v in range(24):
-        np.testing.assert_allclose(skin.weights[12 + v], weights[v], atol=1e-12)
         assert skin.joint_of[12 + v, weights[v] > 0].tolist() == np.array([0, 1, 0, 0])[weights[v] > 0].tolist()
         for k in np.flatnonzero(weights[v]):
-            expected = reference.world(1 + k) @ bind[k] @ [*positions[v], 1]
+            expected = worlds[k] @ bind[k] @ [*positions[v], 1]
             np.testing.assert_allclose(skin.points[12 + v, k], expected[:3], atol=1e-12)
-
-
-def test_unskinned_mesh_follows_the_joint_above_it(tmp_path):
-    """The face is below the chest, with its morph targets at their default weights."""
-    path = samples.hero().glb(tmp_path / "a.glb")
-    skin = read_skin(path)
-    assert (skin.joint_of[:12, 0] == 1).all()
-    assert (skin.weights[:12] == [1, 0, 0, 0]).all()
-    np.testing.assert_allclose(skin.points[:12, 0], ReferenceReader(path).points(4, 0), atol=1e-12)
+    assert (skin.joint_of[FACE, 0] == 1).all()
+    assert (skin.weights[FACE] == [1, 0, 0, 0]).all()
+    np.testing.assert_allclose(skin.points[FACE, 0], reference.points(4, 0), atol=1e-12)
+    np.testing.assert_allclose((skin.weights[..., None] * skin.points).sum(axis=1), mesh.vertices, atol=1e-12)
+    np.testing.assert_array_equal(skin.mesh.faces, mesh.faces)
 
 
 def test_unskinned_mesh_without_a_joint_above_follows_the_world(tmp_path):
@@ -70,6 +57,7 @@ def test_skins_with_the_same_joints_are_merged(tmp_path):
     sample = samples.hero()
     bind = [np.linalg.inv(matrix).T.ravel() for matrix in samples.bind_matrices()]
     sample.gltf["skins"].append({"joints": [2, 1], "inverseBindMatrices": sample.accessor(bind[::-1])})
+    sample.gltf["skins"].append({"joints": [5, 6]})  # of no mesh: not read
     attributes = dict(body_of(sample)[0]["attributes"])
     attributes["JOINTS_0"] = sample.accessor(np.tile([1, 0, 0, 0], (24, 1)), "u1")
     sample.gltf["meshes"].append({"primitives": [{**body_of(sample)[0], "attributes": attributes}]})
@@ -77,10 +65,10 @@ def test_skins_with_the_same_joints_are_merged(tmp_path):
     sample.gltf["scenes"][0]["nodes"].append(7)
     skin = read_skin(sample.glb(tmp_path / "a.glb"))
     assert skin.joint_names == ("hip", "chest")
-    body, coat = slice(12, 36), slice(36, 60)
+    coat = slice(36, 60)
     used = skin.weights > 0
-    np.testing.assert_array_equal(np.where(used, skin.joint_of, 9)[body], np.where(used, skin.joint_of, 9)[coat])
-    np.testing.assert_allclose(skin.points[body][used[body]], skin.points[coat][used[coat]], atol=1e-12)
+    np.testing.assert_array_equal(np.where(used, skin.joint_of, 9)[BODY], np.where(used, skin.joint_of, 9)[coat])
+    np.testing.assert_allclose(skin.points[BODY][used[BODY]], skin.points[coat][used[coat]], atol=1e-12)
 
 
 def test_several_sets_of_influences_are_read(tmp_path):
@@ -105,32 +93,16 @@ def test_nodes_between_joints_are_skipped(tmp_path):
     assert (skin.joint_names, skin.parents) == (("armature", "node2"), (-1, 0))
 
 
-def test_unused_skins_are_not_read(tmp_path):
-    sample = samples.hero()
-    sample.gltf["skins"].append({"joints": [5, 6]})
-    assert read_skin(sample.glb(tmp_path / "a.glb")).joint_names == ("hip", "chest")
-
-
-def test_scene_without_a_skin_is_refused(tmp_path):
-    path = samples.props().glb(tmp_path / "a.glb")
+def test_files_without_a_skin_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"a\.glb: expected a mesh with a skin, found none; "):
-        read_skin(path)
-
-
-def test_skin_without_influences_is_refused(tmp_path):
+        read_skin(samples.props().glb(tmp_path / "a.glb"))
     sample = samples.hero()
     for primitive in body_of(sample):
-        primitive["attributes"] = {
-            k: v for k, v in primitive["attributes"].items() if k[:6] not in ("JOINTS", "WEIGHT")
-        }
+        kept = {k: v for k, v in primitive["attributes"].items() if k[:6] not in ("JOINTS", "WEIGHT")}
+        primitive["attributes"] = kept
     with pytest.raises(InputError, match="expected a mesh with a skin"):
         read_skin(sample.glb(tmp_path / "a.glb"))
-
-
-def test_skin_of_another_format_is_refused(tmp_path):
     save_mesh(zoo.cube(), tmp_path / "a.obj")
-    with pytest.raises(
-        InputError,
-        match=r"a\.obj: expected a rigged mesh in a \.glb, \.gltf, \.vrm or \.fbx, found none in this \.obj; ",
-    ):
+    formats = r"a\.obj: expected a rigged mesh in a \.glb, \.gltf, \.vrm or \.fbx, found none in this \.obj; "
+    with pytest.raises(InputError, match=formats):
         read_skin(tmp_path / "a.obj")

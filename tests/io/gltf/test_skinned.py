@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from networks import write_mime_network
 from people import person, walk
 from scipy.spatial.transform import Rotation
 
@@ -13,37 +12,20 @@ from mimesh.io import load_clip, load_mesh, save_mesh, save_rig_animations, save
 from mimesh.io.gltf.document import open_document, read_accessor
 from mimesh.pipeline import animate
 
-pytest.importorskip("onnx")
-
-
-@pytest.fixture(scope="module")
-def result(tmp_path_factory):
-    network = write_mime_network(tmp_path_factory.mktemp("networks") / "mime.onnx")
-    return animate(person(0), walk(faces=600), str(network))
-
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-def test_skinned_frames_equal_the_frames_of_the_result(result, tmp_path, suffix):
-    path = result.save_skinned(tmp_path / f"hero{suffix}")
+def test_skinned_frames_equal_the_frames_of_the_result(model, tmp_path, suffix):
+    """The file keeps the materials of its source; weights sum to 1, and quaternions are continuous."""
+    mesh = person(0)
+    save_mesh(mesh, tmp_path / "hero.glb")
+    result = animate(tmp_path / "hero.glb" if suffix == ".glb" else mesh, walk(faces=600), model)
+    path = result.save_skinned(tmp_path / f"moved{suffix}")
     assert result.report["skinned_deviation"] < 1e-5  # three joints are fewer than four
-    assert np.allclose(load_mesh(path).vertices, person(0).vertices, atol=1e-5)
+    assert np.allclose(load_mesh(path).vertices, mesh.vertices, atol=1e-5)
     assert np.allclose(load_clip(path).vertices, result.clip.vertices, atol=1e-4)
-
-
-def test_skinned_file_keeps_the_materials_of_its_source(result, tmp_path):
-    save_mesh(person(0), tmp_path / "hero.glb")
-    network = write_mime_network(tmp_path / "mime.onnx")
-    loaded = animate(tmp_path / "hero.glb", walk(faces=600), str(network))
-    path = loaded.save_skinned(tmp_path / "moved.glb")
-    gltf = open_document(path).gltf
-    assert [skin["joints"] for skin in gltf["skins"]] == [gltf["skins"][0]["joints"]]
-    assert gltf["materials"] == open_document(tmp_path / "hero.glb").gltf["materials"]
-    assert np.allclose(load_mesh(path).vertices, load_mesh(tmp_path / "hero.glb").vertices, atol=1e-5)
-    assert np.allclose(load_clip(path).vertices, loaded.clip.vertices, atol=1e-4)
-
-
-def test_skinned_weights_sum_to_1_and_quaternions_are_continuous(result, tmp_path):
-    document = open_document(result.save_skinned(tmp_path / "hero.glb"))
+    document = open_document(path)
+    assert len(document.gltf["skins"]) == 1
+    assert document.gltf["materials"] == open_document(tmp_path / "hero.glb").gltf["materials"]
     attributes = document.gltf["meshes"][0]["primitives"][0]["attributes"]
     joints, weights = (read_accessor(document, attributes[name]) for name in ("JOINTS_0", "WEIGHTS_0"))
     assert np.allclose(weights.sum(axis=1), 1, atol=1e-6)
@@ -53,9 +35,6 @@ def test_skinned_weights_sum_to_1_and_quaternions_are_continuous(result, tmp_pat
         quaternions = read_accessor(document, sampler["output"])
         assert np.allclose(np.linalg.norm(quaternions, axis=1), 1, atol=1e-6)
         assert ((quaternions[1:] * quaternions[:-1]).sum(axis=1) > 0).all()
-
-
-def test_skinned_result_in_another_format_is_refused(result, tmp_path):
     with pytest.raises(InputError, match=r"expected \.glb, \.gltf or \.fbx for joints, found '\.obj'"):
         save_skinned(result.skeleton, 30.0, tmp_path / "hero.obj")
 

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 import usd_stages as stages
 import zoo
-from pxr import Gf, Usd, UsdGeom, UsdShade
+from pxr import Gf, UsdGeom, UsdShade
 
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import face_normals
-from mimesh.core.mesh import Mesh
-from mimesh.io import load_clip, load_mesh, save_mesh
+from mimesh.io import load_clip, load_mesh
 
 pytestmark = pytest.mark.usefixtures("in_process")
 
@@ -239,15 +238,6 @@ def test_unreadable_stages_are_explained(tmp_path):
     (tmp_path / "b.usda").write_text("hello")
     with pytest.raises(InputError, match=r"b\.usda: expected a USD stage, found .*not a valid usda"):
         load_mesh(tmp_path / "b.usda")
-
-
-def test_rewritten_file_is_read_again(tmp_path):
-    path = tmp_path / "a.usdc"
-    open_stages = []
-    for factor in (1, 2):
-        save_mesh(Mesh(CUBE * factor, zoo.cube().faces), path)
-        open_stages.append(Usd.Stage.Open(str(path)))
-        np.testing.assert_allclose(load_mesh(path).vertices, CUBE * factor)
 
 
 def test_hole_faces_are_left_out(tmp_path):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import zipfile
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,6 @@ from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 
 pytestmark = pytest.mark.usefixtures("in_process")
 
-SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 PNG = b"\x89PNG and so on"
 
 
@@ -43,7 +41,9 @@ def full_mesh(smooth: bool = True) -> Mesh:
     return dataclasses.replace(mesh, name="Körper 1", corner_normals=normals, corner_uv=uv, parts=parts)
 
 
-@matrix(("suffix", "smooth"), product(SUFFIXES, [True, False]), quick=[(".usdc", True)])
+@matrix(
+    ("suffix", "smooth"), [(".usdc", True), (".usda", False), (".usdz", True), (".usd", False)], quick=[(".usdc", True)]
+)
 def test_new_clip_round_trips(suffix, smooth, tmp_path):
     mesh = full_mesh(smooth)
     frames = np.stack([bend(mesh.vertices, 0.1 * k) for k in range(40)])
@@ -115,7 +115,11 @@ def character(path: Path) -> Path:
     return path
 
 
-@matrix(("before", "after"), product(SUFFIXES, SUFFIXES), quick=[(".usda", ".usdc")])
+@matrix(
+    ("before", "after"),
+    [(".usda", ".usdc"), (".usdc", ".usdz"), (".usdz", ".usda"), (".usd", ".usd")],
+    quick=[(".usda", ".usdc")],
+)
 def test_moved_mesh_keeps_what_was_read(before, after, tmp_path):
     path = character(tmp_path / "in" / f"a{'.usda' if before == '.usdz' else before}")
     if before == ".usdz":

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mimesh.core.rig import Rig
-from mimesh.methods.mime.consensus import agreeing, consensus
+from mimesh.methods.mime.prediction import agreeing, consensus
 
 
 def prediction(degrees, noise=0, joints=4, axis="y"):
@@ -15,16 +15,10 @@ def prediction(degrees, noise=0, joints=4, axis="y"):
 
 
 def test_all_predictions_that_agree_are_kept():
-    rigs = [prediction(10, noise) for noise in range(8)]
+    rigs = [prediction(40), *(prediction(10, noise) for noise in range(1, 8))]
     assert sorted(agreeing(rigs)) == list(range(8))
+    assert agreeing(rigs)[-1] == 0, "the nearest to the centre comes first"
     np.testing.assert_allclose(consensus(rigs).joints, np.mean([rig.joints for rig in rigs], axis=0))
-
-
-def test_the_first_is_the_nearest_to_the_centre():
-    rigs = [prediction(40), prediction(12), prediction(10), prediction(8)]
-    kept = agreeing(rigs)
-    assert kept[-1] == 0
-    assert kept[0] in (1, 2, 3)
 
 
 def test_a_minority_that_contradicts_the_others_has_no_influence():

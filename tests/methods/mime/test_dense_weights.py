@@ -10,8 +10,8 @@ from mimesh import transfer
 from mimesh.core.geometry import edges, links
 from mimesh.core.mesh import Mesh, permute_vertices
 from mimesh.evaluate.remesh import split_faces
-from mimesh.methods.mime import dense_weights, drive
-from mimesh.methods.mime.dense_weights import CoarseSurface
+from mimesh.methods.mime import drive, weights
+from mimesh.methods.mime.weights import CoarseSurface
 
 
 def divided(mesh: Mesh) -> Mesh:
@@ -27,7 +27,7 @@ def dense() -> Mesh:
 
 
 def test_smooth_fields_are_carried_smoothly(dense, monkeypatch):
-    monkeypatch.setattr(dense_weights, "COUNT", 2000)
+    monkeypatch.setattr(weights, "COUNT", 2000)
     coarse = CoarseSurface.of(dense.vertices, dense.faces)
     assert 2000 < len(coarse.points) < len(dense.vertices) / 4
     error = np.linalg.norm(coarse.carried(coarse.points) - dense.vertices, axis=1) / coarse.side
@@ -40,7 +40,7 @@ def test_smooth_fields_are_carried_smoothly(dense, monkeypatch):
 
 def test_nothing_is_carried_across_a_gap(monkeypatch):
     """Two sheets that face each other, nearer than a cell is long."""
-    monkeypatch.setattr(dense_weights, "COUNT", 100)
+    monkeypatch.setattr(weights, "COUNT", 100)
     x, z = np.meshgrid(np.linspace(0, 1, 60), np.linspace(0, 1, 60), indexing="ij")
     corner = (np.arange(59)[:, None] * 60 + np.arange(59)).ravel()
     halves = [(corner, corner + 1, corner + 60), (corner + 61, corner + 60, corner + 1)]

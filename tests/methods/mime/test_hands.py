@@ -4,12 +4,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from matrix import matrix
 
 import mimesh
 from mimesh.bodies import load_body
-from mimesh.bodies.finger_poses import GESTURES, finger_rotations, gestures, within_limits
-from mimesh.bodies.hands import body_with_fingers, load_hands
+from mimesh.bodies.hands import GESTURES, body_with_fingers, finger_rotations, gestures, load_hands, within_limits
 from mimesh.bodies.joint_names import finger_joints, named_fingers, named_joints
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.geometry import MIRROR
@@ -19,6 +17,7 @@ from mimesh.evaluate.fingers import PERSON_HEIGHT_MM, body_parts, finger_metrics
 from mimesh.evaluate.pairs import Person
 from mimesh.methods.find import find_method
 from mimesh.methods.mime.hands import DIFFERENT_ABOVE, SAME_BELOW, settled_bends
+from mimesh.methods.mime.prediction import NetworkPoints
 from mimesh.methods.onnx_models import load_hand_finder
 from mimesh.pipeline.prepared import KEYFRAMES, MotionOptions, prepare
 
@@ -58,7 +57,8 @@ def moved(identity: int, driving: int, gesture: str | None = None, model: str = 
     return mimesh.transfer(mesh(identity), mesh(driving, gesture), model, **AXES)
 
 
-@matrix("gesture", ["fist", "point", "thumb up"], quick=["fist"])
+@pytest.mark.slow
+@pytest.mark.parametrize("gesture", ["fist", "thumb up"])
 def test_a_gesture_comes_to_another_persons_hand(gesture):
     truth = BODY.posed(person(1), pose(gesture))
     new, rigid = (moved(1, 2, gesture, model) for model in ("mime", "mime-rigid-fingers"))
@@ -72,13 +72,6 @@ def test_hands_that_are_bent_alike_keep_their_joints():
     """Errors of the predictions must not bend fingers that the driving does not bend."""
     assert moved(3, 4).report["fingers"] == []
     assert np.array_equal(moved(3, 4).vertices, moved(3, 4, None, "mime-rigid-fingers").vertices)
-
-
-@pytest.mark.slow
-def test_size_of_the_meshes_does_not_matter():
-    driving = mesh(2, "fist")
-    large = Mesh(7.0 * driving.vertices + 3.0, driving.faces, name="large")
-    assert np.abs(mimesh.transfer(mesh(1), large, **AXES).vertices - moved(1, 2, "fist").vertices).max() < 1e-3
 
 
 @pytest.mark.slow
@@ -108,27 +101,27 @@ def test_mirrored_meshes_give_the_mirrored_fingers():
 @pytest.mark.slow
 def test_stumps_change_nothing_to_the_last_bit():
     """An identity without fingers is moved as without the network of hands, whatever the driving's fingers do."""
-    whole = mesh(5)
+    whole = mesh(1)
     shares = load_hands().shares
     kept = (shares[:, :, 0] > 0.5).all(axis=0)
     rank = np.cumsum(kept) - 1
     faces = whole.faces[kept[whole.faces].all(axis=1)]
     stumps = Mesh(whole.vertices[kept], rank[faces], name="stumps")
-    moved = mimesh.transfer(stumps, mesh(6, "fist"), **AXES)
+    moved = mimesh.transfer(stumps, mesh(2, "fist"), **AXES)
     assert moved.report["fingers"] == []
-    rigid = mimesh.transfer(stumps, mesh(6, "fist"), "mime-rigid-fingers", **AXES)
+    rigid = mimesh.transfer(stumps, mesh(2, "fist"), "mime-rigid-fingers", **AXES)
     assert np.array_equal(moved.vertices, rigid.vertices)
 
 
 @pytest.mark.slow
 def test_fingers_with_holes_follow_their_hand():
     """A scan with a hole in a finger says little about its bend."""
-    driving = mesh(6, "fist")
+    driving = mesh(2, "fist")
     tip = np.argmax(driving.vertices[:, 0])
     near = np.linalg.norm(driving.vertices - driving.vertices[tip], axis=1) < 0.03
     pierced = Mesh(driving.vertices, driving.faces[~near[driving.faces].any(axis=1)], name="pierced")
-    assert moved(5, 6, "fist").report["fingers"] == ["left", "right"]
-    assert mimesh.transfer(mesh(5), pierced, **AXES).report["fingers"] == ["right"]
+    assert moved(1, 2, "fist").report["fingers"] == ["left", "right"]
+    assert mimesh.transfer(mesh(1), pierced, **AXES).report["fingers"] == ["right"]
 
 
 @pytest.mark.slow
@@ -136,7 +129,7 @@ def test_fingers_are_followed_through_a_clip():
     """From a flat hand to a fist and back: fingers move with the driving's, and end where they began."""
     angles = within_limits(gestures(np.array([GESTURES.index("fist")]), np.random.default_rng(0)))[0]
     frames, truth = [], []
-    for share in (0.0, 0.3, 0.6, 0.9, 0.5, 0.0):
+    for share in (0.0, 0.6, 0.9, 0.0):
         rotmat = np.tile(np.eye(3), (55, 1, 1))
         rotmat[25:40] = finger_rotations(share * angles, left=True)
         rotmat[40:] = finger_rotations(share * angles, left=False)
@@ -157,6 +150,7 @@ def test_fingers_are_followed_through_a_clip():
     assert skeleton.deviation(result.clip.vertices) < 5e-3
 
 
+@pytest.mark.slow
 def test_prepared_fingers_are_called_as_by_mixamo():
     method = find_method("mime")
     identity, driving = mesh(1), mesh(2, "point")
@@ -176,6 +170,16 @@ def test_small_differences_of_bends_are_settled_and_large_ones_stay():
     near, far = (driving @ rotvec_to_rotmat(np.radians(a) * axis) for a in (0.9 * SAME_BELOW, 1.1 * DIFFERENT_ABOVE))
     assert np.allclose(settled_bends(near, driving), driving)
     assert np.allclose(settled_bends(far, driving), far)
+
+
+def test_hands_of_any_number_of_vertices_take_bounded_memory(monkeypatch):
+    """The network gets a few queries at a time, which changes no weight but for rounding."""
+    finder = load_hand_finder(load_body().joint_names)
+    rng = np.random.default_rng(0)
+    points, queries = (NetworkPoints(*rng.normal(0, 0.05, (2, n, 3))) for n in (finder.network.points, 70))
+    whole = finder.network._run_in_chunks(points, queries)
+    monkeypatch.setattr("mimesh.methods.mime.hands.CHUNK", 30)
+    np.testing.assert_allclose(finder.network._run_in_chunks(points, queries).scores, whole.scores, atol=1e-4)
 
 
 @pytest.mark.slow
@@ -202,7 +206,7 @@ def test_planted_feet_are_those_without_fingers():
     """Soles and the correction of the legs are the same to rounding, whether fingers move or not."""
     left = np.tile(np.eye(3), (55, 1, 1))
     frames = []
-    for t in range(12):
+    for t in range(5):
         rotmat = pose("fist") if t % 2 else left.copy()
         for side, sign in (("Left", 1.0), ("Right", -1.0)):
             rotmat[BODY.joint(f"{side}UpLeg")] = rotvec_to_rotmat(np.array([0.3 * sign * np.sin(t / 2), 0.0, 0.0]))
@@ -215,16 +219,6 @@ def test_planted_feet_are_those_without_fingers():
     apart = moved.clip.vertices[:, on_foot] - rigid.clip.vertices[:, on_foot]
     # The first frame's bounding box, which has fingers in it, says where the whole result stands.
     assert np.abs(apart - apart[0, 0]).max() < 1e-5
-
-
-@pytest.mark.slow
-def test_hands_of_any_number_of_vertices_take_bounded_memory(monkeypatch):
-    """The network gets a few queries at a time, which changes no weight but for rounding."""
-    whole = moved(1, 2, "fist")
-    monkeypatch.setattr("mimesh.methods.mime.hand_network.CHUNK", 300)
-    parts = mimesh.transfer(mesh(1), mesh(2, "fist"), **AXES)
-    assert parts.report["fingers"] == ["left", "right"]
-    assert np.abs(parts.vertices - whole.vertices).max() < 1e-5
 
 
 def test_bodies_without_forearms_or_without_the_network_of_hands_have_no_fingers(monkeypatch):
@@ -240,7 +234,7 @@ def test_bodies_without_forearms_or_without_the_network_of_hands_have_no_fingers
 def test_a_fist_between_two_keyframes_moves_the_fingers():
     method, frames = find_method("mime"), np.repeat(mesh(2).vertices[None], 200, axis=0)
     assert not {95, 96, 97, 98} & set(np.linspace(0, 199, KEYFRAMES).round().astype(int))
-    for gesture, joints in (("fist", 61), (None, 31)):
+    for gesture, joints in ((None, 31), ("fist", 61)):
         frames[95:99] = mesh(2, gesture).vertices
         clip = Clip(mesh(2), frames.astype(np.float32), 30.0)
         drive = prepare(mesh(1), clip, lambda norm: method, tuple(AXES.values()), False, MotionOptions()).drive

@@ -7,7 +7,7 @@ import trimesh
 from mimesh.bodies import load_body
 from mimesh.bodies.anatomy import anatomy_of
 from mimesh.methods.mime.body_fit import NearestBody
-from mimesh.methods.mime.weight_cleanup import MAX_BONES, bone_distances, clean_weights
+from mimesh.methods.mime.weights import MAX_BONES, bone_distances, clean_weights
 
 BODY = load_body()
 HAND = np.isin(BODY.weights.argmax(axis=1), [BODY.joint(f"Left{name}") for name in ("HandFinger1", "FingerBase")])

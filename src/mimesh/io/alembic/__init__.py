@@ -1,7 +1,7 @@
 """Read and write Alembic archives (.abc) with the library alembic3d (the extra `alembic`).
 
-child -> read (archive, scene, polygon_mesh)    read an archive as a mesh or a stream of frames, in a child process
-write                                           write a new archive
+read     checks and reads an archive, in a child process
+write    writes a new archive
 
 The library cannot copy an archive with other points: an identity's own archive is written as a new one.
 """
@@ -13,8 +13,9 @@ from pathlib import Path
 from ...core.frame_buffer import Progress
 from ...core.mesh import Clip, Mesh
 from ..guarded import guarded_clip, guarded_mesh
-from .archive import need_library
-from .write import AlembicSource
+from .write import AlembicSource, need_library
+from .write import write_alembic as write_alembic
+from .write import write_alembic_clip as write_alembic_clip
 
 
 def read_alembic(path: Path) -> Mesh:
@@ -24,7 +25,7 @@ def read_alembic(path: Path) -> Mesh:
         InputError: alembic3d is missing; the archive is stored as HDF5, damaged, or without visible meshes.
     """
     need_library(path, "read")
-    return guarded_mesh("mimesh.io.alembic.child:read_mesh", path, AlembicSource.from_values, path.stat().st_size)
+    return guarded_mesh("mimesh.io.alembic.read:read_mesh", path, AlembicSource, path.stat().st_size)
 
 
 def read_alembic_clip(path: Path, fps: float | None = None, progress: Progress | None = None) -> Clip:
@@ -34,5 +35,5 @@ def read_alembic_clip(path: Path, fps: float | None = None, progress: Progress |
         InputError: as `read_alembic`, or the topology changes over time.
     """
     need_library(path, "read")
-    reader, size = "mimesh.io.alembic.child:read_clip", path.stat().st_size
-    return guarded_clip(reader, path, AlembicSource.from_values, size, fps, progress)
+    reader, size = "mimesh.io.alembic.read:read_clip", path.stat().st_size
+    return guarded_clip(reader, path, AlembicSource, size, fps, progress)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import importlib.util
 import os
 import shutil
 from collections.abc import Callable
@@ -13,14 +14,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...core.errors import InputError
 from ...core.frame_buffer import Progress, each_frame
 from ...core.geometry import normal_turner
 from ...core.mesh import Clip, Material, Mesh
+from ...core.printable import numbered
 from ..atomic import whole_file
-from ..guarded import Values
 from ..polygons import polygon_corners, polygon_sizes, reversed_corners
 from ..usd import stage_axes
-from .archive import library
 
 RESERVED_SPACE = 2**20
 """Bytes that must stay free on the disk besides the size of a sample, so that the library can finish the file."""
@@ -41,15 +42,6 @@ class AlembicSource:
     """Name of the mesh object."""
     suffix = ".abc"
 
-    def values(self) -> Values:
-        """Return all fields as arrays and JSON values, for another process."""
-        return {"sizes": self.sizes, "notes": self.notes, "name": self.name}
-
-    @classmethod
-    def from_values(cls, values: Values) -> AlembicSource:
-        """Make a source of what `values` returns."""
-        return cls(values["sizes"], tuple(values["notes"]), values["name"])
-
 
 def write_alembic(mesh: Mesh, path: Path) -> None:
     """Write a mesh as a new Alembic archive: a clip of one frame (see `write_alembic_clip`)."""
@@ -67,7 +59,7 @@ def write_alembic_clip(clip: Clip, path: Path, progress: Progress | None = None)
         InputError: alembic3d is not installed.
         OSError: the disk is nearly full.
     """
-    abc, geometry, core, imath = library(path, "write")
+    abc, geometry, core, imath = _library(path)
     mesh = clip.mesh
     name = _object_name(mesh.source.name if isinstance(mesh.source, AlembicSource) else mesh.name)
     with whole_file(path) as temporary:
@@ -85,6 +77,27 @@ def write_alembic_clip(clip: Clip, path: Path, progress: Progress | None = None)
         _add_face_sets(schema, mesh, path)
         # The library writes the end of the file when the last of these objects is destroyed.
         del schema, shape, transform, archive
+
+
+def need_library(path: Path, verb: str) -> None:
+    """Raise InputError where alembic3d is not installed; `verb` is "read" or "write"."""
+    if importlib.util.find_spec("alembic3d") is None:
+        raise InputError(
+            f"{path}: expected alembic3d to {verb} Alembic, found it not installed; pip install 'mimesh[alembic]'"
+        )
+
+
+def _library(path: Path) -> tuple[Any, Any, Any, Any]:
+    """Import alembic3d and return its modules Abc, AbcGeom, AbcCoreAbstract and imath.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    need_library(path, "write")
+    import alembic3d
+    import imath
+
+    return alembic3d.Abc, alembic3d.AbcGeom, alembic3d.AbcCoreAbstract, imath
 
 
 def _check_free_space(path: Path, size: int) -> None:
@@ -116,7 +129,7 @@ def _sampler(mesh: Mesh, path: Path) -> Callable[[Float[np.ndarray, "V 3"]], Any
 
     Polygons and UVs are in every sample; the library stores equal arrays once.
     """
-    _, geometry, _, imath = library(path, "write")
+    _, geometry, _, imath = _library(path)
     sizes = polygon_sizes(mesh)
     corners = polygon_corners(sizes)[reversed_corners(sizes)]
     counts = imath.IntArrayFromBuffer(sizes.astype(np.int32))
@@ -153,7 +166,7 @@ def _unsigned(index: Int[np.ndarray, " N"], imath: Any) -> Any:
 
 def _add_face_sets(schema: Any, mesh: Mesh, path: Path) -> None:
     """Write a face set of polygons for each material, and for each named part without one."""
-    _, geometry, _, imath = library(path, "write")
+    _, geometry, _, imath = _library(path)
     triangles = polygon_sizes(mesh) - 2
     first = np.cumsum(triangles) - triangles  # each polygon's first triangle
     members: dict[Material | str, list[Int[np.ndarray, " N"]]] = {}
@@ -163,18 +176,11 @@ def _add_face_sets(schema: Any, mesh: Mesh, path: Path) -> None:
             members.setdefault(part.material or part.name, []).append(np.arange(start, stop))
     used_names: set[str] = set()
     for label, polygons in members.items():
-        name = _unique_name(_object_name(label.name if isinstance(label, Material) else label), used_names)
+        label = _object_name(label.name if isinstance(label, Material) else label)
+        name = next(name for name in numbered(label, "_") if name not in used_names)
         used_names.add(name)
         faces = imath.IntArrayFromBuffer(np.concatenate(polygons).astype(np.int32))
         schema.createFaceSet(name).getSchema().set(geometry.OFaceSetSchemaSample(faces))
-
-
-def _unique_name(name: str, used_names: set[str]) -> str:
-    """Return the name, with the next free number added where it is in use."""
-    stem, number = name, 2
-    while name in used_names:
-        name, number = f"{stem}_{number}", number + 1
-    return name
 
 
 def _object_name(name: str) -> str:

@@ -1,7 +1,7 @@
 """Read FBX files (.fbx) as glTF with ufbx (the extra `fbx`) and write them with Blender, both in child processes.
 
-to_glb (elements, geometry, materials, animation)    runs in the child: writes a .glb of an FBX file
-write (timeline, blender_export)                     has Blender export a .glb as FBX
+to_glb                    runs in the child: writes a .glb of an FBX file
+write (blender_export)    has Blender export a .glb as FBX
 
 The parent reads and writes .glb files like any other, so that all code for glTF works on FBX.
 """
@@ -14,10 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ...core.errors import InputError
-from ..beside import confining_folder
 from ..child_process import child_result
-
-CONVERTER = "mimesh.io.fbx.to_glb:write_glb"
 
 
 @contextlib.contextmanager
@@ -29,6 +26,5 @@ def fbx_as_glb(path: Path) -> Iterator[Path]:
     """
     if importlib.util.find_spec("ufbx") is None:
         raise InputError(f"{path}: expected ufbx to read FBX, found it not installed; pip install 'mimesh[fbx]'")
-    folder = confining_folder()
-    with child_result(CONVERTER, path, path, confined_to=None if folder is None else str(folder)) as glb:
+    with child_result("mimesh.io.fbx.to_glb:write_glb", path, path) as glb:
         yield glb

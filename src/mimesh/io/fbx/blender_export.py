@@ -4,7 +4,7 @@
     python blender_export.py -- JOB.json      where Python has `bpy`
 
 The job has the paths `glb`, `fbx` and `errors`, the frame rate `fps`, `clips`, the parts of the one animation, and
-`materials` and `images` (see `plain_materials`). Frame 0 is the file at rest.
+`materials` and `images` (see `write.py`). Frame 0 is the file at rest.
 """
 
 # pyright: reportMissingImports=false, reportMissingModuleSource=false

@@ -1,7 +1,12 @@
-"""Write FBX files: a temporary .glb is exported by Blender, which runs as a process of its own.
+"""Write FBX files: a temporary .glb is exported by Blender, which runs `blender_export.py` as a process of its own.
 
-find_blender      the Blender that is installed: the package `bpy` or the program
-write_fbx         runs `blender_export.py` in it
+Blender's exporter writes a take for each strip of time of one object. So the animations become one long animation,
+sampled in every frame, of which each is a strip; and everything that moves becomes a bone of one armature.
+
+Blender's importer builds a network of nodes where vertex colours, a texture or a factor are multiplied, or where a
+material is unlit. Its exporter writes neither: such a colour becomes 0.8 grey. So the script that Blender runs gets
+colour, opacity and image of each material from here. Blender cuts and numbers names, so that materials and images get
+unique short ones for the import.
 
 Blender is under the GNU General Public License. Nothing of it is part of mimesh or loaded into its process: both
 exchange files. The script that Blender runs uses Blender's Python interface, so it must have a licence compatible with
@@ -16,14 +21,23 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from typing import Any
 
+import numpy as np
+
+from ...bodies.joint_names import ancestors
 from ...core.errors import InputError
+from ...core.printable import numbered
 from ..atomic import scratch_folder
 from ..child_process import MIB, last_line
-from ..gltf.document import open_document
-from .plain_materials import plain_materials
-from .timeline import joined_animations
+from ..gltf.animation import AnimationChannel, add_animation, animation_names, frame_rate, frame_times, read_channels
+from ..gltf.document import Document, image_type, open_document, read_floats, uri_file_name
+from ..gltf.draft import AccessorCopier, Draft
+from ..gltf.own_animation import node_value
+from ..gltf.read import base_color_of, base_texture_of
+from ..gltf.scene import node_parents, world_matrices
+from ..timing import DEFAULT_FPS
 
 SCRIPT = Path(__file__).with_name("blender_export.py")
 VARIABLE = "BLENDER"
@@ -32,6 +46,17 @@ PACKAGE = "bpy==4.5.15"
 """Blender as a package, in the version that was tested; its wheels are for Python 3.11."""
 SECONDS, SECONDS_PER_MIB = 300.0, 30.0
 """Longest run: starting Blender takes 2 to 5 s, a character of 13,000 vertices with 300 frames (1 MiB) 4 s."""
+GAP = 2
+"""Frames between two animations, so that none begins where another ends."""
+SHORTEST = 2
+"""Frames of a pose: a strip of time needs an end after its beginning."""
+MATERIAL, IMAGE = "mimesh-material-{}", "mimesh-image-{}"
+"""Names of materials and images during the import; Blender keeps up to 63 bytes."""
+SUFFIXES = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp", "image/ktx2": ".ktx2"}
+FORBIDDEN = '<>:"/\\|?*'
+"""Characters that file names cannot have on some system."""
+LONGEST = 40
+"""Characters of an image's name without its suffix."""
 
 
 def find_blender(path: Path) -> list[str]:
@@ -80,7 +105,7 @@ def write_fbx(glb: Path, target: Path, name: Path) -> None:
     command = find_blender(name)
     document = open_document(glb)
     draft, timeline = joined_animations(document)
-    surfaces = plain_materials(draft, document)
+    surfaces = _plain_materials(draft, document)
     with scratch_folder() as folder:
         scene, job = folder / "scene.glb", folder / "job.json"
         draft.save(scene)
@@ -127,3 +152,132 @@ def _run(command: list[str], folder: Path, seconds: float, name: Path) -> int:
             # Also on Ctrl-C: Blender does not outlive its caller.
             process.kill()
             process.wait()
+
+
+def joined_animations(document: Document) -> tuple[Draft, dict[str, Any]]:
+    """Return the file with its animations joined, and where in time each of them is.
+
+    All are sampled at the frame rate of the first. What an animation leaves out has the value of the node.
+
+    Returns:
+        The file; "fps" and "clips", each with "name", and the frames "first" and "last"; frame 0 is the file at rest.
+    """
+    names = animation_names(document)
+    channels = [[c for c in read_channels(document, number) if len(c.times)] for number in range(len(names))]
+    rates = (frame_rate(of_one) for of_one in channels)
+    fps = next((rate for rate in rates if rate is not None), DEFAULT_FPS)
+    draft = AccessorCopier(document, whole=True).draft
+    # The first frame is the pose in which the nodes are, so that the exporter writes them as they are.
+    clips, times, samples = [], [np.zeros(1)], [(1, {})]
+    first = GAP
+    for name, of_one in zip(names, channels, strict=True):
+        if not of_one:
+            continue
+        taken = frame_times(document, of_one, fps)
+        taken = np.resize(taken, SHORTEST) * 0 if len(taken) < SHORTEST else taken
+        clips.append({"name": name, "first": first, "last": first + len(taken) - 1})
+        times.append((first + np.arange(len(taken))) / fps)
+        samples.append((len(taken), {(c.node, c.path): c.sample(taken) for c in of_one}))
+        first += len(taken) - 1 + GAP
+    draft.gltf["animations"] = []
+    if clips:
+        moved = dict.fromkeys(key for _, values in samples for key in values)
+        still = {key: node_value(document.gltf["nodes"][key[0]], key, document) for key in moved}
+        joined = []
+        for key in moved:
+            values = np.concatenate([of_one.get(key, np.repeat(still[key], count, 0)) for count, of_one in samples])
+            joined.append(AnimationChannel(key[0], key[1], np.concatenate(times), values))
+        draft.gltf["animations"] = [add_animation(draft, "all", joined)]
+        _make_joints(draft, document, {node for node, path in moved if path != "weights"})
+    return draft, {"fps": fps, "clips": clips}
+
+
+def _make_joints(draft: Draft, document: Document, moved: set[int]) -> None:
+    """Add a skin that no mesh uses, of the nodes that move and are no joints, and of a joint of each other skin.
+
+    Blender makes the joints of a skin, and what is between them, bones of the armature at their common ancestor.
+    """
+    skins = draft.gltf.get("skins", [])
+    extra = sorted(moved - {joint for skin in skins for joint in skin["joints"]})
+    if not extra and len(skins) < 2:
+        return
+    inverse_bind: dict[int, np.ndarray] = {}
+    for skin in skins:
+        stored = np.tile(np.eye(4).ravel(), (len(skin["joints"]), 1))
+        if "inverseBindMatrices" in skin:
+            stored = read_floats(document, skin["inverseBindMatrices"])
+        inverse_bind |= {joint: row.reshape(4, 4).T for joint, row in zip(skin["joints"], stored, strict=False)}
+    world = world_matrices(document)
+    near = _nearest_joints(document, extra, set(inverse_bind))
+    for node, joint in near.items():
+        # Skins may be bound in another space than the world: the node is placed as it is beside a joint.
+        placed = np.eye(4) if joint is None else world[joint] @ inverse_bind[joint]
+        inverse_bind[node] = np.linalg.pinv(world[node]) @ placed
+    joints = sorted(inverse_bind)
+    inverse = draft.add_matrices(np.stack([inverse_bind[joint] for joint in joints]))
+    skin = {"name": "Armature", "joints": joints, "inverseBindMatrices": inverse}
+    draft.gltf["skins"] = [*skins, skin]
+
+
+def _nearest_joints(document: Document, nodes: list[int], joints: set[int]) -> dict[int, int | None]:
+    """Find for each node the nearest joint above it, or else below it, or else any; None where there are no joints."""
+    parent = tuple(node_parents(document))
+    chains = {joint: ancestors(parent, joint) for joint in sorted(joints)}
+    found: dict[int, int | None] = {}
+    for node in nodes:
+        above = next((other for other in ancestors(parent, node) if other in joints), None)
+        below = min((joint for joint in chains if node in chains[joint]), key=lambda j: len(chains[j]), default=None)
+        found[node] = next((joint for joint in (above, below, *chains) if joint is not None), None)
+    return found
+
+
+def _plain_materials(draft: Draft, document: Document) -> dict[str, list[dict[str, Any]]]:
+    """Rename the materials and images of a draft, and list what the script is to make of each.
+
+    Returns:
+        "materials", each with "key" (its name in the draft), "name", "color" (RGB), "alpha" and "image" (the key of the
+        base colour's image, or None); "images", each with "key" and the file name "name".
+    """
+    images = [{"key": IMAGE.format(number), "name": name} for number, name in enumerate(_image_names(document))]
+    materials = []
+    for number, entry in enumerate(draft.gltf.get("materials", [])):
+        *color, alpha = base_color_of(entry)
+        source = _image_of(draft.gltf, base_texture_of(entry))
+        materials.append(
+            {
+                "key": MATERIAL.format(number),
+                "name": entry.get("name") or f"material{number}",
+                "color": color,
+                "alpha": alpha if entry.get("alphaMode", "OPAQUE") == "BLEND" else 1.0,
+                "image": None if source is None else images[source]["key"],
+            }
+        )
+        entry["name"] = materials[-1]["key"]
+    for entry, image in zip(draft.gltf.get("images", []), images, strict=True):
+        entry["name"] = image["key"]
+    return {"materials": materials, "images": images}
+
+
+def _image_of(gltf: dict[str, Any], reference: dict[str, Any]) -> int | None:
+    """Return the image of a reference to a texture; that of an extension where the texture has no plain one."""
+    if "index" not in reference:
+        return None
+    texture = gltf["textures"][reference["index"]]
+    others = [entry for entry in texture.get("extensions", {}).values() if isinstance(entry, dict)]
+    source = next((entry["source"] for entry in (texture, *others) if "source" in entry), None)
+    return source if isinstance(source, int) and 0 <= source < len(gltf.get("images", [])) else None
+
+
+def _image_names(document: Document) -> list[str]:
+    """List unique file names of all images, with the suffix of their format."""
+    names: list[str] = []
+    for number, (image, content) in enumerate(zip(document.gltf.get("images", []), document.images, strict=True)):
+        file = uri_file_name(image)
+        stem = PurePosixPath(image.get("name") or file).name
+        suffix = SUFFIXES.get(image_type(content) or "", "") if content else PurePosixPath(file).suffix
+        while PurePosixPath(stem).suffix.lower() in {*SUFFIXES.values(), ".jpeg", ".tga", ".bmp", ".tif", ".tiff"}:
+            stem = PurePosixPath(stem).stem
+        stem = "".join("_" if c in FORBIDDEN or not c.isprintable() else c for c in stem).strip(" .")[:LONGEST]
+        taken = {name.lower() for name in names}  # on some systems case does not count
+        names.append(next(n for n in numbered(stem or f"image{number}", suffix=suffix) if n.lower() not in taken))
+    return names

@@ -2,15 +2,16 @@
 
 Files in .fbx are read as glTF (see `io.fbx`), and written as .glb.
 
-mapped_files, compression -> document (with check)          opens files, also compressed ones
-document -> scene -> read                                   reads the scene of an open file at rest as a Mesh
-draft, deformed_attributes -> primitives -> edit            writes the file of a Mesh again, with other vertices
-build                                                       builds a new file for a Mesh without a glTF source
-blend_shapes -> clip                                        writes a clip as morph targets with an animation
-animation -> bake                                           bakes animations to vertex positions
-motion                                                      plays animated joints without a mesh on the shipped body
-vrm, vrma, morph_weights                                    extensions of VRM; morph targets by name
-skin, skinned                                               reads rigged characters; writes a mesh with joints
+check, compression -> document            opens files, also compressed and damaged ones
+document -> scene -> read                 reads the scene of an open file at rest as a Mesh, or as a rigged character
+draft -> edit                             writes the file of a Mesh again, with other vertices
+build                                     builds a new file for a Mesh without a glTF source
+animation                                 reads animations and bakes them to vertex positions
+clip                                      writes a clip as morph targets with an animation
+keys -> skinned                           writes a mesh with joints and thinned keys
+motion, vrm                               plays animated joints without a mesh on the shipped body; extensions of VRM
+character -> own_rig                      finds the limbs of people and animals, and moves the own nodes of a file
+copied_motion, own_animation              copies animations by name; writes a file with new animations of its nodes
 """
 
 from __future__ import annotations
@@ -23,20 +24,18 @@ import numpy as np
 from ...core.budgets import check_clip_size
 from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Mesh, check_mesh
+from ...motions.on_body import first_frame, on_body, played
 from ..timing import DEFAULT_FPS
-from .animation import frame_rate, select_channels
-from .bake import bake_frames
-from .blend_shapes import fit_blend_shapes
+from .animation import frame_rate, frame_times, posed_vertices, sample_nodes, select_channels
 from .build import build_document
 from .check import is_supported
-from .clip import add_morph_animation
+from .clip import add_morph_animation, fit_blend_shapes
 from .document import Document, open_document
 from .edit import GltfSource, edit_document, with_normals
-from .motion import PLAYED_PATHS, is_motion, read_motion_clip, read_motion_mesh
+from .motion import PLAYED_PATHS, is_motion, read_skeleton
 from .own_rig import GltfJoints
 from .read import RestScene, read_rest
-from .vrm import is_vrm_animation, vrm_bones
-from .vrma import with_hands
+from .vrm import is_vrm_animation, vrm_bones, with_hands
 
 
 def read_gltf(path: Path) -> Mesh:
@@ -52,7 +51,9 @@ def read_gltf(path: Path) -> Mesh:
             reads FBX or compressed data is not installed.
     """
     document = open_document(path)
-    return read_motion_mesh(document) if is_motion(document) else _read_mesh(document)
+    if is_motion(document):
+        return first_frame(on_body(read_skeleton(document), path))
+    return _read_mesh(document)
 
 
 def _read_mesh(document: Document) -> Mesh:
@@ -83,8 +84,8 @@ def read_gltf_clip(
     """
     document = open_document(path)
     if is_motion(document):
-        clip = read_motion_clip(document, fps, animation, progress)
-        return dataclasses.replace(clip, skeleton=_joints(document, animation, clip, None))
+        clip = played(on_body(read_skeleton(document, fps, animation), path), progress)
+        return dataclasses.replace(clip, skeleton=_joints(document, animation, clip))
     mesh = _read_mesh(document)
     assert isinstance(mesh.source, GltfSource)
     if animation is None and not mesh.source.animations:
@@ -93,10 +94,11 @@ def read_gltf_clip(
     channels = select_channels(document, animation)
     own_fps = frame_rate(channels) or DEFAULT_FPS
     fps = fps or own_fps
-    count, frames = bake_frames(document, mesh.source.rest, channels, fps)
-    check_clip_size(count, len(mesh.vertices), path)
-    vertices = store_frames(frames, count, len(mesh.vertices), progress=progress)
-    skeleton = GltfJoints(document, channels, np.arange(count) / fps, mesh, whole=fps == own_fps)
+    times = frame_times(document, channels, fps)
+    check_clip_size(len(times), len(mesh.vertices), path)
+    frames = posed_vertices(document, mesh.source.rest, sample_nodes(document, channels, times))
+    vertices = store_frames(frames, len(times), len(mesh.vertices), progress=progress)
+    skeleton = GltfJoints(document, channels, times, mesh, whole=fps == own_fps)
     return Clip(mesh.with_vertices(vertices[0]), vertices, fps, skeleton=skeleton)
 
 
@@ -108,14 +110,14 @@ def still_joints(mesh: Mesh) -> GltfJoints | None:
     return GltfJoints(source.document, [], np.zeros(1), mesh)
 
 
-def _joints(document: Document, animation: str | None, clip: Clip, mesh: Mesh | None) -> GltfJoints:
+def _joints(document: Document, animation: str | None, clip: Clip) -> GltfJoints:
     """Return the joints of a clip without a mesh, which the shipped body plays."""
     channels, times = select_channels(document, animation), np.arange(len(clip)) / clip.fps
-    played = None if clip.skeleton is None else clip.skeleton.person()
-    if played is not None and is_vrm_animation(document) and vrm_bones(document):
-        played = with_hands(played, document, channels, times)
+    person = None if clip.skeleton is None else clip.skeleton.person()
+    if person is not None and is_vrm_animation(document) and vrm_bones(document):
+        person = with_hands(person, document, channels, times)
     whole = clip.fps == (frame_rate([channel for channel in channels if channel.path in PLAYED_PATHS]) or DEFAULT_FPS)
-    return GltfJoints(document, channels, times, mesh, played, whole=whole)
+    return GltfJoints(document, channels, times, None, person, whole=whole)
 
 
 def write_gltf(mesh: Mesh, path: Path) -> None:
@@ -141,7 +143,7 @@ def write_gltf_clip(
     without animation. The size is about 24 bytes a vertex and frame: positions and normals in float32.
 
     Args:
-        blendshapes: number of morph targets to fit to the clip instead (see `gltf.blend_shapes`).
+        blendshapes: number of morph targets to fit to the clip instead (see `gltf.clip`).
 
     Returns:
         The largest distance of a vertex from its position in the clip, in the mesh's unit; None without `blendshapes`.

@@ -1,12 +1,15 @@
-"""Reads and writes animations of a glTF file, and samples their channels (glTF 2.0, 3.11 Animations and Appendix C).
+"""Reads and writes animations of a glTF file, samples their channels, and bakes them to vertex positions.
 
-Interpolation is STEP, LINEAR (slerp for rotations) or CUBICSPLINE. Before its first key and after its last one, a
-channel keeps the value of that key. KHR_animation_pointer is not read.
+Interpolation is STEP, LINEAR (slerp for rotations) or CUBICSPLINE (glTF 2.0, 3.11 Animations and Appendix C). Before
+its first key and after its last one, a channel keeps the value of that key. KHR_animation_pointer is not read.
+
+Node transforms, skins and morph weights are evaluated frame by frame; what is the same in all frames is read once
+(`UnposedVertices`). Files split a vertex at texture and normal seams; such duplicates are posed once and copied.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,13 +17,32 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...core.budgets import KEYS
+from ...core.budgets import FRAMES, KEYS, POSED_JOINTS
 from ...core.errors import InputError
-from ..timing import RATES, lie_on, sample_rate, usual_rate
+from ..timing import LONGEST, RATES, frame_count, lie_on, sample_rate, usual_rate
+from .check import damaged
 from .document import Document, read_floats
 from .draft import Draft
-from .scene import inner_products, normalized_quaternions, target_count
+from .read import RestScene, VertexRange, get_primitive
+from .scene import (
+    SkinBinding,
+    animated_matrices,
+    inner_products,
+    normalized_quaternions,
+    read_morph_weights,
+    read_morphed_attribute,
+    read_skin_binding,
+    target_count,
+    transform_points,
+    world_matrices,
+)
 
+AnimatedValues = dict[tuple[int, str], Float[np.ndarray, "T _"]]
+"""Values of the animated properties in T frames, by (node, target path)."""
+NodeBlocks = Iterator[tuple[AnimatedValues, Float[np.ndarray, "B N 4 4"]]]
+"""Animated values and the world transforms of all nodes, for blocks of B frames."""
+FRAMES_PER_BLOCK = 64
+"""Frames whose node transforms are computed at once: bounds memory at 64 matrices a node."""
 LINEAR_COSINE = 0.9995
 """Cosine of the angle between two quaternions (1.8 degrees) from which on they are interpolated linearly."""
 
@@ -189,10 +211,8 @@ def read_channels(document: Document, animation: int) -> list[AnimationChannel]:
                 if read.path != "weights" or target_count(document, read.node):
                     channels.append(read)
     except (KeyError, IndexError, TypeError) as error:
-        raise InputError(
-            f"{document.path}: expected channels with samplers in animation {animation}, found a gap ({error!r}); "
-            "the file is damaged, export it again"
-        ) from error
+        expected = f"channels with samplers in animation {animation}"
+        raise damaged(document.path, expected, f"a gap ({error!r})") from error
     return channels
 
 
@@ -206,14 +226,10 @@ def animated_nodes(document: Document, paths: Collection[str]) -> set[int]:
     for number, entry in enumerate(document.gltf.get("animations", [])):
         try:
             targets = [channel["target"] for channel in entry["channels"]]
-            found |= {
-                target["node"] for target in targets if target["path"] in paths and target.get("node") is not None
-            }
+            found |= {target.get("node") for target in targets if target["path"] in paths}
         except (KeyError, TypeError) as error:
-            raise InputError(
-                f"{document.path}: expected channels with targets in animation {number}, found a gap ({error!r}); "
-                "the file is damaged, export it again"
-            ) from error
+            expected = f"channels with targets in animation {number}"
+            raise damaged(document.path, expected, f"a gap ({error!r})") from error
     return {node for node in found if isinstance(node, int) and 0 <= node < count}
 
 
@@ -261,9 +277,7 @@ def _read_channel(document: Document, target: dict[str, Any], sampler: dict[str,
     times, values = (read_floats(document, sampler[key]) for key in ("input", "output"))
     interpolation = sampler.get("interpolation", "LINEAR")
     if interpolation not in ("STEP", "LINEAR", "CUBICSPLINE"):
-        raise InputError(
-            f"{document.path}: expected keys of STEP, LINEAR or CUBICSPLINE, found {interpolation}; export it again"
-        )
+        raise damaged(document.path, "keys of STEP, LINEAR or CUBICSPLINE", interpolation)
     times = times[:, 0]
     keys = len(times)
     per_key = values.size // keys if keys else 0
@@ -273,10 +287,8 @@ def _read_channel(document: Document, target: dict[str, Any], sampler: dict[str,
     node_exists = type(target["node"]) is int and 0 <= target["node"] < len(document.gltf.get("nodes", []))
     rising = np.isfinite(times).all() and (np.diff(times) > 0).all()
     if not (fits and node_exists and rising and values.size == keys * per_key):
-        raise InputError(
-            f"{document.path}: expected rising times with a value each, found {keys} times and {values.size} numbers; "
-            "the file is damaged, export it again"
-        )
+        found = f"{keys} times and {values.size} numbers"
+        raise damaged(document.path, "rising times with a value each", found)
     return AnimationChannel(target["node"], target["path"], times, values.reshape(keys, per_key), interpolation)
 
 
@@ -295,3 +307,103 @@ def slerp(
     angle, s = np.arccos(cosine[far]), s[far]
     values[far] = (np.sin((1 - s) * angle) * a[far] + np.sin(s * angle) * b[far]) / np.sin(angle)
     return values
+
+
+@dataclass(frozen=True, eq=False)
+class UnposedVertices:
+    """The distinct vertices of a `VertexRange` before skinning, and the data that no frame changes."""
+
+    node: int
+    primitive: dict[str, Any]
+    positions: Float[np.ndarray, "U 3"] | None
+    """Positions of the distinct vertices before skinning; None where morph weights are animated."""
+    binding: SkinBinding | None
+    """Joints and weights of the distinct vertices; None where the primitive is not skinned."""
+    distinct_of: Int[np.ndarray, " V"]
+    """Index of the distinct vertex that each vertex of the range equals."""
+
+
+def frame_times(document: Document, channels: list[AnimationChannel], fps: float) -> Float[np.ndarray, " T"]:
+    """Return the times of an animation's frames in seconds, from zero to its last key.
+
+    Raises:
+        InputError: the last key is later than an hour, which only damaged times are, or there are too many frames.
+    """
+    last = max((float(channel.times[-1]) for channel in channels), default=0.0)
+    last = max(last, 0.0)  # of keys before zero, which damaged files have, the last one is played
+    if last > LONGEST:
+        raise InputError(f"{document.path}: expected an animation of up to an hour, found {last:.0f} s; cut it")
+    count = frame_count(last, fps)
+    FRAMES.check(count, document.path)
+    moved = len({channel.node for channel in channels})
+    POSED_JOINTS.check(count * moved, document.path, len(document.binary))
+    return np.arange(count) / fps
+
+
+def sample_nodes(document: Document, channels: list[AnimationChannel], times: Float[np.ndarray, " T"]) -> NodeBlocks:
+    """Yield the animated values and the world transforms of all nodes, for blocks of B frames."""
+    for start in range(0, len(times), FRAMES_PER_BLOCK):
+        block_times = times[start : start + FRAMES_PER_BLOCK]
+        values = {(channel.node, channel.path): channel.sample(block_times) for channel in channels}
+        yield values, world_matrices(document, animated_matrices(document, values, len(block_times)))
+        document.mapped_files.release_pages()
+
+
+def sample_joints(
+    document: Document, channels: list[AnimationChannel], times: Float[np.ndarray, " T"], nodes: list[int]
+) -> Float[np.ndarray, "T J 4 4"]:
+    """Return the world transforms of some nodes at times in seconds."""
+    return np.concatenate([matrices[:, nodes] for _, matrices in sample_nodes(document, channels, times)])
+
+
+def pose_nodes(document: Document, values: AnimatedValues, frames: int) -> NodeBlocks:
+    """Yield given values of properties of nodes, and the world transforms of all nodes, for blocks of B frames."""
+    for start in range(0, frames, FRAMES_PER_BLOCK):
+        some = {key: value[start : start + FRAMES_PER_BLOCK] for key, value in values.items()}
+        count = min(FRAMES_PER_BLOCK, frames - start)
+        yield some, world_matrices(document, animated_matrices(document, some, count))
+
+
+def posed_vertices(document: Document, rest: RestScene, blocks: NodeBlocks) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """Yield the vertices of the Mesh in each frame of blocks of frames, in which the same values are animated."""
+    parts: list[UnposedVertices] = []
+    for values, T_world_node in blocks:
+        morph_weights = {node: value for (node, path), value in values.items() if path == "weights"}
+        if not parts:
+            parts = [_prepare_vertices(document, span, span.node in morph_weights) for span in rest.vertex_ranges]
+        # Positions of one frame at a time: only node transforms are computed for a whole block.
+        for t in range(len(T_world_node)):
+            frame_weights = {node: value[t].tolist() for node, value in morph_weights.items()}
+            yield np.concatenate([_pose_vertices(document, part, T_world_node[t], frame_weights) for part in parts])
+
+
+def _prepare_vertices(document: Document, span: VertexRange, morphs: bool) -> UnposedVertices:
+    """Read the distinct vertices of a range; all of them where their morph weights are animated."""
+    primitive = get_primitive(document, (span.node, span.primitives[0]))
+    binding = read_skin_binding(document, span.node, primitive)
+    if morphs:
+        return UnposedVertices(span.node, primitive, None, binding, np.arange(span.stop - span.start))
+    positions = read_morphed_attribute(document, primitive, "POSITION", read_morph_weights(document, span.node))
+    assert positions is not None
+    # Vertices with one position and one set of influences stay together in all frames.
+    keys = positions if binding is None else np.concatenate([positions, binding.joints, binding.weights], axis=1)
+    _, first, distinct_of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    if binding is not None:
+        binding = SkinBinding(binding.nodes, binding.T_joint_bind, binding.joints[first], binding.weights[first])
+    return UnposedVertices(span.node, primitive, positions[first], binding, distinct_of.reshape(-1))
+
+
+def _pose_vertices(
+    document: Document,
+    part: UnposedVertices,
+    T_world_node: Float[np.ndarray, "N 4 4"],
+    morph_weights: Mapping[int, list[float]],
+) -> Float[np.ndarray, "V 3"]:
+    """Return the world positions of a range's vertices in one frame; `morph_weights` are the animated ones by node."""
+    positions = part.positions
+    if positions is None:
+        positions = read_morphed_attribute(document, part.primitive, "POSITION", morph_weights[part.node])
+    assert positions is not None
+    # glTF 2.0, 3.7.3.2 Joint Hierarchy: a skinned mesh ignores the transform of its own node.
+    matrices = T_world_node[part.node][None, :3] if part.binding is None else part.binding.matrices(T_world_node)
+    return transform_points(matrices, positions)[part.distinct_of]

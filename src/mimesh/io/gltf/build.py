@@ -10,9 +10,10 @@ from jaxtyping import Float, Int
 from ...core.geometry import distinct_rows
 from ...core.mesh import Material, Mesh, Part
 from ..usd import stage_axes
+from .check import ARRAY_BUFFER
 from .document import image_type
-from .draft import ARRAY_BUFFER, Draft
-from .primitives import PrimitiveGroup
+from .draft import Draft
+from .edit import PrimitiveGroup
 from .read import DEFAULT_MATERIAL, POINTS
 
 WHITE_MATERIAL = Material("default", (1.0, 1.0, 1.0, 1.0))

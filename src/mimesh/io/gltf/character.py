@@ -1,16 +1,17 @@
-"""Reads a rigged .glb, .gltf, .vrm or .fbx of any maker as a character with limbs and clips, like those of a pool.
+"""Reads rigged .glb, .gltf, .vrm or .fbx of any maker: people and animals with limbs and clips, like those of a pool.
 
 Rest is the bind pose of the largest skin (`motion.rest_matrices`); the nodes' transforms in the file are often a frame
 of an animation, and are used only where the bind pose does not stand. Joints are found by VRM's humanoid bones, where
 the file lists them, else by their names. A file without skins is a figure of rigid parts: moving nodes are its joints.
 
 Facing: glTF characters face +z and VRM 0 characters -z. Joint names and feet check that: where two of the three agree,
-they are right. Some makers export -z, others name sides as the viewer sees them.
+they are right. Some makers export -z, others name sides as the viewer sees them. Animals face where their heads are.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...bodies.animal_limbs import LEGS, name_animal_joints, named_tail
 from ...bodies.character_limbs import (
     SIDES,
     FindJoints,
@@ -28,21 +30,26 @@ from ...bodies.character_limbs import (
     name_limb_joints,
     name_sided_joints,
 )
-from ...bodies.character_pool import CharacterClip, CharacterMeta, PoolCharacter, facing_rotation, sampled_poses
+from ...bodies.character_pool import (
+    FACING,
+    CharacterClip,
+    CharacterMeta,
+    PoolCharacter,
+    facing_rotation,
+    sampled_poses,
+)
 from ...bodies.joint_names import ancestors, without_fingers
 from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
 from ...core.mesh import Mesh, check_mesh
-from .animation import animated_nodes, animation_names, read_channels
-from .bake import frame_times, sample_nodes
+from .animation import animated_nodes, animation_names, frame_times, read_channels, sample_joints
+from .check import damaged
 from .document import Document, open_document
 from .motion import PLAYED_PATHS, bind_poses, is_motion
-from .origin import read_origin
-from .read import RestScene, read_rest
+from .read import RestScene, read_rest, rig_on_nodes, skin_joints
 from .scene import scene_nodes
-from .skin import rig_on_nodes, skin_joints
-from .vrm import vrm_bones, vrm_version
+from .vrm import read_origin, vrm_bones, vrm_version
 
 CLIP_FPS = 30.0
 """Frame rate at which clips are read."""
@@ -66,6 +73,8 @@ PAIRS = ("UpLeg", "Arm")
 """Joints whose two sides say where left is."""
 AXES = {"+z": (0, 1), "-z": (0, -1), "+x": (1, 0), "-x": (-1, 0)}
 """Horizontal direction (x, z) of each facing."""
+LEG_WORDS = {"front": re.compile("front|fore"), "hind": re.compile("back|hind|rear")}
+"""Words in the names of the joints of forelegs and of hind legs."""
 
 
 def read_rigged_character(
@@ -94,19 +103,17 @@ def read_rigged_character(
     clips = read_clips(document, bound.T_world_node[nodes], nodes, rig.parents, left_out)
     file_parents, poses = rig.parents, sampled_poses(clips, rig, turn)
     rig, joints, order = attach_feet(rig, joints, poses, path)
-    maker, stated = read_origin(document)
-    meta = CharacterMeta(
-        path.stem,
-        pack,
-        maker,
-        stated or licence or NOT_STATED,
-        "",
-        "humanoid",
-        "train",
-        facing,
-        str(path) * bool(clips),
-    )
+    meta = _meta(document, pack, licence, "humanoid", facing, bool(clips))
     return PoolCharacter(meta, rig, joints, find_limbs(rig, joints, path), clips, file_parents, order, turn)
+
+
+def _meta(document: Document, pack: str, licence: str, body_class: str, facing: str, has_clips: bool) -> CharacterMeta:
+    """Describe a character of a file, which holds its own clips."""
+    path, (maker, stated) = document.path, read_origin(document)
+    clips_file = str(path) if has_clips else ""
+    return CharacterMeta(
+        path.stem, pack, maker, stated or licence or NOT_STATED, "", body_class, "train", facing, clips_file
+    )
 
 
 def read_clips(
@@ -127,7 +134,7 @@ def read_clips(
         if left_out(name) or not any(channel.path == "rotation" for channel in channels):
             continue
         times = frame_times(document, channels, CLIP_FPS)[:MAX_FRAMES]
-        world = np.concatenate([matrices[:, nodes] for _, matrices in sample_nodes(document, channels, times)])
+        world = sample_joints(document, channels, times, nodes)
         if not np.isfinite(world).all():
             continue
         local = np.tile(np.eye(4), (*world.shape[:2], 1, 1))
@@ -140,13 +147,6 @@ def read_clips(
         quaternions = Rotation.from_matrix(local[..., :3, :3].reshape(-1, 3, 3)).as_quat()
         clips[name] = CharacterClip(quaternions.reshape(*local.shape[:2], 4), local[..., :3, 3])
     return clips
-
-
-def moving_nodes(document: Document) -> set[int]:
-    """List the nodes that show a mesh or that an animation moves: the joints of a figure of rigid parts."""
-    return animated_nodes(document, PLAYED_PATHS) | {
-        node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]
-    }
 
 
 class NotUpright(InputError):
@@ -184,30 +184,21 @@ def read_standing(
     Raises:
         InputError: limbs that are not found, several characters, or a trunk that is not upright.
     """
-    bones = vrm_bones(document)
-    joint_nodes = (skin_joints(document, scene) or moving_nodes(document)) | set(without_fingers(bones).values())
     for T_world_node in bind_poses(document):
         bound = dataclasses.replace(scene, T_world_node=T_world_node)
         try:
-            return _standing(mesh, document, bound, joint_nodes, bones, find)
+            return _standing(mesh, document, bound, find)
         except NotUpright:
             continue  # the bind pose may have another orientation
         except InputError:
             break
-    return _standing(mesh, document, scene, joint_nodes, bones, find)
+    return _standing(mesh, document, scene, find)
 
 
-def _standing(
-    mesh: Mesh,
-    document: Document,
-    scene: RestScene,
-    joint_nodes: set[int],
-    bones: dict[str, int],
-    find: FindJoints | None,
-) -> StandingCharacter:
+def _standing(mesh: Mesh, document: Document, scene: RestScene, find: FindJoints | None) -> StandingCharacter:
     """Read the rig with the nodes of `scene` as its rest pose; see `read_standing`."""
-    path = document.path
-    rig, nodes = rig_at_rest(mesh, document, scene, joint_nodes)
+    path, bones = document.path, vrm_bones(document)
+    rig, nodes = rig_at_rest(mesh, document, scene, without_fingers(bones).values())
     known = {name: nodes.index(node) for name, node in bones.items() if node in nodes}
     if find is not None:
         try:
@@ -219,17 +210,22 @@ def _standing(
 
 
 def rig_at_rest(
-    mesh: Mesh, document: Document, scene: RestScene, joint_nodes: Collection[int]
+    mesh: Mesh, document: Document, scene: RestScene, bones: Collection[int] = ()
 ) -> tuple[SkinnedCharacter, list[int]]:
     """Read the rig of a mesh with the nodes of `scene` as its rest pose, without scales, and the node of each joint.
+
+    Joints are those of the shown skins, else the nodes that show a mesh or that an animation moves, and `bones`.
 
     Raises:
         InputError: positions that are not finite.
     """
-    path = document.path
-    rig, nodes = rig_on_nodes(mesh, document, scene, joint_nodes)
+    path, joint_nodes = document.path, skin_joints(document, scene)
+    if not joint_nodes:
+        joint_nodes = animated_nodes(document, PLAYED_PATHS)
+        joint_nodes |= {node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]}
+    rig, nodes = rig_on_nodes(mesh, document, scene, joint_nodes.union(bones))
     if not all(np.isfinite(array).all() for array in (rig.points, rig.T_world_joint)):
-        raise InputError(f"{path}: expected a rest pose of finite numbers, found NaN or infinity; export it again")
+        raise damaged(path, "a rest pose of finite numbers", "NaN or infinity")
     frames = np.tile(np.eye(4), (len(nodes), 1, 1))
     frames[:, :3, :3] = nearest_rotation(rig.T_world_joint[:, :3, :3])
     frames[:, :3, 3] = rig.joints
@@ -352,3 +348,81 @@ def carried_part(rig: SkinnedCharacter) -> SkinnedCharacter:
     points, weights = rig.points[used], rig.weights[used]
     mesh = Mesh(rig.mesh.vertices[used], (np.cumsum(used) - 1)[faces], name=rig.mesh.name)
     return dataclasses.replace(rig, mesh=mesh, joint_of=rig.joint_of[used], weights=weights, points=points)
+
+
+def read_rigged_animal(
+    path: str | Path, pack: str = "", licence: str = "", left_out: Callable[[str], bool] = lambda name: False
+) -> PoolCharacter:
+    """Read an animal, turned to face +z, with all of its clips but those that `left_out` names.
+
+    Args:
+        licence: of files that do not state one.
+
+    Raises:
+        InputError: a damaged file, no mesh, or no four legs on one skeleton.
+    """
+    path = Path(path)
+    document = open_document(path)
+    if is_motion(document):
+        raise InputError(f"{path}: expected a rigged mesh, found animations without a mesh")
+    mesh, scene = read_rest(document)
+    standing = read_standing_animal(check_mesh(mesh, path), document, scene)
+    turn = facing_rotation(standing.facing)
+    rig, nodes = carried_part(standing.rig).turned(turn), standing.nodes
+    clips = read_clips(document, standing.scene.T_world_node[nodes], nodes, rig.parents, left_out)
+    meta = _meta(document, pack, licence, "quadruped", standing.facing, bool(clips))
+    joints, order = name_animal_joints(rig, path), np.arange(len(rig.parents))
+    return PoolCharacter(meta, rig, joints, {}, clips, rig.parents, order, turn)
+
+
+def read_standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> StandingCharacter:
+    """Read the rig of a scene in its bind pose, or in the pose of the file's nodes where it stands in none.
+
+    Raises:
+        InputError: there are no four legs on one skeleton.
+    """
+    for T_world_node in bind_poses(document):
+        bound = dataclasses.replace(scene, T_world_node=T_world_node)
+        try:
+            return _standing_animal(mesh, document, bound)
+        except InputError:
+            continue  # the bind pose may have another orientation
+    return _standing_animal(mesh, document, scene)
+
+
+def _standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> StandingCharacter:
+    rig, nodes = rig_at_rest(mesh, document, scene)
+    return StandingCharacter(rig, nodes, animal_facing(carried_part(rig), document.path), {}, scene)
+
+
+def animal_facing(rig: SkinnedCharacter, path: object) -> str:
+    """Find where an animal faces: where the largest part that sticks out from its legs, the head, is in front.
+
+    Names of legs are believed first (leg-front-left), and a tail that has this name is behind.
+
+    Raises:
+        InputError: there are no four legs on one skeleton, whatever it faces.
+    """
+    scores, reasons = {}, []
+    for facing in filter(None, FACING):
+        turned = rig.turned(facing_rotation(facing))
+        try:
+            joints = name_animal_joints(turned, path)
+        except InputError as error:
+            reasons.append(error)
+            continue
+        tops = {pair: [joints[side + parts[0]] for side in SIDES] for pair, parts in LEGS.items()}
+        names = [(pair, turned.joint_names[joint].lower()) for pair in LEGS for joint in tops[pair]]
+        said = sum(bool(LEG_WORDS[pair].search(name)) for pair, name in names)
+        center = turned.joints[[*tops["front"], *tops["hind"]], 2].mean()
+        head = [joints["Head"]] if "Head" in joints else []
+        scores[facing] = said, _ahead(turned, head, center) - _ahead(turned, named_tail(turned), center)
+    if not scores:
+        raise reasons[0]
+    return max(scores, key=lambda facing: scores[facing])  # the first, +z, where they are equal
+
+
+def _ahead(rig: SkinnedCharacter, joints: list[int], center: float) -> float:
+    """Compute how far in front of the legs' center joints are, times the share of the vertices that they move."""
+    share = rig.joint_weights()[:, joints].mean(axis=0)
+    return float(share @ (rig.joints[joints, 2] - center))

@@ -1,4 +1,4 @@
-"""Checks the JSON of a glTF document before any of it is used: version, extensions, types and references.
+"""Checks the JSON of a glTF document before any of it is used: version, extensions, types, references and sizes.
 
 The tables name locations in the JSON tree: `[]` stands for each item of a list, `{}` for each value of an object; a
 location that a file does not have is skipped. After `check_document`, the reader uses indices without further checks.
@@ -7,12 +7,23 @@ Numbers in comments are sections of the glTF 2.0 specification; the tables follo
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ...core.budgets import JOINTS
+import numpy as np
+
+from ...core.budgets import DEPTH, FACES, JOINTS, MORPHED, SHOWN, VERTICES
 from ...core.errors import InputError
+
+COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+"""NumPy dtype of each `componentType` (3.6.2.2 Accessor Data Types); buffers are little endian."""
+COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+"""Components of an element of each accessor `type` (3.6.2.2)."""
+
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+"""Values of `bufferView.target`: vertex attributes and indices (5.11 Buffer View)."""
 
 TEXTURE_TRANSFORM = "extensions KHR_texture_transform"
 SPECULAR_GLOSSINESS = "extensions KHR_materials_pbrSpecularGlossiness"
@@ -157,8 +168,7 @@ ATTRIBUTE_TYPES = {
 MORPH_TARGET_TYPES = {"POSITION": "VEC3", "NORMAL": "VEC3", "TANGENT": "VEC3"}
 """Accessor type of each attribute that a morph target may have (3.7.2.2 Morph Targets)."""
 INDEX_TYPES = (5121, 5123, 5125)
-"""Component types of an index accessor: unsigned byte, short, int (5.24 Mesh Primitive)."""
-
+"""Component types of indices, those of sparse accessors included: unsigned byte, short, int (5.24, 3.6.2.3)."""
 
 LARGEST = 3.4e38
 """Largest number in the JSON: about that of float32. Python's reader takes NaN and infinity, which JSON has not."""
@@ -188,15 +198,14 @@ def check_document(gltf: Any, path: Path) -> None:
         for item in _values_at(gltf, location, path):
             for name in names:
                 _expect(isinstance(item, dict) and name in item, path, f"'{name}' in each of '{location}'", item)
-    for location in NON_NEGATIVE_INTEGERS:
-        for value in _values_at(gltf, location, path):
-            _expect(_is_index(value), path, f"a count in '{location}'", value)
-    for location in STRINGS:
-        for value in _values_at(gltf, location, path):
-            _expect(isinstance(value, str), path, f"text in '{location}'", value)
-    for location in OBJECTS:
-        for value in _values_at(gltf, location, path):
-            _expect(isinstance(value, dict), path, f"an object in '{location}'", value)
+    for locations, fits, kind in (
+        (NON_NEGATIVE_INTEGERS, _is_index, "a count"),
+        (STRINGS, lambda value: isinstance(value, str), "text"),
+        (OBJECTS, lambda value: isinstance(value, dict), "an object"),
+    ):
+        for location in locations:
+            for value in _values_at(gltf, location, path):
+                _expect(fits(value), path, f"{kind} in '{location}'", value)
     for location, length in NUMBER_LISTS.items():
         for value in _values_at(gltf, location, path):
             _expect(_is_numbers(value, length), path, f"{length or 'some'} numbers in '{location}'", value)
@@ -206,6 +215,113 @@ def check_document(gltf: Any, path: Path) -> None:
             _expect(_is_index(value) and value < count, path, f"'{location}' to be one of {count} {name}", value)
     for primitive in _values_at(gltf, "meshes [] primitives []", path):
         _check_primitive(gltf, primitive, path)
+
+
+def check_sizes(gltf: dict[str, Any], size: int, path: Path) -> None:
+    """Check the numbers of vertices, triangles and morph targets that nodes show, each as often as shown.
+
+    Args:
+        gltf: the JSON, checked by `check_document`.
+        size: bytes of all buffers.
+
+    Raises:
+        InputError: a number is above its budget, or too many nodes are below each other.
+    """
+    nodes, accessors = gltf.get("nodes", []), gltf.get("accessors", [])
+    _check_depth(nodes, path)
+    parts = corners = morphed = 0
+    for mesh, shown in Counter(node["mesh"] for node in nodes if "mesh" in node).items():
+        deformed = set()  # primitives with the same vertices, one for each material, are deformed once
+        for primitive in gltf["meshes"][mesh]["primitives"]:
+            if "POSITION" not in primitive["attributes"]:
+                continue
+            position, targets = primitive["attributes"]["POSITION"], primitive.get("targets", [])
+            count = accessors[position]["count"]
+            indexed = accessors[primitive["indices"]]["count"] if "indices" in primitive else count
+            VERTICES.check(count, path)
+            parts += shown
+            # Strips and fans have up to one triangle for each index, lists a third.
+            corners += shown * indexed * (1 if primitive.get("mode", 4) == 4 else 3)
+            key = (position, tuple(target.get("POSITION") for target in targets))
+            morphed += shown * count * len(targets) if key not in deformed else 0
+            deformed.add(key)
+    SHOWN.check(parts, path)
+    FACES.check(corners // 3, path)
+    MORPHED.check(morphed, path, size)
+
+
+def cut_broken_links(gltf: dict[str, Any]) -> tuple[dict[str, Any], str | None]:
+    """Leave out the links to children that make a loop or a second parent, where a file has skinned meshes.
+
+    A walk from the roots of the scenes down keeps the first link to each node: links back up, which damaged skeletons
+    have, come later. The rig of such a file is not used, because another link may have been the wrong one.
+
+    Returns the JSON, the same object if it has a tree already, and what was wrong.
+    """
+    nodes = gltf.get("nodes", [])
+    if not any("mesh" in node and "skin" in node for node in nodes):
+        return gltf, None
+    children: list[list[int]] = [[] for _ in nodes]
+    found = {child for node in nodes for child in node.get("children", [])}
+    listed = [root for scene in gltf.get("scenes", []) for root in scene.get("nodes", [])]
+    loose = [node for node in range(len(nodes)) if node not in found]
+    reached: set[int] = set()
+    damage = None
+    for root in [*listed, *loose, *range(len(nodes))]:
+        if root in reached:
+            continue
+        reached.add(root)
+        chain = [root]
+        stack = [iter(nodes[root].get("children", []))]
+        while stack:
+            child = next(stack[-1], None)
+            if child is None:
+                stack.pop()
+                chain.pop()
+            elif child in reached:
+                wrong = f"node {child} below itself" if child in chain else f"two parents of node {child}"
+                damage = damage or f"expected a tree of nodes, found {wrong}"
+            else:
+                children[chain[-1]].append(child)
+                reached.add(child)
+                chain.append(child)
+                stack.append(iter(nodes[child].get("children", [])))
+    if damage is None:
+        return gltf, None
+    bare = ({key: value for key, value in node.items() if key != "children"} for node in nodes)
+    tree = [node | ({"children": below} if below else {}) for node, below in zip(bare, children, strict=True)]
+    return {**gltf, "nodes": tree}, damage
+
+
+def element_size(accessor: dict[str, Any], index: int, path: Path) -> int:
+    """Return the bytes of one element; columns of matrices start at multiples of 4 bytes (3.6.2.4 Data Alignment).
+
+    Raises:
+        InputError: the component type or the type is not one of glTF 2.0.
+    """
+    component, kind = accessor["componentType"], accessor["type"]
+    if component not in COMPONENT_TYPES or kind not in COMPONENT_COUNTS:
+        raise damaged(path, f"a glTF 2.0 type in accessor {index}", f"{component} {kind}")
+    width = np.dtype(COMPONENT_TYPES[component]).itemsize
+    if not kind.startswith("MAT"):
+        return COMPONENT_COUNTS[kind] * width
+    columns = int(kind[3])
+    return columns * (columns * width + -columns * width % 4)
+
+
+def list_primitives(gltf: dict[str, Any]) -> list[dict[str, Any]]:
+    """List the primitives of all meshes."""
+    return [primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]]
+
+
+def attribute_accessors(primitive: dict[str, Any]) -> list[int]:
+    """List the accessors of a primitive's attributes, and of those of its morph targets."""
+    return [index for owner in (primitive["attributes"], *primitive.get("targets", [])) for index in owner.values()]
+
+
+def damaged(path: object, expected: str, found: object) -> InputError:
+    """Return the error for a file that contradicts the standard, or itself."""
+    return InputError(f"{path}: expected {expected}, found {found}; the file is damaged, export it again")
 
 
 def _check_version(gltf: dict[str, Any], path: Path) -> None:
@@ -286,4 +402,17 @@ def _expect(good: bool, path: Path, expected: str, found: Any) -> None:
     if not good:
         text = repr(found)
         text = text if len(text) <= 60 else text[:57] + "..."
-        raise InputError(f"{path}: expected {expected}, found {text}; the file is damaged, export it again")
+        raise damaged(path, expected, text)
+
+
+def _check_depth(nodes: list[dict[str, Any]], path: Path) -> None:
+    """Check how many nodes are below each other; loops are reported by those who walk the tree."""
+    below = {child for node in nodes for child in node.get("children", [])}
+    level = {index for index in range(len(nodes)) if index not in below}
+    reached = set(level)
+    depth = 0
+    while level:
+        depth += 1
+        level = {child for index in level for child in nodes[index].get("children", [])} - reached
+        reached |= level
+    DEPTH.check(depth, path)

@@ -3,6 +3,10 @@
 Draco compresses the attributes and indices of a primitive, meshopt the contents of a buffer view. Both are decoded by
 libraries (the extra `compressed`), in a child process. The decoded data is appended to the document's buffer, so that
 the document is then one without compression. Where a file has its data uncompressed too, that is read instead.
+
+Lossy compression breaks rules of glTF that the compressed file kept: quantized weights no longer add up to 1,
+handedness is no longer 1 or -1, and positions leave the bounds that the JSON states. Only values that break a rule are
+corrected.
 """
 
 from __future__ import annotations
@@ -13,19 +17,33 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float, Shaped
+
 from ...core.budgets import UNPACKED
 from ...core.errors import InputError
 from ..atomic import scratch_folder
 from ..child_process import Limits, child_result
-from .accessor_types import COMPONENT_COUNTS, COMPONENT_TYPES, element_size
-from .check import DRACO, MESHOPT
-from .decoded_values import correct_decoded
+from .check import (
+    ARRAY_BUFFER,
+    COMPONENT_COUNTS,
+    COMPONENT_TYPES,
+    DRACO,
+    ELEMENT_ARRAY_BUFFER,
+    MESHOPT,
+    attribute_accessors,
+    damaged,
+    element_size,
+    list_primitives,
+)
 
-DECODER = "mimesh.io.gltf.decoders:decode"
+DECODER = "mimesh.io.gltf.compression:decode"
 PACKAGES = {"draco": ("DracoPy", "Draco"), "meshopt": ("meshopt", "meshopt compression")}
 """Module that decodes each codec, and the codec's name in messages."""
 FILTERS = ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR")
 """Values of `filter` of both meshopt extensions."""
+WEIGHT_TOLERANCE = 2e-7
+"""Deviation of the sum of weights from 1 that the Khronos validator allows for each weight that is not 0."""
 
 
 @dataclass(eq=False)
@@ -72,10 +90,7 @@ def compressed_views(gltf: dict[str, Any], path: Path) -> dict[int, str]:
         if names and (without_bytes or names[0] in required):
             found[number] = names[0]
         elif without_bytes:
-            raise InputError(
-                f"{path}: expected compressed data in buffer view {number}, found none; "
-                "the file is damaged, export it again"
-            )
+            raise damaged(path, f"compressed data in buffer view {number}", "none")
     return found
 
 
@@ -114,6 +129,75 @@ def decompress(
     return gltf, b"".join([*kept, decoded])
 
 
+def _is_meshopt(view: dict[str, Any]) -> bool:
+    return any(name in view.get("extensions", {}) for name in MESHOPT)
+
+
+def _draco_primitives(gltf: dict[str, Any]) -> list[dict[str, Any]]:
+    """List the primitives that have compressed data."""
+    return [primitive for primitive in list_primitives(gltf) if DRACO in primitive.get("extensions", {})]
+
+
+def _plan_meshopt(
+    work: _Work, gltf: dict[str, Any], binary: bytes | memoryview, views: dict[int, str], path: Path
+) -> None:
+    """Add the buffer views that meshopt compresses to the work, and replace them by views of the results."""
+    for number, name in views.items():
+        view = gltf["bufferViews"][number]
+        extension = view["extensions"][name]
+        count, stride = extension["count"], extension["byteStride"]
+        mode, decoded_filter = extension["mode"], extension.get("filter", "NONE")
+        strides = {"ATTRIBUTES": range(4, 257, 4), "TRIANGLES": (2, 4), "INDICES": (2, 4)}.get(mode, ())
+        if stride not in strides or decoded_filter not in FILTERS or count * stride != view["byteLength"]:
+            expected = f"{view['byteLength']} bytes of ATTRIBUTES, TRIANGLES or INDICES in buffer view {number}"
+            raise damaged(path, expected, f"{count} x {stride} of {mode!s:.20}")
+        job = {"codec": "meshopt", "count": count, "stride": stride, "mode": mode, "filter": decoded_filter}
+        start = extension["byteOffset"]
+        new = {**view, **work.add(job, binary[start : start + extension["byteLength"]], [count * stride])[0]}
+        gltf["bufferViews"][number] = new
+        work.views[-1] = new
+
+
+def _plan_draco(work: _Work, gltf: dict[str, Any], binary: bytes | memoryview, path: Path) -> None:
+    """Add the primitives that Draco compresses to the work, and give their accessors views of the results."""
+    required = DRACO in gltf.get("extensionsRequired", [])
+    planned: set[int] = set()
+    for primitive in _draco_primitives(gltf):
+        extension = primitive["extensions"][DRACO]
+        ids = extension["attributes"]
+        wanted = {name: index for name, index in primitive["attributes"].items() if name in ids}
+        accessors = [primitive[key] for key in ("indices",) if key in primitive] + list(wanted.values())
+        # Where Draco is optional, the accessors have the data uncompressed.
+        has_data = all("bufferView" in gltf["accessors"][index] for index in accessors)
+        if planned.issuperset(accessors) or (has_data and not required):
+            continue
+        planned.update(accessors)
+        outputs = [_draco_output(gltf, primitive["indices"], None, path)] if "indices" in primitive else []
+        outputs += [_draco_output(gltf, index, ids[name], path) for name, index in wanted.items()]
+        view = gltf["bufferViews"][extension["bufferView"]]
+        blob = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        sizes = [output["stride"] * output["count"] for output in outputs]
+        new_views = work.add({"codec": "draco", "outputs": outputs}, blob, sizes)
+        for index, new_view, output in zip(accessors, new_views, outputs, strict=True):
+            new_view |= {"byteStride": output["stride"]} if output["padding"] else {}
+            added = {"bufferView": len(gltf["bufferViews"]), "byteOffset": 0}
+            gltf["accessors"][index] = {**gltf["accessors"][index], **added}
+            gltf["bufferViews"].append(new_view)
+
+
+def _draco_output(gltf: dict[str, Any], index: int, attribute: int | None, path: Path) -> dict[str, Any]:
+    """Describe the array that Draco is to give for an accessor of a vertex attribute, or of indices (None)."""
+    accessor = gltf["accessors"][index]
+    size = element_size(accessor, index, path)
+    if accessor["type"].startswith("MAT"):
+        raise damaged(path, "vectors in Draco data", accessor["type"])
+    # Elements of vertex attributes start at multiples of 4 bytes (3.6.2.4 Data Alignment).
+    padding = 0 if attribute is None else -size % 4
+    kind = {"dtype": COMPONENT_TYPES[accessor["componentType"]], "columns": COMPONENT_COUNTS[accessor["type"]]}
+    place = {"count": accessor["count"], "padding": padding, "stride": size + padding}
+    return kind | place | ({} if attribute is None else {"id": attribute})
+
+
 def _keep_used(
     gltf: dict[str, Any], dead: set[int], decoded: list[dict[str, Any]], binary: bytes | memoryview
 ) -> list[bytes | memoryview]:
@@ -142,85 +226,6 @@ def _keep_used(
     return parts
 
 
-def _is_meshopt(view: dict[str, Any]) -> bool:
-    return any(name in view.get("extensions", {}) for name in MESHOPT)
-
-
-def _draco_primitives(gltf: dict[str, Any]) -> list[dict[str, Any]]:
-    """List the primitives that have compressed data."""
-    primitives = [primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]]
-    return [primitive for primitive in primitives if DRACO in primitive.get("extensions", {})]
-
-
-def _plan_meshopt(
-    work: _Work, gltf: dict[str, Any], binary: bytes | memoryview, views: dict[int, str], path: Path
-) -> None:
-    """Add the buffer views that meshopt compresses to the work, and replace them by views of the results."""
-    for number, name in views.items():
-        view = gltf["bufferViews"][number]
-        extension = view["extensions"][name]
-        count, stride = extension["count"], extension["byteStride"]
-        mode, decoded_filter = extension["mode"], extension.get("filter", "NONE")
-        strides = {"ATTRIBUTES": range(4, 257, 4), "TRIANGLES": (2, 4), "INDICES": (2, 4)}.get(mode, ())
-        if stride not in strides or decoded_filter not in FILTERS or count * stride != view["byteLength"]:
-            raise InputError(
-                f"{path}: expected {view['byteLength']} bytes of ATTRIBUTES, TRIANGLES or INDICES in buffer view "
-                f"{number}, found {count} x {stride} of {mode!s:.20}; the file is damaged, export it again"
-            )
-        job = {"codec": "meshopt", "count": count, "stride": stride, "mode": mode, "filter": decoded_filter}
-        start = extension["byteOffset"]
-        new = {**view, **work.add(job, binary[start : start + extension["byteLength"]], [count * stride])[0]}
-        gltf["bufferViews"][number] = new
-        work.views[-1] = new
-
-
-def _plan_draco(work: _Work, gltf: dict[str, Any], binary: bytes | memoryview, path: Path) -> None:
-    """Add the primitives that Draco compresses to the work, and give their accessors views of the results."""
-    required = DRACO in gltf.get("extensionsRequired", [])
-    planned: set[int] = set()
-    for primitive in _draco_primitives(gltf):
-        extension = primitive["extensions"][DRACO]
-        ids = extension["attributes"]
-        wanted = {name: index for name, index in primitive["attributes"].items() if name in ids}
-        accessors = [primitive[key] for key in ("indices",) if key in primitive] + list(wanted.values())
-        # Where Draco is optional, the accessors have the data uncompressed.
-        has_data = all("bufferView" in gltf["accessors"][index] for index in accessors)
-        if planned.issuperset(accessors) or (has_data and not required):
-            continue
-        planned.update(accessors)
-        outputs = [_draco_output(gltf, index, path) for index in accessors]
-        attributes = [{"id": ids[name]} for name in wanted]
-        for number, output in zip([None] * ("indices" in primitive) + attributes, outputs, strict=True):
-            output |= number or {}
-        view = gltf["bufferViews"][extension["bufferView"]]
-        blob = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
-        for index, output in zip(accessors, outputs, strict=True):
-            size = element_size(gltf["accessors"][index], index, path)
-            # Elements of vertex attributes start at multiples of 4 bytes (3.6.2.4 Data Alignment).
-            output["padding"] = -size % 4 if "id" in output else 0
-            output["stride"] = size + output["padding"]
-        new_views = work.add(
-            {"codec": "draco", "outputs": outputs}, blob, [output["stride"] * output["count"] for output in outputs]
-        )
-        for new_view, output in zip(new_views, outputs, strict=True):
-            new_view |= {"byteStride": output["stride"]} if output["padding"] else {}
-        for index, new_view in zip(accessors, new_views, strict=True):
-            gltf["accessors"][index] = {
-                **gltf["accessors"][index], "bufferView": len(gltf["bufferViews"]), "byteOffset": 0
-            }  # fmt: skip
-            gltf["bufferViews"].append(new_view)
-
-
-def _draco_output(gltf: dict[str, Any], index: int, path: Path) -> dict[str, Any]:
-    """Describe the array that Draco is to give for an accessor."""
-    accessor = gltf["accessors"][index]
-    element_size(accessor, index, path)  # raises an InputError for unknown types
-    if accessor["type"].startswith("MAT"):
-        raise InputError(f"{path}: expected vectors in Draco data, found {accessor['type']}; export it again")
-    dtype = COMPONENT_TYPES[accessor["componentType"]]
-    return {"dtype": dtype, "columns": COMPONENT_COUNTS[accessor["type"]], "count": accessor["count"]}
-
-
 def _decode(work: _Work, path: Path) -> bytes:
     """Run the decoders in a child process; returns the results one after another, padded."""
     for codec in {job["codec"] for job in work.jobs}:
@@ -240,7 +245,141 @@ def _decode(work: _Work, path: Path) -> bytes:
         with child_result(DECODER, request, path, limits) as result:
             content = result.read_bytes()
     if len(content) != work.size:
-        raise InputError(
-            f"{path}: expected {work.size:,} bytes of decoded data, found {len(content):,}; export it again"
-        )
+        raise damaged(path, f"{work.size:,} bytes of decoded data", f"{len(content):,}")
     return content
+
+
+def decode(source: Path, target: Path) -> None:
+    """Decode the jobs of a request and write their results one after another, padded to multiples of 4 bytes.
+
+    A request is the length of its JSON (8 bytes), the JSON, and the compressed data of all jobs.
+
+    Raises:
+        InputError: the data has another number of elements than the JSON says.
+    """
+    content = source.read_bytes()
+    start = 8 + int.from_bytes(content[:8], "little")
+    with target.open("wb") as file:
+        for job in json.loads(content[8:start]):
+            blob, start = content[start : start + job["bytes"]], start + job["bytes"]
+            results = _decode_draco(job, blob, source) if job["codec"] == "draco" else [_decode_meshopt(job, blob)]
+            for result in results:
+                file.write(result + bytes(-len(result) % 4))
+
+
+def _decode_meshopt(job: dict[str, Any], blob: bytes) -> bytes:
+    """Decode the contents of a buffer view."""
+    import meshopt
+
+    kind = None if job["filter"] == "NONE" else job["filter"]
+    return meshopt.decode_gltf_buffer(blob, job["count"], job["stride"], job["mode"], kind).tobytes()
+
+
+def _decode_draco(job: dict[str, Any], blob: bytes, source: Path) -> list[bytes]:
+    """Decode the indices and attributes of a primitive, in the types of their accessors."""
+    import DracoPy
+
+    mesh = DracoPy.decode(blob)
+    results = []
+    for output in job["outputs"]:
+        if "id" in output:
+            attribute = mesh.get_attribute_by_unique_id(output["id"])
+            found = None if attribute is None else np.asarray(attribute["data"])
+        else:
+            found = np.asarray(mesh.faces).reshape(-1, 1)
+        shape = (output["count"], output["columns"])
+        if found is None or found.shape != shape:
+            name = "indices" if "id" not in output else f"attribute {output['id']}"
+            expected = f"{shape[0]} x {shape[1]} numbers in {name} of its Draco data"
+            raise damaged(source, expected, None if found is None else found.shape)
+        rows = np.ascontiguousarray(found.astype(output["dtype"])).view(np.uint8).reshape(len(found), -1)
+        results.append(np.pad(rows, ((0, 0), (0, output["padding"]))).tobytes())
+    return results
+
+
+def correct_decoded(gltf: dict[str, Any], decoded: bytearray, views: set[int]) -> None:
+    """Correct weights, tangents, bounds and buffer view targets, in the JSON and in the decoded data.
+
+    Args:
+        gltf: its lists of accessors and buffer views are its own; entries of the lists are replaced.
+        decoded: the decoded data, which is changed.
+        views: the buffer views of it, with offsets in it.
+    """
+    arrays = _Arrays(gltf, decoded, views)
+    for primitive in list_primitives(gltf):
+        _correct_weights(arrays, primitive["attributes"])
+        tangents = arrays.floats(primitive["attributes"].get("TANGENT"), 4)
+        if tangents is not None:
+            tangents[:, 3] = np.where(tangents[:, 3] < 0, -1.0, 1.0)
+    for index, accessor in enumerate(gltf["accessors"]):
+        values = arrays.get(index)
+        if values is not None and ("min" in accessor or "max" in accessor):
+            bounds = {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+            gltf["accessors"][index] = {**accessor, **{key: bounds[key] for key in bounds if key in accessor}}
+    for view, target in _targets(gltf).items():
+        if view in views:
+            gltf["bufferViews"][view].setdefault("target", target)
+
+
+class _Arrays:
+    """Gives writable arrays of the accessors of decoded data."""
+
+    def __init__(self, gltf: dict[str, Any], decoded: bytearray, views: set[int]) -> None:
+        self.gltf = gltf
+        self.decoded = decoded
+        self.views = views
+
+    def get(self, index: int) -> Shaped[np.ndarray, "N C"] | None:
+        """Return the elements of an accessor; None if it is not decoded data, sparse, of matrices, or out of range."""
+        accessor = self.gltf["accessors"][index]
+        if accessor.get("bufferView") not in self.views or "sparse" in accessor or accessor["type"].startswith("MAT"):
+            return None
+        if accessor["componentType"] not in COMPONENT_TYPES or accessor["type"] not in COMPONENT_COUNTS:
+            return None  # reported when the accessor is read, as a wrong range is
+        view = self.gltf["bufferViews"][accessor["bufferView"]]
+        dtype, columns = np.dtype(COMPONENT_TYPES[accessor["componentType"]]), COMPONENT_COUNTS[accessor["type"]]
+        offset, stride = accessor.get("byteOffset", 0), view.get("byteStride") or columns * dtype.itemsize
+        end = offset + (accessor["count"] - 1) * stride + columns * dtype.itemsize
+        if end > view["byteLength"] or accessor["count"] < 1:
+            return None
+        start = view["byteOffset"] + offset
+        shape, strides = (accessor["count"], columns), (stride, dtype.itemsize)
+        return np.ndarray(shape, dtype, self.decoded, start, strides)
+
+    def floats(self, index: int | None, columns: int) -> Float[np.ndarray, "N C"] | None:
+        """Return the elements of an accessor of so many floats; None if it is none."""
+        values = None if index is None else self.get(index)
+        return values if values is not None and values.dtype == np.float32 and values.shape[1] == columns else None
+
+
+def _correct_weights(arrays: _Arrays, attributes: dict[str, int]) -> None:
+    """Divide the weights of each vertex by their sum where that is not 1; the joints of weights of 0 become 0.
+
+    Weights that are integers are coded without loss.
+    """
+    count = sum(name.startswith("WEIGHTS_") for name in attributes)
+    found = (arrays.floats(attributes.get(f"WEIGHTS_{number}"), 4) for number in range(count))
+    sets = [weights for weights in found if weights is not None]
+    if not sets or len(sets) < count or len({len(weights) for weights in sets}) > 1:
+        return
+    weights = np.maximum(np.concatenate(sets, axis=1).astype(np.float64), 0.0)
+    total = weights.sum(axis=1, keepdims=True)
+    wrong = np.abs(total - 1.0) > WEIGHT_TOLERANCE * (weights > 0).sum(axis=1, keepdims=True)
+    weights = np.where(wrong & (total > 0), weights / np.where(total > 0, total, 1.0), weights)
+    for number, stored in enumerate(sets):
+        stored[:] = weights[:, 4 * number : 4 * number + 4]
+        joints = arrays.get(attributes[f"JOINTS_{number}"]) if f"JOINTS_{number}" in attributes else None
+        if joints is not None and joints.shape == stored.shape:
+            joints[stored == 0] = 0
+
+
+def _targets(gltf: dict[str, Any]) -> dict[int, int]:
+    """Return the target of each buffer view that only vertex attributes, or only indices, lie in."""
+    found: dict[int, set[int]] = {}
+    for primitive in list_primitives(gltf):
+        used = [(index, ARRAY_BUFFER) for index in attribute_accessors(primitive)]
+        used += [(primitive["indices"], ELEMENT_ARRAY_BUFFER)] if "indices" in primitive else []
+        for index, target in used:
+            if "bufferView" in gltf["accessors"][index]:
+                found.setdefault(gltf["accessors"][index]["bufferView"], set()).add(target)
+    return {view: targets.pop() for view, targets in found.items() if len(targets) == 1}

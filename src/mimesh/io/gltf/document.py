@@ -1,13 +1,18 @@
 """Opens glTF 2.0 files: the JSON and the buffers of a .glb or .gltf, and the arrays (accessors) inside them.
 
 All buffers, embedded or in files beside it, are joined into one on opening, so that a `Document` needs no other file.
-Numbers in comments are sections of the glTF 2.0 specification.
+Large files and data: URIs are memory-mapped: they take only the memory of the pages that are being read. Numbers in
+comments are sections of the glTF 2.0 specification.
 """
 
 from __future__ import annotations
 
+import base64
 import json
+import mmap
+import re
 import struct
+import tempfile
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -19,18 +24,30 @@ from jaxtyping import Float, Shaped, UInt8
 
 from ...core.budgets import EMPTY, JOINED, UNPACKED
 from ...core.errors import InputError
+from ...core.frame_buffer import LARGE
+from ..beside import is_there
 from ..fbx import fbx_as_glb
-from .accessor_types import COMPONENT_TYPES, element_size
-from .check import COMPRESSION_EXTENSIONS, MESHOPT, check_document
+from .check import (
+    COMPONENT_TYPES,
+    COMPRESSION_EXTENSIONS,
+    INDEX_TYPES,
+    MESHOPT,
+    attribute_accessors,
+    check_document,
+    check_sizes,
+    cut_broken_links,
+    damaged,
+    element_size,
+    list_primitives,
+)
 from .compression import compressed_views, decompress, is_fallback
-from .mapped_files import MappedFiles
-from .node_tree import cut_broken_links
-from .sizes import check_sizes
 
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 """Chunk types of a GLB file (4.4.3 Chunks): "JSON" and "BIN"."""
 IMAGE_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp", b"\xabKTX": "image/ktx2"}
 """MIME type by the first bytes of an image: PNG and JPEG (3.8.3 Images), WebP and KTX2 through extensions."""
+DECODE_BLOCK = 2**22
+"""Base64 characters that are decoded at once; a multiple of four, so that blocks end between bytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +60,9 @@ class Document:
     """All buffers, joined: bytes in memory, or a memory-mapped file where they are large."""
     images: tuple[bytes | None, ...] = field(repr=False)
     """Content of each image; None where its file does not exist or is not an image."""
-    mapped_files: MappedFiles = field(default_factory=MappedFiles, repr=False)
+    mapped_files: MappedFiles = field(repr=False)
     damage: str | None = None
     """What was wrong with the tree of nodes; such a file gives its surface, but no rig."""
-
-    def release_pages(self) -> None:
-        """Release the memory of the pages that have been read from mapped files; the data stays readable."""
-        self.mapped_files.release_pages()
 
 
 def open_document(path: Path) -> Document:
@@ -58,26 +71,26 @@ def open_document(path: Path) -> Document:
     Raises:
         InputError: the file is truncated, inconsistent, not glTF 2.0, or requires an extension that is not supported.
     """
-    mapped_files = MappedFiles()
+    files = MappedFiles(path)
     if path.suffix.lower() == ".fbx":
         with fbx_as_glb(path) as glb:
-            content = mapped_files.read(glb)
+            content = files.read(glb)
     else:
-        content = mapped_files.read(path)
+        content = files.read(path)
     magic = bytes(content[:4])
-    text, chunk = _split_glb(content, path) if magic == b"glTF" else (mapped_files.extract_large_uris(content), b"")
+    text, chunk = _split_glb(content, path) if magic == b"glTF" else (files.extract_large_uris(content), b"")
     if path.suffix.lower() != ".gltf" and magic != b"glTF":
-        raise InputError(f"{path}: expected a binary glTF ('glTF' at the start), found {magic!r}; export it again")
+        raise damaged(path, "a binary glTF ('glTF' at the start)", repr(magic))
     gltf = _parse_json(text, path)
     check_document(gltf, path)
     gltf, damage = cut_broken_links(gltf)
     compressed = compressed_views(gltf, path)
-    gltf, binary = _join_buffers(gltf, chunk, path, mapped_files)
+    gltf, binary = _join_buffers(gltf, chunk, files)
     gltf, binary = decompress(gltf, binary, compressed, path)
     gltf = _drop_compression(gltf)
     check_sizes(gltf, len(binary), path)
-    images = _read_images(gltf, binary, path, mapped_files)
-    document = Document(path, gltf, binary, images, mapped_files, damage)
+    images = _read_images(gltf, binary, files)
+    document = Document(path, gltf, binary, images, files, damage)
     for index in sorted(_used_accessors(gltf)):
         element_bytes(document, index)  # reports a damaged accessor on reading, not later on writing
     return document
@@ -134,13 +147,81 @@ def uri_file_name(entry: dict[str, Any]) -> str:
     return "" if uri.startswith("data:") else PurePosixPath(unquote(uri).replace("\\", "/")).name
 
 
+class MappedFiles:
+    """The files and large data: URIs of one document, memory-mapped from `frame_buffer.LARGE` bytes on."""
+
+    def __init__(self, document: Path) -> None:
+        self.document = document
+        self.maps: list[mmap.mmap] = []
+        """All maps, for `release_pages`; each lives as long as a view of it."""
+        self.extracted: dict[str, memoryview] = {}
+        """Contents of large data: URIs, by the short URI that replaces each in the JSON."""
+
+    def release_pages(self) -> None:
+        """Release the memory of the pages that have been read; the data stays readable."""
+        for mapped in self.maps:
+            if hasattr(mapped, "madvise"):
+                mapped.madvise(mmap.MADV_DONTNEED)
+
+    def read(self, path: Path) -> memoryview:
+        """Return the bytes of a file, mapped where it is large."""
+        if path.stat().st_size < LARGE:
+            return memoryview(path.read_bytes())
+        with path.open("rb") as file:
+            return self._map(file.fileno())
+
+    def fetch(self, uri: str) -> bytes | memoryview | None:
+        """Return the bytes behind a URI of the document; None where there is no such file.
+
+        Only data: URIs and files are read; nothing is ever fetched from the network.
+
+        Raises:
+            InputError: a data: URI is not valid base64.
+        """
+        if uri in self.extracted:
+            return self.extracted[uri]
+        if uri.startswith("data:"):
+            try:
+                return base64.b64decode(uri.partition(",")[2], validate=True)
+            except ValueError as error:  # binascii.Error, or characters that are not ASCII
+                raise damaged(self.document, "base64 data in a data: URI", error) from error
+        for name in (unquote(uri), uri):  # URIs are percent-encoded, but some exporters write names without encoding
+            if uri and is_there(self.document.parent / name):
+                return self.read(self.document.parent / name)
+        return None
+
+    def extract_large_uris(self, text: memoryview) -> bytes:
+        """Decode the large data: URIs in the text of a .gltf file; returns its JSON with short URIs instead.
+
+        Done before the text is parsed, so that the JSON parser never holds the base64 characters in memory.
+        """
+        pieces, end = [], 0
+        for found in re.finditer(rb'"data:[^",]*;base64,([A-Za-z0-9+/]{%d,}={0,2})"' % LARGE, text):
+            uri = f"data:{len(self.extracted)}"
+            self.extracted[uri] = self._decode(text[found.start(1) : found.end(1)])
+            pieces += [text[end : found.start()], f'"{uri}"'.encode()]
+            end = found.end()
+        return b"".join([*pieces, text[end:]])
+
+    def _decode(self, characters: memoryview) -> memoryview:
+        """Decode base64 into a temporary file, block by block, and map that file."""
+        with tempfile.TemporaryFile() as file:
+            for start in range(0, len(characters), DECODE_BLOCK):
+                file.write(base64.b64decode(characters[start : start + DECODE_BLOCK]))
+                self.release_pages()
+            file.flush()
+            return self._map(file.fileno())
+
+    def _map(self, descriptor: int) -> memoryview:
+        self.maps.append(mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ))
+        return memoryview(self.maps[-1])
+
+
 def _used_accessors(gltf: dict[str, Any]) -> set[int]:
     """List the accessors of all primitives and skins; those of animations are checked when an animation is read."""
     used = {skin["inverseBindMatrices"] for skin in gltf.get("skins", []) if "inverseBindMatrices" in skin}
-    for primitive in (primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]):
-        used |= {
-            index for owner in (primitive["attributes"], *primitive.get("targets", [])) for index in owner.values()
-        }
+    for primitive in list_primitives(gltf):
+        used.update(attribute_accessors(primitive))
         used |= {primitive["indices"]} if "indices" in primitive else set()
     return used
 
@@ -148,18 +229,13 @@ def _used_accessors(gltf: dict[str, Any]) -> set[int]:
 def _read_sparse_indices(document: Document, sparse: dict[str, Any], index: int, count: int) -> np.ndarray:
     """Read the element indices of a sparse accessor and check that they are below `count`."""
     component = sparse["indices"]["componentType"]
-    if component not in (5121, 5123, 5125):
-        raise InputError(
-            f"{document.path}: expected unsigned sparse indices in accessor {index}, found {component}; export it again"
-        )
+    if component not in INDEX_TYPES:
+        raise damaged(document.path, f"unsigned sparse indices in accessor {index}", component)
     dtype = np.dtype(COMPONENT_TYPES[component])
     rows = _read_rows(document, sparse["indices"], sparse["count"], dtype.itemsize, f"sparse accessor {index}")
     indices = np.ascontiguousarray(rows).view(dtype).ravel().astype(np.int64)
     if len(indices) and indices.max() >= count:
-        raise InputError(
-            f"{document.path}: expected sparse indices below {count} in accessor {index}, found {indices.max()}; "
-            "the file is damaged, export it again"
-        )
+        raise damaged(document.path, f"sparse indices below {count} in accessor {index}", indices.max())
     return indices
 
 
@@ -170,10 +246,7 @@ def _read_rows(document: Document, owner: dict[str, Any], count: int, size: int,
     # An accessor must fit its buffer view, by the formula of 3.6.2.4 Data Alignment; the checks keep as_strided safe.
     end = start + (count - 1) * stride + size
     if count and end > view["byteLength"]:
-        raise InputError(
-            f"{document.path}: expected {end} bytes for {name}, found {view['byteLength']} in its buffer view; "
-            "the file is damaged, export it again"
-        )
+        raise damaged(document.path, f"{end} bytes for {name}", f"{view['byteLength']} in its buffer view")
     memory = np.frombuffer(document.binary, np.uint8)[view["byteOffset"] + start :]
     return np.lib.stride_tricks.as_strided(memory, (count, size), (stride, 1), writeable=False)
 
@@ -181,27 +254,25 @@ def _read_rows(document: Document, owner: dict[str, Any], count: int, size: int,
 def _split_glb(content: memoryview, path: Path) -> tuple[bytes, memoryview | bytes]:
     """Split a GLB file into its JSON and its binary chunk, which may be missing (4.4 Binary glTF Layout)."""
     if len(content) < 20:
-        raise InputError(f"{path}: expected a GLB header of 20 bytes, found {len(content)}; the file is truncated")
+        raise _truncated(path, "a GLB header of 20 bytes", len(content))
     version, length, json_length, kind = struct.unpack_from("<IIII", content, 4)
     if version != 2:
         raise InputError(f"{path}: expected GLB version 2, found {version}; export it again as glTF 2.0")
     if length > len(content) or 20 + json_length > length:
-        raise InputError(
-            f"{path}: expected {max(length, 20 + json_length)} bytes, found {len(content)}; "
-            "the file is truncated, copy it again"
-        )
+        raise _truncated(path, f"{max(length, 20 + json_length)} bytes", len(content))
     if kind != JSON_CHUNK:
-        raise InputError(f"{path}: expected the JSON chunk first, found chunk type {kind:#x}; export it again")
+        raise damaged(path, "the JSON chunk first", f"chunk type {kind:#x}")
     start = 20 + json_length
     if start + 8 > length:
         return bytes(content[20:start]), b""
     binary_length, kind = struct.unpack_from("<II", content, start)
     if start + 8 + binary_length > length:
-        raise InputError(
-            f"{path}: expected a binary chunk of {binary_length} bytes, found {length - start - 8}; "
-            "the file is truncated, copy it again"
-        )
+        raise _truncated(path, f"a binary chunk of {binary_length} bytes", length - start - 8)
     return bytes(content[20:start]), content[start + 8 : start + 8 + binary_length] if kind == BINARY_CHUNK else b""
+
+
+def _truncated(path: Path, expected: str, found: int) -> InputError:
+    return InputError(f"{path}: expected {expected}, found {found}; the file is truncated, copy it again")
 
 
 def _parse_json(text: bytes, path: Path) -> Any:
@@ -217,9 +288,7 @@ def _parse_json(text: bytes, path: Path) -> Any:
             gltf = json.loads(whole)
         return gltf
     except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"{path}: expected glTF JSON, found text that does not parse ({error}); export it again"
-        ) from error
+        raise damaged(path, "glTF JSON", f"text that does not parse ({error})") from error
 
 
 def without_extensions(gltf: dict[str, Any], dropped: Collection[str]) -> dict[str, Any]:
@@ -231,8 +300,7 @@ def without_extensions(gltf: dict[str, Any], dropped: Collection[str]) -> dict[s
 def _drop_compression(gltf: dict[str, Any]) -> dict[str, Any]:
     """Return the JSON without references to compressed copies of the data, which would be stale in a file we write."""
     gltf = without_extensions(gltf, COMPRESSION_EXTENSIONS)
-    primitives = [primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]]
-    for owner in [*gltf.get("bufferViews", []), *primitives]:
+    for owner in [*gltf.get("bufferViews", []), *list_primitives(gltf)]:
         if COMPRESSION_EXTENSIONS & owner.get("extensions", {}).keys():
             owner["extensions"] = {
                 key: value for key, value in owner["extensions"].items() if key not in COMPRESSION_EXTENSIONS
@@ -243,94 +311,78 @@ def _drop_compression(gltf: dict[str, Any]) -> dict[str, Any]:
 
 
 def _join_buffers(
-    gltf: dict[str, Any], chunk: bytes | memoryview, path: Path, mapped_files: MappedFiles
+    gltf: dict[str, Any], chunk: bytes | memoryview, files: MappedFiles
 ) -> tuple[dict[str, Any], bytes | memoryview]:
     """Join all buffers into one: returns the JSON with views into it, and the buffer. A single buffer is not copied."""
-    starts, parts, total = [], [], 0
+    path, starts, parts, total = files.document, [], [], 0
     for index, buffer in enumerate(gltf.get("buffers", [])):
-        content = _read_buffer(buffer, index, chunk, path, mapped_files)
+        content = _read_buffer(buffer, index, chunk, files)
         padding = bytes(-len(content) % 4)
         JOINED.check(total + len(content), path)
         starts.append(total)
         parts += [content, padding]
         total += len(content) + len(padding)
-    views = [
-        _rebase_view(view, index, gltf["buffers"], starts, path)
-        for index, view in enumerate(gltf.get("bufferViews", []))
-    ]
+    views = []
+    for index, view in enumerate(gltf.get("bufferViews", [])):
+        rebased = _rebase_range(view, index, gltf["buffers"], starts, path)
+        # Compressed data has a range of its own, with the same properties.
+        for name in view.get("extensions", {}).keys() & {*MESHOPT}:
+            inner = _rebase_range(view["extensions"][name], index, gltf["buffers"], starts, path)
+            rebased["extensions"] = {**rebased["extensions"], name: inner}
+        views.append(rebased)
     return {**gltf, "bufferViews": views}, parts[0] if len(starts) == 1 else b"".join(parts)
 
 
 def _read_buffer(
-    buffer: dict[str, Any], index: int, chunk: bytes | memoryview, path: Path, mapped_files: MappedFiles
+    buffer: dict[str, Any], index: int, chunk: bytes | memoryview, files: MappedFiles
 ) -> bytes | memoryview:
     """Return the bytes of a buffer: the GLB's binary chunk, a data: URI, or a file beside the document."""
-    uri = buffer.get("uri")
+    path, uri = files.document, buffer.get("uri")
     if is_fallback(buffer):
         return b""
     # Only the first buffer may be the binary chunk (3.6.1.2 GLB-stored Buffer).
-    content = (chunk if index == 0 else None) if uri is None else mapped_files.fetch(uri, path)
+    content = (chunk if index == 0 else None) if uri is None else files.fetch(uri)
     if content is None:
         raise InputError(
             f"{path}: expected the data of buffer {index}, found no file {str(uri or 'inside')[:80]!r}; keep the files "
             "together or export as one .glb"
         )
     if len(content) < buffer["byteLength"]:
-        raise InputError(
-            f"{path}: expected {buffer['byteLength']} bytes in buffer {index}, found {len(content)}; "
-            "the file is truncated, copy it again"
-        )
+        raise _truncated(path, f"{buffer['byteLength']} bytes in buffer {index}", len(content))
     return content[: buffer["byteLength"]]
-
-
-def _rebase_view(
-    view: dict[str, Any], index: int, buffers: list[dict[str, Any]], starts: list[int], path: Path
-) -> dict[str, Any]:
-    """Return a buffer view with its offset in the joined buffer; `starts` are the offsets of the buffers in it."""
-    rebased = _rebase_range(view, index, buffers, starts, path)
-    names = [name for name in MESHOPT if name in view.get("extensions", {})]
-    if names:
-        # Compressed data has a range of its own, with the same properties.
-        inner = {name: _rebase_range(view["extensions"][name], index, buffers, starts, path) for name in names}
-        rebased["extensions"] = {**view["extensions"], **inner}
-    return rebased
 
 
 def _rebase_range(
     view: dict[str, Any], index: int, buffers: list[dict[str, Any]], starts: list[int], path: Path
 ) -> dict[str, Any]:
-    """Return a range of bytes as `_rebase_view` does, whatever extensions it has."""
+    """Return a range of bytes with its offset in the joined buffer; `starts` are the offsets of the buffers in it."""
     offset, size = view.get("byteOffset", 0), buffers[view["buffer"]]["byteLength"]
     if offset + view["byteLength"] > size:
-        raise InputError(
-            f"{path}: expected buffer view {index} inside its buffer of {size} bytes, found an end at "
-            f"{offset + view['byteLength']}; the file is damaged, export it again"
-        )
+        expected = f"buffer view {index} inside its buffer of {size} bytes"
+        raise damaged(path, expected, f"an end at {offset + view['byteLength']}")
     return {**view, "buffer": 0, "byteOffset": starts[view["buffer"]] + offset}
 
 
-def _read_images(
-    gltf: dict[str, Any], binary: bytes | memoryview, path: Path, mapped_files: MappedFiles
-) -> tuple[bytes | None, ...]:
+def _read_images(gltf: dict[str, Any], binary: bytes | memoryview, files: MappedFiles) -> tuple[bytes | None, ...]:
     """Read all images; those of one buffer view or file are read once."""
     keys = [(image.get("bufferView"), image.get("uri", "")) for image in gltf.get("images", [])]
     contents: dict[tuple[int | None, str], bytes | None] = {}
     size = 0
     for key, image in zip(keys, gltf.get("images", []), strict=True):
         if key not in contents:
-            content = contents[key] = _read_image(image, gltf, binary, path, mapped_files)
+            content = contents[key] = _read_image(image, gltf, binary, files)
             size += len(content) if content and key[0] is not None else 0
-            UNPACKED.check(size, path, len(binary))  # views may overlap
+            UNPACKED.check(size, files.document, len(binary))  # views may overlap
     return tuple(contents[key] for key in keys)
 
 
 def _read_image(
-    image: dict[str, Any], gltf: dict[str, Any], binary: bytes | memoryview, path: Path, mapped_files: MappedFiles
+    image: dict[str, Any], gltf: dict[str, Any], binary: bytes | memoryview, files: MappedFiles
 ) -> bytes | None:
     """Return the bytes of an image; None where its file does not exist or is not an image."""
     if "bufferView" in image:
         view = gltf["bufferViews"][image["bufferView"]]
         return bytes(binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
-    content = bytes(mapped_files.fetch(image.get("uri", ""), path) or b"")
+    content = bytes(files.fetch(image.get("uri", "")) or b"")
     # A document may refer to any file of the machine: one that is not an image must not be copied into our output.
     return content if content and image_type(content) else None

@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from ...core.errors import InputError
-from .accessor_types import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
-from .check import is_supported
+from .check import ARRAY_BUFFER, COMPONENT_TYPES, ELEMENT_ARRAY_BUFFER, is_supported
 from .document import BINARY_CHUNK, JSON_CHUNK, Document, element_bytes, image_type, uri_file_name
 
 ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
@@ -82,27 +81,28 @@ class Draft:
         self.gltf["accessors"].append(accessor)
         return len(self.gltf["accessors"]) - 1
 
+    def add_array(self, values: np.ndarray, kind: str, target: int | None = None, **more: Any) -> int:
+        """Append an accessor of the type `kind` with the values of an array, in its own type; returns its index."""
+        view = self.add_view(values, target=target)
+        component = next(number for number, dtype in COMPONENT_TYPES.items() if values.dtype == dtype)
+        accessor = {"bufferView": view, "componentType": component, "count": len(values), "type": kind}
+        return self.add_accessor(accessor | more)
+
     def add_floats(self, values: Float[np.ndarray, "N C"], target: int | None = None, bounds: bool = False) -> int:
         """Append an accessor of float32 values; returns its index.
 
         `bounds` adds `min` and `max`, which positions and animation times must have (3.6.2.5 Accessors Bounds).
         """
         values = _as_float32(values)
-        view = self.add_view(values, target=target)
-        accessor = {
-            "bufferView": view,
-            "componentType": 5126,
-            "count": len(values),
-            "type": ACCESSOR_TYPES[values.shape[1]],
-        }
-        return self.add_accessor({**accessor, **(accessor_bounds(values) if bounds else {})})
+        return self.add_array(
+            values, ACCESSOR_TYPES[values.shape[1]], target, **(accessor_bounds(values) if bounds else {})
+        )
 
     def add_matrices(self, matrices: Float[np.ndarray, "J 4 4"]) -> int:
         """Append an accessor of affine transforms, as the inverse bind matrices of a skin; returns its index."""
         matrices = matrices.copy()
         matrices[:, 3] = [0, 0, 0, 1]  # exactly, as 3.7.3.1 demands, in spite of rounding
-        view = self.add_view(matrices.swapaxes(-1, -2).astype("<f4"))  # column-major (3.6.2.4)
-        return self.add_accessor({"bufferView": view, "componentType": 5126, "count": len(matrices), "type": "MAT4"})
+        return self.add_array(matrices.swapaxes(-1, -2).astype("<f4"), "MAT4")  # column-major (3.6.2.4)
 
     def add_indices(self, indices: np.ndarray) -> int:
         """Append an index accessor, 16 bits wide where that is enough; returns its index.
@@ -110,9 +110,7 @@ class Draft:
         The largest value of a component type, 65535, is not allowed as an index (3.7.2.1).
         """
         small = indices.max(initial=0) < 65535
-        view = self.add_view(indices.astype("<u2" if small else "<u4").ravel(), target=ELEMENT_ARRAY_BUFFER)
-        kind = {"componentType": 5123 if small else 5125, "count": indices.size, "type": "SCALAR"}
-        return self.add_accessor({"bufferView": view, **kind})
+        return self.add_array(indices.astype("<u2" if small else "<u4").ravel(), "SCALAR", ELEMENT_ARRAY_BUFFER)
 
     def save(self, path: Path) -> None:
         """Write a .gltf with the buffer as a base64 data: URI; for any other suffix a .glb (4.4 Binary glTF Layout).

@@ -17,19 +17,15 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from ...core.errors import InputError
-from ...core.frame_buffer import Progress
 from ...core.geometry import nearest_rotation
-from ...core.mesh import Clip, Mesh
 from ...core.normalization import ROTATIONS
+from ...core.rig import local_rotations
 from ...motions.bvh import Bvh
-from ...motions.on_body import first_frame, on_body, played
-from ...motions.retarget import to_local
 from ..timing import DEFAULT_FPS
-from .animation import AnimationChannel, animated_nodes, frame_rate, select_channels
-from .bake import frame_times, sample_nodes
+from .animation import AnimationChannel, animated_nodes, frame_rate, frame_times, sample_nodes, select_channels
+from .check import damaged
 from .document import Document
-from .scene import joint_matrices, local_matrices, node_parents, scene_nodes, sort_parents_first, world_matrices
+from .scene import joint_matrices, node_parents, scene_nodes, sort_parents_first, world_matrices
 from .vrm import is_vrm_animation, vrm_bones
 
 PLAYED_PATHS = ("translation", "rotation")
@@ -53,24 +49,8 @@ def gltf_joints(document: Document) -> int:
     return len([node for node in _find_joints(document)[0] if node != WORLD_NODE])
 
 
-def read_motion_clip(
-    document: Document, fps: float | None, animation: str | None, progress: Progress | None = None
-) -> Clip:
-    """Read an animation and play it on the shipped body (see `motions.on_body`); arguments as in `read_gltf_clip`.
-
-    Raises:
-        InputError: no such animation, a damaged one, or joints that do not fit a person by name.
-    """
-    return played(on_body(read_skeleton(document, fps, animation), document.path), progress)
-
-
-def read_motion_mesh(document: Document) -> Mesh:
-    """Return the shipped body in the first frame of the clip that `read_motion_clip` returns by default."""
-    return first_frame(on_body(read_skeleton(document), document.path))
-
-
 def read_skeleton(document: Document, fps: float | None = None, animation: str | None = None) -> Bvh:
-    """Read the joints and an animation of them, in the file's axes and unit.
+    """Read the joints and an animation of them, in the file's axes and unit; arguments as in `read_gltf_clip`.
 
     Joints that do not keep their distance from their parent get their translations in `Bvh.moved`.
 
@@ -81,7 +61,7 @@ def read_skeleton(document: Document, fps: float | None = None, animation: str |
     fps = fps or frame_rate(channels) or DEFAULT_FPS
     nodes, parents = _find_joints(document)
     humanoid = _animated_bones(document)
-    at_rest = world_matrices(document, local_matrices(document)) if humanoid else rest_matrices(document)
+    at_rest = world_matrices(document) if humanoid else rest_matrices(document)
     T_world_rest = _append_world(at_rest)[nodes]
     times = frame_times(document, channels, fps)
     rotation, position = _joint_motion(document, channels, times, nodes, T_world_rest)
@@ -93,7 +73,7 @@ def read_skeleton(document: Document, fps: float | None = None, animation: str |
     stretches = np.abs(bones - offsets).max(axis=(0, 2)) > NEGLIGIBLE * np.ptp(rest, axis=0).max()
     moved = {j: bones[:, j] for j in np.flatnonzero(stretches).tolist() if j > 0}
     names = tuple("world" if n == WORLD_NODE else _joint_name(document, n, humanoid) for n in nodes)
-    local = to_local(rotation, parents)
+    local = local_rotations(rotation, parents)
     return Bvh(document.path.stem, names, parents, offsets, {}, local, position[:, 0], float(fps), moved)
 
 
@@ -114,7 +94,7 @@ def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
     Raises:
         InputError: the inverse bind matrices have NaN or infinity.
     """
-    T_world_node, skins = world_matrices(document, local_matrices(document)), document.gltf.get("skins", [])
+    T_world_node, skins = world_matrices(document), document.gltf.get("skins", [])
     bound_skins = [number for number, skin in enumerate(skins) if "inverseBindMatrices" in skin]
     if not bound_skins:
         yield T_world_node
@@ -122,10 +102,7 @@ def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
     largest = max(bound_skins, key=lambda number: len(skins[number]["joints"]))
     T_world_bind = joint_matrices(document, largest, T_world_node)
     if not np.isfinite(T_world_bind).all():
-        raise InputError(
-            f"{document.path}: expected finite joint transforms in skin {largest}, found NaN or infinity; "
-            "export it again"
-        )
+        raise damaged(document.path, f"finite joint transforms in skin {largest}", "NaN or infinity")
     scale = np.cbrt(np.abs(np.linalg.det(T_world_bind[:, :3, :3])))
     invertible = np.flatnonzero(scale > NEGLIGIBLE * scale.max(initial=0.0)).tolist()
     if not invertible:
@@ -217,9 +194,7 @@ def _joint_motion(
         T_world_joint = _append_world(T_world_node)[:, nodes]
         if not np.isfinite(T_world_joint).all():
             frame = done + int(np.flatnonzero(~np.isfinite(T_world_joint).all(axis=(1, 2, 3)))[0])
-            raise InputError(
-                f"{document.path}: expected finite numbers, found NaN or infinity in frame {frame}; export it again"
-            )
+            raise damaged(document.path, "finite numbers", f"NaN or infinity in frame {frame}")
         block = slice(done, done + len(T_world_joint))
         rotation[block] = nearest_rotation(T_world_joint[..., :3, :3] @ rest_inverse)
         position[block] = T_world_joint[..., :3, 3]

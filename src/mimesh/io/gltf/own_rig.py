@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -19,16 +18,14 @@ from ...core.mesh import Mesh
 from ...core.person_motion import PersonMotion
 from ...motions.animal_rig import animal_rig
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
-from .animal import read_standing_animal
-from .animation import AnimationChannel, animated_nodes
-from .bake import AnimatedValues, sample_nodes
-from .character import moving_nodes, read_clips, read_standing, rig_at_rest
+from .animation import AnimatedValues, AnimationChannel, animated_nodes, sample_joints
+from .character import read_clips, read_standing, read_standing_animal, rig_at_rest
+from .check import damaged
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS, rest_matrices
-from .read import RestScene
+from .read import RestScene, unweighted_vertices
 from .scene import local_matrices, local_matrix, node_parents, node_properties, sort_parents_first, world_matrices
-from .skin import skin_joints, unweighted_vertices
 
 UNSKINNED = 0.02
 """Largest share of vertices without any joint; more of them is a damaged skin."""
@@ -100,10 +97,8 @@ def read_file_rig(mesh: Mesh) -> FileRig:
     """
     source = _rigged_source(mesh)
     document = source.document
-    joint_nodes = skin_joints(document, source.rest) or moving_nodes(document)
     scene = dataclasses.replace(source.rest, T_world_node=rest_matrices(document))
-    at_rest = dataclasses.replace(mesh, vertices=source.vertices)
-    rig, nodes = rig_at_rest(at_rest, document, scene, joint_nodes)
+    rig, nodes = rig_at_rest(mesh, document, scene)
     _check_skin(rig, nodes, document, scene)
     own = FileRig(source, rig, nodes, scene)
     _check_above(own, list(range(len(nodes))))
@@ -123,13 +118,11 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
     """
     source = _rigged_source(mesh)
     document, path = source.document, source.document.path
-    at_rest = dataclasses.replace(mesh, vertices=source.vertices)
     of_animal = body == "quadruped"
-    standing = (
-        read_standing_animal(at_rest, document, source.rest)
-        if of_animal
-        else read_standing(at_rest, document, source.rest, find)
-    )
+    if of_animal:
+        standing = read_standing_animal(mesh, document, source.rest)
+    else:
+        standing = read_standing(mesh, document, source.rest, find)
     rig, nodes = standing.rig, standing.nodes
     _check_skin(rig, nodes, document, standing.scene)
     turn = facing_rotation(standing.facing)
@@ -145,7 +138,7 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
     own = OwnRig(source, humanoid.character, [nodes[k] for k in order], standing.scene, humanoid)
     _check_above(own, humanoid.tree()[0])
     hips = own.person["Hips"]
-    worlds = np.stack([own.scene.T_world_node[hips], world_matrices(document, local_matrices(document))[hips]])
+    worlds = np.stack([own.scene.T_world_node[hips], world_matrices(document)[hips]])
     if np.prod(np.linalg.det(worlds[:, :3, :3])) < 0:
         raise InputError(f"{path}: expected a rig as it was bound, found a mirrored one; apply its scale")
     return own
@@ -204,10 +197,9 @@ class GltfJoints:
         rig = read_own_rig(self.mesh, self.find, self.body)
         humanoid, document = rig.humanoid, self.document
         nodes = [rig.nodes[humanoid.joints[name]] for name in humanoid.person]
-        blocks = sample_nodes(document, self.channels, self.times)
-        world = np.concatenate([matrices[:, nodes] for _, matrices in blocks])
+        world = sample_joints(document, self.channels, self.times, nodes)
         if not np.isfinite(world).all():
-            raise InputError(f"{document.path}: expected finite joints, found NaN or infinity; export it again")
+            raise damaged(document.path, "finite joints", "NaN or infinity")
         return humanoid.motion(world, rig.scene.T_world_node[nodes])
 
 
@@ -217,21 +209,17 @@ def check_sound(rig: SkinnedCharacter, T_world_joint: Float[np.ndarray, "J 4 4"]
     Raises:
         InputError: they do not, or cannot.
     """
-    loose = float((rig.weights * (rig.joint_of == len(rig.parents))).sum(axis=1).mean())
-    if loose > UNSKINNED:
-        raise InputError(
-            f"{path}: expected a skin with weights, found {loose:.0%} of the vertices without; bind the mesh again"
-        )
+    _check_share(float((rig.weights * (rig.joint_of == len(rig.parents))).sum(axis=1).mean()), path)
     _check_scales(T_world_joint[np.unique(rig.joint_of[rig.joint_of < len(rig.parents)])], path)
 
 
-def _check_bound(document: Document, path: Path) -> None:
+def _check_bound(document: Document) -> None:
     """Check that skins say where joints were when the mesh was bound, and that joints can be animated from there."""
     skins = document.gltf.get("skins", [])
     if any("inverseBindMatrices" not in skin for skin in skins):
-        raise InputError(f"{path}: expected inverse bind matrices in every skin, found none; export it again")
+        raise damaged(document.path, "inverse bind matrices in every skin", "none")
     joints = sorted({joint for skin in skins for joint in skin["joints"]})
-    _check_scales(local_matrices(document)[joints], path)
+    _check_scales(local_matrices(document)[joints], document.path)
 
 
 def _rigged_source(mesh: Mesh) -> GltfSource:
@@ -251,12 +239,15 @@ def _rigged_source(mesh: Mesh) -> GltfSource:
 def _check_skin(rig: SkinnedCharacter, nodes: list[int], document: Document, scene: RestScene) -> None:
     """Check that vertices have joints and weights, and that skins say where joints were when the mesh was bound."""
     check_sound(rig, scene.T_world_node[nodes], document.path)
-    _check_bound(document, document.path)
-    bare = unweighted_vertices(document, scene) / len(rig.weights)
+    _check_bound(document)
+    _check_share(unweighted_vertices(document, scene) / len(rig.weights), document.path)
+
+
+def _check_share(bare: float, path: object) -> None:
+    """Check that only a small share of the vertices is without weights."""
     if bare > UNSKINNED:
         raise InputError(
-            f"{document.path}: expected a skin with weights, found {bare:.0%} of the vertices without; "
-            "bind the mesh again"
+            f"{path}: expected a skin with weights, found {bare:.0%} of the vertices without; bind the mesh again"
         )
 
 

@@ -1,28 +1,40 @@
-"""Reads a glTF scene at rest as one Mesh in world coordinates, with a record of where each vertex came from."""
+"""Reads a glTF scene at rest as one Mesh in world coordinates, with a record of where each vertex came from.
+
+With the joints of its skins, the scene is a rigged character. Several skins over one set of nodes (a character in
+pieces), several sets of influences, and unskinned meshes below a joint become one form: every vertex has K influences,
+each with a joint, a weight, and the position to which that joint alone would take the vertex at rest. These positions
+contain the inverse bind matrices, node scales (100 is common) and z-up roots: the vertex is their weighted mean, and a
+pose moves each of them rigidly with its joint.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...bodies.skinned_character import SkinnedCharacter
 from ...core.budgets import VERTICES
 from ...core.errors import InputError
 from ...core.geometry import unit_vectors
 from ...core.mesh import Material, Mesh, Part
 from ..colors import with_alpha
 from ..polygons import joined_corners, with_face_normals
-from .document import Document, image_type
+from .document import Document, image_type, read_floats
 from .scene import (
-    local_matrices,
+    joint_matrices,
+    node_parents,
     normal_matrices,
     read_attribute,
     read_indices,
+    read_influences,
     read_morph_weights,
     read_morphed_attribute,
     scene_nodes,
+    sort_parents_first,
     transform_points,
     transform_vectors,
     vertex_matrices,
@@ -70,7 +82,7 @@ def read_rest(document: Document) -> tuple[Mesh, RestScene]:
     Raises:
         InputError: the scene shows no triangles and no points, or an array does not fit what it is used for.
     """
-    T_world_node = world_matrices(document, local_matrices(document))
+    T_world_node = world_matrices(document)
     vertex_ranges = _find_vertex_ranges(document)
     start = {(span.node, primitive): span.start for span in vertex_ranges for primitive in span.primitives}
     keys = [key for key in primitives_in_scene_order(vertex_ranges) if _get_mode(document, key) >= TRIANGLES]
@@ -265,7 +277,8 @@ def _read_vertex_uv(document: Document, primitive: dict[str, Any]) -> Float[np.n
     The extension's matrix is translation * rotation * scale, and it may name another TEXCOORD set. glTF has v down
     (3.8.3 Images: the origin is the upper left corner), a Mesh has v up.
     """
-    texture = base_texture_of(_get_material(document, primitive))
+    material = document.gltf["materials"][primitive["material"]] if "material" in primitive else {}
+    texture = base_texture_of(material)
     uv_transform = texture.get("extensions", {}).get("KHR_texture_transform", {})
     number = uv_transform.get("texCoord", texture.get("texCoord", 0))
     uv = read_attribute(document, primitive, f"TEXCOORD_{number}")
@@ -300,10 +313,6 @@ def _read_material(document: Document, index: int) -> Material | None:
     return None if material == DEFAULT_MATERIAL else material
 
 
-def _get_material(document: Document, primitive: dict[str, Any]) -> dict[str, Any]:
-    return document.gltf["materials"][primitive["material"]] if "material" in primitive else {}
-
-
 def base_color_of(material: dict[str, Any]) -> tuple[float, float, float, float]:
     """Return the base colour of a material, linear RGBA; the diffuse colour of one with specular and glossiness."""
     gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
@@ -325,3 +334,84 @@ def _read_texture(document: Document, info: dict[str, Any]) -> bytes | None:
     image = document.gltf["textures"][info["index"]].get("source")
     content = None if image is None else document.images[image]
     return content if content and image_type(content) in ("image/png", "image/jpeg") else None
+
+
+def skin_joints(document: Document, rest: RestScene) -> set[int]:
+    """List the nodes that are joints of the shown skins."""
+    skins = {skin for span in rest.vertex_ranges if (skin := _find_skin(document, span)) is not None}
+    return {node for skin in skins for node in document.gltf["skins"][skin]["joints"]}
+
+
+def rig_on_nodes(
+    mesh: Mesh, document: Document, rest: RestScene, joint_nodes: Collection[int]
+) -> tuple[SkinnedCharacter, list[int]]:
+    """Read the influences on the vertices of a scene with given joints, and the node of each joint of the rig.
+
+    The mesh is left as it is: its vertices are those of `rest` only where the mesh was read with it.
+    """
+    # One tree for all skins of the scene, so that their joints have one numbering: each node has the joint that it is,
+    # or the nearest one above it, else -1.
+    node_parent = node_parents(document)
+    nodes: list[int] = []
+    joint_of_node = {-1: -1}
+    for node in sort_parents_first(document, node_parent):
+        joint_of_node[node] = joint_of_node[node_parent[node]]
+        if node in joint_nodes:
+            joint_of_node[node] = len(nodes)
+            nodes.append(node)
+    parts = [_read_range_influences(document, rest, span, joint_of_node, len(nodes)) for span in rest.vertex_ranges]
+    columns = max(weights.shape[1] for _, weights, _ in parts)
+    joint_of, weights, points = (
+        np.concatenate([_pad_influences(part[k], columns) for part in parts]) for k in range(3)
+    )
+    names = tuple(str(document.gltf["nodes"][node].get("name", f"node{node}")) for node in nodes)
+    parents = tuple(joint_of_node[node_parent[node]] for node in nodes)
+    return SkinnedCharacter(mesh, names, parents, rest.T_world_node[nodes], joint_of, weights, points), nodes
+
+
+def unweighted_vertices(document: Document, rest: RestScene) -> int:
+    """Count the skinned vertices without finite weights, which follow the first joint (see `read_influences`)."""
+    count = 0
+    for span in rest.vertex_ranges:
+        if _find_skin(document, span) is None:
+            continue
+        primitive = get_primitive(document, (span.node, span.primitives[0]))
+        sets = [name for name in primitive["attributes"] if name.startswith("WEIGHTS_")]
+        total = np.asarray(sum(read_floats(document, primitive["attributes"][name]).sum(axis=1) for name in sets))
+        count += int((~((total > 0) & np.isfinite(total))).sum())
+    return count
+
+
+def _find_skin(document: Document, span: VertexRange) -> int | None:
+    """Return the skin of a range's vertices; None where they are unskinned, by the same rule as `vertex_matrices`."""
+    skinned = "JOINTS_0" in get_primitive(document, (span.node, span.primitives[0]))["attributes"]
+    return document.gltf["nodes"][span.node].get("skin") if skinned else None
+
+
+def _read_range_influences(
+    document: Document, rest: RestScene, span: VertexRange, joint_of_node: dict[int, int], joints: int
+) -> tuple[Int[np.ndarray, "N K"], Float[np.ndarray, "N K"], Float[np.ndarray, "N K 3"]]:
+    """Read the joints, weights and world positions of all influences on the vertices of one range.
+
+    Unskinned vertices have one influence: the nearest joint above their node, else the world (joint index J).
+    """
+    primitive = get_primitive(document, (span.node, span.primitives[0]))
+    positions = read_morphed_attribute(document, primitive, "POSITION", read_morph_weights(document, span.node))
+    assert positions is not None
+    skin = _find_skin(document, span)
+    if skin is None:
+        # -1, no joint, becomes J, the world.
+        joint_of = np.full((len(positions), 1), joint_of_node[span.node] % (joints + 1))
+        world = transform_points(rest.T_world_node[span.node, None, :3], positions)
+        return joint_of, np.ones(joint_of.shape), world[:, None]
+    skin_joints, weights = read_influences(document, primitive)
+    T_world_bind = joint_matrices(document, skin, rest.T_world_node)
+    points = [transform_points(T_world_bind[column, :3], positions) for column in skin_joints.T]
+    # Skins list the same nodes in different orders: count joints by node.
+    joint_of_skin = np.array([joint_of_node[node] for node in document.gltf["skins"][skin]["joints"]])
+    return joint_of_skin[skin_joints], weights, np.stack(points, axis=1)
+
+
+def _pad_influences(values: np.ndarray, columns: int) -> np.ndarray:
+    """Pad influences to `columns` with zeros; with weight zero, it does not matter that their joint is 0."""
+    return np.pad(values, [(0, 0), (0, columns - values.shape[1]), *[(0, 0)] * (values.ndim - 2)])

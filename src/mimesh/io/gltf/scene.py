@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
+from .check import damaged
 from .document import Document, read_accessor, read_floats
 
 DEFAULT_TRS = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
@@ -56,12 +56,20 @@ def node_properties(entry: Mapping[str, Any]) -> dict[str, Float[np.ndarray, " _
     return {"translation": matrix[:3, 3], "rotation": Rotation.from_matrix(rotation).as_quat(), "scale": scale}
 
 
-def world_matrices(document: Document, T_parent_node: Float[np.ndarray, "*T N 4 4"]) -> Float[np.ndarray, "*T N 4 4"]:
+def world_matrices(
+    document: Document, T_parent_node: Float[np.ndarray, "*T N 4 4"] | None = None
+) -> Float[np.ndarray, "*T N 4 4"]:
     """Return each node's global transform: the product of the local transforms from its root down.
+
+    Args:
+        document: the file.
+        T_parent_node: local transforms; None: those of the file.
 
     Raises:
         InputError: the node tree has a loop, or a node with two parents.
     """
+    if T_parent_node is None:
+        T_parent_node = local_matrices(document)
     T_world_node = T_parent_node.copy()
     parent = node_parents(document)
     for node in sort_parents_first(document, parent):
@@ -102,10 +110,7 @@ def read_indices(document: Document, primitive: dict[str, Any]) -> np.ndarray:
         return np.arange(count)
     values = read_accessor(document, primitive["indices"]).ravel()
     if values.max(initial=0) >= count:
-        raise InputError(
-            f"{document.path}: expected face indices below {count}, found {values.max()}; "
-            "the file is damaged, export it again"
-        )
+        raise damaged(document.path, f"face indices below {count}", values.max())
     return values.astype(np.int64)
 
 
@@ -155,8 +160,8 @@ class SkinBinding:
 
     nodes: Int[np.ndarray, " J"]
     """Node of each joint of the skin."""
-    T_joint_bind: Float[np.ndarray, "J 4 4"] | None
-    """Inverse bind matrices; None where the skin has none, which means identity matrices."""
+    T_joint_bind: Float[np.ndarray, "J 4 4"]
+    """Inverse bind matrices."""
     joints: Int[np.ndarray, "V K"]
     """Joint of each influence, an index into `nodes`."""
     weights: Float[np.ndarray, "V K"]
@@ -168,8 +173,7 @@ class SkinBinding:
         Linear blend skinning (glTF 2.0, 3.7.3.3 Skinned Mesh Attributes). The loop over influences needs V x 12
         numbers at a time, a gather of all joints K times that.
         """
-        T_world_bind = T_world_node[self.nodes]
-        T_world_bind = T_world_bind if self.T_joint_bind is None else T_world_bind @ self.T_joint_bind
+        T_world_bind = T_world_node[self.nodes] @ self.T_joint_bind
         blend = np.zeros((len(self.joints), 3, 4))
         for joint, weight in zip(self.joints.T, self.weights.T, strict=True):
             blend += weight[:, None, None] * T_world_bind[joint, :3]
@@ -187,12 +191,9 @@ def read_skin_binding(document: Document, node: int, primitive: dict[str, Any]) 
         return None
     joints, weights = read_influences(document, primitive)
     nodes = np.array(document.gltf["skins"][skin]["joints"], np.int64)
-    T_joint_bind = _read_inverse_bind_matrices(document, skin)
+    T_joint_bind = read_inverse_bind_matrices(document, skin)
     if joints.min(initial=0) < 0 or joints.max(initial=0) >= len(nodes):
-        raise InputError(
-            f"{document.path}: expected joints below {len(nodes)} in skin {skin}, found {joints.max()}; "
-            "the file is damaged, export it again"
-        )
+        raise damaged(document.path, f"joints below {len(nodes)} in skin {skin}", joints.max())
     return SkinBinding(nodes, T_joint_bind, joints, weights)
 
 
@@ -211,25 +212,21 @@ def joint_matrices(
     document: Document, skin: int, T_world_node: Float[np.ndarray, "N 4 4"]
 ) -> Float[np.ndarray, "J 4 4"]:
     """Return world from bind space for each joint of a skin: its node's transform times its inverse bind matrix."""
-    T_world_joint = T_world_node[document.gltf["skins"][skin]["joints"]]
-    T_joint_bind = _read_inverse_bind_matrices(document, skin)
-    return T_world_joint if T_joint_bind is None else T_world_joint @ T_joint_bind
+    return T_world_node[document.gltf["skins"][skin]["joints"]] @ read_inverse_bind_matrices(document, skin)
 
 
-def _read_inverse_bind_matrices(document: Document, skin: int) -> Float[np.ndarray, "J 4 4"] | None:
-    """Read the inverse bind matrices of a skin; None where it has none, which means identity matrices (3.7.3.1)."""
+def read_inverse_bind_matrices(document: Document, skin: int) -> Float[np.ndarray, "J 4 4"]:
+    """Read the inverse bind matrices of a skin; one that has none has identity matrices (3.7.3.1)."""
     entry = document.gltf["skins"][skin]
+    count = len(entry["joints"])
     if "inverseBindMatrices" not in entry:
-        return None
-    count, columns = len(entry["joints"]), read_floats(document, entry["inverseBindMatrices"])
+        return np.tile(np.eye(4), (count, 1, 1))
+    columns = read_floats(document, entry["inverseBindMatrices"])
     if columns.shape[1] != 16 or len(columns) < count:
-        raise InputError(
-            f"{document.path}: expected {count} inverse bind matrices in skin {skin}, found "
-            f"{len(columns)} x {columns.shape[1]} numbers; export it again"
-        )
+        found = f"{len(columns)} x {columns.shape[1]} numbers"
+        raise damaged(document.path, f"{count} inverse bind matrices in skin {skin}", found)
     # Accessors of matrices are column-major (glTF 2.0, 3.6.2.4 Data Alignment).
-    matrices = columns[:count].reshape(-1, 4, 4).transpose(0, 2, 1)
-    return with_last_row(matrices)
+    return with_last_row(columns[:count].reshape(-1, 4, 4).transpose(0, 2, 1))
 
 
 def transform_points(
@@ -314,7 +311,7 @@ def node_parents(document: Document) -> list[int]:
     for index, node in enumerate(nodes):
         for child in node.get("children", []):
             if parent[child] >= 0:
-                raise InputError(f"{document.path}: expected one parent for node {child}, found two; export it again")
+                raise damaged(document.path, f"one parent for node {child}", "two")
             parent[child] = index
     return parent
 
@@ -334,9 +331,7 @@ def sort_parents_first(document: Document, parent: list[int]) -> list[int]:
         order.extend(document.gltf["nodes"][node].get("children", []))
     if len(order) < len(parent):
         unreached = min(set(range(len(parent))) - set(order))
-        raise InputError(
-            f"{document.path}: expected a tree of nodes, found node {unreached} below itself; export it again"
-        )
+        raise damaged(document.path, "a tree of nodes", f"node {unreached} below itself")
     return order
 
 
@@ -355,7 +350,7 @@ def read_influences(document: Document, primitive: dict[str, Any]) -> tuple[np.n
         weights.append(read_attribute(document, primitive, f"WEIGHTS_{number}"))
         number += 1
     if any(part is None for part in weights):
-        raise InputError(f"{document.path}: expected WEIGHTS for each set of JOINTS, found none; export it again")
+        raise damaged(document.path, "WEIGHTS for each set of JOINTS", "none")
     joint, weight = np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
     total = weight.sum(axis=1, keepdims=True)
     usable = (total > 0) & np.isfinite(total)

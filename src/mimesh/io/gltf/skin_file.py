@@ -1,4 +1,7 @@
-"""Reads a rigged mesh file as a character at rest, with the names and frames that its joints have there."""
+"""Reads a rigged mesh file as a character at rest, with the names and frames that its joints have there.
+
+A file of its own, because `load_mesh` imports the rest of this package.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
 from ..load import load_mesh
 from .edit import GltfSource
-from .skin import rig_on_nodes, skin_joints
+from .read import rig_on_nodes, skin_joints
 
 
 def read_skin(path: str | Path) -> SkinnedCharacter:

@@ -21,18 +21,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...core.animated_rig import INFLUENCES, AnimatedRig, RigAnimation, local_rotations
-from ...core.geometry import continuous_quaternions
+from ...core.animated_rig import INFLUENCES, AnimatedRig, RigAnimation
 from .animation import AnimationChannel, add_animation
 from .build import build_document, stage_transform
-from .draft import ARRAY_BUFFER, Draft
-from .edit import GltfSource, edit_document, with_normals
-from .keys import KEY_LIMIT, choose_keys, played_values, rotation_tolerances, without_costly_times
-from .primitives import PrimitiveGroup
+from .check import ARRAY_BUFFER
+from .draft import Draft
+from .edit import GltfSource, PrimitiveGroup, edit_document, with_normals
+from .keys import KEY_LIMIT, choose_keys, local_quaternions, played_values, rotation_tolerances, without_costly_times
 from .scene import DEFAULT_TRS
 
-UNSIGNED_BYTE, UNSIGNED_SHORT = 5121, 5123
-"""Component types (glTF 2.0, 3.6.2.2 Accessor Data Types)."""
 STILL = 1e-7
 """Largest change of a joint's position in the frame of its parent that is not written, in sizes of the mesh: float32
 stores positions no better."""
@@ -48,18 +45,18 @@ class _ThinnedRotations:
     @classmethod
     def of(cls, skeleton: AnimatedRig) -> _ThinnedRotations:
         """Choose the keys of a motion. Joints whose own key times would take more room than they save have all keys."""
-        quat_xyzw = local_quaternions(skeleton, skeleton.rotation).swapaxes(0, 1)
+        quat_xyzw = local_quaternions(skeleton.rotation, skeleton.parents).swapaxes(0, 1)
         limit = KEY_LIMIT * skeleton.size
         rig = skeleton.rig.limited(INFLUENCES)
         tolerance = rotation_tolerances(skeleton.mesh.vertices, rig, skeleton.parents, limit)
-        is_key = choose_keys(quat_xyzw, tolerance, rotations=True)
+        is_key = choose_keys(quat_xyzw, tolerance)
         return cls(quat_xyzw, without_costly_times(is_key))
 
     def played(self, skeleton: AnimatedRig) -> AnimatedRig:
         """Return the motion that clients interpolate from the keys."""
         from scipy.spatial.transform import Rotation
 
-        quat_xyzw = played_values(self.quat_xyzw, self.is_key, rotations=True)
+        quat_xyzw = played_values(self.quat_xyzw, self.is_key)
         rotation = Rotation.from_quat(quat_xyzw.reshape(-1, 4)).as_matrix().reshape(*quat_xyzw.shape[:2], 3, 3)
         positions = skeleton.local_positions().swapaxes(0, 1)
         for j, parent in enumerate(skeleton.parents):
@@ -90,7 +87,7 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path) -> list[A
     if not draft.gltf.get("scenes"):  # readers show all roots then, but no longer once there is a scene
         children = {child for node in draft.gltf["nodes"] for child in node.get("children", [])}
         draft.gltf["scenes"] = [{"nodes": [n for n in range(len(draft.gltf["nodes"])) if n not in children]}]
-    rest = local_quaternions(skeleton, skeleton.rig.rotation[None])[0]
+    rest = local_quaternions(skeleton.rig.rotation[None], skeleton.parents)[0]
     joint_nodes = _add_joints(draft, skeleton, rest)
     _add_weights(draft, groups, skeleton)
     for node in dict.fromkeys(group.node for group in groups):
@@ -111,11 +108,7 @@ def _add_joints(draft: Draft, skeleton: AnimatedRig, rest: Float[np.ndarray, "J 
     nodes, start = draft.gltf["nodes"], len(draft.gltf["nodes"])
     translations = np.concatenate([skeleton.rig.joints[:1], skeleton.rig.bones(skeleton.parents)])
     for j, name in enumerate(skeleton.names):
-        node: dict[str, Any] = {
-            "name": name,
-            "rotation": rest[j].tolist(),
-            "translation": translations[j].tolist(),
-        }
+        node: dict[str, Any] = {"name": name, "rotation": rest[j].tolist(), "translation": translations[j].tolist()}
         children = [start + c for c, parent in enumerate(skeleton.parents) if parent == j]
         nodes.append(node | ({"children": children} if children else {}))
     axes = stage_transform(skeleton.mesh)
@@ -135,9 +128,7 @@ def _add_weights(draft: Draft, groups: list[PrimitiveGroup], skeleton: AnimatedR
         group_joints, group_weights = joints[group.vertex_of], weights[group.vertex_of].astype("<f4")
         # Joints of weight zero should be 0 (glTF 2.0, 3.7.3.3 Skinned Mesh Attributes).
         group_joints = np.where(group_weights > 0, group_joints, 0).astype("<u2" if wide else "u1")
-        accessor = {"bufferView": draft.add_view(group_joints, target=ARRAY_BUFFER), "type": "VEC4"}
-        accessor |= {"componentType": UNSIGNED_SHORT if wide else UNSIGNED_BYTE, "count": len(group_joints)}
-        joints_0 = draft.add_accessor(accessor)
+        joints_0 = draft.add_array(group_joints, "VEC4", ARRAY_BUFFER)
         attributes = {"JOINTS_0": joints_0, "WEIGHTS_0": draft.add_floats(group_weights, ARRAY_BUFFER)}
         for primitive in group.primitives:
             primitive["attributes"] = {**primitive["attributes"], **attributes}
@@ -215,12 +206,3 @@ def _moved_joints(skeleton: AnimatedRig) -> dict[int, Float[np.ndarray, "T 3"]]:
     change = np.linalg.norm(local[:, 1:] - bones, axis=-1).max(axis=0)
     moved = np.flatnonzero(change > STILL * skeleton.size) + 1
     return {int(j): local[:, j] for j in (0, *moved)}
-
-
-def local_quaternions(skeleton: AnimatedRig, rotation: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T J 4"]:
-    """Return each joint's rotation in the frame of its parent, from world rotations, as quaternions (x, y, z, w)."""
-    from scipy.spatial.transform import Rotation
-
-    local = local_rotations(rotation, skeleton.parents)
-    quat_xyzw = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_quat().reshape(*local.shape[:2], 4)
-    return continuous_quaternions(quat_xyzw)

@@ -1,20 +1,40 @@
-"""Reads the extensions of VRM in a glTF file: humanoid bones, expressions, and what a VRM animation (.vrma) animates.
+"""Reads the extensions of VRM in a glTF file, and reads and writes VRM animations (.vrma).
 
-VRM 0.x is the extension VRM, VRM 1.0 is VRMC_vrm, and VRMC_vrm_animation 1.0 is that of .vrma files. They are untrusted
-JSON of any shape: what does not fit is left out.
+VRM 0.x is the extension VRM, VRM 1.0 is VRMC_vrm: humanoid bones, expressions, maker and licence. They are untrusted
+JSON of any shape: what does not fit is left out. Neither version stores animations in a .vrm: "glTF schema Updates,
+Unused Items" of VRMC_vrm 1.0 lists `animations`, and "Savable elements" of VRM 0.0 does not have them.
 
-Neither version stores animations in a .vrm: "glTF schema Updates, Unused Items" of VRMC_vrm 1.0 lists `animations`, and
-"Savable elements" of VRM 0.0 does not have them. VRMC_vrm_animation is for separate files.
+A .vrma has the extension VRMC_vrm_animation 1.0 and a node for each humanoid bone, in the T-pose where nothing moves
+it. Animations rotate the nodes and move the hips. Expressions and the direction of the gaze are nodes of their own.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
-from ...bodies.engine_names import SCHEMES
-from .document import Document
+import numpy as np
+from jaxtyping import Float
 
+from ...bodies.character_limbs import SIDES
+from ...bodies.engine_names import SCHEMES
+from ...bodies.hands import body_with_fingers, hand_joints
+from ...bodies.joint_names import ancestors, finger_joints
+from ...core.geometry import nearest_rotation
+from ...core.person_motion import PersonMotion
+from ...core.rig import Rig
+from ...motions.bone_motion import BoneMotion, bone_joints, t_pose_frames
+from ...motions.retarget import axes_from_rest
+from .animation import AnimationChannel, add_animation, sample_joints
+from .document import Document
+from .draft import Draft
+from .keys import KEY_LIMIT, choose_keys, local_quaternions, rotation_tolerances
+from .scene import world_matrices
+
+ANIMATION = "VRMC_vrm_animation"
+"""Extension of VRM animations."""
 VRM_BONES = {bone: joint for joint, bone in SCHEMES["vrm"].bones.items()}
 """Joint of the shipped body, or of a finger, of each humanoid bone of VRM 1.0; a shorter trunk is read otherwise."""
 OLD_THUMBS = {
@@ -28,6 +48,7 @@ VRM_OPTIONAL = {"Neck", *(f"{side}{part}" for side in ("Left", "Right") for part
 VRM_TRUNK = ("spine", "chest", "upperChest")
 """Bones of the trunk from the hips up. The last ones of a shorter trunk are the shipped body's last ones."""
 TRUNK = ("LowerBack", "Spine", "Spine1")
+"""Our joints between hips and neck."""
 REQUIRED = {joint for joint in VRM_BONES.values() if "Hand" not in joint.removesuffix("Hand")} - VRM_OPTIONAL - {*TRUNK}
 """Joints without which the bones of a file are not used."""
 PRESETS = {
@@ -40,6 +61,8 @@ OVERRIDDEN = {
     "overrideMouth": {"aa", "ih", "ou", "ee", "oh"},
 }
 """Expressions that others reduce, by the property that says how (VRM 1.0, expressions.md, Procedural override)."""
+LONGEST = 80
+"""Characters of a maker or licence that are kept."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +85,7 @@ def vrm_version(document: Document) -> int | None:
 
 def is_vrm_animation(document: Document) -> bool:
     """Return whether a file has the extension of VRM animations."""
-    return "VRMC_vrm_animation" in json_object(document.gltf, "extensions")
+    return ANIMATION in json_object(document.gltf, "extensions")
 
 
 def vrm_bones(document: Document) -> dict[str, int]:
@@ -72,7 +95,7 @@ def vrm_bones(document: Document) -> dict[str, int]:
     """
     extensions, count = json_object(document.gltf, "extensions"), len(document.gltf.get("nodes", []))
     listed: dict[str, Any] = {}
-    for name in ("VRMC_vrm", "VRMC_vrm_animation"):
+    for name in ("VRMC_vrm", ANIMATION):
         bones = json_object(json_object(json_object(extensions, name), "humanoid"), "humanBones")
         listed = {bone: json_object(bones, bone).get("node") for bone in bones} | listed
     rows = json_object(json_object(extensions, "VRM"), "humanoid").get("humanBones")
@@ -107,11 +130,33 @@ def vrm_expressions(document: Document) -> dict[str, Expression]:
 
 def animated_expressions(document: Document) -> dict[str, int]:
     """Read the node whose translation along x is the weight of each expression that a VRM animation has."""
-    extension = json_object(json_object(document.gltf, "extensions"), "VRMC_vrm_animation")
+    extension = json_object(json_object(document.gltf, "extensions"), ANIMATION)
     groups, count = json_object(extension, "expressions"), len(document.gltf.get("nodes", []))
     rows = {name: row for group in ("custom", "preset") for name, row in json_object(groups, group).items()}
     nodes = {name: row.get("node") for name, row in rows.items() if isinstance(row, dict)}
     return {name: node for name, node in nodes.items() if isinstance(node, int) and _is_index(node, count)}
+
+
+def read_origin(document: Document) -> tuple[str, str]:
+    """Read maker and licence: of VRM's meta, of the extras of `asset`, or its copyright; empty if not stated.
+
+    Sketchfab writes author and licence to the extras of `asset`.
+    """
+    asset, extensions = json_object(document.gltf, "asset"), json_object(document.gltf, "extensions")
+    first, old, extras = (
+        json_object(json_object(extensions, "VRMC_vrm"), "meta"),
+        json_object(json_object(extensions, "VRM"), "meta"),
+        json_object(asset, "extras"),
+    )
+    authors = first.get("authors")
+    makers = (
+        ", ".join(map(str, authors)) if isinstance(authors, list) else "",
+        old.get("author"),
+        extras.get("author"),
+        asset.get("copyright"),
+    )
+    licences = (first.get("licenseUrl"), old.get("otherLicenseUrl"), old.get("licenseName"), extras.get("license"))
+    return _first_text(makers), _first_text(licences)
 
 
 def json_object(value: Any, key: str) -> dict[str, Any]:
@@ -140,3 +185,119 @@ def _expression(document: Document, entry: dict[str, Any], key: str, full: float
 
 def _is_index(value: Any, count: int) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count
+
+
+def _first_text(values: tuple[object, ...]) -> str:
+    """Return the first value that is a text and not empty, on one line and cut."""
+    texts = (" ".join(value.split()) for value in values if isinstance(value, str))
+    return next((text[:LONGEST] for text in texts if text), "")
+
+
+def with_hands(
+    played: PersonMotion, document: Document, channels: list[AnimationChannel], times: Float[np.ndarray, " T"]
+) -> PersonMotion:
+    """Add the fingers of a VRM animation, and the roll of its hands, to the joints of the body that plays it.
+
+    Finger joints stand where the fingers of that body do. They have no weights: the surface shows none of them.
+    """
+    nodes_of = vrm_bones(document)
+    joints = bone_joints(nodes_of)
+    nodes = [nodes_of[name] for name in joints]
+    rest = world_matrices(document)[nodes]
+    world = sample_joints(document, channels, times, nodes)
+    return with_posed_hands(played, joints, rest, world)
+
+
+def with_posed_hands(
+    played: PersonMotion,
+    joints: tuple[str, ...],
+    rest: Float[np.ndarray, "J 4 4"],
+    world: Float[np.ndarray, "T J 4 4"],
+) -> PersonMotion:
+    """As `with_hands`, from the transforms of joints at rest and in every frame, in any axes."""
+    axes = axes_from_rest(rest[:, :3, 3], {name: k for k, name in enumerate(joints)})
+    frames = t_pose_frames(joints, rest[:, :3, 3] @ axes.T)
+    moved = axes @ nearest_rotation(world[..., :3, :3] @ np.linalg.pinv(rest[:, :3, :3])) @ axes.T
+    rotation_of = dict(zip(joints, (moved @ frames).swapaxes(0, 1), strict=True))
+    for side in SIDES:
+        if any(name in joints for name in finger_joints(side)):
+            played = _with_hand(played, side, rotation_of)
+    return played
+
+
+def write_vrma(motions: Sequence[BoneMotion], path: Path) -> None:
+    """Write motions of one skeleton as a VRM animation in GLB format, with an animation for each.
+
+    Rotations have the keys that interpolation needs; the hips have a key in every frame, from which readers know the
+    frame rate.
+    """
+    first = motions[0]
+    parents = first.parents
+    nodes: list[dict[str, Any]] = []
+    for k, (bone, parent) in enumerate(zip(first.bones, parents, strict=True)):
+        step = first.rest[k] - (first.rest[parent] if parent >= 0 else 0.0)
+        children = [j for j, above in enumerate(parents) if above == k]
+        nodes.append({"name": bone, "translation": step.tolist()} | ({"children": children} if children else {}))
+    bones = {bone: {"node": k} for k, bone in enumerate(first.bones)}
+    draft = Draft(
+        {
+            "asset": {"version": "2.0", "generator": "mimesh"},
+            "extensionsUsed": [ANIMATION],
+            "extensions": {ANIMATION: {"specVersion": "1.0", "humanoid": {"humanBones": bones}}},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": nodes,
+        }
+    )
+    draft.gltf["animations"] = [_bone_animation(draft, motion) for motion in motions]
+    draft.save(path)
+
+
+def _with_hand(played: PersonMotion, side: str, rotation_of: dict[str, Float[np.ndarray, "T 3 3"]]) -> PersonMotion:
+    """Replace the rotation of a hand and its finger stubs by that of the hand and its fingers."""
+    body = body_with_fingers()
+    names = list(played.joints)
+    hand = names.index(f"{side}Hand")
+    of_hand = hand_joints(played.joints, side)
+    kept = [j for j in range(len(names)) if j == hand or j not in of_hand]
+    fingers = [name for name in finger_joints(side) if name in rotation_of]
+    rotation, positions = played.rotation.copy(), played.positions
+    rotation[:, hand] = rotation_of[f"{side}Hand"]
+    # Fingers are placed from the hand outwards by the bones of the body.
+    place = {f"{side}Hand": positions[:, hand]}
+    turn = {f"{side}Hand": rotation[:, hand]} | {name: rotation_of[name] for name in fingers}
+    for name in fingers:
+        chain = ancestors(body.parents, body.joint(name))[1:]
+        above = next(body.joint_names[j] for j in chain if body.joint_names[j] in place)
+        bone = body.joints[body.joint(name)] - body.joints[body.joint(above)]
+        place[name] = place[above] + turn[above] @ bone
+    weights = played.weights
+    if weights is not None:
+        weights = weights.copy()
+        weights[:, hand] = weights[:, of_hand].sum(axis=1)
+        weights = np.pad(weights[:, kept], ((0, 0), (0, len(fingers))))
+    return replace(
+        played,
+        joints=(*(names[j] for j in kept), *fingers),
+        rotation=np.concatenate([rotation[:, kept], *(turn[name][:, None] for name in fingers)], axis=1),
+        positions=np.concatenate([positions[:, kept], *(place[name][:, None] for name in fingers)], axis=1),
+        weights=weights,
+    )
+
+
+def _bone_animation(draft: Draft, motion: BoneMotion) -> dict[str, Any]:
+    """Add an animation of all bones: their rotations, and the translation of the hips."""
+    quaternions = local_quaternions(motion.rotation, motion.parents)
+    is_key = choose_keys(quaternions.swapaxes(0, 1), _tolerances(motion))
+    times = np.arange(len(motion.hips)) / motion.fps
+    channels = [AnimationChannel(0, "translation", times, motion.hips)]
+    for node, keys in enumerate(is_key):
+        channels.append(AnimationChannel(node, "rotation", times[keys], quaternions[keys, node]))
+    return add_animation(draft, motion.name, channels)
+
+
+def _tolerances(motion: BoneMotion) -> Float[np.ndarray, " J"]:
+    """Compute the error of each bone's rotation (radians) with which no joint moves farther than KEY_LIMIT heights."""
+    count = len(motion.joints)
+    rig = Rig(np.tile(np.eye(3), (count, 1, 1)), motion.rest, np.eye(count))
+    return rotation_tolerances(motion.rest, rig, motion.parents, KEY_LIMIT * float(np.ptp(motion.rest[:, 1])))

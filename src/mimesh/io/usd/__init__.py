@@ -1,19 +1,16 @@
 """Read and write USD (.usd, .usda, .usdc, .usdz) with the library usd-core (the extra `usd`).
 
-child                                    what runs in a child process: all that opens a file of others
-stage -> skinning, appearance -> read    read a stage as a Mesh or a stream of frames
-source                                   what a new file takes over: polygons, axis, unit
-package, write_material -> write         write a new file for any Mesh or Clip
+stage -> read    opens files of others, as a Mesh or frame by frame, in a child process
+source           what a new file takes over: polygons, axis, unit
+write            writes a new file for any Mesh or Clip
 
 The library is imported only in the child, and when a new file is written.
 """
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 from ...core.errors import InputError
@@ -32,7 +29,7 @@ def read_usd(path: Path) -> Mesh:
         InputError: usd-core is not installed, the file is damaged, or it shows no meshes.
     """
     _need_library(path, "read")
-    return guarded_mesh("mimesh.io.usd.child:read_mesh", path, UsdSource.from_values, layer_bytes(path))
+    return guarded_mesh("mimesh.io.usd.read:read_mesh", path, UsdSource, layer_bytes(path))
 
 
 def read_usd_clip(path: Path, fps: float | None = None, progress: Progress | None = None) -> Clip:
@@ -42,8 +39,8 @@ def read_usd_clip(path: Path, fps: float | None = None, progress: Progress | Non
         InputError: as `read_usd`, or faces that change over time.
     """
     _need_library(path, "read")
-    reader = "mimesh.io.usd.child:read_clip"
-    return guarded_clip(reader, path, UsdSource.from_values, layer_bytes(path), fps, progress)
+    reader = "mimesh.io.usd.read:read_clip"
+    return guarded_clip(reader, path, UsdSource, layer_bytes(path), fps, progress)
 
 
 def write_usd(mesh: Mesh, path: Path) -> None:
@@ -54,10 +51,18 @@ def write_usd(mesh: Mesh, path: Path) -> None:
 def write_usd_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:
     """Write a clip as a new USD file in which time code k is frame k (see `write.write_new`)."""
     _need_library(path, "write")
+    from pxr import Tf  # pyright: ignore[reportAttributeAccessIssue]
+
     from .write import write_new
 
-    with whole_file(path) as temporary, saving(path):
-        write_new(clip, temporary, path, progress)
+    with whole_file(path) as temporary:
+        try:
+            write_new(clip, temporary, path, progress)
+        except Tf.ErrorException as error:  # it does not say why
+            raise InputError(
+                f"{path}: expected a place with room for the file, found that it could not be saved; choose another "
+                "output"
+            ) from error
 
 
 def stage_axes(mesh: Mesh) -> tuple[bool, float]:
@@ -73,16 +78,3 @@ def _need_library(path: Path, verb: str) -> None:
     os.environ.setdefault(*USE_PREAD)
     if importlib.util.find_spec("pxr") is None:
         raise InputError(f"{path}: expected usd-core to {verb} USD, found it not installed; pip install 'mimesh[usd]'")
-
-
-@contextlib.contextmanager
-def saving(path: Path) -> Iterator[None]:
-    """Turn a failed save into an InputError of one line; the library does not report the cause."""
-    from pxr import Tf  # pyright: ignore[reportAttributeAccessIssue]
-
-    try:
-        yield
-    except Tf.ErrorException as error:
-        raise InputError(
-            f"{path}: expected a place with room for the file, found that it could not be saved; choose another output"
-        ) from error

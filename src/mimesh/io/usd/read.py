@@ -1,46 +1,55 @@
-"""Read a USD stage as a mesh or stream of frames in world coordinates."""
+"""Read a USD stage as a mesh, or frame by frame, in world coordinates.
+
+This runs in a child process (`child_process.child_result`): the library ends the process at some damage (an abort or a
+segmentation fault), and for some files it never ends.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
+import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade
 
 from ...core.budgets import check_clip_size
 from ...core.errors import InputError
+from ...core.frame_buffer import Progress
 from ...core.geometry import turn_normals, unit_vectors
 from ...core.mesh import Material, Mesh, Part
-from ..guarded import ClipStream
+from ..guarded import hand_over_clip, hand_over_mesh
+from ..mtl import image_suffix
 from ..polygons import fan_corners, joined_corners, with_face_normals
 from ..timing import LONGEST, frame_count
-from .appearance import (
-    authored_normals,
-    bound_material,
-    corner_values,
-    display_name,
-    material_subsets,
-    primvar_values,
-    read_material,
-    uv_primvar_name,
-)
-from .skinning import MeshPrim, find_skinning, transform_points
 from .source import UsdSource
-from .stage import ALL_PRIMS, DEFAULT_TIME, has_default_values, open_stage, shown_meshes, time_code_range
+from .stage import (
+    ALL_PRIMS,
+    DEFAULT_TIME,
+    MeshPrim,
+    find_skinning,
+    has_default_values,
+    open_stage,
+    shown_meshes,
+    time_code_range,
+    transform_points,
+)
 
 # usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
 
 MaterialCache = dict[Sdf.Path, Material]
 """Materials of the stage by prim path, so that each is read once."""
+DEFAULT_DIFFUSE = (0.18, 0.18, 0.18)
+"""Linear RGB; default of `diffuseColor` in the UsdPreviewSurface specification."""
 
 
-def read_mesh(path: Path) -> Mesh:
-    """Read all visible, renderable Mesh prims of a stage as one mesh: joined in stage order, in world coordinates.
+def read_mesh(source: Path, target: Path) -> None:
+    """Read all visible, renderable Mesh prims of a stage as one mesh, joined in stage order, and hand it over.
 
     Instances are read with their transforms. Point instancers, curves and points are not read; of a subdivision surface
     the control mesh is read. Axes and unit are the file's (z up stays z up). Skinning and blend shapes are applied. The
@@ -50,13 +59,14 @@ def read_mesh(path: Path) -> Mesh:
     Raises:
         InputError: the file is damaged, or has no visible meshes.
     """
-    stage = open_stage(path)
-    mesh_prims = find_skinning(stage, shown_meshes(stage, path))
-    return _join_prims(stage, mesh_prims, path)
+    with _reading(source):
+        stage = open_stage(source)
+        mesh = _join_prims(stage, find_skinning(stage, shown_meshes(stage, source)), source)
+        hand_over_mesh(target, mesh)
 
 
-def read_clip(path: Path, fps: float | None = None) -> ClipStream:
-    """Read the meshes of a stage as a clip, one frame per time code from the first to the last, computed one by one.
+def read_clip(source: Path, target: Path, fps: float | None, progress: Progress) -> None:
+    """Read the meshes of a stage as a clip, a frame per time code from the first to the last, and hand it over.
 
     With `fps`, frame k is k / fps seconds after the first time code instead; USD interpolates between samples. A stage
     in which nothing moves is one frame. Prims and coordinates as in `read_mesh`.
@@ -64,9 +74,61 @@ def read_clip(path: Path, fps: float | None = None) -> ClipStream:
     Raises:
         InputError: as `read_mesh`; faces or number of points change over time; longer than `timing.LONGEST`.
     """
-    stage = open_stage(path)
-    mesh_prims = find_skinning(stage, shown_meshes(stage, path))
-    mesh = _join_prims(stage, mesh_prims, path)
+    with _reading(source):
+        stage = open_stage(source)
+        mesh_prims = find_skinning(stage, shown_meshes(stage, source))
+        mesh = _join_prims(stage, mesh_prims, source)
+        start, seconds, codes = _time_range(stage, mesh_prims, source)
+        count, step = frame_count(seconds, fps or codes), codes / (fps or codes)
+        check_clip_size(count, len(mesh.vertices), source)
+        time_codes = [start + k * step for k in range(count)]
+        frames = _frames(stage, mesh_prims, time_codes, source)
+        first = next(frames)
+        frames = itertools.chain([first], frames)
+        hand_over_clip(target, mesh.with_vertices(first), frames, count, fps or codes, progress)
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Turn errors of the library into an InputError of one line.
+
+    USD reads values lazily, so an error may come long after the stage was opened: the whole read runs in this block.
+    """
+    check_package(path)
+    try:
+        yield
+    except Tf.ErrorException as error:
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        found = lines[0].rpartition(" : ")[2] if lines else "nothing"
+        if "bad_alloc" in found:
+            raise MemoryError from error
+        raise InputError(f"{path}: expected a USD stage, found {found}; export it again") from error
+
+
+def check_package(path: Path) -> None:
+    """Check the checksums of the files in a package, which the library does not; other files pass.
+
+    Raises:
+        InputError: the file is no zip archive, its files are compressed, or one has another checksum.
+    """
+    if path.suffix.lower() != ".usdz":
+        return
+    try:
+        with zipfile.ZipFile(path) as package:
+            if any(entry.compress_type != zipfile.ZIP_STORED for entry in package.infolist()):
+                raise zipfile.BadZipFile("compressed files in it")
+            broken = package.testzip()
+    except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
+        raise InputError(f"{path}: expected a .usdz package, found {error}; export it again") from error
+    if broken is not None:
+        raise InputError(
+            f"{path}: expected the checksum of {broken[:80]!r} in it, found another; "
+            "the file is damaged, export it again"
+        )
+
+
+def _time_range(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) -> tuple[float, float, float]:
+    """Return the first time code of a stage, its duration in seconds, and its time codes a second."""
     start, stop = time_code_range(stage, _samples(mesh_prims), path)
     codes = stage.GetTimeCodesPerSecond()
     if not codes > 0:
@@ -76,12 +138,7 @@ def read_clip(path: Path, fps: float | None = None) -> ClipStream:
             f"{path}: expected at most {LONGEST:g} s, found time codes {start:g} to {stop:g} at {codes:g} a second; "
             "export a shorter range"
         )
-    count, step = frame_count((stop - start) / codes, fps or codes), codes / (fps or codes)
-    check_clip_size(count, len(mesh.vertices), path)
-    time_codes = [start + k * step for k in range(count)]
-    frames = _frames(stage, mesh_prims, time_codes, path)
-    first = next(frames)
-    return ClipStream(mesh.with_vertices(first), itertools.chain([first], frames), count, fps or codes)
+    return start, (stop - start) / codes, codes
 
 
 def _samples(mesh_prims: list[MeshPrim]) -> list[float]:
@@ -206,7 +263,7 @@ def _read_prim(
             f"{path}: expected points 0..{len(vertices) - 1} in the faces of {prim.GetPath()}, found {worst}; "
             "the file is damaged, export it again"
         )
-    binding_prims, labels = material_subsets(prim, len(counts), path)
+    binding_prims, labels = _material_subsets(prim, len(counts), path)
     order = _shown_polygons(prim, counts, labels)
     # Faces come out counter-clockwise seen from outside: left-handed orientation and a mirroring transform each
     # reverse the winding, and both together leave it.
@@ -215,12 +272,12 @@ def _read_prim(
     corner_of, polygon = _fans(counts, order, is_mirrored != left_handed)
     faces = corners[corner_of]
     polygon_of = np.repeat(np.arange(len(counts)), counts)  # polygon of each corner in `faceVertexIndices`
-    uv = primvar_values(prim, uv_primvar_name(binding_prims), 2)
+    uv = _primvar_values(prim, _uv_primvar_name(binding_prims), 2)
     what = f"{path}: texture coordinates of {prim.GetPath()}"
     mesh = Mesh(
         vertices,
         faces,
-        corner_uv=None if uv is None else corner_values(*uv, corners, polygon_of, what)[corner_of],
+        corner_uv=None if uv is None else _corner_values(*uv, corners, polygon_of, what)[corner_of],
         corner_normals=_normals(mesh_prim, xforms, vertices, faces, corners, polygon_of, corner_of, path),
         parts=_parts(binding_prims, labels[polygon], materials),
     )
@@ -269,10 +326,10 @@ def _normals(mesh_prim: MeshPrim, xforms, vertices, faces, corners, polygon_of, 
     Normals are authored for the bind pose: skinning and blend shapes then rotate them with the surface.
     """
     prim = mesh_prim.prim
-    authored = authored_normals(prim, xforms.GetTime())
+    authored = _authored_normals(prim, xforms.GetTime())
     if authored is None:
         return None
-    local = corner_values(*authored, corners, polygon_of, f"{path}: normals of {prim.GetPath()}")[corner_of]
+    local = _corner_values(*authored, corners, polygon_of, f"{path}: normals of {prim.GetPath()}")[corner_of]
     T_world_bind = mesh_prim.T_world_bind(xforms)
     # Normals transform by the inverse transpose; the pseudo-inverse also serves transforms that flatten the mesh.
     normals = unit_vectors(local @ np.linalg.pinv(T_world_bind[:3, :3]))
@@ -289,16 +346,179 @@ def _parts(binding_prims: list[Usd.Prim], labels: Int[np.ndarray, " F"], materia
     ends = [*np.flatnonzero(np.diff(labels, prepend=-1)).tolist(), len(labels)]
     return tuple(
         Part(
-            display_name(binding_prims[labels[start]]), start, stop, _material(binding_prims[labels[start]], materials)
+            _display_name(binding_prims[labels[start]]), start, stop, _material(binding_prims[labels[start]], materials)
         )
         for start, stop in itertools.pairwise(ends)
     )
 
 
 def _material(prim: Usd.Prim, materials: MaterialCache) -> Material | None:
-    bound = bound_material(prim)
+    bound = _bound_material(prim)
     if bound is None:
         return None
     if bound.GetPath() not in materials:
-        materials[bound.GetPath()] = read_material(bound)
+        materials[bound.GetPath()] = _read_material(bound)
     return materials[bound.GetPath()]
+
+
+def _display_name(prim: Usd.Prim) -> str:
+    """Return the display name of a prim if it has one, else the prim's name."""
+    return prim.GetDisplayName() or prim.GetName()
+
+
+def _material_subsets(prim: Usd.Prim, polygons: int, path: Path) -> tuple[list[Usd.Prim], Int[np.ndarray, " P"]]:
+    """Return the prims that materials are bound to, and for each polygon the index of its prim among them.
+
+    The first prim is the mesh itself, for polygons outside of all subsets; the others are its GeomSubsets of family
+    materialBind. A polygon in several subsets belongs to the last of them.
+
+    Raises:
+        InputError: a subset has polygon indices that are out of range.
+    """
+    binding_prims = [prim]
+    labels = np.zeros(polygons, np.int64)
+    for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
+        indices = np.array(subset.GetIndicesAttr().Get(Usd.TimeCode.EarliestTime()) or [], np.int64)
+        if len(indices) and (indices.min() < 0 or indices.max() >= polygons):
+            raise InputError(
+                f"{path}: expected faces 0..{polygons - 1} in {subset.GetPath()}, found {indices.min()} to "
+                f"{indices.max()}; the file is damaged, export it again"
+            )
+        labels[indices] = len(binding_prims)
+        binding_prims.append(subset.GetPrim())
+    return binding_prims, labels
+
+
+def _bound_material(prim: Usd.Prim) -> UsdShade.Material | None:
+    """Return the material bound to a prim, inherited bindings included; None where there is none."""
+    return UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0] or None
+
+
+def _read_material(bound: UsdShade.Material) -> Material:
+    """Read diffuse colour, opacity and diffuse texture of a UsdPreviewSurface.
+
+    The scale of a texture becomes the base colour that multiplies it. Of materials with another surface shader only the
+    name is read.
+    """
+    surface = bound.ComputeSurfaceSource()[0]
+    if not surface or surface.GetShaderId() != "UsdPreviewSurface":
+        return Material(_display_name(bound.GetPrim()))
+    color, texture = _input_value(surface, "diffuseColor", DEFAULT_DIFFUSE), None
+    image = _diffuse_texture(surface)
+    if image is not None:
+        color = _input_value(image, "scale", (1.0, 1.0, 1.0, 1.0))
+        texture = _read_asset(_input_value(image, "file", None))
+    opacity = _input_value(surface, "opacity", 1.0)
+    red, green, blue = (float(value) for value in color[:3])
+    return Material(_display_name(bound.GetPrim()), (red, green, blue, float(opacity)), texture)
+
+
+def _uv_primvar_name(binding_prims: list[Usd.Prim]) -> str:
+    """Return the name of the primvar with the texture coordinates: the one that the first texture reads, else `st`.
+
+    A UsdTransform2d between the primvar reader and the texture is skipped, not applied.
+    """
+    for prim in binding_prims:
+        bound = _bound_material(prim)
+        surface = bound.ComputeSurfaceSource()[0] if bound else None
+        node = _diffuse_texture(surface) if surface else None
+        # Walk from the texture upstream: `st` is the input of a texture, `in` that of a UsdTransform2d.
+        while node is not None and not (node.GetShaderId() or "").startswith("UsdPrimvarReader"):
+            node = _input_shader(node, "st") or _input_shader(node, "in")
+        if node is not None and _input_value(node, "varname", None):
+            return str(_input_value(node, "varname", None))
+    return "st"
+
+
+def _corner_values(
+    values: Float[np.ndarray, "N C"],
+    interpolation: str,
+    corners: Int[np.ndarray, " K"],
+    polygon: Int[np.ndarray, " K"],
+    label: str,
+) -> Float[np.ndarray, "K C"]:
+    """Expand values of any USD interpolation to one value per polygon corner.
+
+    Args:
+        interpolation: faceVarying (a value per corner), vertex or varying (per vertex), uniform (per polygon), else
+            constant.
+        corners: vertex index of each corner, the `faceVertexIndices` of the mesh.
+        polygon: polygon index of each corner.
+        label: what the values are, for the error message; path of the file first.
+
+    Raises:
+        InputError: too few values for this interpolation.
+    """
+    if interpolation == UsdGeom.Tokens.faceVarying:
+        index = np.arange(len(corners))
+    elif interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying):
+        index = corners
+    else:
+        index = polygon if interpolation == UsdGeom.Tokens.uniform else np.zeros(len(corners), np.int64)
+    if len(index) and index.max() >= len(values):
+        raise InputError(
+            f"{label}: expected {index.max() + 1} values ({interpolation}), found {len(values)}; export it again"
+        )
+    return values[index]
+
+
+def _primvar_values(prim: Usd.Prim, name: str, width: int) -> tuple[Float[np.ndarray, "N C"], str] | None:
+    """Read the values of a primvar, with its indices resolved, and their interpolation.
+
+    Returns None where there is no such primvar or its values do not have `width` components.
+    """
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
+    if not primvar or not primvar.HasValue():
+        return None
+    time = DEFAULT_TIME if primvar.Get(DEFAULT_TIME) is not None else Usd.TimeCode.EarliestTime()
+    values = np.array(primvar.ComputeFlattened(time), np.float64)
+    return (values, primvar.GetInterpolation()) if values.ndim == 2 and values.shape[1] == width else None
+
+
+def _authored_normals(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[Float[np.ndarray, "N 3"], str] | None:
+    """Read the normals of a mesh in its local frame and their interpolation; None where it has none.
+
+    `primvars:normals` takes precedence over the attribute `normals`, as UsdGeomPointBased documents.
+    """
+    primvar = _primvar_values(prim, "normals", 3)
+    if primvar is not None:
+        return primvar
+    attribute = UsdGeom.Mesh(prim).GetNormalsAttr()
+    values = attribute.Get(time) or attribute.Get(Usd.TimeCode.EarliestTime())
+    return (np.array(values, np.float64), UsdGeom.Mesh(prim).GetNormalsInterpolation()) if values else None
+
+
+def _diffuse_texture(surface: UsdShade.Shader) -> UsdShade.Shader | None:
+    """Return the UsdUVTexture connected to the diffuse colour of a surface."""
+    node = _input_shader(surface, "diffuseColor")
+    return node if node is not None and node.GetShaderId() == "UsdUVTexture" else None
+
+
+def _input_shader(shader: UsdShade.Shader, name: str) -> UsdShade.Shader | None:
+    """Return the shader connected to an input, directly or through node graphs; None where the input is a constant."""
+    source = _producing_attribute(shader, name)
+    is_output = source is not None and source.GetName().startswith("outputs:")
+    return UsdShade.Shader(source.GetPrim()) if source is not None and is_output else None
+
+
+def _input_value(shader: UsdShade.Shader, name: str, default):
+    """Return the constant value of an input; the default where it is connected to a shader or not authored."""
+    source = _producing_attribute(shader, name)
+    if source is None or source.GetName().startswith("outputs:"):
+        return default
+    value = source.Get(Usd.TimeCode.EarliestTime())
+    return default if value is None else value
+
+
+def _producing_attribute(shader: UsdShade.Shader, name: str) -> Usd.Attribute | None:
+    """Return the attribute that the value of an input comes from: a shader output or a constant."""
+    shader_input = shader.GetInput(name)
+    attributes = shader_input.GetValueProducingAttributes() if shader_input else []
+    return attributes[0] if attributes else None
+
+
+def _read_asset(asset: Sdf.AssetPath | None) -> bytes | None:
+    """Read the PNG or JPEG file of an asset path, also inside a package; None for other formats and missing files."""
+    opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(asset.resolvedPath)) if asset and asset.resolvedPath else None
+    content = bytes(opened.GetBuffer()) if opened else b""
+    return content if image_suffix(content) else None

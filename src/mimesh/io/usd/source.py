@@ -5,12 +5,9 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Int
-
-from ..guarded import Values
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 MOST_LAYERS = 1000
@@ -34,12 +31,6 @@ class UsdSource:
     def details(self) -> tuple[tuple[str, str], ...]:
         """Rows of name and value for `mimesh look`: the stage's unit and up axis."""
         return (("unit", f"{self.meters_per_unit:g} m, {self.up_axis.lower()} up"),)
-
-    @classmethod
-    def from_values(cls, values: Values) -> UsdSource:
-        """Make a source of its fields, as another process hands them over."""
-        fields: dict[str, Any] = {**values, "notes": tuple(values["notes"])}
-        return cls(**fields)
 
 
 def layer_bytes(path: Path) -> int:

@@ -8,30 +8,43 @@
 
 Time code k is frame k. Frames are saved in blocks, so that memory does not grow with their number. Text (.usda) is
 exported from a temporary binary file, because a text layer stays in memory until it is saved.
+
+A package (.usdz) is a zip archive of uncompressed files whose contents begin at multiples of 64 bytes, so that a reader
+can map them into memory. Its first file is the root layer.
 """
 
 from __future__ import annotations
 
+import shutil
+import struct
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-from pxr import Sdf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, Vt
 
+from ...core.errors import InputError
 from ...core.frame_buffer import PAGED, Progress, each_frame
 from ...core.geometry import normal_turner
-from ...core.mesh import Clip, Mesh
+from ...core.mesh import Clip, Material, Mesh
+from ...core.printable import numbered
 from ..atomic import scratch_folder
+from ..mtl import write_image
 from ..polygons import polygon_corners, polygon_sizes, smooth_normals
-from .package import pack
 from .source import UsdSource
 from .stage import DEFAULT_TIME
-from .write_material import PrimNames, add_subsets, set_display_name
 
 # usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
 
+ALIGNMENT = 64
+"""Bytes; the content of every file begins at a multiple of it (USDZ file format specification, "Layout")."""
+LARGEST = 2**31 - 1
+"""Bytes in one package; larger archives need the zip64 extension, which the USDZ specification excludes."""
+ROUGHNESS = 0.9
+"""Roughness (0..1) of written materials: nearly matt, since `mesh.Material` has no gloss."""
 FACE_VARYING = UsdGeom.Tokens.faceVarying
 NormalFunction = Callable[[Float[np.ndarray, "V 3"]], Float[np.ndarray, "N 3"]]
 """Maps the vertices of a frame to the normals that are written for it."""
@@ -56,7 +69,7 @@ def write_new(clip: Clip, path: Path, final: Path, progress: Progress | None = N
             packed_textures = folder / "textures"
             _write_binary(clip, binary, packed_textures, f"./{packed_textures.name}", progress)
             images = sorted(f"{packed_textures.name}/{image.name}" for image in packed_textures.glob("*"))
-            pack(folder, [binary.name, *images], path)
+            _pack(folder, [binary.name, *images], path)
         else:
             _write_binary(clip, binary, textures, f"./{textures.name}", progress)
             Sdf.Layer.FindOrOpen(str(binary)).Export(str(path))
@@ -68,14 +81,14 @@ def _write_binary(clip: Clip, path: Path, textures: Path, asset_folder: str, pro
     _set_metadata(stage, clip)
     root = UsdGeom.Xform.Define(stage, "/root")
     stage.SetDefaultPrim(root.GetPrim())
-    names = PrimNames(root.GetPath())
+    names = _PrimNames(root.GetPath())
     scope = UsdGeom.Scope.Define(stage, names.path("materials"))
     usd_mesh = UsdGeom.Mesh.Define(stage, names.path(clip.mesh.name))
-    set_display_name(usd_mesh.GetPrim(), clip.mesh.name)
+    _set_display_name(usd_mesh.GetPrim(), clip.mesh.name)
     sizes = polygon_sizes(clip.mesh)
     corner_at = polygon_corners(sizes) if len(sizes) else np.zeros(0, np.int64)
     _set_faces(usd_mesh, clip.mesh, sizes, corner_at)
-    add_subsets(clip.mesh, sizes, usd_mesh.GetPrim(), PrimNames(scope.GetPath()), textures, asset_folder)
+    _add_subsets(clip.mesh, sizes, usd_mesh.GetPrim(), _PrimNames(scope.GetPath()), textures, asset_folder)
     _set_frames(usd_mesh, clip, _normal_function(usd_mesh, clip.mesh, corner_at), progress)
     stage.GetRootLayer().Save()
 
@@ -148,3 +161,122 @@ def _integers(values: np.ndarray) -> Vt.IntArray:
 
 def _vectors(values: Float[np.ndarray, "N 3"]) -> Vt.Vec3fArray:
     return Vt.Vec3fArray.FromNumpy(values.astype(np.float32))
+
+
+class _PrimNames:
+    """Allocator of legal and unique prim names below one parent prim."""
+
+    def __init__(self, parent: Sdf.Path) -> None:
+        self.parent = parent
+        self.taken: set[str] = set()
+
+    def path(self, name: str) -> Sdf.Path:
+        """Return a new child path for an object of any name: illegal characters replaced, a number added if taken."""
+        unique = next(free for free in numbered(Tf.MakeValidIdentifier(name), "_") if free not in self.taken)
+        self.taken.add(unique)
+        return self.parent.AppendChild(unique)
+
+
+def _set_display_name(prim: Usd.Prim, name: str) -> None:
+    """Store a name as the prim's display name where it is not a legal or free prim name."""
+    if prim.GetName() != name:
+        prim.SetDisplayName(name)
+
+
+def _add_subsets(
+    mesh: Mesh, sizes: Int[np.ndarray, " P"], prim: Usd.Prim, names: _PrimNames, folder: Path, asset_folder: str
+) -> None:
+    """Write a GeomSubset of family materialBind for each part that has faces, bound to the part's material.
+
+    Args:
+        sizes: corners of each polygon; a polygon of n corners is n - 2 consecutive faces of `mesh`.
+        prim: the mesh prim, parent of the subsets.
+        names: of the scope that materials are written below.
+        folder: where texture files are written.
+        asset_folder: how asset paths of the layer refer to `folder`.
+    """
+    first = np.cumsum(sizes - 2) - (sizes - 2)  # each polygon's first face
+    subset_names = _PrimNames(prim.GetPath())
+    binding = UsdShade.MaterialBindingAPI.Apply(prim)
+    materials: dict[Material, UsdShade.Material] = {}
+    for part in mesh.parts:
+        polygons = np.flatnonzero((first >= part.start) & (first < part.stop))
+        if not len(polygons):
+            continue
+        name = subset_names.path(part.name).name
+        subset = binding.CreateMaterialBindSubset(name, Vt.IntArray.FromNumpy(polygons.astype(np.int32)))
+        _set_display_name(subset.GetPrim(), part.name)
+        if part.material is None:
+            continue
+        if part.material not in materials:
+            stage, textured = prim.GetStage(), mesh.corner_uv is not None
+            materials[part.material] = _add_material(stage, part.material, names, folder, asset_folder, textured)
+        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(materials[part.material])
+    if mesh.parts:
+        binding.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.nonOverlapping)
+
+
+def _add_material(
+    stage: Usd.Stage, material: Material, names: _PrimNames, folder: Path, asset_folder: str, textured: bool
+) -> UsdShade.Material:
+    """Write a non-metallic UsdPreviewSurface; with a texture, the base colour becomes the texture's scale."""
+    usd_material = UsdShade.Material.Define(stage, names.path(material.name))
+    _set_display_name(usd_material.GetPrim(), material.name)
+    surface = _shader(usd_material, "surface", "UsdPreviewSurface")
+    *color, alpha = material.base_color
+    diffuse = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    diffuse.Set(Gf.Vec3f(*color))
+    surface.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(alpha)
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(ROUGHNESS)
+    surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
+    usd_material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
+    if textured and material.texture is not None:
+        file = write_image(material.texture, folder, usd_material.GetPath().name)
+        diffuse.ConnectToSource(_add_texture(usd_material, f"{asset_folder}/{file}", color).ConnectableAPI(), "rgb")
+    return usd_material
+
+
+def _add_texture(material: UsdShade.Material, file: str, color: list[float]) -> UsdShade.Shader:
+    """Write a UsdUVTexture that reads the primvar `st`; `file` is an asset path."""
+    reader = _shader(material, "uv", "UsdPrimvarReader_float2")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+    texture = _shader(material, "texture", "UsdUVTexture")
+    texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(file))
+    texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+    for axis in ("wrapS", "wrapT"):
+        texture.CreateInput(axis, Sdf.ValueTypeNames.Token).Set("repeat")
+    if color != [1.0, 1.0, 1.0]:
+        texture.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*color, 1.0))
+    reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+    texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
+    return texture
+
+
+def _shader(material: UsdShade.Material, name: str, shader_id: str) -> UsdShade.Shader:
+    shader = UsdShade.Shader.Define(material.GetPrim().GetStage(), material.GetPath().AppendChild(name))
+    shader.CreateIdAttr(shader_id)
+    if shader_id == "UsdPreviewSurface":
+        shader.CreateOutput("surface", Sdf.ValueTypeNames.Token)
+    return shader
+
+
+def _pack(folder: Path, names: list[str], path: Path) -> None:
+    """Write the named files of a folder as a package; the first name must be the root layer.
+
+    Raises:
+        InputError: the files have more than `LARGEST` bytes together.
+    """
+    size = sum((folder / name).stat().st_size for name in names)
+    if size > LARGEST:
+        raise InputError(f"{path}: expected at most 2 GiB in a package, found {size / 2**30:.1f}; write .usdc instead")
+    with path.open("wb") as raw, zipfile.ZipFile(raw, "w") as package:
+        for name in names:
+            entry = zipfile.ZipInfo(name)
+            # A zip entry is a header of 30 bytes, the name, extra fields, the content. One extra field (4 bytes of
+            # identifier and length, then zeros) fills the gap up to the next aligned byte. Readers skip identifiers
+            # that they do not support; 0x1986 is the one that Pixar's own writer uses.
+            padding = -(raw.tell() + 30 + len(name.encode()) + 4) % ALIGNMENT
+            entry.extra = struct.pack("<HH", 0x1986, padding) + bytes(padding)
+            with package.open(entry, "w") as target, (folder / name).open("rb") as content:
+                shutil.copyfileobj(content, target)

@@ -1,11 +1,13 @@
-"""Body kinematics and linear blend skinning in torch: batched, differentiable twins of the NumPy ones.
+"""Body kinematics and linear blend skinning in torch (batched, differentiable twins of the NumPy ones), random numbers.
 
 `TorchBody` poses the people that `RiggedBody` poses, thousands a second on any device; a test compares the two.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,37 +19,23 @@ from ...bodies.joint_ranges import ranges_of
 from ...bodies.sampling import rotvec_to_rotmat as numpy_rotmat
 from ...bodies.sampling import sample_pose
 
+CPU = torch.device("cpu")
 
-class TorchBody(nn.Module):
-    """A RiggedBody whose arrays are buffers with coordinates as the first axis.
+
+class TorchBody:
+    """A RiggedBody whose arrays are tensors with coordinates as the first axis.
 
     In that layout skinning is one matrix product and three fused multiply-adds over long rows: six times as many bodies
     a second on two cores as with vertices first.
     """
 
-    rest: Tensor
-    components: Tensor
-    weights: Tensor
-    joints: Tensor
-    joint_components: Tensor
-
-    def __init__(self, body: RiggedBody, dtype: torch.dtype = torch.float32) -> None:
-        super().__init__()
+    def __init__(self, body: RiggedBody, dtype: torch.dtype = torch.float32, device: torch.device = CPU) -> None:
         self.parents = body.parents
-        arrays = {
-            "rest": body.vertices.T,
-            "components": body.components.transpose(0, 2, 1),
-            "weights": body.weights.T,
-            "joints": body.joints,
-            "joint_components": body.joint_components,
-        }
-        for name, array in arrays.items():
-            self.register_buffer(name, torch.from_numpy(array).to(dtype).contiguous())
-
-    @property
-    def vertex_count(self) -> int:
-        """Number of vertices of the whole body."""
-        return self.rest.shape[1]
+        arrays = (body.vertices.T, body.components.transpose(0, 2, 1), body.weights.T)
+        self.rest, self.components, self.weights, self.joints, self.joint_components = (
+            torch.from_numpy(array).to(device, dtype).contiguous()
+            for array in (*arrays, body.joints, body.joint_components)
+        )
 
     def posed(
         self,
@@ -87,6 +75,38 @@ class TorchBody(nn.Module):
         turned = torch.stack(rotation, 1)
         offset = torch.stack(position, 1)[..., None] - turned @ joints[..., None]
         return torch.cat([turned, offset], dim=-1)
+
+
+def on_device(array: np.ndarray, device: torch.device) -> Tensor:
+    """Copy an array to a device in float32."""
+    return torch.from_numpy(array).float().to(device)
+
+
+def copied_to(device: torch.device, value: Any) -> Any:
+    """Copy a tensor to a device, or a tuple or dataclass with all tensors in it."""
+    if isinstance(value, Tensor):
+        return value.to(device)
+    if isinstance(value, tuple):
+        return tuple(copied_to(device, part) for part in value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        parts = {field.name: copied_to(device, getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return dataclasses.replace(value, **parts)
+    return value
+
+
+def numbers_of_step(seed: int, step: int, device: torch.device) -> torch.Generator:
+    """Make the random numbers of a step of a training; seeds are a million steps apart."""
+    return torch.Generator(device).manual_seed(seed * 1_000_003 + step)
+
+
+def uniform(rng: torch.Generator, *size: int) -> Tensor:
+    """Draw numbers from 0 to 1 on the device of a generator."""
+    return torch.rand(size, generator=rng, device=rng.device)
+
+
+def normal(rng: torch.Generator, *size: int) -> Tensor:
+    """Draw normal numbers on the device of a generator."""
+    return torch.randn(size, generator=rng, device=rng.device)
 
 
 def scaled_joints(
@@ -163,6 +183,11 @@ def rotvec_to_rotmat(rotvec: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
     eye = torch.eye(3, dtype=rotvec.dtype, device=rotvec.device)
     return eye + sine * cross + (1.0 - cosine) * (cross @ cross)
+
+
+def gather_points(values: Float[Tensor, "B N C"], index: Int[Tensor, "B M"]) -> Float[Tensor, "B M C"]:
+    """Select the values of points by their indices."""
+    return values.gather(1, index[..., None].expand(-1, -1, values.shape[-1]))
 
 
 def posed_joints(

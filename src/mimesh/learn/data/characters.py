@@ -7,7 +7,7 @@ the index of a pool lists in another split are left out, and so are clips that a
 A joint of a character counts as the joint of the shipped body with its name (`bodies.character_limbs`); all others
 count as their nearest named ancestor. World rotations of the body's joints relate to those of the character's by an
 alignment: a character's limb that is turned from rest by D has the rotation G = D A, A being the rotation from the
-body's limb at rest to the character's (`evaluate.character_poses.rest_alignments`).
+body's limb at rest to the character's (`evaluate.characters.rest_alignments`).
 """
 
 from __future__ import annotations
@@ -31,10 +31,9 @@ from ...bodies.character_pool import CLASSES, Pool, PoolCharacter, read_pool
 from ...core import geometry, surface_points
 from ...core.errors import InputError
 from ...core.frame_buffer import Progress, counted
-from ...evaluate.character_poses import animal_alignments, body_poses, place_body_joints, rest_alignments
-from ...evaluate.held_out_takes import is_held_out
-from ...io.gltf.animal import read_rigged_animal
-from ...io.gltf.character import NOT_STATED, read_rigged_character
+from ...evaluate.characters import animal_alignments, body_poses, place_body_joints, rest_alignments
+from ...evaluate.clip_protocols import is_held_out
+from ...io.gltf.character import NOT_STATED, read_rigged_animal, read_rigged_character
 from ..task import DataConfig, share_option
 from .clips import DAMAGED, RIGGED, TrainingClips, licence_of, pack_of
 
@@ -292,9 +291,6 @@ def read_character_folder(
 
     Args:
         body: shipped body whose joints the characters have, `human` or `quadruped`.
-
-    Raises:
-        InputError: no folder, a damaged index, or neither an index nor rigged files.
     """
     folder, read = Path(folder), read_rigged_animal if body == "quadruped" else read_rigged_character
     paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in RIGGED and path.is_file())

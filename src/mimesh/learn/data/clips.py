@@ -2,7 +2,7 @@
 
 Each clip is retargeted to the shipped body (`motions.retarget`), so limbs keep their directions and the root its tilt,
 as in crawls and rolls; headings are turned to +z. Mirror images are added. What evaluation holds out is left out by
-name (`held_out_takes`): a clip by another name is not recognised, so measure on nothing that is in the folder.
+name (`is_held_out`): a clip by another name is not recognised, so measure on nothing that is in the folder.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from ...bodies import RiggedBody, load_body
 from ...bodies.character_limbs import SIDES
 from ...core.errors import InputError
 from ...core.frame_buffer import Progress, counted
-from ...evaluate.held_out_takes import is_held_out, is_held_out_file
+from ...evaluate.clip_protocols import is_held_out, is_held_out_file
 from ...io.gltf.animation import animation_names
 from ...io.gltf.character import NOT_STATED
 from ...io.gltf.document import open_document
 from ...io.gltf.motion import read_skeleton
-from ...io.gltf.origin import read_origin
+from ...io.gltf.vrm import read_origin
 from ...motions import Motion, mirror, resample, retarget
 from ...motions.motion import rotmat_to_rotvec, turned_to_front
 from ...motions.on_body import is_motion_file, motion_of_file

@@ -28,7 +28,7 @@ from ...motions.clips import split_windows
 from ...motions.gaits import quadruped_poses, quadruped_takes
 from ...motions.motion import rotmat_to_rotvec
 from ..task import DataConfig, share_option
-from .bodies import rotvec_to_rotmat
+from .bodies import normal, on_device, rotvec_to_rotmat, uniform
 
 TABLE_KINDS = ("table6", "clips80")
 """Kinds of data with a fixed table of people and poses, as in the papers."""
@@ -106,15 +106,15 @@ class EndlessPeople:
         """
         self.config, self.device, self.shape_components = config, device, len(body.components)
         sources = pose_sources(body)
-        self.usual, self.limits = self._tensor(sources.usual), self._tensor(sources.limits)
-        self.motion_frames = self._tensor(sources.frames)
-        self.resting, self.postures = self._tensor(sources.resting), self._tensor(sources.postures)
-        self.contacts = [self._tensor(array) for array in (sources.contact_shapes, sources.contact_poses)]
+        self.usual, self.limits = on_device(sources.usual, device), on_device(sources.limits, device)
+        self.motion_frames = on_device(sources.frames, device)
+        self.resting, self.postures = on_device(sources.resting, device), on_device(sources.postures, device)
+        self.contacts = [on_device(array, device) for array in (sources.contact_shapes, sources.contact_poses)]
         self.frames = frames
         if frames:
             takes = training_takes(body)
             # All frames of all takes in one tensor, and the indices where the fastest window still fits into its take.
-            self.captured = self._tensor(np.concatenate(takes))
+            self.captured = on_device(np.concatenate(takes), device)
             ends = np.cumsum([len(take) for take in takes])
             longest = MAX_SPEED * (frames - 1)
             starts = [np.arange(end - len(take), end - longest) for end, take in zip(ends, takes, strict=True)]
@@ -122,7 +122,7 @@ class EndlessPeople:
 
     def add_poses(self, poses: Float[np.ndarray, "P J 3"]) -> None:
         """Add rotation vectors (radians), such as those of characters' clips, to the frames of motions."""
-        self.motion_frames = torch.cat([self.motion_frames, self._tensor(poses)])
+        self.motion_frames = torch.cat([self.motion_frames, on_device(poses, self.device)])
 
     def pairs(
         self, size: int, rng: torch.Generator, limits: float | None = None
@@ -135,9 +135,9 @@ class EndlessPeople:
         Args:
             limits: share of driving meshes posed anyhow within the joint limits; None: that of the configuration.
         """
-        shapes = torch.randn(2, size, self.shape_components, generator=rng, device=self.device)
+        shapes = normal(rng, 2, size, self.shape_components)
         shapes = self.config.spread * shapes.clamp(-SHAPE_LIMIT, SHAPE_LIMIT)
-        kinds = torch.rand(2, size, generator=rng, device=self.device)
+        kinds = uniform(rng, 2, size)
         poses, touching = [], torch.zeros(2, size, dtype=torch.bool, device=self.device)
         for row, mix in enumerate((IDENTITY_MIX, driving_mix(self.config.limits if limits is None else limits))):
             pose = self._sample_poses(kinds[row], mix, rng)
@@ -169,7 +169,7 @@ class EndlessPeople:
         captured = rotvec_to_rotmat(captured)
         straight = straight_windows(self.limits, size, self.frames, rng)
         heading = random_headings(size, np.deg2rad(self.config.heading), rng)[:, None]
-        chosen = torch.rand(size, generator=rng, device=self.device) < CAPTURED
+        chosen = uniform(rng, size) < CAPTURED
         window = torch.where(chosen[:, None, None, None, None], captured, straight)
         window[:, :, 0] = heading @ window[:, :, 0]
         return shapes, poses[0], window
@@ -182,8 +182,8 @@ class EndlessPeople:
         # All kinds are drawn for everybody, so that a batch takes the same random numbers whatever it is made of.
         table, wide = random_between(self.usual, size, rng), random_between(self.limits, size, rng)
         frame = self.motion_frames[random_index(len(self.motion_frames), (size,), rng)]
-        rest = self.resting * torch.rand(size, 1, 1, generator=rng, device=self.device)
-        rest = rest + REST_NOISE * torch.randn(size, *rest.shape[1:], generator=rng, device=self.device)
+        rest = self.resting * uniform(rng, size, 1, 1)
+        rest = rest + REST_NOISE * normal(rng, size, *rest.shape[1:])
         if len(self.postures):
             posture = self._random_postures(size, rng)
             rest, table, frame = rest + posture, table + posture, frame + posture
@@ -192,12 +192,12 @@ class EndlessPeople:
 
     def _random_postures(self, size: int, rng: torch.Generator) -> Float[Tensor, "B J 3"]:
         """Draw shares of the ways in which animals stand."""
-        share = torch.rand(size, 1, 1, generator=rng, device=self.device)
+        share = uniform(rng, size, 1, 1)
         return share * self.postures[random_index(len(self.postures), (size,), rng)]
 
     def _replace_by_contacts(self, shape: Float[Tensor, "B K"], pose: Float[Tensor, "B J 3"], rng: torch.Generator):
         """Replace a share of the people by ones in self-contact: shapes, poses, and who was replaced."""
-        some = torch.rand(len(shape), generator=rng, device=self.device) < self.config.contacts
+        some = uniform(rng, len(shape)) < self.config.contacts
         drawn = random_index(len(self.contacts[0]), (len(shape),), rng)
         shapes, poses = (bank[drawn] for bank in self.contacts)
         return torch.where(some[:, None], shapes, shape), torch.where(some[:, None, None], poses, pose), some
@@ -207,14 +207,11 @@ class EndlessPeople:
 
         A random direction in four dimensions is a uniform unit quaternion.
         """
-        quaternion = torch.nn.functional.normalize(torch.randn(size, 4, generator=rng, device=self.device), dim=-1)
+        quaternion = torch.nn.functional.normalize(normal(rng, size, 4), dim=-1)
         angle = 2 * torch.acos(quaternion[:, :1].clamp(-1, 1))
         rotvec = angle * torch.nn.functional.normalize(quaternion[:, 1:], dim=-1)
-        some = torch.rand(size, 1, generator=rng, device=self.device) < self.config.tumble
+        some = uniform(rng, size, 1) < self.config.tumble
         return rotvec_to_rotmat(rotvec * some)
-
-    def _tensor(self, array: np.ndarray) -> Tensor:
-        return torch.from_numpy(array).float().to(self.device)
 
 
 def random_index(count: int, shape: tuple[int, ...], rng: torch.Generator) -> Int[Tensor, "..."]:
@@ -224,7 +221,7 @@ def random_index(count: int, shape: tuple[int, ...], rng: torch.Generator) -> In
 
 def random_between(bounds: Float[Tensor, "2 J 3"], size: int, rng: torch.Generator) -> Float[Tensor, "B J 3"]:
     """Draw rotation vectors between the lowest and the highest of each joint and axis."""
-    part = torch.rand(size, *bounds.shape[1:], generator=rng, device=rng.device)
+    part = uniform(rng, size, *bounds.shape[1:])
     return bounds[0] + part * (bounds[1] - bounds[0])
 
 
@@ -238,9 +235,8 @@ def mixed_people(people: Float[Tensor, "P K"], part: float, size: int, rng: torc
     if not part:
         return shapes
     mean = people.mean(0)
-    normal = torch.randn(2, size, len(people), generator=rng, device=rng.device)
-    mixtures = mean + normal @ (people - mean) / math.sqrt(len(people))
-    some = torch.rand(2, size, 1, generator=rng, device=rng.device) < part
+    mixtures = mean + normal(rng, 2, size, len(people)) @ (people - mean) / math.sqrt(len(people))
+    some = uniform(rng, 2, size, 1) < part
     return torch.where(some, mixtures, shapes)
 
 
@@ -275,7 +271,7 @@ def recombined(
     if not part:
         return window
     size, frames = window.shape[:2]
-    some = torch.rand(size, 1, generator=rng, device=rng.device) < part
+    some = uniform(rng, size, 1) < part
     for limb in limbs:
         other = random_window(motions, size, frames, rng)
         window = torch.where((some & limb)[:, None, :, None, None], other, window)
@@ -289,7 +285,7 @@ def replaced_by_straight(
     if not part:
         return window
     straight = straight_windows(limits, len(window), window.shape[1], rng)
-    some = torch.rand(len(window), generator=rng, device=rng.device) < part
+    some = uniform(rng, len(window)) < part
     return torch.where(some[:, None, None, None, None], straight, window)
 
 
@@ -298,7 +294,7 @@ def straight_windows(
 ) -> Float[Tensor, "B T J 3 3"]:
     """Draw windows on straight ways from one pose within the joint limits towards another."""
     start, stop = (random_between(limits, size, rng)[:, None] for _ in range(2))
-    step = MAX_STEP * torch.rand(size, 1, 1, 1, generator=rng, device=rng.device)
+    step = MAX_STEP * uniform(rng, size, 1, 1, 1)
     frame = torch.arange(frames, device=rng.device)
     return rotvec_to_rotmat(start + step * frame[:, None, None] * (stop - start))
 
@@ -312,7 +308,7 @@ def driving_mix(limits: float) -> tuple[float, float, float]:
 
 def random_headings(size: int, reach: float, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
     """Draw rotations about the vertical by up to `reach` radians to either side."""
-    angle = reach * (2 * torch.rand(size, generator=rng, device=rng.device) - 1)
+    angle = reach * (2 * uniform(rng, size) - 1)
     zero = torch.zeros_like(angle)
     return rotvec_to_rotmat(torch.stack([zero, angle, zero], -1))
 

@@ -23,10 +23,22 @@ from ...bodies import RiggedBody
 from ...bodies.anatomy import anatomy_of
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
 from ...core.errors import InputError
-from .bodies import posed_joints, scaled_joints, skinned, skinned_surface, world_rotations
+from .bodies import (
+    CPU,
+    gather_points,
+    normal,
+    numbers_of_step,
+    on_device,
+    posed_joints,
+    scaled_joints,
+    skinned,
+    skinned_surface,
+    uniform,
+    world_rotations,
+)
 from .characters import CharacterOptions, CharacterSurface, TrainingCharacters
 from .endless import EndlessPeople, PeopleOptions, random_headings, random_index
-from .people import BodySampler, PairBatch, pairs_of_rows
+from .people import PairBatch, PairSource, in_unit_sphere, pairs_of_rows
 from .primitives import SHAPES, sample_primitive
 from .surfaces import MAX_HOLE, PosedSurface, random_bumps, random_levels, without_bumps
 
@@ -85,14 +97,9 @@ class PropSampler:
         # Thomsen's formula for the area of an ellipsoid, which is near enough for the others.
         a, b, c = (sizes**1.6).T
         area = 4 * np.pi * ((a * b + a * c + b * c) / 3) ** (1 / 1.6)
-        arrays = (
-            points,
-            normals,
-            np.clip(PROP_DENSITY * area, 4, PROP_POINTS),
-            np.eye(3)[sizes.argmax(axis=1)] * sizes,
-        )
+        count, longest = np.clip(PROP_DENSITY * area, 4, PROP_POINTS), np.eye(3)[sizes.argmax(axis=1)] * sizes
         self.points, self.normals, self.count, self.longest = (
-            torch.from_numpy(array).float().to(device) for array in arrays
+            on_device(array, device) for array in (points, normals, count, longest)
         )
         shares = anatomy_of(body.name).props
         self.joints = torch.tensor([body.joint(name) for name in shares], device=device)
@@ -104,15 +111,15 @@ class PropSampler:
         shape = (size, PROP_SLOTS)
         which = torch.randint(len(self.points), shape, generator=rng, device=self.device)
         # Half of the props stand straight in the figure's axes, as hats and backpacks do.
-        straight = self._uniform(rng, *shape, 1, 1) < 0.5
-        turn = torch.where(straight, torch.eye(3, device=self.device), random_rotations(shape, rng, self.device))
-        direction = nn.functional.normalize(torch.randn(*shape, 3, generator=rng, device=self.device), dim=-1)
-        centre = PROP_OFFSET * self._uniform(rng, *shape, 1) * direction
+        straight = uniform(rng, *shape, 1, 1) < 0.5
+        turn = torch.where(straight, torch.eye(3, device=self.device), random_rotations(shape, rng))
+        direction = nn.functional.normalize(normal(rng, *shape, 3), dim=-1)
+        centre = PROP_OFFSET * uniform(rng, *shape, 1) * direction
         # Half are held at one end, as swords are.
-        held = self._uniform(rng, *shape, 1) < 0.5
+        held = uniform(rng, *shape, 1) < 0.5
         centre = centre + (turn @ (held * self.longest[which])[..., None])[..., 0]
-        wanted = self.count[which] * (self._uniform(rng, *shape) < PROP_SHARE)
-        joint = self.joints[torch.searchsorted(self.share, self._uniform(rng, *shape)).clamp_max(len(self.joints) - 1)]
+        wanted = self.count[which] * (uniform(rng, *shape) < PROP_SHARE)
+        joint = self.joints[torch.searchsorted(self.share, uniform(rng, *shape)).clamp_max(len(self.joints) - 1)]
         return Props(
             (self.points[which] @ turn.mT + centre[..., None, :]).flatten(1, 2),
             (self.normals[which] @ turn.mT).flatten(1, 2),
@@ -120,13 +127,10 @@ class PropSampler:
             (torch.arange(PROP_POINTS, device=self.device) < wanted[..., None]).flatten(1),
         )
 
-    def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
-        return torch.rand(*size, generator=rng, device=self.device)
 
-
-def random_rotations(size: tuple[int, ...], rng: torch.Generator, device: torch.device) -> Float[Tensor, "*B 3 3"]:
+def random_rotations(size: tuple[int, ...], rng: torch.Generator) -> Float[Tensor, "*B 3 3"]:
     """Draw uniform random rotations: Gram-Schmidt of normal vectors."""
-    x, y = nn.functional.normalize(torch.randn(2, *size, 3, generator=rng, device=device), dim=-1)
+    x, y = nn.functional.normalize(normal(rng, 2, *size, 3), dim=-1)
     z = nn.functional.normalize(torch.linalg.cross(x, y), dim=-1)
     return torch.stack([x, torch.linalg.cross(z, x), z], -1)
 
@@ -160,40 +164,29 @@ class RestSurface:
     joints: Float[Tensor, "B J 3"]
 
 
-class CharacterBank(nn.Module):
+class CharacterBank:
     """All figures of a training, each as the same number of points, to be posed in batches."""
 
-    points: Tensor
-    normals: Tensor
-    weights: Tensor
-    joints: Tensor
-    alignment: Tensor
-    carrier: Tensor
-    placed: Tensor
-    bones: Tensor
-    branching: Tensor
-    strongest: Tensor
-    coarse: Tensor
-    """Points and normals of the low-poly versions; people of primitives, which have none, keep their points."""
-
-    def __init__(self, surfaces: list[CharacterSurface], body: RiggedBody) -> None:
-        super().__init__()
+    def __init__(self, surfaces: list[CharacterSurface], body: RiggedBody, device: torch.device = CPU) -> None:
+        # Points and normals of the low-poly versions; people of primitives, which have none, keep their points.
         levels = max(0 if surface.coarse is None else len(surface.coarse) for surface in surfaces)
         coarse = [
             np.array([[surface.points, surface.normals]] * levels) if surface.coarse is None else surface.coarse
             for surface in surfaces
         ]
-        self.register_buffer("coarse", torch.from_numpy(np.stack(coarse)).float())
+        self.coarse = on_device(np.stack(coarse), device)
         self.parents = body.parents
-        for name in ("points", "normals", "weights", "joints", "alignment"):
-            stacked = np.stack([getattr(surface, name) for surface in surfaces])
-            self.register_buffer(name, torch.from_numpy(stacked).float())
-        self.register_buffer("carrier", torch.from_numpy(np.stack([surface.carrier for surface in surfaces])))
-        self.register_buffer("placed", torch.from_numpy(np.stack([surface.placed for surface in surfaces])))
-        self.register_buffer("strongest", self.weights.argmax(-1))
+        self.points, self.normals, self.weights, self.joints, self.alignment = (
+            on_device(np.stack([getattr(surface, name) for surface in surfaces]), device)
+            for name in ("points", "normals", "weights", "joints", "alignment")
+        )
+        carrier, placed = (np.stack([getattr(surface, name) for surface in surfaces]) for name in ("carrier", "placed"))
         bones, branching = bone_directions(body)
-        self.register_buffer("bones", (self.alignment @ torch.from_numpy(bones).float()[..., None])[..., 0])
-        self.register_buffer("branching", torch.from_numpy(branching))
+        self.carrier, self.placed, self.branching = (
+            torch.from_numpy(array).to(device) for array in (carrier, placed, branching)
+        )
+        self.strongest = self.weights.argmax(-1)
+        self.bones = (self.alignment @ on_device(bones, device)[..., None])[..., 0]
 
     def choose(self, figures: Figures, count: int, rng: torch.Generator, missing: float) -> Int[Tensor, "B N"]:
         """Choose random points of figures and props, even by area; a share `missing` of them lack those of a ball.
@@ -205,12 +198,12 @@ class CharacterBank(nn.Module):
         device = self.points.device
         strongest = torch.cat([self.strongest[figures.which], figures.props.joint], 1)
         area = (figures.length * figures.girth).gather(1, strongest)
-        key = -torch.rand(area.shape, generator=rng, device=device).log() / area
+        key = -uniform(rng, *area.shape).log() / area
         centre = torch.randint(total, (size, 1), generator=rng, device=device)
-        radius = MAX_HOLE * torch.rand(size, 1, generator=rng, device=device)
-        radius = radius * (torch.rand(size, 1, generator=rng, device=device) < missing)
+        radius = MAX_HOLE * uniform(rng, size, 1)
+        radius = radius * (uniform(rng, size, 1) < missing)
         points = self.points[figures.which]
-        offset = points - points.gather(1, centre[..., None].expand(-1, -1, 3))
+        offset = points - gather_points(points, centre)
         in_ball = offset.square().sum(-1) < radius.square()
         absent = torch.cat([figures.lacking.gather(1, strongest[:, :total]), ~figures.props.there], 1)
         key = key + LAST * absent
@@ -257,9 +250,9 @@ class CharacterBank(nn.Module):
         total, props = self.points.shape[1], figures.props
         of_prop, row = index >= total, (index - total).clamp_min(0)
         who, column = figures.which[:, None], index.clamp_max(total - 1)
-        joint, axes = props.joint.gather(1, row), row[..., None].expand(-1, -1, 3)
-        place = joints.gather(1, joint[..., None].expand_as(axes)) + props.offset.gather(1, axes)
-        prop_normal = props.normals.gather(1, axes)
+        joint = props.joint.gather(1, row)
+        place = gather_points(joints, joint) + gather_points(props.offset, row)
+        prop_normal = gather_points(props.normals, row)
         points, normals = self.points[who, column], self.normals[who, column]
         if self.coarse.shape[1]:
             flat, level = (figures.level > 0)[:, None, None], (figures.level - 1).clamp_min(0)[:, None]
@@ -302,26 +295,20 @@ class FigureSampler:
     def draw(self, size: int, rng: torch.Generator, low_poly: float = 0.0) -> Figures:
         """Draw figures, a share of them low-poly; left and right bones are scaled alike."""
         pack = torch.randint(len(self.rows), (size,), generator=rng, device=self.device)
-        place = self._uniform(rng, size)
+        place = uniform(rng, size)
         which = pick_rows(self.rows, pack, place)
-        spread = (self._uniform(rng, size, 1) < UNUSUAL) * UNUSUAL_SPREAD + USUAL_SPREAD * self._uniform(rng, size, 1)
+        spread = (uniform(rng, size, 1) < UNUSUAL) * UNUSUAL_SPREAD + USUAL_SPREAD * uniform(rng, size, 1)
         groups = int(self.group.max()) + 1
-        drawn = [spread * self._normal(rng, size, groups).clamp(-2, 2) for _ in range(2)]
-        larger = (self._uniform(rng, size, 1) < LARGE_HEADS) * HEAD_SCALE * self._uniform(rng, size, 1) * self.head
-        shorter = (self._uniform(rng, size, 1) < SHORT_LIMBS) * LIMB_SCALE * self._uniform(rng, size, 1) * self.limbs
+        drawn = [spread * normal(rng, size, groups).clamp(-2, 2) for _ in range(2)]
+        larger = (uniform(rng, size, 1) < LARGE_HEADS) * HEAD_SCALE * uniform(rng, size, 1) * self.head
+        shorter = (uniform(rng, size, 1) < SHORT_LIMBS) * LIMB_SCALE * uniform(rng, size, 1) * self.limbs
         length = (drawn[0][:, self.group] + larger - shorter).exp()
         girth = (drawn[1][:, self.group] + larger).exp()
-        lacking = ((self._uniform(rng, size, len(self.ends), 1) < WITHOUT_ENDS) & self.ends).any(1)
-        bumps = random_bumps(size, rng, self.device)
+        lacking = ((uniform(rng, size, len(self.ends), 1) < WITHOUT_ENDS) & self.ends).any(1)
+        bumps = random_bumps(size, rng)
         props = self.props.draw(size, rng)
-        level = random_levels(size, low_poly, rng, self.device)
+        level = random_levels(size, low_poly, rng)
         return Figures(which, length, girth, without_bumps(bumps, level), level, lacking, props)
-
-    def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
-        return torch.rand(*size, generator=rng, device=self.device)
-
-    def _normal(self, rng: torch.Generator, *size: int) -> Tensor:
-        return torch.randn(*size, generator=rng, device=self.device)
 
 
 @dataclass(frozen=True)
@@ -357,7 +344,7 @@ class CharacterPairs:
             missing: share of identities and of driving meshes that lack the points of a ball.
             low_poly: share of figures that are low-poly.
         """
-        self.bank, self.figures = CharacterBank(surfaces, body).to(device), FigureSampler(surfaces, body, device)
+        self.bank, self.figures = CharacterBank(surfaces, body, device), FigureSampler(surfaces, body, device)
         self.count, self.heading, self.missing, self.low_poly = count, heading, missing, low_poly
         self.parents = body.parents
 
@@ -373,7 +360,7 @@ class CharacterPairs:
         both_have = both_have & has  # joints that one of two lacks stay straight in both, so that the truth is exact
         rest = random_headings(size, self.heading, rng)[:, None] @ self.bank.alignment[identity.which]
         posed = world_rotations(of_known(poses[0], has), self.parents)
-        own = torch.rand(size, 1, 1, 1, generator=rng, device=rng.device) < OWN_REST
+        own = uniform(rng, size, 1, 1, 1) < OWN_REST
         pose = of_known(poses[1], both_have)
         turned = world_rotations(pose, self.parents)
         surface, other = self.bank.shaped(identity, index[0]), self.bank.shaped(driving, index[1])
@@ -417,7 +404,7 @@ class PairOptions(PeopleOptions, CharacterOptions):
             raise InputError(f"{where}: expected data.pairing random with data.characters, found order; leave it out")
 
 
-class CharacterPairSource(BodySampler):
+class CharacterPairSource(PairSource):
     """Makes batches of which a share are pairs of characters; people drive every second of them."""
 
     def __init__(
@@ -430,8 +417,8 @@ class CharacterPairSource(BodySampler):
         self.figures = CharacterPairs(list(characters.surfaces), body, device, PAIR_POINTS, heading, missing=(0.0, 0.0))
 
     def batch(self, size: int, step: int) -> PairBatch:
-        """Make the pairs of a step."""
-        rng, figures = self._generator(step), share_of(size, self.characters, step)
+        rng = numbers_of_step(self.seed, step, self.device)
+        figures = share_of(size, self.characters, step)
         groups = [self.pairs(size - figures, rng)] if figures < size else []
         groups += [self._figures(figures, rng)] if figures else []
         names = ("identity", "driving", "truth", "truth_radius", "edges")
@@ -442,10 +429,12 @@ class CharacterPairSource(BodySampler):
         (_, shapes), poses, _ = self.people.pairs(size, rng)
         pairs = self.figures.draw(poses, rng)
         index = self._with_neighbours(pairs.rest.points, rng)
-        identity, radius = in_unit_sphere(pairs.identity.points, index)
+        own_points, truths, others = (mesh.points for mesh in (pairs.identity, pairs.truth, pairs.driving))
+        identity, radius = in_unit_sphere(gather_points(own_points, index), own_points)
         scale = radius if self.config.target_scale == "identity" else None
-        truth, own = in_unit_sphere(pairs.truth.points, index, scale)
-        driving, _ = in_unit_sphere(pairs.driving.points, self._random_rows(size, index.shape[1], rng))
+        truth, own = in_unit_sphere(gather_points(truths, index), truths, scale)
+        driving_index = self._random_rows(size, index.shape[1], rng)
+        driving, _ = in_unit_sphere(gather_points(others, driving_index), others)
         people = size // 2
         vertices = self._stratified_vertices(people, index.shape[1], rng)
         driving[:people] = self._normalized_mesh(shapes[:people], pairs.pose[:people], vertices)[0]
@@ -456,19 +445,10 @@ class CharacterPairSource(BodySampler):
     def _with_neighbours(self, rest: Float[Tensor, "B P 3"], rng: torch.Generator) -> Int[Tensor, "B V"]:
         """Draw points of which every second one is a neighbour at rest of the one before it."""
         first = self._random_rows(len(rest), self.config.vertices // 2, rng)
-        distance = torch.cdist(rest.gather(1, first[..., None].expand(-1, -1, 3)), rest)
+        distance = torch.cdist(gather_points(rest, first), rest)
         near = distance.topk(NEIGHBOURS + 1, largest=False).indices[..., 1:]
         pick = random_index(NEIGHBOURS, (*first.shape, 1), rng)
         return torch.stack([first, near.gather(2, pick)[..., 0]], -1).flatten(1)
 
     def _random_rows(self, size: int, count: int, rng: torch.Generator) -> Int[Tensor, "B N"]:
-        return torch.rand(size, PAIR_POINTS, generator=rng, device=self.device).argsort(1)[:, :count]
-
-
-def in_unit_sphere(
-    points: Float[Tensor, "B P 3"], index: Int[Tensor, "B N"], radius: Float[Tensor, "B 1 1"] | None = None
-) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B 1 1"]]:
-    """Centre some of the points on the box of all, divide them by `radius` (None: that of all); give that of all."""
-    centred = points - (points.amax(1, keepdim=True) + points.amin(1, keepdim=True)) / 2
-    own = centred.norm(dim=-1).amax(1)[:, None, None]
-    return centred.gather(1, index[..., None].expand(-1, -1, 3)) / (own if radius is None else radius), own
+        return uniform(rng, size, PAIR_POINTS).argsort(1)[:, :count]

@@ -16,8 +16,15 @@ from jaxtyping import Float, Int
 from ...bodies.body_model import RiggedBody
 from ...bodies.character_limbs import SIDES
 from ...bodies.character_pool import PoolCharacter
-from ...bodies.finger_poses import finger_rotations, sample_finger_poses
-from ...bodies.hands import HAND_PARENTS, fingertips, hand_alignment, hand_weight, load_hands
+from ...bodies.hands import (
+    HAND_PARENTS,
+    finger_rotations,
+    fingertips,
+    hand_alignment,
+    hand_weight,
+    load_hands,
+    sample_finger_poses,
+)
 from ...bodies.joint_names import finger_joints
 from ...bodies.sampling import rotvec_to_rotmat
 from ...core import geometry, surface_points

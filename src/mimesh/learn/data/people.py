@@ -22,7 +22,7 @@ from ...evaluate.clip_protocols import CLIPS_ANIFORMER
 from ...evaluate.protocols import HUMAN_NPT
 from ..task import DataConfig
 from . import endless
-from .bodies import TorchBody, extreme_vertices
+from .bodies import TorchBody, extreme_vertices, gather_points, numbers_of_step, on_device, uniform
 from .endless import TABLE_KINDS, EndlessPeople, PeopleOptions, ReflectOptions, random_index, random_window
 
 
@@ -39,11 +39,11 @@ class TablePeople:
         shapes = (CLIPS_ANIFORMER if clips else HUMAN_NPT).train_people(body)
         arrays = (shapes, numpy_rotmat(HUMAN_NPT.train_poses(body)), limits_rotvec(body, ranges_of(body)[1]))
         self.config, self.frames = config, frames
-        self.shapes, self.poses, self.limits = (torch.from_numpy(array).float().to(device) for array in arrays)
+        self.shapes, self.poses, self.limits = (on_device(array, device) for array in arrays)
         # (motions, frames, J, 3, 3); a pose of Table 6 is a motion of one frame.
         self.motions = self.poses[:, None]
         if clips:
-            self.motions = torch.from_numpy(CLIPS_ANIFORMER.train_motions(body)).float().to(device)
+            self.motions = on_device(CLIPS_ANIFORMER.train_motions(body), device)
         self.limbs = torch.from_numpy(endless.limb_masks(body)).to(device)
 
     def pairs(
@@ -105,14 +105,10 @@ class VertexSampler:
         order = geometry.spatial_order(vertices)
         # Vertices of no triangle have no edges, so subsets leave them out.
         self.order = torch.from_numpy(order[np.isin(order, faces)]).to(device)
-        area = torch.from_numpy(geometry.vertex_areas(vertices, faces)).float().to(device)[self.order]
+        area = on_device(geometry.vertex_areas(vertices, faces), device)[self.order]
         # Of the vertices in spatial order: cumulative share of their number, and of their area.
         self.cumulative = torch.stack([torch.ones_like(area).cumsum(0) / len(area), area.cumsum(0) / area.sum()])
         self.first_neighbour, self.neighbours = (torch.from_numpy(a).to(device) for a in geometry.neighbours(faces))
-
-    def _generator(self, step: int) -> torch.Generator:
-        """Make the random numbers of a step; seeds are a million steps apart."""
-        return torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
 
     def _sample_vertices(
         self, size: int, rng: torch.Generator
@@ -124,13 +120,13 @@ class VertexSampler:
         """
         ordered = self.config.pairing == "order"
         if self.config.vertices == 0:
-            order = torch.rand(2, size, self.total, generator=rng, device=self.device).argsort(-1)
+            order = uniform(rng, 2, size, self.total).argsort(-1)
             rank = order[0].argsort(-1)
             edges = rank[:, self.edges.flatten()].unflatten(1, self.edges.shape)
             return order[0], order[0] if ordered else order[1], edges, 1.0
         index = self._stratified_vertices(size, self.config.vertices // 2, rng)
         start, end = self.first_neighbour[index], self.first_neighbour[index + 1]
-        pick = torch.rand(index.shape, generator=rng, device=self.device) * (end - start)
+        pick = uniform(rng, *index.shape) * (end - start)
         index = torch.stack([index, self.neighbours[start + pick.long()]], -1).flatten(1)
         driving = index if ordered else self._stratified_vertices(size, index.shape[1], rng)
         return index, driving, pairs_of_rows(index), self.edges_of_mesh
@@ -147,12 +143,12 @@ class VertexSampler:
         `by_area` half of the meshes are as dense as the file everywhere, the others lean towards even density by area,
         as other meshes may be.
         """
-        even = torch.rand(size, 1, generator=rng, device=self.device) * 2 - 1
+        even = uniform(rng, size, 1) * 2 - 1
         even = even.clamp_min(0) if self.by_area else torch.zeros_like(even)
-        cell = torch.arange(count, device=self.device) + torch.rand(size, count, generator=rng, device=self.device)
+        cell = torch.arange(count, device=self.device) + uniform(rng, size, count)
         cumulative = self.cumulative[0] + even * (self.cumulative[1] - self.cumulative[0])
         drawn = self.order[torch.searchsorted(cumulative, cell / count).clamp_max(len(self.order) - 1)]
-        return drawn.gather(1, torch.rand(size, count, generator=rng, device=self.device).argsort(1))
+        return drawn.gather(1, uniform(rng, size, count).argsort(1))
 
     def _reflect(self, rng: torch.Generator, *meshes: Float[Tensor, "B ... 3"]) -> None:
         """Mirror the first pairs of a batch in place, x to -x: the configured share of them.
@@ -193,22 +189,10 @@ class BodySampler(VertexSampler):
             frames: of the windows that are drawn; 0 where pairs are.
         """
         super().__init__(body.vertices, body.faces, config, device, seed, by_area=config.kind == "wide")
-        self.body = TorchBody(body).to(device)
+        self.body = TorchBody(body, device=device)
         self.extreme = torch.from_numpy(extreme_vertices(body)).to(device)
         drawn_by = TablePeople if config.kind in TABLE_KINDS else EndlessPeople
         self.people = drawn_by(config, body, device, frames)
-
-    def pairs(self, size: int, rng: torch.Generator) -> PairBatch:
-        """Draw two people for each pair, in two poses, and make the first one in the pose of the second, too."""
-        (identity_shape, driving_shape), (identity_pose, driving_pose), _ = self.people.pairs(size, rng)
-        index, driving_index, edges, edges_of_mesh = self._sample_vertices(size, rng)
-        identity, radius = self._normalized_mesh(identity_shape, identity_pose, index)
-        driving, _ = self._normalized_mesh(driving_shape, driving_pose, driving_index)
-        scale = radius if self.config.target_scale == "identity" else None
-        truth, own = self._normalized_mesh(identity_shape, driving_pose, index, scale)
-        self._reflect(rng, identity, driving, truth)
-        size_of_truth = (own / (own if scale is None else scale))[:, 0, 0]
-        return PairBatch(identity, driving, truth, size_of_truth, edges, edges_of_mesh)
 
     def _normalized_mesh(
         self,
@@ -222,16 +206,40 @@ class BodySampler(VertexSampler):
         Centre and radius are those of the whole mesh, of which few vertices need to be posed. None: divide by the own.
         """
         count = index.shape[1]
-        if count == self.body.vertex_count:
-            points = self.body.posed(shape, rotmat)
-            whole, points = points, points.gather(1, index[..., None].expand(-1, -1, 3))
-        else:
-            both = torch.cat([index, self.extreme.expand(len(index), -1)], dim=1)
-            skinned = self.body.posed(shape, rotmat, both)
-            points, whole = skinned[:, :count], skinned[:, count:]
-        centre = (whole.amax(1, keepdim=True) + whole.amin(1, keepdim=True)) / 2
-        own = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
-        return (points - centre) / (own if radius is None else radius), own
+        if count == self.total:
+            whole = self.body.posed(shape, rotmat)
+            return in_unit_sphere(gather_points(whole, index), whole, radius)
+        both = torch.cat([index, self.extreme.expand(len(index), -1)], dim=1)
+        skinned = self.body.posed(shape, rotmat, both)
+        return in_unit_sphere(skinned[:, :count], skinned[:, count:], radius)
+
+
+class PairSource(BodySampler):
+    """Makes batches of pairs of people."""
+
+    def batch(self, size: int, step: int) -> PairBatch:
+        return self.pairs(size, numbers_of_step(self.seed, step, self.device))
+
+    def pairs(self, size: int, rng: torch.Generator) -> PairBatch:
+        """Draw two people for each pair, in two poses, and make the first one in the pose of the second, too."""
+        (identity_shape, driving_shape), (identity_pose, driving_pose), _ = self.people.pairs(size, rng)
+        index, driving_index, edges, edges_of_mesh = self._sample_vertices(size, rng)
+        identity, radius = self._normalized_mesh(identity_shape, identity_pose, index)
+        driving, _ = self._normalized_mesh(driving_shape, driving_pose, driving_index)
+        scale = radius if self.config.target_scale == "identity" else None
+        truth, own = self._normalized_mesh(identity_shape, driving_pose, index, scale)
+        self._reflect(rng, identity, driving, truth)
+        size_of_truth = (own / (own if scale is None else scale))[:, 0, 0]
+        return PairBatch(identity, driving, truth, size_of_truth, edges, edges_of_mesh)
+
+
+def in_unit_sphere(
+    points: Float[Tensor, "B N 3"], whole: Float[Tensor, "B P 3"], radius: Float[Tensor, "B 1 1"] | None = None
+) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B 1 1"]]:
+    """Centre points of meshes on the box of the whole, divide them by `radius` (None: that of the whole); give that."""
+    centre = (whole.amax(1, keepdim=True) + whole.amin(1, keepdim=True)) / 2
+    own = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
+    return (points - centre) / (own if radius is None else radius), own
 
 
 def pairs_of_rows(index: Int[Tensor, "B N"]) -> Int[Tensor, "B E 2"]:

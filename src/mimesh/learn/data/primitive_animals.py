@@ -14,9 +14,8 @@ from ...bodies.animal_limbs import LEGS, NECK, TAIL, TRUNK
 from ...bodies.character_limbs import SIDES
 from ...bodies.sampling import rotvec_to_rotmat
 from ...motions.animal_rig import rest_directions
-from ...motions.rest_calibration import rotation_between
 from .characters import CharacterSurface
-from .primitives import SHAPES, Primitive, Shape, assemble
+from .primitives import SHAPES, Primitive, Shape, assemble, bone, boxes_on, draw_shape
 
 ANIMALS, BLOCKS = 256, 0.5
 """Number of animals of primitives, and the share of figures of boxes among them."""
@@ -69,10 +68,6 @@ class _Style:
         trunk = np.exp(rng.uniform(np.log(0.07), np.log(0.24), 2) * [1.0, 0.9])
         head = np.array([0.08, 0.08, 0.1]) * np.exp(rng.uniform(-0.3, 0.7) + rng.normal(0, 0.2, 3))
         return cls(("box",) if blocks else SHAPES[:3], leg, trunk, head)
-
-    def shape(self, rng: np.random.Generator) -> Shape:
-        """Draw one of the shapes."""
-        return self.shapes[rng.integers(len(self.shapes))]
 
 
 def _places(body: RiggedBody, rng: np.random.Generator) -> Joints:
@@ -128,24 +123,11 @@ def _random_joints(rng: np.random.Generator) -> set[str]:
     return has | {TAIL[k] for k in np.linspace(0, len(TAIL), tail, endpoint=False).astype(int)}
 
 
-def _bone(
-    start: Float[np.ndarray, " 3"],
-    end: Float[np.ndarray, " 3"],
-    width: Float[np.ndarray, " 2"],
-    shape: Shape,
-    joint: int,
-) -> Primitive:
-    """Make a primitive along a bone."""
-    along = end - start
-    half = np.array([width[0], max(np.linalg.norm(along) / 2, 1e-3), width[1]])
-    return Primitive(shape, joint, (start + end) / 2, rotation_between(np.array([0.0, 1.0, 0.0]), along), half)
-
-
 def _legs(
     body: RiggedBody, places: Mapping[str, np.ndarray], has: set[str], style: _Style, rng: np.random.Generator
 ) -> list[Primitive]:
     """Make a primitive for each bone of a leg that the animal has; left and right are alike."""
-    shape, parts = style.shape(rng), []
+    shape, parts = draw_shape(style.shapes, rng), []
     for chain in LEGS.values():
         widths = style.leg * np.exp(
             rng.normal(0, 0.15, (len(chain), 2)) + np.linspace(0.25, -0.15, len(chain))[:, None]
@@ -157,7 +139,7 @@ def _legs(
             sole = places[side + chain[-1]] * [1, 0, 1]
             for k, part in enumerate(had):
                 end = points[k + 1] if k + 1 < len(had) else sole
-                parts.append(_bone(points[k], end, widths[k], shape, body.joint(side + part)))
+                parts.append(bone(points[k], end, widths[k], shape, body.joint(side + part)))
             size = np.array([widths[-1][0] * 1.2, 0.02, widths[-1][1] * 1.2 * foot])
             parts.append(Primitive("box", body.joint(side + had[-1]), sole + [0, 0.02, size[2] * 0.4], np.eye(3), size))
     return parts
@@ -178,44 +160,40 @@ def _trunk(
         hind + rng.uniform(0.35, 0.65) * along + up,
     )
     own = [name for name in TRUNK if name in has]
-    shape = style.shape(rng)
+    shape = draw_shape(style.shapes, rng)
     if not own:
-        return [_bone(start, end, style.trunk, shape, body.joint("Hips"))]
+        return [bone(start, end, style.trunk, shape, body.joint("Hips"))]
     if own == ["Spine1"]:
-        return [_bone(start, end, style.trunk, shape, body.joint("Spine1"))]
+        return [bone(start, end, style.trunk, shape, body.joint("Spine1"))]
     wider = style.trunk * np.exp(rng.normal(0, 0.12, 2))
     return [
-        _bone(start, middle, style.trunk, shape, body.joint("Hips")),
-        _bone(middle - 0.02 * unit, end, wider, shape, body.joint(own[-1])),
+        bone(start, middle, style.trunk, shape, body.joint("Hips")),
+        bone(middle - 0.02 * unit, end, wider, shape, body.joint(own[-1])),
     ]
 
 
 def _head(
     body: RiggedBody, places: Mapping[str, np.ndarray], has: set[str], style: _Style, rng: np.random.Generator
 ) -> list[Primitive]:
-    """Make neck, head, muzzle, and boxes on the head, half of which come in pairs, left and right."""
+    """Make neck, head, muzzle, and boxes on the head."""
     head, size, parts = body.joint("Head"), style.head, []
     centre = places["Head"] + [0, 0.0, 0.6 * size[2]]
     carriers = [name for name in NECK if name in has]
     width = min(size[0], style.trunk[0]) * rng.uniform(0.4, 0.9, 2)
     chest = next((name for name in reversed(TRUNK) if name in has), "Hips")
     stops = [places[name] for name in carriers] or [places["Neck1"]]
-    shape = style.shape(rng)
+    shape = draw_shape(style.shapes, rng)
     for k, start in enumerate(stops):
         end = stops[k + 1] if k + 1 < len(stops) else centre
         joint = body.joint(carriers[k]) if carriers else (head if rng.random() < 0.5 else body.joint(chest))
-        parts.append(_bone(start, end, width, shape, joint))
-    parts.append(Primitive(style.shape(rng), head, centre, np.eye(3), size))
+        parts.append(bone(start, end, width, shape, joint))
+    skull = Primitive(draw_shape(style.shapes, rng), head, centre, np.eye(3), size)
+    parts.append(skull)
     if rng.random() < 0.7:
         muzzle = size * np.array([rng.uniform(0.3, 0.8), rng.uniform(0.3, 0.7), rng.uniform(0.4, 1.3)])
         place = centre + [0, -0.4 * size[1], size[2] + 0.5 * muzzle[2]]
-        parts.append(Primitive(style.shape(rng), head, place, np.eye(3), muzzle))
-    for _ in range(int(rng.integers(5))):
-        direction = rng.normal(size=3) + [0, 1, 0]
-        place, half = size * direction / np.abs(direction).max(), size * rng.uniform(0.1, 0.7, 3)
-        for side in (1.0, -1.0) if rng.random() < 0.6 else (1.0,):
-            parts.append(Primitive("box", head, centre + place * [side, 1, 1], np.eye(3), half))
-    return parts
+        parts.append(Primitive(draw_shape(style.shapes, rng), head, place, np.eye(3), muzzle))
+    return parts + boxes_on(skull, int(rng.integers(5)), up=1.0, largest=0.7, paired=0.6, rng=rng)
 
 
 def _tail(
@@ -225,5 +203,5 @@ def _tail(
     own = [name for name in TAIL if name in has]
     last = 2 * places[TAIL[-1]] - places[TAIL[-2]]
     stops, width = [places[name] for name in own] + [last], style.leg * rng.uniform(0.4, 1.0, 2)
-    shape = style.shape(rng)
-    return [_bone(stops[k], stops[k + 1], width, shape, body.joint(name)) for k, name in enumerate(own)]
+    shape = draw_shape(style.shapes, rng)
+    return [bone(stops[k], stops[k + 1], width, shape, body.joint(name)) for k, name in enumerate(own)]

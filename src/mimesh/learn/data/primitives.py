@@ -17,8 +17,7 @@ from jaxtyping import Float
 from ...bodies import RiggedBody
 from ...bodies.character_limbs import SIDES
 from ...bodies.sampling import rotvec_to_rotmat
-from ...core.geometry import unit_vectors
-from ...motions.rest_calibration import rotation_between
+from ...core.geometry import rotation_between, unit_vectors
 from .characters import POINTS, CharacterSurface
 
 Shape = Literal["box", "ellipsoid", "cylinder", "cone", "disc"]
@@ -29,7 +28,7 @@ PACK = "primitives"
 """Name under which people of primitives are sampled beside the packs of a pool."""
 LIMBS = {"Arm": ("ForeArm", "Hand"), "ForeArm": ("Hand", "Hand"), "UpLeg": ("Leg", "Foot"), "Leg": ("Foot", "Foot")}
 """Limb joints without their side, the joint at the other end, and the one at the end of a limb without that joint."""
-LIMB_ENDS = {"ForeArm": ("ForeArm", "Hand"), "Leg": ("Leg", "Foot")}
+LIMB_ENDS = (("ForeArm", "Hand"), ("Leg", "Foot"))
 """Joints without their side that limbs of one joint lack."""
 DETAILS = ("HipJoint", "Thumb", "FingerBase", "HandFinger1", "ToeBase", "Shoulder", "Neck1")
 """Joints that no person of primitives has."""
@@ -92,6 +91,44 @@ class Primitive:
         """Draw points of its surface and their normals."""
         points, normals = sample_primitive(self.shape, self.half, count, rng)
         return self.centre + points @ self.axes.T, normals @ self.axes.T
+
+
+def draw_shape(shapes: tuple[Shape, ...], rng: np.random.Generator) -> Shape:
+    """Draw one of some shapes."""
+    return shapes[rng.integers(len(shapes))]
+
+
+def bone(
+    start: Float[np.ndarray, " 3"],
+    end: Float[np.ndarray, " 3"],
+    width: Float[np.ndarray, " 2"],
+    shape: Shape,
+    joint: int,
+    overlap: float = 1.0,
+) -> Primitive:
+    """Make a primitive along a bone, `overlap` times as long."""
+    along = end - start
+    half = np.array([width[0], max(overlap * np.linalg.norm(along) / 2, 1e-3), width[1]])
+    return Primitive(shape, joint, (start + end) / 2, rotation_between(np.array([0.0, 1.0, 0.0]), along), half)
+
+
+def boxes_on(
+    head: Primitive, count: int, up: float, largest: float, paired: float, rng: np.random.Generator
+) -> list[Primitive]:
+    """Put boxes somewhere on the surface of a head: hair, ears, horns, hats and noses are there.
+
+    Args:
+        up: by which their directions lean upwards.
+        largest: size of the largest, beside that of the head.
+        paired: share of them that come in pairs, left and right.
+    """
+    boxes = []
+    for _ in range(count):
+        direction = rng.normal(size=3) + [0, up, 0]
+        place, half = head.half * direction / np.abs(direction).max(), head.half * rng.uniform(0.1, largest, 3)
+        for side in (1.0, -1.0) if rng.random() < paired else (1.0,):
+            boxes.append(Primitive("box", head.joint, head.centre + place * [side, 1, 1], np.eye(3), half))
+    return boxes
 
 
 def assemble(
@@ -181,31 +218,15 @@ class _Style:
         large = np.exp(rng.uniform(-0.1, 1.1) * (rng.random() < 0.5) + rng.normal(0, 0.15, 3))
         return cls(SHAPES[:3], 0.05 * np.exp(rng.normal(0, 0.4)), np.array([0.08, 0.12, 0.1]) * large, 0.3, 0, 1.0)
 
-    def shape(self, rng: np.random.Generator) -> Shape:
-        """Draw one of the shapes."""
-        return self.shapes[rng.integers(len(self.shapes))]
-
 
 def _random_joints(body: RiggedBody, style: _Style, rng: np.random.Generator) -> set[str]:
     """Draw which of the body's joints a person has."""
     has = {name for name in body.joint_names if not name.endswith(DETAILS)}
-    drop = [
-        LIMB_ENDS["ForeArm"],
-        LIMB_ENDS["Leg"],
-        ("Hand",),
-        ("Foot",),
-        ("LowerBack", "Spine"),
-        ("Spine1",),
-        ("Neck",),
-    ]
-    shares = (style.one_joint, style.one_joint, 0.2, 0.2, 0.5, 0.3, 0.5)
-    for parts, share in zip(drop, shares, strict=True):
+    dropped = {**dict.fromkeys(LIMB_ENDS, style.one_joint), ("Hand",): 0.2, ("Foot",): 0.2}
+    dropped |= {("LowerBack", "Spine"): 0.5, ("Spine1",): 0.3, ("Neck",): 0.5}
+    for parts, share in dropped.items():
         if rng.random() < share:
-            has -= {
-                name
-                for name in has
-                if name.endswith(parts) and name.removeprefix("Left").removeprefix("Right") in parts
-            }
+            has -= {name for name in has if name.removeprefix("Left").removeprefix("Right") in parts}
     return has
 
 
@@ -228,7 +249,7 @@ def _limbs(
     body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], style: _Style, rng: np.random.Generator
 ) -> list[Primitive]:
     """Make a primitive for each limb joint, as long as its bone; left and right are alike."""
-    shape, parts = style.shape(rng), []
+    shape, parts = draw_shape(style.shapes, rng), []
     for part, (tail, last) in LIMBS.items():
         width = style.girth * (1.4 if part.endswith("Leg") else 1.0) * np.exp(rng.normal(0, 0.2, 2))
         overlap = rng.uniform(0.8, 1.15)
@@ -236,10 +257,7 @@ def _limbs(
             if side + part in has:
                 start = joints[body.joint(side + part)]
                 end = joints[body.joint(side + (tail if side + tail in has else last))]
-                along = end - start
-                axes = rotation_between(np.array([0.0, 1.0, 0.0]), along)
-                half = np.array([width[0], overlap * np.linalg.norm(along) / 2, width[1]])
-                parts.append(Primitive(shape, body.joint(side + part), (start + end) / 2, axes, half))
+                parts.append(bone(start, end, width, shape, body.joint(side + part), overlap))
     return parts
 
 
@@ -257,7 +275,7 @@ def _ends(
         ("Hand", (0.07, 0.0, 0.0), (0.08, 0.03, 0.05)),
         ("Foot", (0.0, -0.03, 0.06), (0.05, 0.04, 0.12)),
     ):
-        shape, scale = style.shapes[rng.integers(min(2, len(style.shapes)))], np.exp(rng.normal(0, 0.35, 3))
+        shape, scale = draw_shape(style.shapes[:2], rng), np.exp(rng.normal(0, 0.35, 3))
         for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
             if side + part in has:
                 j = body.joint(side + part)
@@ -274,7 +292,7 @@ def _trunk(
     shoulders = (joints[body.joint("LeftArm")] + joints[body.joint("RightArm")]) / 2
     legs = (joints[body.joint("LeftUpLeg")] + joints[body.joint("RightUpLeg")]) / 2
     width = np.ptp(joints[[body.joint("LeftArm"), body.joint("RightArm")], 0]) / 2 * rng.uniform(0.6, 1.1)
-    depth, shape = 0.11 * np.exp(rng.normal(0, 0.3)), style.shape(rng)
+    depth, shape = 0.11 * np.exp(rng.normal(0, 0.3)), draw_shape(style.shapes, rng)
     cuts = [(hips, legs - [0, 0.06, 0], shoulders)]
     if "Spine1" in has:
         middle = legs + rng.uniform(0.3, 0.6) * (shoulders - legs)
@@ -289,14 +307,8 @@ def _trunk(
 def _head(
     body: RiggedBody, joints: Float[np.ndarray, "J 3"], style: _Style, rng: np.random.Generator
 ) -> list[Primitive]:
-    """Make the head and the boxes on it, half of which come in pairs, left and right."""
-    head, size = body.joint("Head"), style.head
-    centre = joints[head] + [0, 0.8 * size[1], 0.02]
-    parts = [Primitive(style.shape(rng), head, centre, np.eye(3), size)]
-    for _ in range(style.pieces):
-        # Somewhere on the head's surface: hair, ears, horns, hats and noses are there.
-        direction = rng.normal(size=3)
-        place, half = size * direction / np.abs(direction).max(), size * rng.uniform(0.1, 0.9, 3)
-        for side in (1.0, -1.0) if rng.random() < 0.5 else (1.0,):
-            parts.append(Primitive("box", head, centre + place * [side, 1, 1], np.eye(3), half))
-    return parts
+    """Make the head and the boxes on it."""
+    joint = body.joint("Head")
+    centre = joints[joint] + [0, 0.8 * style.head[1], 0.02]
+    head = Primitive(draw_shape(style.shapes, rng), joint, centre, np.eye(3), style.head)
+    return [head, *boxes_on(head, style.pieces, up=0.0, largest=0.9, paired=0.5, rng=rng)]

@@ -12,7 +12,7 @@ import math
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, ClassVar
@@ -32,9 +32,10 @@ from ...evaluate.protocols import Protocol
 from ...io import list_animations, load_clip, load_points
 from ...io.formats import ANIMATED, CACHES, CLIP_READERS, COLLECTIONS, FORMATS, MESH_READERS, MOTIONS
 from ...motions.on_body import is_motion_file
-from .characters import DAMAGED
+from .bodies import copied_to, numbers_of_step, on_device, uniform
+from .clips import DAMAGED
 from .endless import ReflectOptions
-from .people import VertexSampler
+from .people import PairBatch, VertexSampler
 
 VOTES = 25
 """Meshes, evenly spread over the folder, whose detected axes are compared: the most frequent ones are those of all."""
@@ -134,7 +135,10 @@ class RegisteredMeshes:
             used, refused = store.add_all(layout.entries, folder, progress)
             points = store.mapped()
         assert store.mesh is not None
-        people, poses = _numbered(entry.person for entry in used), _numbered(entry.pose for entry in used)
+        people, poses = (  # numbered by their natural order, whose end is held out
+            {name: number for number, name in enumerate(sorted(names, key=natural))}
+            for names in ({entry.person for entry in used}, {entry.pose for entry in used})
+        )
         table, notes = _table(used, people, poses, config.frames)
         nothing = np.zeros(len(used), bool)
         if Split.of(table, frames, nothing, nothing) is None:
@@ -171,9 +175,6 @@ class FrameStore:
         """Add all meshes and clips, and give the frames that each file has, and by name why others are refused.
 
         Of clips `spread` frames are kept, evenly spread; all for 0.
-
-        Raises:
-            InputError: most cannot be used, or the temporary folder is full.
         """
         used, refused = {}, {}
         for entry in counted(entries, len(entries), progress):
@@ -260,11 +261,7 @@ def described_split(names: dict[str, list[str]], split: Split) -> str:
 def _split(
     table: MeshTable, frames: int, people: list[str], poses: list[str], config: MeshOptions
 ) -> tuple[dict[str, list[str]], Split]:
-    """Hold out what the configuration says; by default a tenth of both, or nothing where no pair would be left.
-
-    Raises:
-        InputError: what is to be held out is not there, or leaves a part without pairs.
-    """
+    """Hold out what the configuration says; by default a tenth of both, or nothing where no pair would be left."""
     asked = {"people": config.hold_out_people, "poses": config.hold_out_poses}
     names = {what: _chosen(every, asked[what], what) for what, every in (("people", people), ("poses", poses))}
     if not any(asked.values()) and not all(names.values()):
@@ -285,14 +282,11 @@ def _split(
 
 
 def _chosen(names: list[str], asked: str, what: str) -> list[str]:
-    """Choose the people, or poses, to hold out: see `MeshOptions.hold_out_people`.
-
-    Raises:
-        InputError: all would be, or a name is not among them.
-    """
+    """Choose the people, or poses, to hold out: see `MeshOptions.hold_out_people`."""
     key = f"data.hold_out_{what}={asked}"
     if asked in ("", "none") or asked.isdecimal():
-        count = int(asked) if asked.isdecimal() else 0 if asked else held_out(len(names))
+        usual = math.ceil(len(names) / HELD_OUT) if len(names) >= LEAST else 0
+        count = int(asked) if asked.isdecimal() else 0 if asked else usual
         if count >= len(names):
             raise InputError(
                 f"{key}: expected fewer than the {len(names)} {what} there are, found {count}; one that has this name "
@@ -306,11 +300,6 @@ def _chosen(names: list[str], asked: str, what: str) -> list[str]:
     return [name for name in names if name in chosen]
 
 
-def _numbered(names: Iterable[str]) -> dict[str, int]:
-    """Number names in the order that they are to be held out from the end of."""
-    return {name: number for number, name in enumerate(sorted(set(names), key=natural))}
-
-
 def _table(
     lengths: dict[Entry, int], people: dict[str, int], poses: dict[str, int], spread: int = 0
 ) -> tuple[MeshTable, list[str]]:
@@ -319,9 +308,6 @@ def _table(
     Args:
         lengths: frames that each file has.
         spread: of which so many, evenly spread, were kept; 0 for all.
-
-    Raises:
-        InputError: several lengths where frames are spread over them, or of recordings.
     """
     length = np.array([*lengths.values()], np.int64)
     pose = np.array([poses[entry.pose] for entry in lengths], np.int64)
@@ -409,11 +395,7 @@ class MeshLayout:
 
 
 def find_layout(folder: Path, pattern: str = "") -> MeshLayout:
-    """Find the meshes or clips of a folder by a pattern, or by the first of LAYOUTS that matches any.
-
-    Raises:
-        InputError: no folder, a pattern without its two fields, no match, or two files of one person in one pose.
-    """
+    """Find the meshes or clips of a folder by a pattern, or by the first of LAYOUTS that matches any."""
     if not folder.is_dir() and folder.suffix.lower() not in COLLECTIONS:
         raise InputError(f"{folder}: expected a folder of registered meshes, found none; check the path")
     found = list(_candidates(folder))
@@ -435,11 +417,7 @@ def find_layout(folder: Path, pattern: str = "") -> MeshLayout:
 
 
 def compiled(pattern: str) -> re.Pattern[str]:
-    """Compile a pattern such as "{person}/{pose}.ply" to a regular expression.
-
-    Raises:
-        InputError: it has not one {person} and one {pose}, or braces of another kind.
-    """
+    """Compile a pattern such as "{person}/{pose}.ply" to a regular expression."""
     fields = [match[1].replace("motion", "pose") for match in FIELD.finditer(pattern)]
     literal = FIELD.split(pattern)[:: FIELD.groups + 1]
     if sorted(fields) != ["person", "pose"] or any("{" in part or "}" in part for part in literal):
@@ -473,12 +451,10 @@ def _candidates(folder: Path) -> Iterator[tuple[Path, str | None]]:
                 yield path, None
         elif path.suffix.lower() in COLLECTIONS:
             yield from ((path, name) for name in list_animations(path))
-        elif path.suffix.lower() in CACHES or (path.suffix.lower() in MESH_SUFFIXES and not _has_cache(path)):
+        elif path.suffix.lower() in CACHES or (
+            path.suffix.lower() in MESH_SUFFIXES and not any(path.with_suffix(end).exists() for end in CACHES)
+        ):
             yield path, None
-
-
-def _has_cache(path: Path) -> bool:
-    return any(path.with_suffix(suffix).exists() for suffix in CACHES)
 
 
 def _plain(path: Path, folder: Path, pattern: str) -> str:
@@ -547,10 +523,6 @@ class Choices:
         count = stop - start - allowed[truths]
         return cls(*(torch.from_numpy(array) for array in (rows, start, count, place[truths])))
 
-    def to(self, device: torch.device) -> Choices:
-        """Copy to a device."""
-        return Choices(*(tensor.to(device) for tensor in (self.rows, self.start, self.count, self.own)))
-
     def pick(self, truth: Int[Tensor, " B"], share: Float[Tensor, " B"]) -> Int[Tensor, " B"]:
         """Pick for some truths a row, at a share from 0 to 1 of what there is; the truth itself if there is nothing."""
         place = self.start[truth] + (share * self.count[truth]).long()
@@ -606,16 +578,11 @@ class Triples:
             (int(of_person.sum()), int(of_pose.sum()), len(rows)),
         )
 
-    def to(self, device: torch.device) -> Triples:
-        """Copy to a device."""
-        tensors = (self.truths.to(device), self.ends.to(device), self.identities.to(device), self.drivings.to(device))
-        return Triples((self.table[0].to(device), self.table[1].to(device)), *tensors, self.frames, self.counts)
-
     def draw(self, size: int, rng: torch.Generator) -> Frames:
         """Draw pairs: a window of a truth, then an identity in another pose and a driving person."""
         first, length = self.table
         window = torch.randint(int(self.ends[-1]), (size,), generator=rng, device=rng.device)
-        share = torch.rand(3, size, generator=rng, device=rng.device)
+        share = uniform(rng, 3, size)
         truth = torch.searchsorted(self.ends, window, right=True)
         row = self.truths[truth]
         start = (window - self.ends[truth] + length[row] - self.frames + 1)[:, None]
@@ -655,11 +622,6 @@ class Split:
         return cls(training, seen, unseen)
 
 
-def held_out(count: int) -> int:
-    """Give the number of people, or of poses, that are held out of so many."""
-    return math.ceil(count / HELD_OUT) if count >= LEAST else 0
-
-
 @dataclass(frozen=True)
 class WindowBatch:
     """Normalised windows of B pairs. Vertex i of `truth` is vertex i of `identity`; `driving` has another order.
@@ -681,19 +643,18 @@ class WindowBatch:
     """Edges a vertex of the whole mesh over edges a vertex given here."""
 
 
-class MeshSampler(VertexSampler):
-    """Draws pairs and vertices of registered meshes, which lie on the device; subclasses make batches of them."""
+class MeshWindowSource(VertexSampler):
+    """Makes batches of windows of registered clips, which lie on the device; of meshes they have one frame."""
 
     def __init__(self, config: MeshOptions, meshes: RegisteredMeshes, device: torch.device, seed: int) -> None:
         super().__init__(meshes.points[0], meshes.faces, config, device, seed)
         self.keep_unit = config.target_scale == "identity"
         self.points = torch.from_numpy(meshes.points).to(device)
-        self.radius = torch.from_numpy(meshes.radius).float().to(device)
-        self.triples = meshes.split.training.to(device)
+        self.radius = on_device(meshes.radius, device)
+        self.triples = copied_to(device, meshes.split.training)
 
-    def sample(self, size: int, step: int) -> WindowBatch:
-        """Draw the pairs of a step."""
-        rng = self._generator(step)
+    def batch(self, size: int, step: int) -> WindowBatch:
+        rng = numbers_of_step(self.seed, step, self.device)
         frames = self.triples.draw(size, rng)
         index, driving_index, edges, share = self._sample_vertices(size, rng)
         identity = self.points[frames.identity[:, None], index]
@@ -705,6 +666,18 @@ class MeshSampler(VertexSampler):
             truth, unit, own = truth * unit[..., None, None], own, unit
         self._reflect(rng, identity, driving, truth)
         return WindowBatch(identity, driving, truth, unit, own, index, edges, share)
+
+
+class MeshPairSource:
+    """Makes batches of pairs of registered meshes."""
+
+    def __init__(self, config: MeshOptions, meshes: RegisteredMeshes, device: torch.device, seed: int) -> None:
+        self.windows = MeshWindowSource(config, meshes, device, seed)
+
+    def batch(self, size: int, step: int) -> PairBatch:
+        drawn = self.windows.batch(size, step)
+        truth, own = drawn.truth[:, 0], drawn.truth_radius[:, 0]
+        return PairBatch(drawn.identity, drawn.driving[:, 0], truth, own, drawn.edges, drawn.edges_of_mesh)
 
 
 @dataclass(frozen=True, eq=False)

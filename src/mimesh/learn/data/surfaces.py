@@ -21,7 +21,7 @@ from ...bodies import RiggedBody
 from ...bodies.dress import GARMENTS, dressed_body, load_garment
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
 from ...core import geometry, surface_points
-from .bodies import scaled_joints, skinned_surface, world_rotations
+from .bodies import CPU, gather_points, normal, on_device, scaled_joints, skinned_surface, uniform, world_rotations
 from .characters import LEVELS, SMALLEST, flattened
 
 WAVES = 6
@@ -101,28 +101,16 @@ class PosedSurface:
 
     @classmethod
     def joined(cls, surfaces: Sequence[PosedSurface]) -> PosedSurface:
-        """Concatenate surfaces."""
         names = (field.name for field in dataclasses.fields(cls))
         return cls(*(torch.cat([getattr(surface, name) for surface in surfaces]) for name in names))
 
 
-class SurfaceBody(nn.Module):
+class SurfaceBody:
     """A fixed set of points, spread evenly over a rigged body and all garments, to be posed in batches."""
 
-    rest: Tensor
-    normals: Tensor
-    components: Tensor
-    weights: Tensor
-    joints: Tensor
-    joint_components: Tensor
-    bones: Tensor
-    branching: Tensor
-    piece: Tensor
-    coarse: Tensor
-    """Offsets to the points of the low-poly versions, and their normals (L, 2, 3, N)."""
-
-    def __init__(self, body: RiggedBody, count: int = 20_000, low_poly: bool = False) -> None:
-        super().__init__()
+    def __init__(
+        self, body: RiggedBody, count: int = 20_000, low_poly: bool = False, device: torch.device = CPU
+    ) -> None:
         garments = GARMENTS if body.name == "human" else ()
         dressed = dressed_body(body, garments) if garments else body
         self.pieces = 1 + len(garments)
@@ -131,23 +119,19 @@ class SurfaceBody(nn.Module):
         corners = dressed.faces[face]
         starts = np.cumsum([len(body.vertices), *(len(load_garment(name).vertices) for name in garments)])
         bones, branching = bone_directions(body)
-        arrays = {
-            "rest": surface_points.interpolate(dressed.vertices, corners, share).T,
-            "normals": geometry.face_normals(dressed.vertices, dressed.faces)[face].T,
-            "components": np.stack([surface_points.interpolate(c, corners, share).T for c in dressed.components]),
-            "weights": surface_points.interpolate(dressed.weights, corners, share).T,
-            "joints": body.joints,
-            "joint_components": body.joint_components,
-            "bones": bones,
-        }
-        for name, array in arrays.items():
-            self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(array)).float())
-        self.register_buffer("branching", torch.from_numpy(branching))
+        points = surface_points.interpolate(dressed.vertices, corners, share)
+        normals = geometry.face_normals(dressed.vertices, dressed.faces)[face]
+        components = np.stack([surface_points.interpolate(c, corners, share).T for c in dressed.components])
+        arrays = (points.T, normals.T, components, surface_points.interpolate(dressed.weights, corners, share).T)
+        self.rest, self.normals, self.components, self.weights, self.joints, self.joint_components, self.bones = (
+            on_device(np.ascontiguousarray(array), device)
+            for array in (*arrays, body.joints, body.joint_components, bones)
+        )
         piece = np.searchsorted(starts, corners[:, 0], side="right")
-        self.register_buffer("piece", torch.from_numpy(piece))
+        self.branching, self.piece = (torch.from_numpy(array).to(device) for array in (branching, piece))
+        # Offsets to the points of the low-poly versions, and their normals (L, 2, 3, N).
         coarse = np.zeros((len(LEVELS) * low_poly, 2, 3, count))
         faces_of = np.searchsorted(starts, dressed.faces[:, 0], side="right")
-        points, normals = arrays["rest"].T, arrays["normals"].T
         for number in range(len(starts) * low_poly):
             mine, its_faces = piece == number, dressed.faces[faces_of == number]
             # Garments have as many triangles for their points as the skin.
@@ -155,7 +139,7 @@ class SurfaceBody(nn.Module):
             flat = flattened(points[mine], normals[mine], dressed.vertices, its_faces, counts)
             flat[:, 0] -= points[mine]
             coarse[..., mine] = flat.swapaxes(-1, -2)
-        self.register_buffer("coarse", torch.from_numpy(coarse).float())
+        self.coarse = on_device(coarse, device)
 
     def choose(self, people: People, count: int, rng: torch.Generator, missing: float = 0.0) -> Int[Tensor, "B N"]:
         """Choose random points of the surfaces that each person has; a share `missing` of them lack those of a ball.
@@ -164,18 +148,19 @@ class SurfaceBody(nn.Module):
         points are taken last, and by 2 on garments that are not worn.
         """
         size, total = len(people.shape), self.rest.shape[1]
-        key = torch.rand(size, total, generator=rng, device=self.rest.device)
+        key = uniform(rng, size, total)
         key = key + 2.0 * (~people.worn)[:, self.piece]
         centre = torch.randint(total, (size,), generator=rng, device=self.rest.device)
-        radius = MAX_HOLE * torch.rand(size, 1, generator=rng, device=self.rest.device)
-        radius = radius * (torch.rand(size, 1, generator=rng, device=self.rest.device) < missing)
+        radius = MAX_HOLE * uniform(rng, size, 1)
+        radius = radius * (uniform(rng, size, 1) < missing)
         distance = (self.rest[:, None] - self.rest[:, centre, None]).square().sum(0)
         key = key + (distance < radius.square())
         return key.topk(count, dim=1, largest=False, sorted=False).indices
 
     def posed(self, people: People, rotmat: Float[Tensor, "B J 3 3"], index: Int[Tensor, "B N"]) -> PosedSurface:
         """Pose chosen points of people by local joint rotations; the root joint stays where it rests."""
-        joints, rotation = self._rest_joints(people), world_rotations(rotmat, self.parents)
+        joints = self.joints + torch.einsum("bk,kjc->bjc", people.shape, self.joint_components)
+        rotation = world_rotations(rotmat, self.parents)
         position, linear, normal_map = scaled_joints(
             joints, self.bones[None], self.branching, people.length, people.girth, rotation, self.parents
         )
@@ -192,9 +177,6 @@ class SurfaceBody(nn.Module):
         known = torch.ones_like(position[..., 0], dtype=torch.bool)
         return PosedSurface(points, normals, weights, rotation, position, known, known)
 
-    def _rest_joints(self, people: People) -> Float[Tensor, "B J 3"]:
-        return self.joints + torch.einsum("bk,kjc->bjc", people.shape, self.joint_components)
-
     def _bump_heights(self, people: People, index: Int[Tensor, "B N"]) -> Float[Tensor, "B 1 N"]:
         position = self.rest[:, index].transpose(0, 1)
         waves = people.bumps[..., :3] @ position + people.bumps[..., 3:4]
@@ -205,54 +187,41 @@ class PeopleSampler:
     """Draws random people; each call is a pure function of its generator."""
 
     def __init__(self, body: RiggedBody, spread: float, device: torch.device) -> None:
-        self.components, self.joints, self.spread, self.device = len(body.components), len(body.joints), spread, device
+        self.components, self.spread = len(body.components), spread
         self.pieces = 1 + len(GARMENTS) * (body.name == "human")
         self.group = torch.from_numpy(kinds_of_bones(body)).to(device)
         self.head = torch.tensor([name == "Head" for name in body.joint_names], device=device)
 
     def draw(self, size: int, rng: torch.Generator, low_poly: float = 0.0) -> People:
         """Draw people, some with unusual proportions, a share low-poly; left and right bones are scaled alike."""
-        shape = self.spread * self._normal(rng, size, self.components).clamp(-2.5, 2.5)
-        unusual = self._uniform(rng, size, 1) < UNUSUAL
-        spread = unusual * UNUSUAL_SPREAD + USUAL_SPREAD * self._uniform(rng, size, 1)
+        shape = self.spread * normal(rng, size, self.components).clamp(-2.5, 2.5)
+        unusual = uniform(rng, size, 1) < UNUSUAL
+        spread = unusual * UNUSUAL_SPREAD + USUAL_SPREAD * uniform(rng, size, 1)
         groups = int(self.group.max()) + 1
-        drawn = [spread * self._normal(rng, size, groups).clamp(-2, 2) for _ in range(2)]
-        larger = HEAD_SCALE * unusual * self._uniform(rng, size, 1) * self.head
+        drawn = [spread * normal(rng, size, groups).clamp(-2, 2) for _ in range(2)]
+        larger = HEAD_SCALE * unusual * uniform(rng, size, 1) * self.head
         length, girth = ((scale[:, self.group] + larger).exp() for scale in drawn)
-        bumps = random_bumps(size, rng, self.device)
-        worn = self._uniform(rng, size, self.pieces) < GARMENT_SHARE
+        bumps = random_bumps(size, rng)
+        worn = uniform(rng, size, self.pieces) < GARMENT_SHARE
         worn[:, 0] = True
-        level = random_levels(size, low_poly, rng, self.device)
+        level = random_levels(size, low_poly, rng)
         return People(shape, length, girth, without_bumps(bumps, level), worn, level)
 
-    def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
-        return torch.rand(*size, generator=rng, device=self.device)
 
-    def _normal(self, rng: torch.Generator, *size: int) -> Tensor:
-        return torch.randn(*size, generator=rng, device=self.device)
-
-
-def random_bumps(size: int, rng: torch.Generator, device: torch.device) -> Float[Tensor, "B W 5"]:
+def random_bumps(size: int, rng: torch.Generator) -> Float[Tensor, "B W 5"]:
     """Draw the bumps of surfaces, as in `People`."""
-
-    def uniform(*shape: int) -> Tensor:
-        return torch.rand(size, *shape, generator=rng, device=device)
-
-    def normal(*shape: int) -> Tensor:
-        return torch.randn(size, *shape, generator=rng, device=device)
-
     # Squared uniform numbers: most surfaces are nearly smooth. The root of WAVES keeps the sum's height.
-    height = BUMP_HEIGHT * uniform(1, 1).square() * normal(WAVES, 1) / math.sqrt(WAVES)
-    frequency = BUMP_FREQUENCY * normal(WAVES, 3) * uniform(WAVES, 1)
-    return torch.cat([frequency, 2 * math.pi * uniform(WAVES, 1), height], -1)
+    height = BUMP_HEIGHT * uniform(rng, size, 1, 1).square() * normal(rng, size, WAVES, 1) / math.sqrt(WAVES)
+    frequency = BUMP_FREQUENCY * normal(rng, size, WAVES, 3) * uniform(rng, size, WAVES, 1)
+    return torch.cat([frequency, 2 * math.pi * uniform(rng, size, WAVES, 1), height], -1)
 
 
-def random_levels(size: int, share: float, rng: torch.Generator, device: torch.device) -> Int[Tensor, " B"]:
+def random_levels(size: int, share: float, rng: torch.Generator) -> Int[Tensor, " B"]:
     """Draw the low-poly version of surfaces: 0 for all but a share of them. A share of 0 draws no numbers."""
     if not share:
-        return torch.zeros(size, dtype=torch.long, device=device)
-    level = torch.randint(1, len(LEVELS) + 1, (size,), generator=rng, device=device)
-    return level * (torch.rand(size, generator=rng, device=device) < share)
+        return torch.zeros(size, dtype=torch.long, device=rng.device)
+    level = torch.randint(1, len(LEVELS) + 1, (size,), generator=rng, device=rng.device)
+    return level * (uniform(rng, size) < share)
 
 
 def without_bumps(bumps: Float[Tensor, "B W 5"], level: Int[Tensor, " B"]) -> Float[Tensor, "B W 5"]:
@@ -273,14 +242,14 @@ def scanned(
     points: Float[Tensor, "B N 3"], normals: Float[Tensor, "B N 3"], rng: torch.Generator
 ) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 3"]]:
     """Scan surfaces (metres), each from a random side: points and normals, repeated up to N."""
-    size, device = len(points), points.device
-    camera = _camera(size, rng, device)
+    size = len(points)
+    camera = _camera(size, rng)
     hidden = _hidden(points, normals, camera) | _in_holes(points, rng)
     hidden &= (~hidden).sum(1, keepdim=True) >= FEWEST
     index = repeat_visible(hidden)
-    amount = torch.rand(2, size, 1, 1, generator=rng, device=device).square()
-    depth = MAX_DEPTH_NOISE * amount[0] * torch.randn(*index.shape, 1, generator=rng, device=device)
-    bent = MAX_NORMAL_NOISE * amount[1] * torch.randn(points.shape, generator=rng, device=device)
+    amount = uniform(rng, 2, size, 1, 1).square()
+    depth = MAX_DEPTH_NOISE * amount[0] * normal(rng, *index.shape, 1)
+    bent = MAX_NORMAL_NOISE * amount[1] * normal(rng, *points.shape)
     ray = camera[:, None, 2]
     return (
         gather_points(points, index) + depth * ray,
@@ -295,14 +264,9 @@ def repeat_visible(hidden: Bool[Tensor, "B N"]) -> Int[Tensor, "B N"]:
     return order.gather(1, torch.arange(hidden.shape[1], device=hidden.device) % visible)
 
 
-def gather_points(values: Float[Tensor, "B N C"], index: Int[Tensor, "B M"]) -> Float[Tensor, "B M C"]:
-    """Select the values of points by their indices."""
-    return values.gather(1, index[..., None].expand(-1, -1, values.shape[-1]))
-
-
-def _camera(size: int, rng: torch.Generator, device: torch.device) -> Float[Tensor, "B 3 3"]:
+def _camera(size: int, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
     """Draw the axes of cameras in rows: right, up, and towards the camera."""
-    around, above = torch.rand(2, size, generator=rng, device=device)
+    around, above = uniform(rng, 2, size)
     angle, elevation = 2 * math.pi * around, ELEVATION * (2 * above - 1)
     zero = torch.zeros_like(angle)
     right = torch.stack([angle.cos(), zero, -angle.sin()], -1)
@@ -328,5 +292,5 @@ def _in_holes(points: Float[Tensor, "B N 3"], rng: torch.Generator) -> Bool[Tens
     """Tell which points lie in random balls around points; small balls are frequent."""
     size, count = points.shape[:2]
     centre = torch.randint(count, (size, SCAN_HOLES), generator=rng, device=points.device)
-    radius = MAX_RADIUS * torch.rand(size, 1, SCAN_HOLES, generator=rng, device=points.device).square()
+    radius = MAX_RADIUS * uniform(rng, size, 1, SCAN_HOLES).square()
     return (torch.cdist(points, gather_points(points, centre)) < radius).any(-1)

@@ -38,14 +38,7 @@ class Folders:
         return ["data.kind=meshes", "data.between=0", "data.recombine=0", "data.mix_people=0", *pattern]
 
     def check(self, network: str, options: type[DataConfig]) -> None:
-        """Check that a model takes data of the folders that are given.
-
-        Args:
-            options: of the model's data.
-
-        Raises:
-            InputError: it does not, or they do not go together.
-        """
+        """Check that a model, whose data have some options, takes data of the folders, and that these go together."""
         if self.pattern and self.meshes is None:
             raise InputError(f"--pattern {self.pattern}: expected it with --meshes, found it without; name the folder")
         if self.meshes is not None and (self.characters or self.clips):
@@ -70,7 +63,12 @@ def read_user_data(config: TrainConfig, folders: Folders, bar: ProgressBar) -> U
     data = config.data
     folders.check(config.network, type(data))
     if isinstance(data, MeshOptions) and data.kind == "meshes":
-        return read_meshes(data, folders, config.window, bar)
+        if folders.meshes is None:
+            raise InputError(
+                "--meshes: expected the folder of meshes that this training is on, found none; add --meshes FOLDER"
+            )
+        with bar("reading meshes") as progress:
+            return RegisteredMeshes.read(folders.meshes, data, config.window, progress)
     if folders.meshes is not None:
         raise InputError(
             f"--meshes {folders.meshes}: expected a training on meshes, found one on {data.kind}; leave it out"
@@ -78,26 +76,8 @@ def read_user_data(config: TrainConfig, folders: Folders, bar: ProgressBar) -> U
     return read_characters(data, folders, bar) if isinstance(data, CharacterOptions) else None
 
 
-def read_meshes(data: MeshOptions, folders: Folders, window: int, bar: ProgressBar) -> RegisteredMeshes:
-    """Read the registered meshes of a folder.
-
-    Raises:
-        InputError: no folder, or nothing to train on in it.
-    """
-    if folders.meshes is None:
-        raise InputError(
-            "--meshes: expected the folder of meshes that this training is on, found none; add --meshes FOLDER"
-        )
-    with bar("reading meshes") as progress:
-        return RegisteredMeshes.read(folders.meshes, data, window, progress)
-
-
 def read_characters(data: CharacterOptions, folders: Folders, bar: ProgressBar) -> TrainingCharacters | None:
-    """Read the characters that a configuration asks for, and the clips of a folder; None for neither.
-
-    Raises:
-        InputError: a folder is needed and not given, or given and not needed, or it has nothing to train on.
-    """
+    """Read the characters that a configuration asks for, and the clips of a folder; None for neither."""
     folder, clips = folders.characters, folders.clips
     if clips is not None and data.kind not in data.clip_kinds:
         raise InputError(f"--clips: expected data.kind {', '.join(data.clip_kinds)}, found {data.kind}; leave it out")
@@ -125,14 +105,10 @@ def read_characters(data: CharacterOptions, folders: Folders, bar: ProgressBar) 
 
 
 def refuse_other_data(brought: UserData | None, recorded: dict[str, dict[str, Any]], folder: Path) -> None:
-    """Check that a training goes on with the data that it had so far.
+    """Check that the training in a folder goes on with the data that it had so far.
 
     Args:
         recorded: facts of a checkpoint by the part that they belong to, `characters` and `meshes`.
-        folder: of the training.
-
-    Raises:
-        InputError: other data, or none.
     """
     for part, facts in recorded.items():
         if not facts or (brought and brought.part == part and brought.continues(facts)):

@@ -1,6 +1,6 @@
 """mime as an ONNX file: predict the joints of both meshes, fit the shipped body to them, then track each frame.
 
-A prediction is one run of the network on points sampled from a surface (`joint_network.py`); every second one is of the
+A prediction is one run of the network on points sampled from a surface (`prediction.py`); every second one is of the
 mirror image.
 
 Preparing (once): several predictions for the identity and for keyframes of the driving, a consensus of each, and a fit
@@ -18,42 +18,57 @@ from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ...bodies.anatomy import anatomy_of
-from ...core.canonical_order import canonical_faces, canonical_order
-from ...core.geometry import vertex_normals
+from ...bodies.sampled_body import PosedBody
+from ...core.canonical_order import CanonicalOrder, canonical_faces, canonical_order
+from ...core.errors import InputError
+from ...core.geometry import closest_on_mesh, vertex_normals
+from ...core.joint_tracks import JointTrack
 from ...core.mesh import Clip, Mesh
 from ...core.rig import Rig, leg_length
 from ...core.skinning import SkinnedMesh
-from ...core.soles import Feet, find_soles
+from ...core.soles import Feet, Soles, find_soles
 from ...core.surface_points import SurfacePoints
 from ..base import (
     KnownDriving,
     KnownIdentity,
     LinkedJoints,
     Pose,
+    RestPose,
     SkinnedDrive,
     SurfaceMotion,
     linked_to_body,
 )
 from ..confidence import MAX_UNMATCHED_SURFACE, Confidence
 from ..npt import generator
-from .body_fit import BodyFit, fit_body, fit_predictions, sampled_body
-from .body_weights import corrected_weights
-from .consensus import consensus
-from .denoise import Denoiser, face_outward
-from .dense_weights import DENSE, CoarseSurface
-from .ensemble import ENSEMBLE, TRACKED, Ensemble, KeyframePrediction, sampled_points
+from .body_fit import (
+    RELIABLE_MISMATCH,
+    BodyFit,
+    SurfaceSample,
+    fit_body,
+    fit_predictions,
+    nearest_shares,
+    sampled_body,
+    whole_body,
+)
 from .hands import FoundFingers, HandFinder, WeightedMesh, follow_fingers, with_fingers
-from .joint_network import JointNetwork, NetworkPoints
 from .joint_targets import JointTargets
 from .kept_results import kept
 from .part_tracking import PartTracker
-from .readings import DrivingReading, IdentityReading
-from .surface_sample import SurfaceSample
-from .tail_weights import with_whole_tail
-from .weight_cleanup import clean_weights
+from .prediction import (
+    ENSEMBLE,
+    TRACKED,
+    Denoiser,
+    JointNetwork,
+    KeyframePrediction,
+    NetworkPoints,
+    consensus,
+    face_outward,
+    sampled_points,
+)
+from .weights import DENSE, CoarseSurface, clean_weights, corrected_weights, with_whole_tail
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -69,6 +84,39 @@ reference by the measured motion, differ from their consensus by more than this 
 LIE = ("quadruped",)
 """Bodies for which other orientations are tried where the predictions disagree: animals lie on their sides, and trunks
 of leaping ones point up or down. Of people figures of blocks became worse (docs/log/animals.md)."""
+
+
+@dataclass(frozen=True, eq=False)
+class IdentityReading:
+    """The joints of an identity: of its file, or predicted."""
+
+    vertices: Float[np.ndarray, "W 3"]
+    joints: tuple[str, ...]
+    parents: tuple[int, ...]
+    rig: Rig
+    group: Int[np.ndarray, " V"]
+    """Index of each vertex of the mesh among `vertices`."""
+    legs: tuple[tuple[int, ...], ...]
+    leg: float
+    confidence: Confidence | None = None
+    skinned: SkinnedMesh | None = None
+    """The skinned mesh of the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrivingReading:
+    """The joints of a driving clip: of its file, or predicted and tracked."""
+
+    joints: tuple[str, ...]
+    follow: Callable[[Float[np.ndarray, "U 3"]], Pose]
+    leg: float
+    samples: SurfacePoints
+    soles: Soles
+    confidence: Confidence | None = None
+    keyframes: KeyframePrediction | None = None
+    known: JointTrack | None = None
+    rest: RestPose | None = None
+    """The joints at rest, where the file has them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,12 +158,7 @@ class MimeMethod:
     @cached_property
     def network(self) -> JointNetwork:
         """The network."""
-        return JointNetwork(self.session, self.joints)
-
-    @cached_property
-    def ensemble(self) -> Ensemble:
-        """Makes several predictions of a mesh with the network."""
-        return Ensemble(self.network, self.parents, self.legs)
+        return JointNetwork(self.session, self.joints, self.parents, self.legs)
 
     @property
     def kept_key(self) -> Hashable:
@@ -149,13 +192,14 @@ class MimeMethod:
         driving: Mapping[str, Float[np.ndarray, " 3"]],
     ) -> MimeMethod:
         """Return this method with known joints of the identity, and of the driving in its last keyframe."""
-        identity_targets, driving_targets = (
-            JointTargets([self.joints.index(name) for name in known], np.array(list(known.values())), self.body)
-            if known
-            else None
-            for known in (identity, driving)
+        return dataclasses.replace(
+            self, identity_targets=self._targets(identity), driving_targets=self._targets(driving)
         )
-        return dataclasses.replace(self, identity_targets=identity_targets, driving_targets=driving_targets)
+
+    def _targets(self, known: Mapping[str, Float[np.ndarray, " 3"]]) -> JointTargets | None:
+        if not known:
+            return None
+        return JointTargets([self.joints.index(name) for name in known], np.array(list(known.values())), self.body)
 
     def with_rigs(self, identity: KnownIdentity | None, driving: KnownDriving | None) -> MimeMethod:
         """Return this method with the known joints of the identity, of the driving, or of both."""
@@ -204,8 +248,8 @@ class MimeMethod:
         known = self.known_identity
         if known is not None:
             group = np.arange(len(mesh.vertices))
-            skinned = (known.joints, known.parents, known.rig, group, known.legs, known.leg)
-            return IdentityReading(mesh.vertices, *skinned, skinned=known.skinned)
+            of_file = (known.joints, known.parents, known.rig, group, known.legs, known.leg)
+            return IdentityReading(mesh.vertices, *of_file, skinned=known.skinned)
         ranked = canonical_order(mesh.vertices)
         rig, confidence = self._rig(mesh)
         leg = leg_length(rig.joints, self.legs)
@@ -260,10 +304,8 @@ class MimeMethod:
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict once: mean entropy (nats) of the skinning weights of a mesh, and world rotation of its root joint."""
         mesh = face_outward(mesh)
-        ranked = canonical_order(mesh.vertices)
-        denoised = Denoiser.of(mesh, ranked)(mesh.vertices)
-        samples = sampled_points(mesh, denoised, ranked, self.points, generator(self.seed, 0))
-        return self.ensemble.predict_once(NetworkPoints.of(samples, denoised))
+        samples, denoised = self._sampled(mesh, canonical_order(mesh.vertices), 1)
+        return self.network.predict_once(NetworkPoints.of(samples, denoised))
 
     @kept(most=KEPT_RIGS)
     def _rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:
@@ -275,15 +317,14 @@ class MimeMethod:
         if coarse is not None:
             vertices, faces = coarse.points, coarse.faces
         normals = vertex_normals(vertices, faces) if len(faces) else np.zeros_like(vertices)
-        denoised = Denoiser.of(mesh, ranked)(mesh.vertices)
-        samples = sampled_points(mesh, denoised, ranked, ENSEMBLE * self.points, generator(self.seed, 0))
+        samples, denoised = self._sampled(mesh, ranked, ENSEMBLE)
         # Confidence is measured at samples, which are spread evenly over the surface; vertices are not.
         queries = NetworkPoints(vertices, normals).joined(NetworkPoints.of(samples.part(0, ENSEMBLE), denoised))
-        rigs = [self.ensemble.predict(samples, denoised, k) for k in range(ENSEMBLE)]
-        mean = dataclasses.replace(consensus(rigs), weights=self.ensemble.weights(rigs, samples, denoised, queries))
+        rigs = [self.network.predict(samples, denoised, k) for k in range(ENSEMBLE)]
+        mean = dataclasses.replace(consensus(rigs), weights=self.network.weights(rigs, samples, denoised, queries))
         # Smoothing improves the normals but shrinks the surface: points are taken from the original mesh.
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
-        confidence = self.ensemble.confidence(rigs, mean, mean.weights[len(vertices) :])
+        confidence = self.network.confidence(rigs, mean, mean.weights[len(vertices) :])
         if self.identity_targets is None:
             rig, confidence, fit = self._with_fit(mean, confidence, sample, rigs)
         else:
@@ -297,6 +338,13 @@ class MimeMethod:
         weights = clean_weights(weights, vertices, faces, self.parents, nearest, self.trunk)
         weights = weights if coarse is None else coarse.carried(weights)
         return dataclasses.replace(rig, weights=weights), confidence
+
+    def _sampled(
+        self, mesh: Mesh, ranked: CanonicalOrder, predictions: int
+    ) -> tuple[SurfacePoints, Float[np.ndarray, "V 3"]]:
+        """Draw points for some predictions from a mesh, and return its denoised vertices, on which they were drawn."""
+        denoised = Denoiser.of(mesh, ranked)(mesh.vertices)
+        return sampled_points(mesh, denoised, ranked, predictions * self.points, generator(self.seed, 0)), denoised
 
     def _with_fit(
         self, rig: Rig, confidence: Confidence, sample: SurfaceSample, predictions: Sequence[Rig]
@@ -358,16 +406,16 @@ class MimeMethod:
         samples = sampled_points(keyframes.mesh, denoised[0], ranked, ENSEMBLE * self.points, generator(self.seed, 1))
         tracked = samples.part(0, TRACKED)
         targets = self.driving_targets
-        best = self.ensemble.predict_keyframes(samples, frames, denoised, 0 if targets is None else len(frames) - 1)
+        best = self.network.predict_keyframes(samples, frames, denoised, 0 if targets is None else len(frames) - 1)
         # Points were drawn on the first frame; they are the same points of the surface in every other one.
         for t in range(1, len(denoised), max(1, len(denoised) // RETRIES)):
             if targets is None and best.confidence.prediction_spread > DISAGREEMENT:
-                other = self.ensemble.predict_keyframes(samples, frames, denoised, t)
+                other = self.network.predict_keyframes(samples, frames, denoised, t)
                 best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
         if targets is None and self.body in LIE and best.confidence.prediction_spread > DISAGREEMENT:
-            turn = self.ensemble.turn_to_stand(samples, denoised[best.reference])
+            turn = self.network.turn_to_stand(samples, denoised[best.reference])
             if turn is not None:
-                other = self.ensemble.predict_keyframes(samples, frames, denoised, best.reference, turn)
+                other = self.network.predict_keyframes(samples, frames, denoised, best.reference, turn)
                 best = min(best, other, key=lambda reading: self._cost(reading, frames, denoised))
         sample = best.surface(frames, denoised)
         if targets is None:
@@ -387,6 +435,45 @@ class MimeMethod:
             return rotation @ rig.rotation, joints
 
         return follow, best
+
+    def body_pairs(self, identity: Mesh, driving: Mesh) -> SurfacePoints:
+        """Find the point of the driving for each distinct position of the identity, by rank (`canonical_order`).
+
+        The shipped body is fitted to both normalised meshes, whatever faces they have. A vertex of the identity lies
+        near some vertices of the body at its own fit; the same vertices at the driving's fit say where it belongs
+        there, and the nearest point of the driving is taken. The order of vertices and faces has no influence.
+
+        Raises:
+            InputError: the body does not have the shape of one of the meshes.
+        """
+        from scipy.spatial import KDTree
+
+        mine, theirs = self._fitted_body(identity), self._fitted_body(driving)
+        rest = canonical_order(identity.vertices).merge(identity.vertices)
+        _, share, index = nearest_shares(KDTree(mine.points), rest, mine.state.size)
+        targets = np.einsum("wn,wnc->wc", share, theirs.points[index])
+        ranked = canonical_order(driving.vertices)
+        points, vertex = ranked.merge(driving.vertices), ranked.order[ranked.start]
+        if len(driving.faces) == 0:
+            nearest = vertex[np.asarray(KDTree(points).query(targets)[1])]
+            return SurfacePoints(np.repeat(nearest[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(targets), 1)))
+        faces = ranked.group[canonical_faces(driving.faces, ranked.group)]
+        face, barycentric, _ = closest_on_mesh(targets, points, faces)
+        return SurfacePoints(vertex[faces[face]], barycentric)
+
+    def _fitted_body(self, mesh: Mesh) -> PosedBody:
+        """Fit the shipped body to a normalised mesh, and return it with all of its vertices."""
+        mesh = face_outward(mesh)
+        samples, denoised = self._sampled(mesh, canonical_order(mesh.vertices), ENSEMBLE)
+        rigs = [self.network.predict(samples, denoised, k) for k in range(ENSEMBLE)]
+        surface = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
+        fit = fit_predictions(surface, consensus(rigs), rigs, self.body)
+        if fit.distance > RELIABLE_MISMATCH:
+            raise InputError(
+                f"{mesh.name}: expected a shape that the shipped {self.body} can be fitted to, found one that differs "
+                f"by {1e3 * fit.distance:.1f} mm; give --pairing random"
+            )
+        return PosedBody(whole_body(self.body), fit.posed.state)
 
 
 def _feet(mine: IdentityReading, theirs: DrivingReading, skinned: SkinnedMesh) -> Feet | None:

@@ -1,0 +1,361 @@
+"""Copies animations between files by name: those of joints to the same skeleton, those of morph targets to any file.
+
+Nodes of a skeleton are matched by name, and values are taken as they are. Any kind of character will do, because
+nothing has to be known about its joints. Rest poses are compared in the frames of the joints' parents, as the inverse
+bind matrices have them.
+
+Names of morph targets, such as the 52 of ARKit, are in `extras.targetNames` of a mesh, a convention of most tools.
+Equal names count before other spellings of the same words: browInnerUp, BrowInnerUp, brow_inner_up; mouthSmileLeft,
+mouthSmile_L. Expressions of VRM are names too: a VRM identity has them as sums of its targets' weights, and a VRM
+animation (.vrma) animates them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from ...bodies.joint_names import ancestors
+from ...core.geometry import continuous_quaternions, nearest_rotation
+from .animation import AnimatedValues, AnimationChannel, animated_nodes
+from .document import Document
+from .edit import GltfSource
+from .motion import PLAYED_PATHS, rest_matrices
+from .own_rig import UNSKINNED, GltfJoints
+from .read import unweighted_vertices
+from .scene import (
+    local_matrices,
+    node_parents,
+    node_properties,
+    normalized_quaternions,
+    read_morph_weights,
+    target_count,
+    world_matrices,
+)
+from .vrm import OVERRIDDEN, Expression, animated_expressions, vrm_expressions
+
+SAME_ROTATION, SAME_BONE = 0.01, 0.002
+"""Largest differences of rest poses that count as the same: of the joints' axes, and of bones in lengths of the
+longest bone."""
+ALIKE = 0.5
+"""Largest difference of the joints' axes at rest with which rotations since rest can be copied: about 30 degrees."""
+BINARY = 0.5
+"""Weight above which an expression without intermediate values is full (VRM 1.0, expressions.md)."""
+NEGLIGIBLE = 1e-5
+"""Weight of an expression that counts as none: frames are not exactly at the times of keys, which are float32."""
+_PREFIX = re.compile(r"^blendshapes?\d*\.", re.IGNORECASE)
+"""Name of Maya's node before that of the target."""
+_SIDE = re.compile(r"(?:[_. -]([lrLR])|(?<=[a-z])([LR]))$")
+_LETTERS = re.compile(r"[^a-z0-9]")
+
+
+@dataclass(frozen=True, eq=False)
+class SharedMotion:
+    """An animation copied from a file with the same skeleton."""
+
+    tracks: AnimatedValues
+    same_rest: bool
+    """Whether both skeletons have the same rest pose and size, so that the copy is exact."""
+    alike: bool
+    """Whether the rest poses are alike enough for the copy of the whole skeleton."""
+    keys: dict[tuple[int, str], AnimationChannel] = field(default_factory=dict)
+    """Keys of the driving file, where they can be copied as they are."""
+
+
+@dataclass(frozen=True, eq=False)
+class NamedWeights:
+    """Weights of a morph target or an expression of a driving file, in every frame."""
+
+    name: str
+    owner: str | None
+    """Name of the node that shows the mesh; None for an expression."""
+    values: Float[np.ndarray, " T"]
+
+
+def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
+    """Copy the animation of a driving clip to the nodes of another file; None if that has another skeleton."""
+    mine, theirs = identity.document, driving.document
+    if mine.damage is not None or theirs.damage is not None:
+        return None
+    if unweighted_vertices(mine, identity.rest) > UNSKINNED * len(identity.vertices):
+        return None
+    joints = _joint_nodes(mine)
+    pairs = _pairs(mine, theirs, joints)
+    if len(pairs) < max(len(joints), 2):
+        return None
+    my_rest, their_rest = (
+        _parent_frames(document, pairs_of)
+        for document, pairs_of in ((mine, list(pairs)), (theirs, list(pairs.values())))
+    )
+    turned = np.abs(_unit_axes(my_rest) - _unit_axes(their_rest)).max(axis=(1, 2), initial=0)
+    lengths = [np.linalg.norm(rest[:, :3, 3], axis=1) for rest in (my_rest, their_rest)]
+    longest = max(lengths[0].max(initial=0), 1e-12)
+    moved = np.abs(my_rest[:, :3, 3] - their_rest[:, :3, 3]).max(initial=0) / longest
+    above_same = _same_above(mine, theirs, pairs)
+    alike = bool(above_same and (turned < ALIKE).all())
+    same_rest = bool(alike and moved < SAME_BONE and (turned < SAME_ROTATION).all())
+    scale = 1.0 if same_rest else float(lengths[0].sum() / max(lengths[1].sum(), 1e-12))
+    values = driving.values()
+    tracks: AnimatedValues = {}
+    sources: dict[tuple[int, str], tuple[int, str]] = {}
+    for k, (node, other) in enumerate(pairs.items()):
+        if turned[k] >= ALIKE:
+            continue
+        own, static = (node_properties(document.gltf["nodes"][n]) for document, n in ((mine, node), (theirs, other)))
+        for path in ("translation", "rotation", "scale"):
+            value = values.get((other, path), np.array(static[path], float)[None])
+            if path == "translation" and not same_rest:
+                value = my_rest[k, :3, 3] + scale * (value - their_rest[k, :3, 3])
+            if path == "rotation" and not same_rest:
+                value = _since_rest(value, my_rest[k], their_rest[k])
+            if path == "rotation":
+                value = continuous_quaternions(value, own[path])
+            sources[node, path] = (other, path)
+            if len(value) > 1 and np.ptp(value, axis=0).max() == 0:
+                value = value[:1]
+            if len(value) > 1 or np.abs(value - own[path]).max() > 0:
+                tracks[node, path] = np.broadcast_to(value, (len(driving.times), value.shape[1]))
+    beside = _other_sources(mine, theirs, values, {node for node, _ in tracks})
+    for key, source in beside.items():
+        tracks[key] = continuous_quaternions(values[source]) if key[1] == "rotation" else values[source]
+    # In a copy of the same file all targets have been copied already, those that do not move included.
+    same_file = _names(mine) == _names(theirs) and all(
+        _same_targets(mine, node, theirs, node) for node in range(len(_names(mine))) if target_count(mine, node)
+    )
+    faces = {} if same_file else morph_tracks(mine, named_weights(theirs, driving.channels, driving.times))
+    keys = _copied_keys(driving, sources | beside) if same_rest and driving.whole else {}
+    return SharedMotion(faces | tracks, same_rest, alike, keys)
+
+
+def copy_morphs(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
+    """Copy an animation of nothing but morph targets and expressions; None for others, and without common names."""
+    expressions = set(animated_expressions(driving.document).values())
+    if not all(channel.path == "weights" or channel.node in expressions for channel in driving.channels):
+        return None
+    tracks = morph_tracks(identity.document, named_weights(driving.document, driving.channels, driving.times))
+    return SharedMotion(tracks, True, True) if tracks else None
+
+
+def _since_rest(
+    quaternions: Float[np.ndarray, "T 4"], mine: Float[np.ndarray, "4 4"], theirs: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "T 4"]:
+    """Turn a joint from its own rest pose as far as the driving's joint is turned from its one."""
+    from scipy.spatial.transform import Rotation
+
+    own, other = (Rotation.from_matrix(nearest_rotation(rest[:3, :3])) for rest in (mine, theirs))
+    return normalized_quaternions((own * other.inv() * Rotation.from_quat(quaternions)).as_quat())
+
+
+def _joint_nodes(document: Document) -> list[int]:
+    """List the nodes that are joints of skins; of a file without skins, those that animations move."""
+    joints = {node for skin in document.gltf.get("skins", []) for node in skin["joints"]}
+    return sorted(joints or animated_nodes(document, PLAYED_PATHS))
+
+
+def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int]:
+    """Match joints to nodes of another file with the same name below joints with the same names."""
+    my_names, their_names = _names(mine), _names(theirs)
+    my_parents, their_parents = tuple(node_parents(mine)), tuple(node_parents(theirs))
+    if my_names == their_names and my_parents == their_parents:
+        return {node: node for node in joints}
+    pairs = {}
+    for node in joints:
+        # As many names count as there are joints from the node up.
+        chain = ancestors(my_parents, node)
+        length = sum(n in joints for n in chain)
+        wanted = [my_names[n] for n in chain[:length]]
+        named = [other for other, name in enumerate(their_names) if name == my_names[node]]
+        found = [o for o in named if [their_names[n] for n in ancestors(their_parents, o)[:length]] == wanted]
+        if len(found) > 1:  # a mesh may have the name of a joint: that has nothing below it
+            found = [other for other in found if "mesh" not in theirs.gltf["nodes"][other]]
+        if len(found) == 1:
+            pairs[node] = found[0]
+    return pairs
+
+
+def _names(document: Document) -> list[str]:
+    return [str(node.get("name", f"node{number}")) for number, node in enumerate(document.gltf.get("nodes", []))]
+
+
+def _parent_frames(document: Document, nodes: list[int]) -> Float[np.ndarray, "K 4 4"]:
+    """Compute the transform of each node at rest in its parent's frame, in the unit of the parent."""
+    world, parent = rest_matrices(document), node_parents(document)
+    static = local_matrices(document)
+    chosen = set(nodes)
+    frames = [
+        np.linalg.pinv(world[parent[node]]) @ world[node] if parent[node] in chosen else static[node] for node in nodes
+    ]
+    return np.array(frames).reshape(-1, 4, 4)
+
+
+def _unit_axes(frames: Float[np.ndarray, "K 4 4"]) -> Float[np.ndarray, "K 3 3"]:
+    linear = frames[:, :3, :3]
+    return linear / np.maximum(np.linalg.norm(linear, axis=1, keepdims=True), 1e-12)
+
+
+def _same_above(mine: Document, theirs: Document, pairs: dict[int, int]) -> bool:
+    """Tell whether the nodes above the roots of both skeletons have the same axes and unit."""
+    my_world, their_world = (world_matrices(document) for document in (mine, theirs))
+    my_parents, their_parents = node_parents(mine), node_parents(theirs)
+    for node, other in pairs.items():
+        if my_parents[node] in pairs:
+            continue
+        above = [
+            np.eye(4) if parents[n] < 0 else world[parents[n]]
+            for world, parents, n in ((my_world, my_parents, node), (their_world, their_parents, other))
+        ]
+        size = np.abs(above[0][:3, :3]).max()
+        if np.abs(above[0][:3, :3] - above[1][:3, :3]).max() > SAME_ROTATION * size:
+            return False
+    return True
+
+
+def _copied_keys(
+    driving: GltfJoints, sources: Mapping[tuple[int, str], tuple[int, str]]
+) -> dict[tuple[int, str], AnimationChannel]:
+    """Copy the keys of properties that change; they are exact between frames too, whatever their times."""
+    channels = {(channel.node, channel.path): channel for channel in driving.channels if not channel.constant}
+    keys = {}
+    for key, source in sources.items():
+        if source not in channels:
+            continue
+        channel = dataclasses.replace(channels[source], node=key[0])
+        if channel.path == "rotation" and channel.interpolation == "LINEAR":
+            channel = dataclasses.replace(channel, values=continuous_quaternions(channel.values))
+        keys[key] = channel
+    return keys
+
+
+def _other_sources(
+    mine: Document, theirs: Document, values: AnimatedValues, done: set[int]
+) -> dict[tuple[int, str], tuple[int, str]]:
+    """Find what is copied to nodes that are no joints, by name: props, and weights of meshes with the same targets.
+
+    Targets are the same if they have the same names, or if one of the files does not name them, the same number.
+    """
+    their_names, my_names = _names(theirs), _names(mine)
+    sources: dict[tuple[int, str], tuple[int, str]] = {}
+    for (other, path), value in values.items():
+        nodes = [other] if mine is theirs else [n for n, name in enumerate(my_names) if name == their_names[other]]
+        for node in nodes[:1]:
+            fits = path != "weights" or (
+                value.shape[1] == target_count(mine, node) and _same_targets(mine, node, theirs, other)
+            )
+            if fits and node not in done:
+                sources[node, path] = (other, path)
+    return sources
+
+
+def _same_targets(mine: Document, node: int, theirs: Document, other: int) -> bool:
+    names = target_names(mine, node), target_names(theirs, other)
+    return not all(names) or names[0] == names[1]
+
+
+def named_weights(
+    document: Document, channels: Sequence[AnimationChannel], times: Float[np.ndarray, " T"]
+) -> list[NamedWeights]:
+    """Read the animated weights of all morph targets with names, and of the expressions of a VRM animation."""
+    expressions = {node: name for name, node in animated_expressions(document).items()}
+    found = []
+    for channel in channels:
+        if channel.path == "weights":
+            values, owner = channel.sample(times), str(document.gltf["nodes"][channel.node].get("name", ""))
+            names = target_names(document, channel.node)
+            found += [NamedWeights(name, owner, column) for name, column in zip(names, values.T, strict=False)]
+        elif channel.path == "translation" and channel.node in expressions:
+            weights = np.clip(channel.sample(times)[:, 0], 0.0, 1.0)
+            found.append(NamedWeights(expressions[channel.node], None, weights))
+    return found
+
+
+def morph_tracks(document: Document, weights: Sequence[NamedWeights]) -> AnimatedValues:
+    """Compute the morph weights of all nodes of a file that has targets or expressions of the given names.
+
+    A target has the weight of its name, else the sum of the expressions that move it, else the weight of the file.
+    """
+    tracks: AnimatedValues = {}
+    by_expression = _expression_weights(vrm_expressions(document), weights)
+    for node, entry in enumerate(document.gltf.get("nodes", [])):
+        count = target_count(document, node)
+        if not count:
+            continue
+        columns = {index: values for (n, index), values in by_expression.items() if n == node and index < count}
+        for index, name in enumerate(target_names(document, node)[:count]):
+            values = _find_weights(weights, name, str(entry.get("name", "")))
+            if values is not None:
+                columns[index] = values
+        if columns:
+            track = np.tile(read_morph_weights(document, node), (len(next(iter(columns.values()))), 1))
+            for index, values in columns.items():
+                track[:, index] = values
+            tracks[node, "weights"] = track
+    return tracks
+
+
+def target_names(document: Document, node: int) -> list[str]:
+    """Return the names of the morph targets of a node's mesh; empty where they have none."""
+    mesh = document.gltf["nodes"][node].get("mesh")
+    if mesh is None:
+        return []
+    entry = document.gltf["meshes"][mesh]
+    # VRM 0.x has the names in the first primitive.
+    for holder in (entry, *entry["primitives"][:1]):
+        extras = holder.get("extras")
+        names = extras.get("targetNames") if isinstance(extras, dict) else None
+        if isinstance(names, list) and all(isinstance(name, str) for name in names):
+            return names
+    return []
+
+
+def plain_target(name: str) -> str:
+    """Simplify the name of a target: lower case, only letters and digits, sides written out."""
+    name = _PREFIX.sub("", name)
+    if side := _SIDE.search(name):
+        name = name[: side.start()] + ("left" if (side[1] or side[2]).lower() == "l" else "right")
+    return _LETTERS.sub("", name.lower())
+
+
+def _find_weights(weights: Sequence[NamedWeights], name: str, owner: str | None) -> Float[np.ndarray, " T"] | None:
+    """Find the weights of a name: equal before similar, of the same node before others, moving before still."""
+    plain = plain_target(name)
+    found = [row for row in weights if row.name == name] or [row for row in weights if plain_target(row.name) == plain]
+    best = max(found, key=lambda row: (row.owner == owner, np.abs(row.values).max()), default=None)
+    return None if best is None else best.values
+
+
+def _expression_weights(
+    expressions: dict[str, Expression], weights: Sequence[NamedWeights]
+) -> dict[tuple[int, int], np.ndarray]:
+    """Add up the weights of each (node, target) over the expressions of an identity that the driving animates."""
+    values = {}
+    for name, expression in expressions.items():
+        found = _find_weights(weights, name, None)
+        if found is not None and expression.binds:
+            values[name] = (found > BINARY).astype(float) if expression.binary else found
+    total: dict[tuple[int, int], np.ndarray] = {}
+    for name, shown in values.items():
+        factor = _remaining(name, expressions, values)
+        # What has no intermediate values is suppressed by any reduction.
+        reduced = shown * (factor >= 1.0 if expressions[name].binary else factor)
+        for node, index, share in expressions[name].binds:
+            total[node, index] = total.get((node, index), 0.0) + share * reduced
+    return total
+
+
+def _remaining(
+    name: str, expressions: dict[str, Expression], values: dict[str, Float[np.ndarray, " T"]]
+) -> Float[np.ndarray, " T"]:
+    """Compute the share of an expression that others leave of it (VRM 1.0, Procedural override)."""
+    factor = np.ones_like(values[name])
+    for key, reduced in OVERRIDDEN.items():
+        if name not in reduced:
+            continue
+        for other, weights in values.items():
+            if other not in reduced and key in expressions[other].overrides:
+                factor -= weights > NEGLIGIBLE if expressions[other].overrides[key] == "block" else weights
+    return np.maximum(factor, 0.0)
