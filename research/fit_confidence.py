@@ -75,7 +75,7 @@ def collect(
                 del mesh["standards"]  # those of people, all of them
             pmd, error = CREATURE_ERROR
             if name != CREATURES:
-                pmd, error = _errors(play(prepared, Timer(), options).vertices[0], pair)
+                pmd, error = _errors(play(prepared, Timer(), options).frames.first(), pair)
             rows.append({"kind": name, "pmd_e4": pmd, "error": error, "meshes": meshes})
     output.write_text(json.dumps(rows))
 

@@ -153,8 +153,7 @@ def copy_rotations(identity: Mesh, actor: Actor) -> ClipResult | None:
     method = find_method("mime")
     prepared = prepare(identity, actor.clip, lambda norm: method, NOT_GIVEN, None, options, rigs=rigs)
     moved = play(prepared, Timer(), options)
-    clip = Clip(identity, moved.vertices, actor.clip.fps)
-    return ClipResult(clip, "copy rotations", Timer(), moved.report, moved.notes)
+    return ClipResult(identity, moved.frames, actor.clip.fps, "copy rotations", Timer(), moved.report, moved.notes)
 
 
 def _spread(available: int, count: int) -> list[int]:

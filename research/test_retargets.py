@@ -11,6 +11,7 @@ import pytest
 from retargets import Actor, body_limbs, measure
 
 from mimesh.bodies import load_body
+from mimesh.core.frame_buffer import Frames
 from mimesh.core.mesh import Clip
 from mimesh.pipeline.result import ClipResult, Timer
 
@@ -22,15 +23,16 @@ def still(frames: int) -> Clip:
     return Clip(mesh, np.tile(mesh.vertices, (frames, 1, 1)), 30.0)
 
 
+def result_of(clip: Clip, report: dict) -> ClipResult:
+    return ClipResult(clip.mesh, Frames.stored(clip.vertices), clip.fps, "mime", Timer(), report, ())
+
+
 def test_a_character_that_is_turned_over_for_a_few_frames_is_found():
     driving, moved = still(40), still(40)
     moved.vertices[18:23, :, :2] *= -1
     actor = Actor("still", "none", driving, body_limbs())
     report = {"driving": {"front": "+z"}}
-    upright = [
-        measure(ClipResult(clip, "mime", Timer(), report, ()), actor.limbed, actor)["upright"]
-        for clip in (driving, moved)
-    ]
+    upright = [measure(result_of(clip, report), actor.limbed, actor)["upright"] for clip in (driving, moved)]
     assert upright[0] == pytest.approx(1.0)
     assert upright[1] == pytest.approx(-1.0)
 
@@ -41,7 +43,7 @@ def test_exceptions_while_figures_are_computed_are_part_of_them(monkeypatch):
     def failing(*_):
         raise FloatingPointError("no figure")
 
-    result = ClipResult(still(2), "mime", Timer(), {}, ())
+    result = result_of(still(2), {})
     monkeypatch.setitem(script["_measure_pair"].__globals__, "retarget", lambda *_: result)
     monkeypatch.setitem(script["_measure_pair"].__globals__, "measure", failing)
     actor = Actor("still", "none", still(2), body_limbs())

@@ -9,6 +9,7 @@ from people import person, walk
 from zoo import cube
 
 from mimesh.core.errors import InputError
+from mimesh.core.frame_buffer import Frames
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import load_mesh, save_mesh
 from mimesh.pipeline import animate, transfer
@@ -105,14 +106,18 @@ def test_files_and_meshes_give_the_same_result(tmp_path):
 
 def test_quality_of_known_changes():
     mesh = cube()
-    assert quality(mesh, mesh.vertices[None]) == {
+
+    def measured(scale: float, of: Mesh = mesh) -> dict:
+        return quality(of, Frames.stored(mesh.vertices[None] * scale))
+
+    assert measured(1.0) == {
         "edge_stretch_max": 1.0,
         "edge_stretch_p99": 1.0,
         "flipped_share": 0.0,
     }
-    assert np.isclose(quality(mesh, mesh.vertices[None] * 2)["edge_stretch_max"], 2)
-    assert np.isclose(quality(mesh, mesh.vertices[None] / 2)["edge_stretch_max"], 2)
-    assert quality(Mesh(mesh.vertices, np.zeros((0, 3), int)), mesh.vertices[None]) == {}
+    assert np.isclose(measured(2.0)["edge_stretch_max"], 2)
+    assert np.isclose(measured(0.5)["edge_stretch_max"], 2)
+    assert measured(1.0, Mesh(mesh.vertices, np.zeros((0, 3), int))) == {}
 
 
 def test_pushed_in_corner_flips_its_triangles():

@@ -99,7 +99,7 @@ class _Playable(Protocol):
             return None
 
         def panel(name: str, clip: Clip, axes: MeshReport) -> Panel:
-            return Panel(name, clip, up=axes["up"], front=axes["front"], every=step)
+            return Panel(name, clip, up=axes["up"], front=axes["front"], every=step, frames=len(driving))
 
         step = 1 if most is None else -(-len(driving) // most)
         return [

@@ -48,6 +48,8 @@ class Panel:
     """Axis of the clip that points to the front; see `camera.fit`."""
     every: int = 1
     """Of the whole clip this is every n-th frame."""
+    frames: int = 0
+    """Frames of the whole clip, where `clip` has not all of them."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +104,8 @@ def pack_scene(
     images = textures.pack(budget // 3, left_out)
     frame_budget = budget - sum(_json_size(value) for value in (*surfaces, *images))
     frame_budget = frame_budget if motion.characters is None else min(frame_budget, motion.characters)
-    every = max(panel.every for panel in panels)
-    moving = drop_frames([panel.clip for panel in panels], frame_budget, left_out, motion.frames, every)
+    whole = max(panel.every for panel in panels), max(max(panel.frames, len(panel.clip)) for panel in panels)
+    moving = drop_frames([panel.clip for panel in panels], frame_budget, left_out, motion.frames, whole)
     packed_panels = [
         _pack_panel(*fields) for fields in zip(panels, *moving, _placements(panels), surface_indices, strict=True)
     ]

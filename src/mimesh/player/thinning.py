@@ -27,7 +27,11 @@ CHARACTERS = 5
 
 
 def drop_frames(
-    clips: Sequence[Clip], budget: int, left_out: list[str], most: int | None = None, every: int = 1
+    clips: Sequence[Clip],
+    budget: int,
+    left_out: list[str],
+    most: int | None = None,
+    whole: tuple[int, int] | None = None,
 ) -> tuple[list[Clip], list[Quantization], list[Int[np.ndarray, " V"] | None]]:
     """Keep every n-th frame of all clips, with an n for which they fit into `budget` characters, and quantize them.
 
@@ -36,7 +40,7 @@ def drop_frames(
 
     Args:
         most: largest number of frames; None allows any.
-        every: the clips have every n-th frame of those that were made.
+        whole: the clips have every n-th of so many frames; None: they are whole.
 
     Returns:
         The clips with the vertices that move differently, their quantizations, and for each vertex of a mesh its index
@@ -54,8 +58,9 @@ def drop_frames(
         if size <= budget or step >= longest:
             break
         step = first * min(-(-longest // first), max(more + 1, int(more * min(size / max(budget, 1), MAX_STEP_RATIO))))
+    every, frames = whole or (1, longest)
     if step * every > 1:
-        left_out.append(f"every {_ordinal(step * every)} frame is shown, to keep this page small")
+        left_out.append(f"every {_ordinal(step * every)} of {frames:,} frames is shown, to keep this page small")
     return thinned, quantizations, list(indices)
 
 

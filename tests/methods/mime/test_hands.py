@@ -147,7 +147,7 @@ def test_fingers_are_followed_through_a_clip():
     found = named_fingers(skeleton.names, skeleton.parents, joints)
     assert [skeleton.names[j] for j in found.values()] == [*finger_joints("Left"), *finger_joints("Right")]
     assert np.allclose(skeleton.rig.weights.sum(axis=1), 1.0)
-    assert skeleton.deviation(result.clip.vertices) < 5e-3
+    assert skeleton.deviation(result.frames) < 5e-3
 
 
 @pytest.mark.slow
