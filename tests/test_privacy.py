@@ -271,10 +271,11 @@ def test_the_studio_answers_on_loopback_and_writes_to_its_temporary_folder_alone
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options) as program:
         try:
             page = Page(json.loads(program.stdout.readline())["address"])
-            page.drop("identity", inputs / "hero.obj")
-            page.drop("driving", inputs / "walk.glb")
-            assert page.export(".glb").startswith(b"glTF")
-            time.sleep(IDLE)
+            with page.client:
+                page.drop("identity", inputs / "hero.obj")
+                page.drop("driving", inputs / "walk.glb")
+                assert page.export(".glb").startswith(b"glTF")
+                time.sleep(IDLE)
             os.killpg(program.pid, signal.SIGINT)  # strace does not take it, the studio does
             errors = program.communicate(timeout=SECONDS)[1]
         finally:

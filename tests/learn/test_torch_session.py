@@ -16,8 +16,15 @@ from mimesh.methods import find_method
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("precision", "tolerance"), [("fp32", 1e-5), ("bf16", 0.1)])
-@pytest.mark.parametrize("network", ["npt", "aniformer"])
+@pytest.mark.parametrize(
+    ("network", "precision", "tolerance"),
+    [
+        ("npt", "fp32", 1e-5),
+        ("npt", "bf16", 0.2),  # a maximum over all points decides, so rounding may choose another one
+        ("aniformer", "fp32", 1e-5),
+        ("aniformer", "bf16", 0.1),
+    ],
+)
 def test_results_are_those_of_onnxruntime(network, precision, tolerance, exported, tmp_path, monkeypatch):
     monkeypatch.setattr(torch_session, "choose_precision", lambda *_: (precision, ""))
     # Networks are kept by their path.

@@ -205,7 +205,7 @@ def random_turns(seed: int, names: Collection[str], degrees: float = 20.0) -> di
 def small(mesh: Mesh) -> Mesh:
     """Take an animal of the shipped body with few faces."""
     remaining, faces = decimation(FACES, "quadruped")
-    return replace(mesh, vertices=mesh.vertices[remaining], faces=faces)
+    return replace(mesh, vertices=mesh.vertices[remaining], faces=faces, parts=())
 
 
 def small_clip(clip: Clip) -> Clip:
