@@ -26,9 +26,10 @@ demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
 test: $(VENV)/.dev
 	$(TESTS)
 
-# With the slow tests, and TYPED.
+# The slow tests, then the quick ones, TYPED: what slow ones call is called by quick ones, too.
 test-all: $(VENV)/.dev
-	$(TESTS) $(TYPED) -m 'not gpu and not client'
+	$(TESTS) -m 'slow and not gpu and not client'
+	$(TESTS) $(TYPED)
 
 # Format, style, imports and types; pyright (standard) reads src, scripts and benchmarks, see pyproject.toml.
 lint: $(VENV)/.dev
@@ -40,7 +41,7 @@ lint: $(VENV)/.dev
 check: lint test-all
 
 smoke: $(VENV)/.dev
-	$(BIN)/python -m pytest -q $(TYPED) tests/learn/test_smoke.py
+	$(BIN)/python -m pytest -q -m '' $(TYPED) tests/learn/test_smoke.py
 
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/bench.py
