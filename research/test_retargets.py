@@ -11,7 +11,7 @@ import pytest
 from retargets import Actor, body_limbs, measure
 
 from mimesh.bodies import load_body
-from mimesh.core.frame_buffer import Frames
+from mimesh.core.frame_buffer import LazyFrames
 from mimesh.core.mesh import Clip
 from mimesh.pipeline.result import ClipResult, Timer
 
@@ -24,7 +24,7 @@ def still(frames: int) -> Clip:
 
 
 def result_of(clip: Clip, report: dict) -> ClipResult:
-    return ClipResult(clip.mesh, Frames.stored(clip.vertices), clip.fps, "mime", Timer(), report, ())
+    return ClipResult(clip.mesh, LazyFrames.stored(clip.vertices), clip.fps, "mime", Timer(), report, ())
 
 
 def test_a_character_that_is_turned_over_for_a_few_frames_is_found():

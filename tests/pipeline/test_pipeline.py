@@ -4,16 +4,18 @@ import dataclasses
 
 import numpy as np
 import pytest
-from networks import write_network
+from networks import write_mime_network, write_network
 from people import person, walk
 from zoo import cube
 
 from mimesh.core.errors import InputError
-from mimesh.core.frame_buffer import Frames
+from mimesh.core.frame_buffer import LazyFrames
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import load_mesh, save_mesh
+from mimesh.methods.base import SkinnedDrive
 from mimesh.pipeline import animate, transfer
 from mimesh.pipeline.report import against_neighbours, flipped_share, quality
+from mimesh.player.pack import MotionLimits
 
 
 def ground_point(vertices):
@@ -53,6 +55,35 @@ def test_range_of_frames_is_taken_at_the_same_speed():
     assert result.fps == clip.fps / 2
     assert calls == [(1, 3), (2, 3), (3, 3)]
     assert animate(identity, clip, "copy", stop=2, fps=50.0).fps == 50.0
+
+
+def test_a_file_of_joints_is_written_without_making_all_frames(tmp_path, monkeypatch):
+    """Report, file and page ask for few frames, which are those of the whole clip; only `clip` makes all."""
+    network = write_mime_network(tmp_path / "net.onnx")
+    clip = walk(frames=200)
+    made = []
+    monkeypatch.setattr(SkinnedDrive, "posed", counted_calls(SkinnedDrive.posed, made))
+    result = animate(person(0), clip, str(network))
+    result.save_skinned(tmp_path / "out.glb")
+    page = result.player(tmp_path / "out.html", motion=MotionLimits(frames=10)).read_text()
+    assert 0 < len(made) < 0.9 * len(clip)
+    assert "every 20th of 200 frames is shown" in page
+    chosen = [0, 7, 199, 7]
+    few = list(result.frames.at(chosen))
+    assert len(result.frames) == len(result.clip) == 200
+    np.testing.assert_array_equal(np.stack(few), result.clip.vertices[chosen])
+    with pytest.raises(InputError, match="most: expected 1 frame or more, found 0"):
+        result.panels(0)
+
+
+def counted_calls(function, calls):
+    """Return a function that notes each of its calls."""
+
+    def call(*args):
+        calls.append(None)
+        return function(*args)
+
+    return call
 
 
 @pytest.mark.parametrize(
@@ -108,7 +139,7 @@ def test_quality_of_known_changes():
     mesh = cube()
 
     def measured(scale: float, of: Mesh = mesh) -> dict:
-        return quality(of, Frames.stored(mesh.vertices[None] * scale))
+        return quality(of, LazyFrames.stored(mesh.vertices[None] * scale))
 
     assert measured(1.0) == {
         "edge_stretch_max": 1.0,

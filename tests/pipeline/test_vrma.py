@@ -17,7 +17,7 @@ import mimesh
 from mimesh.bodies import load_body
 from mimesh.bodies.character_limbs import SIDES
 from mimesh.core.errors import InputError
-from mimesh.core.frame_buffer import Frames
+from mimesh.core.frame_buffer import LazyFrames
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.io import load_clip
 from mimesh.io.gltf.document import open_document
@@ -131,7 +131,7 @@ def test_other_rigs_are_written_from_a_t_pose(facing, tmp_path):
 def test_joints_found_on_a_surface_become_bones(up, front, tmp_path):
     """The joints of the result are those of the shipped body, in the axes of the identity."""
     rig = moving_rig(3, fingers=True, up=up, front=front, arms=30.0)
-    frames = Frames.stored(np.tile(rig.mesh.vertices, (len(rig.root), 1, 1)))
+    frames = LazyFrames.stored(np.tile(rig.mesh.vertices, (len(rig.root), 1, 1)))
     result = ClipResult(rig.mesh, frames, 24.0, "mime", Timer(), {"identity": {"up": up, "front": front}}, skeleton=rig)
     motion = _bone_motion(result, "x", None, tmp_path / "x.vrma")
     positions = rig.joint_positions() @ ROTATIONS[ORIENTATIONS.index((up, front))].T

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from .frame_buffer import Frames, evenly_spread
+from .frame_buffer import LazyFrames, evenly_spread
 from .geometry import slerp
 from .mesh import Mesh
 from .rig import Rig, homogeneous, local_rotations
@@ -93,7 +93,7 @@ class AnimatedRig:
         """Select the INFLUENCES joints with the largest weights of each vertex, and scale these weights to sum to 1."""
         return self.rig.strongest(INFLUENCES)
 
-    def deviation(self, frames: Frames) -> float:
+    def deviation(self, frames: LazyFrames) -> float:
         """Measure the error of `strongest`: largest distance of a vertex from `frames`, over the mesh's size.
 
         Only CHECKED_FRAMES frames are compared.

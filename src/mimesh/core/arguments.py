@@ -156,7 +156,7 @@ def described(value: object) -> str:
 
 def _advice(value: object, allowed: list[str]) -> str:
     """Say what to do with a value of a wrong kind."""
-    if hasattr(value, "moved"):  # results
+    if hasattr(value, "panels"):  # results
         return "give its mesh (Result) or clip (ClipResult)"
     if "Clip" in allowed and _is("Mesh")(value):
         return "mimesh.Clip.still(mesh) is a clip of one frame, transfer takes a pose, save_mesh writes a mesh"

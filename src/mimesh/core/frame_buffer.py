@@ -85,7 +85,7 @@ def store_frames(
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
+class LazyFrames:
     """The frames of a moved mesh: stored, or made each time that they are asked for. A file of joints needs few."""
 
     count: int
@@ -94,7 +94,7 @@ class Frames:
     dtype: np.dtype
 
     @classmethod
-    def stored(cls, vertices: Float[np.ndarray, "T V 3"]) -> Frames:
+    def stored(cls, vertices: Float[np.ndarray, "T V 3"]) -> LazyFrames:
         """Give out frames that are there already."""
         return cls(len(vertices), lambda chosen: (vertices[t] for t in chosen), vertices.dtype)
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.errors import InputError
-from ..core.frame_buffer import Frames, Progress
+from ..core.frame_buffer import LazyFrames, Progress
 from ..core.mesh import Clip, Mesh, same_mesh
 from ..core.normalization import Normalization
 from ..io.beside import missing_images, missing_images_notes
@@ -305,7 +305,7 @@ def _play_nodes(
         own = prepared.animation(root)
     if progress is not None:
         progress(len(clip), len(clip))
-    moved = Frames(own.frames, own.vertices, np.dtype(dtype))
+    moved = LazyFrames(own.frames, own.vertices, np.dtype(dtype))
     report = surface_report(identity, clip, moved, fitted_norms(identity, first_frame(clip), prepared.axes))
     report |= {"rig": "own", **prepared.facts, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
     notes = prepared.notes + missing_images_notes(missing_images(identity))

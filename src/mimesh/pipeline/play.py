@@ -14,7 +14,7 @@ from ..bodies.character_limbs import SIDES
 from ..bodies.joint_names import finger_joints, without_fingers
 from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.foot_planting import PosedJoints, foot_skate
-from ..core.frame_buffer import Frames, Progress, counted, each_frame, evenly_spread, store_frames
+from ..core.frame_buffer import LazyFrames, Progress, counted, each_frame, evenly_spread, store_frames
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -34,7 +34,7 @@ from .rigs import face_tracks
 class MovedIdentity:
     """A result in the identity's axes, unit and position, with its report."""
 
-    frames: Frames
+    frames: LazyFrames
     skeleton: AnimatedRig | None
     """Joints, skinning weights and motion of the identity, if the method has joints."""
     own: OwnAnimation | None
@@ -104,7 +104,7 @@ def play(
             refined = _refined(prepared.drive(driving), prepared.refinement, timer)
             shift, frames = _aligned((vertices @ prepared.turn.T for vertices in refined), prepared)
             placed = (identity_norm.undo(vertices + shift) for vertices in frames)
-            moved = Frames.stored(store_frames(placed, len(clip), len(identity.vertices), dtype, progress))
+            moved = LazyFrames.stored(store_frames(placed, len(clip), len(identity.vertices), dtype, progress))
     report = surface_report(identity, clip, moved, (identity_norm, driving_norm))
     report |= {"body": prepared.method.body} if isinstance(prepared.method, BodyMethod) else {}
     notes = prepared.notes + facing_note(identity_norm, identity.name, "--front")
@@ -127,7 +127,7 @@ def play(
 
 
 def surface_report(
-    identity: Mesh, clip: Clip, moved: Frames, norms: tuple[Normalization, Normalization]
+    identity: Mesh, clip: Clip, moved: LazyFrames, norms: tuple[Normalization, Normalization]
 ) -> dict[str, Any]:
     """Return the part of the report that all methods have."""
     return {
@@ -140,16 +140,16 @@ def surface_report(
 
 def _made_frames(
     prepared: Prepared, motion: _JointMotion, shift: Float[np.ndarray, " 3"], own: OwnAnimation | None, dtype: np.dtype
-) -> Frames:
+) -> LazyFrames:
     """Return frames that are made of the joints when they are asked for: a file of joints needs few of them."""
     # The joints of a person alone move neither morph targets nor what else has been copied.
     if own is not None and (own.morphs or prepared.rigs.beside):
-        return Frames(own.frames, own.vertices, dtype)
+        return LazyFrames(own.frames, own.vertices, dtype)
 
     def make(chosen: Int[np.ndarray, " N"]) -> Iterator[Float[np.ndarray, "V 3"]]:
         return (prepared.identity_norm.undo(_turned(motion, t, prepared) + shift) for t in chosen)
 
-    return Frames(len(motion.posed.root), make, dtype)
+    return LazyFrames(len(motion.posed.root), make, dtype)
 
 
 def _turned(motion: _JointMotion, t: int, prepared: Prepared) -> Float[np.ndarray, "V 3"]:

@@ -7,7 +7,7 @@ from typing import Literal, NotRequired, TypedDict
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..core.frame_buffer import Frames, evenly_spread
+from ..core.frame_buffer import LazyFrames, evenly_spread
 from ..core.geometry import edges, face_vectors
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -153,7 +153,7 @@ class TransferReport(TypedDict):
     """After `save` with `blendshapes`: largest distance of a vertex from its frame, as a share of the mesh's size."""
 
 
-def quality(identity: Mesh, moved: Frames) -> dict[str, float]:
+def quality(identity: Mesh, moved: LazyFrames) -> dict[str, float]:
     """Measure the worst edge stretch and share of flipped triangles over all frames; empty for a point cloud."""
     if len(identity.faces) == 0:
         return {}
@@ -215,18 +215,18 @@ def facing_note(norm: Normalization, name: str, option: str) -> tuple[str, ...]:
     return notes + (f"the facing of {name} is uncertain (taken: up {norm.up}, front {norm.front}); give {option}",)
 
 
-def accelerations(driving: Clip, moved: Frames) -> dict[str, dict[str, float]]:
+def accelerations(driving: Clip, moved: LazyFrames) -> dict[str, dict[str, float]]:
     """Measure the mean acceleration (extents a second squared) of result and driving; empty below three frames.
 
     A result with a much larger acceleration than its driving jitters.
     """
     if len(moved) < 3:
         return {}
-    clips = {"result": moved, "driving": Frames.stored(driving.vertices)}
+    clips = {"result": moved, "driving": LazyFrames.stored(driving.vertices)}
     return {"acceleration": {name: acceleration(frames, driving.fps) for name, frames in clips.items()}}
 
 
-def acceleration(frames: Frames, fps: float) -> float:
+def acceleration(frames: LazyFrames, fps: float) -> float:
     """Return the mean acceleration of vertices: second differences times fps^2, in extents of the first frame."""
     chosen = np.linspace(1, len(frames) - 2, min(MOST_FRAMES, len(frames) - 2)).round().astype(int)
     around = frames.at((chosen[:, None] + [-1, 0, 1]).ravel())

@@ -18,7 +18,7 @@ from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import AnimatedRig
 from ..core.arguments import public
 from ..core.errors import InputError
-from ..core.frame_buffer import Frames, Progress, store_frames
+from ..core.frame_buffer import LazyFrames, Progress, store_frames
 from ..core.mesh import Clip, Mesh
 from ..io import refuse_vrm, save_clip, save_mesh, save_own_pose
 from ..io.atomic import scratch_folder, written
@@ -58,7 +58,7 @@ class _Playable(Protocol):
     identity: Mesh | None
     skeleton: AnimatedRig | None
 
-    def every(self, step: int) -> Clip:
+    def _every(self, step: int) -> Clip:
         """Return every `step`-th frame of the result as a clip; a pose is a clip of one frame."""
         ...
 
@@ -88,12 +88,17 @@ class _Playable(Protocol):
         Args:
             most: frames of a longer clip, evenly spread, that are shown; others are not made. None: all.
 
+        Raises:
+            InputError: fewer than one frame.
+
         Example:
             >>> [panel.role for panel in result.panels()]
             ['identity', 'driving', 'result']
         """
         from ..player.pack import Panel
 
+        if most is not None and most < 1:
+            raise InputError(f"most: expected 1 frame or more, found {most}; leave it out for all")
         identity, driving = self.identity, self.driving_clip
         if identity is None or driving is None:
             return None
@@ -105,7 +110,7 @@ class _Playable(Protocol):
         return [
             panel("identity", Clip.still(identity), self.report["identity"]),
             panel("driving", every_frame(driving, step), self.report["driving"]),
-            panel("result", self.every(step), self.report["identity"]),
+            panel("result", self._every(step), self.report["identity"]),
         ]
 
     @public()
@@ -228,7 +233,7 @@ class Result(_Playable):
         """Vertices of the result, in the axes, unit and order of the identity."""
         return self.mesh.vertices
 
-    def every(self, step: int) -> Clip:
+    def _every(self, step: int) -> Clip:
         """Return the result as a clip of one frame."""
         return Clip.still(self.mesh)
 
@@ -280,7 +285,7 @@ class ClipResult(_Playable):
 
     mesh: Mesh
     """The identity in the first frame."""
-    frames: Frames
+    frames: LazyFrames
     """The identity's vertices (V, 3) in each of T frames, in single precision. Those of models with joints are made
     when they are asked for: `frames.at([0, 10])` makes two of them."""
     fps: float
@@ -307,9 +312,9 @@ class ClipResult(_Playable):
     @cached_property
     def clip(self) -> Clip:
         """The identity in all frames: `clip.vertices` is (T, V, 3). It is made when it is first asked for, and kept."""
-        return self.every(1)
+        return self._every(1)
 
-    def every(self, step: int) -> Clip:
+    def _every(self, step: int) -> Clip:
         """Make every `step`-th frame of the result, as a clip that takes as long."""
         chosen = range(0, len(self.frames), step)
         frames = store_frames(self.frames.at(chosen), len(chosen), len(self.mesh.vertices), self.frames.dtype)

@@ -18,7 +18,7 @@ from gltf_reference import json_of
 from matrix import matrix
 from scipy.spatial.transform import Rotation
 
-from mimesh.core.frame_buffer import Frames
+from mimesh.core.frame_buffer import LazyFrames
 from mimesh.core.mesh import cut_clip
 from mimesh.io import load_clip
 from mimesh.io.gltf.animation import read_channels
@@ -63,7 +63,7 @@ def test_nodes_with_a_matrix_move_in_memory_as_in_the_written_file(model, drivin
     result = animate(str(path), str(driving), model)
     assert distance(np.stack(list(result.own.vertices())), result.clip.vertices) < EXACT
     saved_as_computed(result, tmp_path / "out.glb")
-    moved = dataclasses.replace(result, frames=Frames.stored(result.clip.vertices + 0.1))
+    moved = dataclasses.replace(result, frames=LazyFrames.stored(result.clip.vertices + 0.1))
     moved.save_skinned(tmp_path / "out.glb")
     size = np.ptp(result.own.source.vertices, axis=0).max()
     assert moved.report["skinned_deviation"] == pytest.approx(0.1 * 3**0.5 / size, rel=1e-3), "it shows what is wrong"

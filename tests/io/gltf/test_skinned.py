@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.core.animated_rig import AnimatedRig, RigAnimation
 from mimesh.core.errors import InputError
-from mimesh.core.frame_buffer import Frames
+from mimesh.core.frame_buffer import LazyFrames
 from mimesh.core.rig import Rig
 from mimesh.io import load_clip, load_mesh, save_mesh, save_rig_animations, save_skinned
 from mimesh.io.gltf.document import open_document, read_accessor
@@ -67,8 +67,8 @@ def test_thinned_file_has_the_frames_and_the_rate_of_the_clip(frames, fps, tmp_p
     clip = load_clip(tmp_path / "a.glb")
     assert len(clip) == frames
     assert frames < 3 or clip.fps == pytest.approx(fps, rel=1e-6)
-    assert played.deviation(Frames.stored(clip.vertices)) < 1e-6
-    assert moving.deviation(Frames.stored(clip.vertices)) < 1e-4
+    assert played.deviation(LazyFrames.stored(clip.vertices)) < 1e-6
+    assert moving.deviation(LazyFrames.stored(clip.vertices)) < 1e-4
     assert moving.motion_deviation(played) < 1e-4
     document = open_document(tmp_path / "a.glb")
     animation = document.gltf["animations"][0]
@@ -86,7 +86,7 @@ def test_a_file_has_several_animations_at_their_own_rates(tmp_path):
     for name, moving, fps in (("slow", slow, 24.0), ("fast", fast, 60.0)):
         clip = load_clip(tmp_path / "a.glb", animation=name)
         assert (len(clip), clip.fps) == (len(moving.root), fps)
-        assert moving.deviation(Frames.stored(clip.vertices)) < 1e-4
+        assert moving.deviation(LazyFrames.stored(clip.vertices)) < 1e-4
     targets = [
         {(channel["target"]["node"], channel["target"]["path"]) for channel in animation["channels"]}
         for animation in open_document(tmp_path / "a.glb").gltf["animations"]
