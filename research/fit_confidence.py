@@ -63,7 +63,7 @@ def collect(
     method = find_method(model)
     axes = (AXES["up"], AXES["front"], AXES["driving_up"], AXES["driving_front"])
     rows = []
-    options = MotionOptions()
+    options = MotionOptions(body="human")  # "auto" refuses what looks like no person; here it is measured
     with typer.progressbar(list(_pairs(characters, people)), label="pairs") as bar:
         for name, make in bar:
             pair = make()
