@@ -5,11 +5,11 @@
     python research/measure_rigs.py POOL --unnamed [-o docs/rigs.json]
 
 The second form plays the own clips of files through `mimesh animate` and compares the written files with them: the
-motion, and all else that was in the files (`evaluate/own_rigs.py`). The third hides the names of the joints of all
-characters of the pool and finds them again (`evaluate/unnamed_rigs.py`). Each form leaves the figures of the others.
+motion, and all else that was in the files (`research/own_rigs.py`). The third hides the names of the joints of all
+characters of the pool and finds them again (`research/unnamed_rigs.py`). Each form leaves the figures of the others.
 
 POOL is a pool of rigged characters; those of its splits train and val are used. FILEs are motions without a mesh: .bvh,
-or .glb with animations of joints. Figures: `evaluate/retargets.py`. "copied rotations" is what users do by hand with
+or .glb with animations of joints. Figures: `research/retargets.py`. "copied rotations" is what users do by hand with
 constraints: each joint gets the rotation of its namesake, rest poses are not calibrated.
 """
 

@@ -221,3 +221,12 @@ def test_new_file_keeps_corner_data_and_parts(with_uv, with_normals, tmp_path):
         np.testing.assert_allclose(reread.corner_normals, mesh.corner_normals, atol=2e-6)
     other = trimesh.load(tmp_path / "out" / "cube.obj", process=False, force="mesh")
     np.testing.assert_array_equal(triangle_soup(other.vertices, other.faces), triangle_soup(mesh.vertices, mesh.faces))
+
+
+def test_saving_a_mesh_of_another_size_over_its_source_is_refused(tmp_path):
+    (tmp_path / "a.obj").write_bytes(CUBE_SHARED_NORMALS)
+    mesh = load_mesh(tmp_path / "a.obj")
+    more = np.concatenate([mesh.vertices, mesh.vertices[:1]])
+    with pytest.raises(ValueError, match=r"the file has vertices \(8, 3\)"):
+        save_mesh(dataclasses.replace(mesh, vertices=more), tmp_path / "b.obj")
+    assert not (tmp_path / "b.obj").exists()

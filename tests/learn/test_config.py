@@ -35,6 +35,7 @@ def test_configurations_take_changes():
         ("small", "hands", "data.kind=wide", "kind: expected hands"),
         ("small", "hands", "data.characters=0.9", r"data\.characters"),
         ("table", "aniformer", "model.head=regression", r"losses\.motion"),
+        ("table", "aniformer", "model.layers=[]", "layers: expected the channels of one layer or more, found none"),
         ("table", "aniformer", "model.vertices=6890", "expected data.pairing order with model.vertices, found random"),
     ],
 )

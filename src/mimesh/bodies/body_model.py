@@ -96,9 +96,12 @@ class RiggedBody:
         return skinning_transforms(joints, rotmat, self.parents, root)
 
     def mesh(self, vertices: Float[np.ndarray, "V 3"] | None = None) -> Mesh:
-        """Make a Mesh with this body's faces and the given vertices; default is the mean shape at rest."""
-        points = self.vertices if vertices is None else vertices
-        return Mesh(np.asarray(points, np.float64), self.faces, name=self.name)
+        """Make a Mesh with this body's faces and the given vertices; default is the mean shape at rest.
+
+        Callers may change its arrays; those of the body, which they share, are copied.
+        """
+        points = self.vertices.copy() if vertices is None else np.asarray(vertices, np.float64)
+        return Mesh(points, self.faces.copy(), name=self.name)
 
 
 def load_body(name_or_path: str | Path = "human") -> RiggedBody:

@@ -92,11 +92,13 @@ class LazyFrames:
     make: Callable[[Int[np.ndarray, " N"]], Iterable[Float[np.ndarray, "V 3"]]]
     """Makes the frames of these numbers, in this order."""
     dtype: np.dtype
+    array: Float[np.ndarray, "T V 3"] | None = None
+    """Stored frames; None where they are made."""
 
     @classmethod
     def stored(cls, vertices: Float[np.ndarray, "T V 3"]) -> LazyFrames:
         """Give out frames that are there already."""
-        return cls(len(vertices), lambda chosen: (vertices[t] for t in chosen), vertices.dtype)
+        return cls(len(vertices), lambda chosen: (vertices[t] for t in chosen), vertices.dtype, vertices)
 
     def __len__(self) -> int:
         """Return how many there are."""

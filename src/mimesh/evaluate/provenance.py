@@ -17,7 +17,10 @@ LIBRARIES = ("numpy", "scipy", "onnxruntime", "fast-simplification")
 
 @cache
 def commit() -> str:
-    """Short hash of the code's git commit, `-dirty` if files differ from it; `unknown` outside a checkout."""
+    """Short hash of the code's git commit, `-dirty` if files differ from it; `unknown` outside a checkout.
+
+    It is asked once, because the code that runs is that of the first call or an earlier one.
+    """
     commands = ["git ls-files --error-unmatch __init__.py", "git describe --always --dirty"]
     try:
         # The first fails where the package is installed inside a checkout of something else.

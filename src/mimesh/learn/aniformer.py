@@ -130,6 +130,8 @@ class AniFormerTrainConfig(TrainConfig):
                 f"{where}: expected data.pairing order with model.vertices, found {self.data.pairing}; weights of a "
                 "vertex need meshes in one order"
             )
+        if not model.layers:
+            raise InputError(f"{where}, layers: expected the channels of one layer or more, found none")
         undivided = [width for width in model.layers if model.heads < 1 or width % model.heads]
         if undivided and model.attention != "off":
             raise InputError(f"{where}: expected heads that divide every layer, found {model.heads} for {undivided[0]}")

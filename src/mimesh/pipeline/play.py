@@ -83,7 +83,10 @@ def play(
     progress: Progress | None = None,
     dtype: type[np.floating] = np.float64,
 ) -> MovedIdentity:
-    """Make all frames of a clip and their report; the options have been checked in `prepare`."""
+    """Move an identity, and report; frames of methods with joints are made when they are asked for.
+
+    The options have been checked in `prepare`.
+    """
     identity, clip, rest = prepared.identity, prepared.clip, prepared.rest
     identity_norm, driving_norm = prepared.identity_norm, prepared.driving_norm
     with timer.step("drive"):
@@ -96,7 +99,7 @@ def play(
             limited = limited and prepared.rigs.humanoid is None
             drive = prepared.drive.limited(rest.vertices, INFLUENCES) if limited else prepared.drive
             motion = _joint_motion(drive, counted(driving, len(clip), progress), clip.fps, options, scale)
-            shift = prepared.shift(_turned(motion, 0, prepared))
+            shift = prepared.shift(_turned(motion, 0, prepared.turn, prepared.refinement))
             skeleton = _animated_rig(prepared, motion, shift)
             own = _own_animation(prepared, skeleton)
             moved = _made_frames(prepared, motion, shift, own, np.dtype(dtype))
@@ -105,7 +108,9 @@ def play(
             shift, frames = _aligned((vertices @ prepared.turn.T for vertices in refined), prepared)
             placed = (identity_norm.undo(vertices + shift) for vertices in frames)
             moved = LazyFrames.stored(store_frames(placed, len(clip), len(identity.vertices), dtype, progress))
-    report = surface_report(identity, clip, moved, (identity_norm, driving_norm))
+        if len(clip) == 1:
+            moved = LazyFrames.stored(moved.first()[None].astype(dtype))
+        report = surface_report(identity, clip, moved, (identity_norm, driving_norm))
     report |= {"body": prepared.method.body} if isinstance(prepared.method, BodyMethod) else {}
     notes = prepared.notes + facing_note(identity_norm, identity.name, "--front")
     notes += facing_note(driving_norm, clip.mesh.name, "--driving-front")
@@ -146,16 +151,20 @@ def _made_frames(
     if own is not None and (own.morphs or prepared.rigs.beside):
         return LazyFrames(own.frames, own.vertices, dtype)
 
+    norm, turn, refinement = prepared.identity_norm, prepared.turn, prepared.refinement
+
     def make(chosen: Int[np.ndarray, " N"]) -> Iterator[Float[np.ndarray, "V 3"]]:
-        return (prepared.identity_norm.undo(_turned(motion, t, prepared) + shift) for t in chosen)
+        return (norm.undo(_turned(motion, t, turn, refinement) + shift) for t in chosen)
 
     return LazyFrames(len(motion.posed.root), make, dtype)
 
 
-def _turned(motion: _JointMotion, t: int, prepared: Prepared) -> Float[np.ndarray, "V 3"]:
+def _turned(
+    motion: _JointMotion, t: int, turn: Float[np.ndarray, "3 3"], refinement: Refinement | None
+) -> Float[np.ndarray, "V 3"]:
     """Make a frame, refined, with the driving's heading."""
     vertices = motion.frame(t)
-    return (vertices if prepared.refinement is None else prepared.refinement(vertices)) @ prepared.turn.T
+    return (vertices if refinement is None else refinement(vertices)) @ turn.T
 
 
 def _joint_motion(

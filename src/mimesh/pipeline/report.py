@@ -229,10 +229,13 @@ def accelerations(driving: Clip, moved: LazyFrames) -> dict[str, dict[str, float
 def acceleration(frames: LazyFrames, fps: float) -> float:
     """Return the mean acceleration of vertices: second differences times fps^2, in extents of the first frame."""
     chosen = np.linspace(1, len(frames) - 2, min(MOST_FRAMES, len(frames) - 2)).round().astype(int)
-    around = frames.at((chosen[:, None] + [-1, 0, 1]).ravel())
-    second = (before.astype(np.float64) - 2.0 * now + after for before, now, after in zip(*[around] * 3, strict=True))
-    mean = np.mean([np.linalg.norm(of_frame, axis=-1).mean() for of_frame in second])
-    return float(mean * fps**2 / np.ptp(next(frames.at([0])), axis=0).max())
+    needed, around, means = np.unique(chosen[:, None] + [-1, 0, 1]), {}, []
+    for t, points in zip(needed.tolist(), frames.at(needed), strict=True):
+        around = {k: kept for k, kept in around.items() if k >= t - 2} | {t: points}
+        if t - 1 in chosen:
+            second = around[t - 2].astype(np.float64) - 2.0 * around[t - 1] + points
+            means.append(np.linalg.norm(second, axis=-1).mean())
+    return float(np.mean(means) * fps**2 / np.ptp(next(frames.at([0])), axis=0).max())
 
 
 def against_neighbours(faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]) -> Bool[np.ndarray, " F"]:

@@ -314,11 +314,14 @@ class ClipResult(_Playable):
         """The identity in all frames: `clip.vertices` is (T, V, 3). It is made when it is first asked for, and kept."""
         return self._every(1)
 
-    def _every(self, step: int) -> Clip:
+    def _every(self, step: int, progress: Progress | None = None) -> Clip:
         """Make every `step`-th frame of the result, as a clip that takes as long."""
+        if self.frames.array is not None:
+            return Clip(self.mesh, self.frames.array[::step], self.fps / step)
         chosen = range(0, len(self.frames), step)
-        frames = store_frames(self.frames.at(chosen), len(chosen), len(self.mesh.vertices), self.frames.dtype)
-        return Clip(self.mesh, frames, self.fps / step)
+        frames = self.frames.at(chosen)
+        stored = store_frames(frames, len(chosen), len(self.mesh.vertices), self.frames.dtype, progress)
+        return Clip(self.mesh, stored, self.fps / step)
 
     @property
     def driving_clip(self) -> Clip | None:
@@ -355,7 +358,8 @@ class ClipResult(_Playable):
         if Path(path).suffix.lower() == ".vrma":
             return self.save_skinned(path)
         with self.seconds.step("write"):
-            deviation = write_clip(self.clip, Path(path), blendshapes=blendshapes, progress=progress)
+            clip = self.__dict__.get("clip") or self._every(1, progress)
+            deviation = write_clip(clip, Path(path), blendshapes=blendshapes, progress=progress)
         if deviation is not None:
             self.report["blendshapes_deviation"] = deviation
         return Path(path)

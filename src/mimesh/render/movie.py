@@ -42,7 +42,8 @@ def write_clip(
     """Write a clip as a file, a folder of frames or a movie.
 
     Args:
-        blendshapes: .glb and .gltf only: number of morph targets, instead of one per frame; see `io.blend_shapes`.
+        blendshapes: .glb and .gltf only: number of morph targets, instead of one per frame; see
+            `io.gltf.clip`.
 
     Returns:
         With `blendshapes`, the largest distance of a vertex to its position in the clip, over the size of the mesh.

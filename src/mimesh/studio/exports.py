@@ -120,7 +120,7 @@ def _write_one(export: Export, result: ClipResult, driving: str, target: Path, p
 def _check(export: Export, results: list[tuple[str, str, ClipResult]]) -> None:
     if not results:
         raise InputError("export: expected a result, found none; add a mesh to move and a driving motion")
-    moving = len(results[0][2].clip) > 1
+    moving = len(results[0][2].frames) > 1
     suffixes = [entry["suffix"] for entry in formats(moving)]
     if export.suffix not in suffixes:
         raise InputError(f"format: expected one of {' '.join(map(str, suffixes))}, found {export.suffix!r}; choose one")

@@ -15,7 +15,7 @@ from ..bodies import load_body
 from ..bodies.animals import ANIMALS, animal
 from ..bodies.characters import character
 from ..core.errors import InputError, command_line_words
-from ..core.frame_buffer import Progress
+from ..core.frame_buffer import LazyFrames, Progress, store_frames
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -141,10 +141,16 @@ def compute_result(
     """Compute the whole clip, as `pipeline.animate` does, or the one pose, as `pipeline.transfer` does."""
     seconds, method = Timer(), find_method(options.model)
     dtype = np.float64 if len(clip) == 1 else np.float32
-    moved = play_move(prepared, seconds, options.motion(method), progress, dtype)
+    moved = play_move(prepared, seconds, options.motion(method), lambda done, total: progress(done, 2 * total), dtype)
+    # The page shows all frames: they are made here, where they can be stopped.
+    made = moved.frames.array
+    if made is None:
+        count, vertices = len(clip), len(identity.vertices)
+        frames = moved.frames.at(range(count))
+        made = store_frames(frames, count, vertices, dtype, lambda done, total: progress(total + done, 2 * total))
     return ClipResult(
         identity.with_vertices(moved.frames.first()),
-        moved.frames,
+        LazyFrames.stored(made),
         clip.fps,
         method.name,
         seconds,

@@ -163,11 +163,11 @@ def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int
     my_parents, their_parents = tuple(node_parents(mine)), tuple(node_parents(theirs))
     if my_names == their_names and my_parents == their_parents:
         return {node: node for node in joints}
-    pairs = {}
+    pairs, among = {}, set(joints)
     for node in joints:
         # As many names count as there are joints from the node up.
         chain = ancestors(my_parents, node)
-        length = sum(n in joints for n in chain)
+        length = sum(n in among for n in chain)
         wanted = [my_names[n] for n in chain[:length]]
         named = [other for other, name in enumerate(their_names) if name == my_names[node]]
         found = [o for o in named if [their_names[n] for n in ancestors(their_parents, o)[:length]] == wanted]

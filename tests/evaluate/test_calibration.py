@@ -1,17 +1,12 @@
-"""The report on the axes of limbs shows T-poses and A-poses; its characters are those of tests/evaluate."""
+"""The report of research/check_calibration.py on the axes of limbs shows T-poses and A-poses."""
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from check_calibration import calibration_report
 
 from mimesh.bodies.character_limbs import Limb
-
-sys.path.append(str(Path(__file__).parents[1] / "tests" / "evaluate"))
-from test_limb_metrics import prisms, turned
 
 
 @pytest.mark.parametrize("degrees", [0, 45])
