@@ -20,7 +20,6 @@ import dataclasses
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -75,7 +74,7 @@ class CharacterPair(Pair):
     driving_character: PosedCharacter
     """The driving character in its pose."""
 
-    def reordered(self, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> Self:
+    def reordered(self, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> CharacterPair:
         """Reorder the vertices of both meshes, and the weights of both characters with them."""
         return dataclasses.replace(
             super().reordered(order, driving_order),

@@ -24,7 +24,6 @@ import zlib
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -90,7 +89,7 @@ class ClipPair(Pair):
     place: Int[np.ndarray, " V"] | None = None
     """Vertex of both meshes for each vertex of the body; None where they have the body's order, or two orders."""
 
-    def reordered(self, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> Self:
+    def reordered(self, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> ClipPair:
         """Reorder the vertices in all frames."""
         first = super().reordered(order, driving_order)
         template = self.template

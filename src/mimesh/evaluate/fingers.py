@@ -12,7 +12,7 @@ import dataclasses
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -57,7 +57,7 @@ class FingerPair(Pair):
     tips: Int[np.ndarray, "10"]
     """Vertices at the fingertips, of the left hand first."""
 
-    def reordered(self, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> Self:
+    def reordered(self, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> FingerPair:
         """Reorder the vertices of both meshes, with what belongs to those of the identity."""
         shuffled = super().reordered(order, driving_order)
         return dataclasses.replace(shuffled, part=self.part[order], tips=np.argsort(order)[self.tips])

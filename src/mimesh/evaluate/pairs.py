@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import cache
-from typing import Self
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,6 +19,9 @@ from .remesh import Remesh
 MISSING_DISTANCE = 0.08
 """Metres. A landmark is missing on a damaged mesh if no vertex is closer than this. 8 cm because coarse meshings, whose
 vertices are some centimetres apart, must keep their landmarks."""
+
+
+P = TypeVar("P", bound="Pair")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +58,11 @@ class Pair:
     groups: tuple[str, str] = ("", "")
     """The identity person, and the driving person (in clips the take): pairs that share one are not independent."""
 
-    def shuffled(self, rng: np.random.Generator) -> Self:
+    def shuffled(self: P, rng: np.random.Generator) -> P:
         """Shuffle the vertices of both meshes independently; truth, extra inputs and markers follow."""
         return self.reordered(*(rng.permutation(len(mesh.vertices)) for mesh in (self.identity, self.driving)))
 
-    def reordered(self, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> Self:
+    def reordered(self: P, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> P:
         """Reorder the vertices of a pair: new vertex k of the identity is old vertex `order[k]`, and so on."""
         # Markers are vertex numbers, so they need the inverse orders: the rank of each old vertex in the new order.
         ranks = np.argsort(order), np.argsort(driving_order)
