@@ -5,7 +5,7 @@ from __future__ import annotations
 import mmap
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -104,7 +104,7 @@ class LazyFrames:
         """Return how many there are."""
         return self.count
 
-    def at(self, chosen: Iterable[int]) -> Iterator[Float[np.ndarray, "V 3"]]:
+    def at(self, chosen: Int[np.ndarray, " N"] | Sequence[int]) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield the frames of these numbers, in this order."""
         for points in self.make(np.asarray(list(chosen), np.int64)):
             yield points.astype(self.dtype, copy=False)

@@ -154,7 +154,7 @@ def _made_frames(
     norm, turn, refinement = prepared.identity_norm, prepared.turn, prepared.refinement
 
     def make(chosen: Int[np.ndarray, " N"]) -> Iterator[Float[np.ndarray, "V 3"]]:
-        return (norm.undo(_turned(motion, t, turn, refinement) + shift) for t in chosen)
+        return (norm.undo(_turned(motion, t, turn, refinement) + shift) for t in chosen.tolist())
 
     return LazyFrames(len(motion.posed.root), make, dtype)
 
