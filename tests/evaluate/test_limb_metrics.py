@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from check_calibration import calibration_report
 
 from mimesh.bodies import load_body
 from mimesh.bodies.character_limbs import Limb
@@ -323,3 +324,24 @@ def test_shape_hardly_turns_the_thigh():
     """Fat above the thigh is shared with the trunk; counted like the rest, it turns the axis by 5 degrees."""
     axes = np.array([human(i).cuts["LeftUpLeg"].axis for i in (*range(8), *range(30, 38))])
     assert np.median(np.degrees(np.arccos((axes[:8] * axes[8:]).sum(axis=1)))) < 4.4
+
+
+@pytest.mark.parametrize("degrees", [0, 45])
+def test_calibration_shows_the_pose_of_the_file(degrees):
+    """A T-pose and an A-pose."""
+    figure = prisms()
+    rest = turned(figure, LeftArm=(0, 0, -degrees), RightArm=(0, 0, degrees))
+    turn = np.radians(degrees)
+    direction = np.array([np.cos(turn), -np.sin(turn), 0])
+    limbs = dict(figure.limbs)
+    for side in ("Left", "Right"):
+        mirror = direction * ([1, 1, 1] if side == "Left" else [-1, 1, 1])
+        shoulder = limbs[f"{side}Arm"].start
+        elbow, wrist = shoulder + 0.3 * mirror, shoulder + 0.6 * mirror
+        limbs[f"{side}Arm"] = Limb(limbs[f"{side}Arm"].joint, shoulder, elbow)
+        limbs[f"{side}ForeArm"] = Limb(limbs[f"{side}ForeArm"].joint, elbow, wrist)
+    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(figure.character.mesh, vertices=rest))
+    report = calibration_report(rig, limbs)
+    assert [report[name] for name in report if name.startswith("below")] == pytest.approx([degrees] * 4, abs=1e-6)
+    straight = [report[name] for name in report if name.split()[0] in ("joint", "mirror", "down", "up", "front")]
+    np.testing.assert_allclose(straight, 0, atol=1e-5)

@@ -75,7 +75,7 @@ def smpl_arrays(joints: int = 24, shapes: int = 10, seed: int = 0, faces: int | 
     body, rng = load_body(), np.random.default_rng(seed)
     if faces is not None:
         kept, triangles = decimation(faces)
-        body = replace(body, vertices=body.vertices[kept], faces=triangles, weights=body.weights[kept])
+        body = replace(body.part(kept), faces=triangles)
     count, names = len(body.vertices), list(PARENTS)
     weights, centres = np.zeros((count, joints)), rng.choice(body.vertices, joints)
     for j, joint in enumerate(body.joint_names):
