@@ -13,10 +13,9 @@ from functools import cache
 from pathlib import Path
 
 import typer
-from typer.main import get_command
 from write_results import read_reports, rows_by_set
 
-from mimesh.cli import app
+from mimesh.cli import command_line
 from mimesh.commands.about import DESCRIPTIONS
 from mimesh.core import budgets
 from mimesh.evaluate.markdown import markdown_table
@@ -436,7 +435,7 @@ def _memory(figures: dict[str, float]) -> str:
 
 def command_reference() -> str:
     """Return one Markdown section per command: description, usage, arguments, and options with their defaults."""
-    group = get_command(app)
+    group = command_line()
     context = typer.Context(group, info_name="mimesh")
     return "\n\n".join(_section(command, context) for command in group.commands.values())
 

@@ -15,10 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zoo
-from typer.main import get_command
 
 import mimesh
-from mimesh.cli import COMMANDS, app, command_name, run
+from mimesh.cli import COMMANDS, command_line, command_name, run
 from mimesh.core.mesh import Clip, Material, Part
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.methods.find import MODELS
@@ -41,7 +40,7 @@ def test_help_names_every_command_and_imports_nothing_heavy():
 
 
 def test_every_command_has_help_and_json(call):
-    for name, command in get_command(app).commands.items():
+    for name, command in command_line().commands.items():
         assert command.help, name
         assert any("--json" in parameter.opts for parameter in command.params), name
     assert "--json" in call("look --help").out

@@ -9,9 +9,8 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from typer.main import get_command
 
-from mimesh.cli import COMMANDS, app, command_name
+from mimesh.cli import COMMANDS, command_line, command_name
 from mimesh.evaluate.tables import TABLES
 from mimesh.io.formats import CLIP_READERS, CLIP_WRITERS, MESH_READERS, MESH_WRITERS
 from mimesh.methods.find import MODELS
@@ -34,7 +33,7 @@ def inserts():
 
 @pytest.fixture(scope="module")
 def commands():
-    return get_command(app).commands
+    return command_line().commands
 
 
 @pytest.fixture(scope="module")
