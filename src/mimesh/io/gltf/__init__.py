@@ -26,7 +26,7 @@ from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Mesh, check_mesh
 from ...motions.on_body import first_frame, on_body, played
 from ..timing import DEFAULT_FPS
-from .animation import frame_rate, frame_times, posed_vertices, sample_nodes, select_channels
+from .animation import frame_rate, frame_times, posed_vertices, sample_nodes, select_channels, unposed_vertices
 from .build import build_document
 from .check import is_supported
 from .clip import add_morph_animation, fit_blend_shapes
@@ -96,7 +96,8 @@ def read_gltf_clip(
     fps = fps or own_fps
     times = frame_times(document, channels, fps)
     check_clip_size(len(times), len(mesh.vertices), path)
-    frames = posed_vertices(document, mesh.source.rest, sample_nodes(document, channels, times))
+    parts = unposed_vertices(document, mesh.source.rest, [(channel.node, channel.path) for channel in channels])
+    frames = posed_vertices(document, parts, sample_nodes(document, channels, times))
     vertices = store_frames(frames, len(times), len(mesh.vertices), progress=progress)
     skeleton = GltfJoints(document, channels, times, mesh, whole=fps == own_fps)
     return Clip(mesh.with_vertices(vertices[0]), vertices, fps, skeleton=skeleton)

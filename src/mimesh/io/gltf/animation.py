@@ -364,13 +364,18 @@ def pose_nodes(document: Document, values: AnimatedValues, frames: int) -> NodeB
         yield some, world_matrices(document, animated_matrices(document, some, count))
 
 
-def posed_vertices(document: Document, rest: RestScene, blocks: NodeBlocks) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """Yield the vertices of the Mesh in each frame of blocks of frames, in which the same values are animated."""
-    parts: list[UnposedVertices] = []
+def unposed_vertices(document: Document, rest: RestScene, animated: Iterable[tuple[int, str]]) -> list[UnposedVertices]:
+    """Read the vertices of the Mesh before skinning; `animated` are the nodes and properties that frames change."""
+    morphed = {node for node, path in animated if path == "weights"}
+    return [_prepare_vertices(document, span, span.node in morphed) for span in rest.vertex_ranges]
+
+
+def posed_vertices(
+    document: Document, parts: list[UnposedVertices], blocks: NodeBlocks
+) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """Yield the vertices of the Mesh in each frame of blocks of frames."""
     for values, T_world_node in blocks:
         morph_weights = {node: value for (node, path), value in values.items() if path == "weights"}
-        if not parts:
-            parts = [_prepare_vertices(document, span, span.node in morph_weights) for span in rest.vertex_ranges]
         # Positions of one frame at a time: only node transforms are computed for a whole block.
         for t in range(len(T_world_node)):
             frame_weights = {node: value[t].tolist() for node, value in morph_weights.items()}

@@ -16,6 +16,7 @@ import dataclasses
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from .animation import (
     PATH_WIDTHS,
     AnimatedValues,
     AnimationChannel,
+    UnposedVertices,
     add_animation,
     frame_rate,
     pose_nodes,
@@ -37,6 +39,7 @@ from .animation import (
     read_channels,
     sample_nodes,
     slerp,
+    unposed_vertices,
 )
 from .document import Document
 from .draft import AccessorCopier, Draft
@@ -145,7 +148,12 @@ class OwnAnimation:
         tracks = self.tracks if frames is None else {key: values[frames] for key, values in self.tracks.items()}
         count = self.frames if frames is None else len(frames)
         document = self.source.document
-        return posed_vertices(document, self.source.rest, pose_nodes(document, tracks, count))
+        return posed_vertices(document, self._unposed, pose_nodes(document, tracks, count))
+
+    @cached_property
+    def _unposed(self) -> list[UnposedVertices]:
+        """The vertices before skinning, which are asked for several times: by report, picture, page and file."""
+        return unposed_vertices(self.source.document, self.source.rest, self.tracks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +167,8 @@ class PlayedAnimation:
 
     def vertices(self, times: Float[np.ndarray, " T"]) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield the vertices of the Mesh at times in seconds."""
-        return posed_vertices(self.document, self.rest, sample_nodes(self.document, self.channels, times))
+        parts = unposed_vertices(self.document, self.rest, [(channel.node, channel.path) for channel in self.channels])
+        return posed_vertices(self.document, parts, sample_nodes(self.document, self.channels, times))
 
 
 def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> list[PlayedAnimation]:
