@@ -247,9 +247,9 @@ class Confidence:
         error = f" (about {self.expected_error:.0%} of the height)" if large else ""
         feet = ", and feet are not planted" if self.lacks_leg else ""
         other = (large and self.expected_error > DOUBTFUL_ERROR) or len(self._without_surface()) >= MOST_LACKING
-        doubt = f". It may not be {self.standards.kind}: {IF_IT_IS}" if other else ""
+        advice = f". It may not be {self.standards.kind}: {IF_IT_IS}" if other else ""
         note = (
-            f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}{doubt}"
+            f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}{advice}"
         )
         return (note,)
 

@@ -31,7 +31,7 @@ BODIES = ("auto", *NETWORK_OF_BODY, OTHER)
 MARGIN = 0.1
 """By how much the entropy of the skinning weights (nats) must be lower for an animal than for a person. Chosen on the
 splits train and val of the pool (docs/log/animals.md): most files show people."""
-DOUBT = 0.45
+ENTROPY_TOLERANCE = 0.45
 """By how much less decided (nats) the network of animals may be on a mesh that is moved as one beside a clear animal.
 Chosen on the same meshes: the largest of an animal, a pug, is 0.43. Animals are not moved as people: MARGIN favours
 people already."""
@@ -150,7 +150,9 @@ def with_body(
     if shown[0].body != shown[1].body:
         person = int(shown[1].body == "human")
         shown[person] = show(person, known)  # it may be an animal in an orientation that was not tried
-        if shown[person].body == "human" and shown[person].difference > min(DOUBT, shown[1 - person].difference):
+        if shown[person].body == "human" and shown[person].difference > min(
+            ENTROPY_TOLERANCE, shown[1 - person].difference
+        ):
             found = [rigs.bodies[k] or second_look(method, shown[k].body, meshes[k], given[k]) for k in (0, 1)]
             if None in found or found[0] != found[1]:
                 raise RefusedMeshError(different_kinds(found, meshes))
