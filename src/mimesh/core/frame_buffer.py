@@ -88,7 +88,8 @@ def store_frames(
 class LazyFrames:
     """The frames of a moved mesh: stored, or made each time that they are asked for. A file of joints needs few."""
 
-    count: int
+    shape: tuple[int, int]
+    """Numbers of frames and of vertices."""
     make: Callable[[Int[np.ndarray, " N"]], Iterable[Float[np.ndarray, "V 3"]]]
     """Makes the frames of these numbers, in this order."""
     dtype: np.dtype
@@ -98,16 +99,27 @@ class LazyFrames:
     @classmethod
     def stored(cls, vertices: Float[np.ndarray, "T V 3"]) -> LazyFrames:
         """Give out frames that are there already."""
-        return cls(len(vertices), lambda chosen: (vertices[t] for t in chosen), vertices.dtype, vertices)
+        return cls(vertices.shape[:2], lambda chosen: (vertices[t] for t in chosen), vertices.dtype, vertices)
+
+    def __repr__(self) -> str:
+        """Sum up the frames: arrays of thousands of numbers say nothing."""
+        return f"LazyFrames({self.shape[0]} frames, {self.shape[1]} vertices)"
 
     def __len__(self) -> int:
         """Return how many there are."""
-        return self.count
+        return self.shape[0]
 
     def at(self, chosen: Int[np.ndarray, " N"] | Sequence[int]) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield the frames of these numbers, in this order."""
-        for points in self.make(np.asarray(list(chosen), np.int64)):
+        for points in self.make(np.asarray(chosen, np.int64)):
             yield points.astype(self.dtype, copy=False)
+
+    def every(self, step: int, progress: Progress | None = None) -> Float[np.ndarray, "T V 3"]:
+        """Return every `step`-th frame in one array; stored ones are not copied."""
+        if self.array is not None:
+            return self.array[::step]
+        chosen = range(0, len(self), step)
+        return store_frames(self.at(chosen), len(chosen), self.shape[1], self.dtype, progress)
 
     def first(self) -> Float[np.ndarray, "V 3"]:
         """Return the first frame in double precision."""

@@ -303,10 +303,10 @@ def _play_nodes(
     identity, clip = prepared.identity, prepared.clip
     with timer.step("drive"):
         own = prepared.animation(root)
-    if progress is not None:
-        progress(len(clip), len(clip))
-    moved = LazyFrames(own.frames, own.vertices, np.dtype(dtype))
-    report = surface_report(identity, clip, moved, fitted_norms(identity, first_frame(clip), prepared.axes))
+        if progress is not None:
+            progress(len(clip), len(clip))
+        moved = LazyFrames((own.frames, len(identity.vertices)), own.vertices, np.dtype(dtype))
+        report = surface_report(identity, clip, moved, fitted_norms(identity, first_frame(clip), prepared.axes))
     report |= {"rig": "own", **prepared.facts, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
     notes = prepared.notes + missing_images_notes(missing_images(identity))
     return MovedIdentity(moved, None, own, cast(TransferReport, report), notes)

@@ -109,7 +109,7 @@ def play(
             placed = (identity_norm.undo(vertices + shift) for vertices in frames)
             moved = LazyFrames.stored(store_frames(placed, len(clip), len(identity.vertices), dtype, progress))
         if len(clip) == 1:
-            moved = LazyFrames.stored(moved.first()[None].astype(dtype))
+            moved = LazyFrames.stored(moved.every(1))
         report = surface_report(identity, clip, moved, (identity_norm, driving_norm))
     report |= {"body": prepared.method.body} if isinstance(prepared.method, BodyMethod) else {}
     notes = prepared.notes + facing_note(identity_norm, identity.name, "--front")
@@ -147,16 +147,17 @@ def _made_frames(
     prepared: Prepared, motion: _JointMotion, shift: Float[np.ndarray, " 3"], own: OwnAnimation | None, dtype: np.dtype
 ) -> LazyFrames:
     """Return frames that are made of the joints when they are asked for: a file of joints needs few of them."""
+    count = len(prepared.identity.vertices)
     # The joints of a person alone move neither morph targets nor what else has been copied.
     if own is not None and (own.morphs or prepared.rigs.beside):
-        return LazyFrames(own.frames, own.vertices, dtype)
+        return LazyFrames((own.frames, count), own.vertices, dtype)
 
     norm, turn, refinement = prepared.identity_norm, prepared.turn, prepared.refinement
 
     def make(chosen: Int[np.ndarray, " N"]) -> Iterator[Float[np.ndarray, "V 3"]]:
         return (norm.undo(_turned(motion, t, turn, refinement) + shift) for t in chosen.tolist())
 
-    return LazyFrames(len(motion.posed.root), make, dtype)
+    return LazyFrames((len(motion.posed.root), count), make, dtype)
 
 
 def _turned(

@@ -18,7 +18,7 @@ from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import AnimatedRig
 from ..core.arguments import public
 from ..core.errors import InputError
-from ..core.frame_buffer import LazyFrames, Progress, store_frames
+from ..core.frame_buffer import LazyFrames, Progress
 from ..core.mesh import Clip, Mesh
 from ..io import refuse_vrm, save_clip, save_mesh, save_own_pose
 from ..io.atomic import scratch_folder, written
@@ -104,13 +104,14 @@ class _Playable(Protocol):
             return None
 
         def panel(name: str, clip: Clip, axes: MeshReport) -> Panel:
-            return Panel(name, clip, up=axes["up"], front=axes["front"], every=step, frames=len(driving))
+            return Panel(name, clip, up=axes["up"], front=axes["front"])
 
         step = 1 if most is None else -(-len(driving) // most)
+        result = panel("result", self._every(step), self.report["identity"])
         return [
             panel("identity", Clip.still(identity), self.report["identity"]),
-            panel("driving", every_frame(driving, step), self.report["driving"]),
-            panel("result", self._every(step), self.report["identity"]),
+            panel("driving", driving, self.report["driving"]).with_every(step),
+            dataclasses.replace(result, every=step, whole=len(driving)),
         ]
 
     @public()
@@ -185,11 +186,6 @@ class _Playable(Protocol):
             else:
                 save_mesh(self.mesh, path)
             return Download(f"{output.stem}.glb", path.read_bytes())
-
-
-def every_frame(clip: Clip, step: int) -> Clip:
-    """Select every `step`-th frame of a clip, which takes as long."""
-    return clip if step == 1 else dataclasses.replace(clip, vertices=clip.vertices[::step], fps=clip.fps / step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,12 +312,7 @@ class ClipResult(_Playable):
 
     def _every(self, step: int, progress: Progress | None = None) -> Clip:
         """Make every `step`-th frame of the result, as a clip that takes as long."""
-        if self.frames.array is not None:
-            return Clip(self.mesh, self.frames.array[::step], self.fps / step)
-        chosen = range(0, len(self.frames), step)
-        frames = self.frames.at(chosen)
-        stored = store_frames(frames, len(chosen), len(self.mesh.vertices), self.frames.dtype, progress)
-        return Clip(self.mesh, stored, self.fps / step)
+        return Clip(self.mesh, self.frames.every(step, progress), self.fps / step)
 
     @property
     def driving_clip(self) -> Clip | None:

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from ..core.errors import InputError
 from ..core.frame_buffer import each_frame
 from ..core.geometry import weld
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, cut_clip
 from ..render import camera
 from ..render.textures import creased_normals, decode_image
 from .encoding import Quantization, encode_frames, pack_array, to_base64
@@ -47,9 +47,21 @@ class Panel:
     front: str | None = None
     """Axis of the clip that points to the front; see `camera.fit`."""
     every: int = 1
-    """Of the whole clip this is every n-th frame."""
-    frames: int = 0
-    """Frames of the whole clip, where `clip` has not all of them."""
+    """Of the whole clip `clip` has every n-th frame."""
+    whole: int | None = None
+    """Frames of the whole clip; None: `clip` has all."""
+
+    @property
+    def frames(self) -> int:
+        """How many frames there are, shown or not."""
+        return len(self.clip) if self.whole is None else self.whole
+
+    def with_every(self, step: int) -> Panel:
+        """Show every `step`-th frame of the whole clip; `step` is a multiple of the present one."""
+        if step == self.every:
+            return self
+        clip = cut_clip(self.clip, 0, None, step // self.every)
+        return dataclasses.replace(self, clip=clip, every=step, whole=self.frames)
 
 
 @dataclass(frozen=True)
@@ -92,6 +104,9 @@ def pack_scene(
         if panel.role not in ROLES:
             raise InputError(f"player: expected a role of {', '.join(ROLES)}, found {panel.role}; choose one of them")
     left_out: list[str] = []
+    whole = max(panel.frames for panel in panels)
+    step = 1 if motion.frames is None else -(-whole // motion.frames)
+    panels = [panel.with_every(max(step, panel.every)) for panel in panels]
     panels = [_simplify_driving(panel, budget, motion, left_out) for panel in panels]
     most = budget // VERTEX_CHARACTERS
     most = most if motion.vertices is None else min(most, motion.vertices)
@@ -104,8 +119,9 @@ def pack_scene(
     images = textures.pack(budget // 3, left_out)
     frame_budget = budget - sum(_json_size(value) for value in (*surfaces, *images))
     frame_budget = frame_budget if motion.characters is None else min(frame_budget, motion.characters)
-    whole = max(panel.every for panel in panels), max(max(panel.frames, len(panel.clip)) for panel in panels)
-    moving = drop_frames([panel.clip for panel in panels], frame_budget, left_out, motion.frames, whole)
+    moving = drop_frames(
+        [panel.clip for panel in panels], frame_budget, left_out, (max(panel.every for panel in panels), whole)
+    )
     packed_panels = [
         _pack_panel(*fields) for fields in zip(panels, *moving, _placements(panels), surface_indices, strict=True)
     ]

@@ -27,11 +27,7 @@ CHARACTERS = 5
 
 
 def drop_frames(
-    clips: Sequence[Clip],
-    budget: int,
-    left_out: list[str],
-    most: int | None = None,
-    whole: tuple[int, int] | None = None,
+    clips: Sequence[Clip], budget: int, left_out: list[str], shown: tuple[int, int]
 ) -> tuple[list[Clip], list[Quantization], list[Int[np.ndarray, " V"] | None]]:
     """Keep every n-th frame of all clips, with an n for which they fit into `budget` characters, and quantize them.
 
@@ -39,26 +35,22 @@ def drop_frames(
     rates are divided by n, so that durations stay. A message about it is appended to `left_out`.
 
     Args:
-        most: largest number of frames; None allows any.
-        whole: the clips have every n-th of so many frames; None: they are whole.
+        shown: the clips have every n-th of so many frames.
 
     Returns:
         The clips with the vertices that move differently, their quantizations, and for each vertex of a mesh its index
         among these (None: all of them do).
     """
-    longest = max(map(len, clips))
-    first = step = 1 if most is None else -(-longest // most)
-    fewer = [dataclasses.replace(clip, vertices=clip.vertices[::step], fps=clip.fps / step) for clip in clips]
-    merged, indices = zip(*map(merge_equal_vertices, fewer), strict=True)
+    longest, step = max(map(len, clips)), 1
+    merged, indices = zip(*map(merge_equal_vertices, clips), strict=True)
     while True:
-        more = step // first
-        thinned = [dataclasses.replace(clip, vertices=clip.vertices[::more], fps=clip.fps / more) for clip in merged]
+        thinned = [dataclasses.replace(clip, vertices=clip.vertices[::step], fps=clip.fps / step) for clip in merged]
         quantizations = [fit_quantization(clip.vertices) for clip in thinned]
         size = sum(estimate_size(clip.vertices, q) for clip, q in zip(thinned, quantizations, strict=True))
         if size <= budget or step >= longest:
             break
-        step = first * min(-(-longest // first), max(more + 1, int(more * min(size / max(budget, 1), MAX_STEP_RATIO))))
-    every, frames = whole or (1, longest)
+        step = min(longest, max(step + 1, int(step * min(size / max(budget, 1), MAX_STEP_RATIO))))
+    every, frames = shown
     if step * every > 1:
         left_out.append(f"every {_ordinal(step * every)} of {frames:,} frames is shown, to keep this page small")
     return thinned, quantizations, list(indices)

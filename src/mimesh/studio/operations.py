@@ -15,7 +15,7 @@ from ..bodies import load_body
 from ..bodies.animals import ANIMALS, animal
 from ..bodies.characters import character
 from ..core.errors import InputError, command_line_words
-from ..core.frame_buffer import LazyFrames, Progress, store_frames
+from ..core.frame_buffer import LazyFrames, Progress
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -143,14 +143,10 @@ def compute_result(
     dtype = np.float64 if len(clip) == 1 else np.float32
     moved = play_move(prepared, seconds, options.motion(method), lambda done, total: progress(done, 2 * total), dtype)
     # The page shows all frames: they are made here, where they can be stopped.
-    made = moved.frames.array
-    if made is None:
-        count, vertices = len(clip), len(identity.vertices)
-        frames = moved.frames.at(range(count))
-        made = store_frames(frames, count, vertices, dtype, lambda done, total: progress(total + done, 2 * total))
+    frames = LazyFrames.stored(moved.frames.every(1, lambda done, total: progress(total + done, 2 * total)))
     return ClipResult(
-        identity.with_vertices(moved.frames.first()),
-        LazyFrames.stored(made),
+        identity.with_vertices(frames.first()),
+        frames,
         clip.fps,
         method.name,
         seconds,
