@@ -32,8 +32,8 @@ from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import save_bvh, save_clip, save_mesh
 from mimesh.io.atomic import whole_file
 from mimesh.io.child_process import VARIABLES as LIBRARY_THREADS
-from mimesh.methods.mime.kept_results import keep_results
 from mimesh.methods.onnx_runtime import THREADS
+from mimesh.mime.kept_results import keep_results
 from mimesh.motions import load_motion, motion_clip
 
 MOTIONS = ("jump", "turn")
@@ -128,15 +128,13 @@ def children_seconds() -> float:
 def disk_cache(identity: Path, folder: Path) -> dict[str, float]:
     """Return seconds of predicting an identity, and of reading the same from an archive; and its size (MiB)."""
     from mimesh.core.normalization import Normalization
-    from mimesh.methods.find import find_method
-    from mimesh.methods.mime.drive import MimeMethod
-    from mimesh.pipeline.orientation import normalised
+    from mimesh.methods.find import find_mime
+    from mimesh.pipeline.look import normalised
 
-    mesh, method = mimesh.load_mesh(identity), find_method("mime")
-    assert isinstance(method, MimeMethod)
+    mesh, mime = mimesh.load_mesh(identity), find_mime("mime")
     rest = normalised(mesh, Normalization.fit(mesh, None, None))
     begin = time.process_time()
-    rig, _ = method.predict_rig(rest)
+    rig, _ = mime.predict_rig(rest)
     predicted = time.process_time() - begin
     archive = folder / "rig.npz"
     np.savez(archive, rotation=rig.rotation, joints=rig.joints, weights=rig.weights)

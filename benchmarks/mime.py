@@ -25,9 +25,10 @@ from mimesh.core.rig import Rig
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.evaluate.remesh import split_faces
 from mimesh.io.atomic import whole_file
-from mimesh.methods.base import SkinnedDrive
-from mimesh.methods.find import find_method
+from mimesh.methods.base import Method
+from mimesh.methods.find import find_method, find_mime
 from mimesh.motions import motion_clip, walk_motion
+from mimesh.rigs.retarget import Retarget
 
 REPEATS = 5
 """Runs of each measurement, of which the median is taken."""
@@ -57,21 +58,20 @@ def main() -> None:
 
 def mime_times(identity: Mesh, clip: Clip) -> dict[str, float]:
     """Return milliseconds of the preparation for a pose and for a clip, of a frame and of its parts."""
-    method = find_method("mime")
+    model = find_mime("mime")
     frames = [vertices.astype(np.float64) for vertices in clip.vertices]
     pose, keyframes = Clip.still(Mesh(frames[0], clip.mesh.faces)), Clip(clip.mesh, clip.vertices, clip.fps)
     times = {
-        "prepare_pose_ms": milliseconds(lambda: method.prepare(identity, pose)),
-        "prepare_clip_ms": milliseconds(lambda: method.prepare(identity, keyframes)),
+        "prepare_pose_ms": milliseconds(lambda: (model.rig(identity), model.capture(pose))),
+        "prepare_clip_ms": milliseconds(lambda: (model.rig(identity), model.capture(keyframes))),
     }
-    drive = method.prepare(identity, keyframes)
-    assert isinstance(drive, SkinnedDrive)
-    track = drive.track(iter(frames), clip.fps)
-    rig = drive.rig
+    retarget = Retarget.of(model.rig(identity), model.capture(keyframes), clip.mesh.name)
+    track = retarget.track(iter(frames), clip.fps)
+    rig = retarget.character.vertex_rig
     transforms = np.concatenate([track.rotation @ rig.rotation.mT, track.positions[..., None]], axis=-1)
     times |= {
-        "frame_ms": milliseconds(lambda: list(drive(iter(frames)))) / FRAMES,
-        "follow_ms": milliseconds(lambda: drive.track(iter(frames), clip.fps)) / FRAMES,
+        "frame_ms": milliseconds(lambda: [retarget.frame(t, frame) for t, frame in enumerate(frames)]) / FRAMES,
+        "follow_ms": milliseconds(lambda: retarget.track(iter(frames), clip.fps)) / FRAMES,
         "plain_skinning_ms": milliseconds(
             lambda: [blend_skinning(identity.vertices, rig, frame) for frame in transforms]
         )
@@ -89,7 +89,9 @@ def blend_skinning(vertices: np.ndarray, rig: Rig, transforms: np.ndarray) -> np
 
 def network_time(name: str, identity: Mesh, clip: Clip) -> float:
     """Return milliseconds per frame of another network, as `animate` runs it."""
-    drive = find_method(name).prepare(identity, Clip(clip.mesh, clip.vertices, clip.fps))
+    method = find_method(name)
+    assert isinstance(method, Method)
+    drive = method.prepare(identity, Clip(clip.mesh, clip.vertices, clip.fps))
     frames = [vertices.astype(np.float64) for vertices in clip.vertices]
     return round(milliseconds(lambda: list(drive(iter(frames))), 2) / FRAMES, 1)
 

@@ -1,7 +1,7 @@
 """Fit the expected error of `mime` to the figures of its confidence, on pairs with a known truth.
 
 `collect` runs mime on pairs of many kinds and writes the figures of both meshes and the error; `fit` finds the
-coefficients of `mimesh.methods.confidence.EXPECTED_ERROR` and says how well they warn.
+coefficients of `mimesh.rigs.confidence.EXPECTED_ERROR` and says how well they warn.
 
 The error of a pair is modelled as the sum of the contributions of its two meshes, each exp(constant + coefficients *
 features). Coefficients are found by least squares on the logarithm of the sum. A forest of regression trees on all
@@ -31,12 +31,12 @@ from mimesh.evaluate.measure import AXES
 from mimesh.evaluate.metrics import mean_error_mm, pmd_aligned
 from mimesh.evaluate.pairs import Pair
 from mimesh.evaluate.run import find_protocol
-from mimesh.methods.base import SkinnedDrive
-from mimesh.methods.confidence import Confidence
-from mimesh.methods.find import find_method
-from mimesh.pipeline.play import play
-from mimesh.pipeline.prepared import MotionOptions, prepare
+from mimesh.methods.find import find_mime
+from mimesh.pipeline.file_rigs import NO_RIGS
+from mimesh.pipeline.joint_route import joint_route
+from mimesh.pipeline.options import Hints, MotionOptions
 from mimesh.pipeline.result import Timer
+from mimesh.rigs.confidence import Confidence
 
 SHIPPED_BODY = ("human-npt", "human-wide", "contact", "dressed", "noise", "cross-topology")
 """Protocols of the shipped body: COUNT pairs of each kind."""
@@ -60,22 +60,23 @@ def collect(
     model: Annotated[str, typer.Option("-m", help="mime, or an .onnx file.")] = "mime",
 ) -> None:
     """Run mime on pairs of many kinds; write the error and the confidence of both meshes of each."""
-    method = find_method(model)
+    mime = find_mime(model)
     axes = (AXES["up"], AXES["front"], AXES["driving_up"], AXES["driving_front"])
     rows = []
-    options = MotionOptions(body="human")  # "auto" refuses what looks like no person; here it is measured
+    hints = Hints(axes, body="human")  # "auto" refuses what looks like no person; here it is measured
+    options = MotionOptions()
     with typer.progressbar(list(_pairs(characters, people)), label="pairs") as bar:
         for name, make in bar:
             pair = make()
-            prepared = prepare(pair.identity, Clip.still(pair.driving), lambda _: method, axes, False, options)
-            assert isinstance(prepared.drive, SkinnedDrive)
-            confidences = [confidence for confidence in prepared.drive.confidence or () if confidence is not None]
+            route = joint_route(pair.identity, Clip.still(pair.driving), mime, hints, NO_RIGS)
+            found = route.retarget.character.confidence, route.retarget.motion.confidence
+            confidences = [confidence for confidence in found if confidence is not None]
             meshes = [dataclasses.asdict(confidence) for confidence in confidences]
             for mesh in meshes:
                 del mesh["standards"]  # those of people, all of them
             pmd, error = CREATURE_ERROR
             if name != CREATURES:
-                pmd, error = _errors(play(prepared, Timer(), options).frames.first(), pair)
+                pmd, error = _errors(route.play(Timer(), options).frames.first(), pair)
             rows.append({"kind": name, "pmd_e4": pmd, "error": error, "meshes": meshes})
     output.write_text(json.dumps(rows))
 

@@ -26,7 +26,7 @@ from mimesh.core.rig import descendants
 from mimesh.evaluate import remesh
 from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
-from mimesh.methods.mime.kept_results import keep_results
+from mimesh.mime.kept_results import keep_results
 from mimesh.motions.animal_clips import ANIMAL_MOTIONS, RUNS, random_style, run
 from mimesh.motions.gaits import LEGS
 
@@ -100,7 +100,7 @@ def tail_shares(species: str) -> dict[str, float]:
         if replaced is None:
             result = transfer(Mesh(mesh.vertices, mesh.faces, name=key, up="+y"), driving, body="quadruped")
         else:
-            with patch("mimesh.methods.mime.drive.with_whole_tail", replaced):
+            with patch("mimesh.mime.model.with_whole_tail", replaced):
                 result = transfer(Mesh(mesh.vertices, mesh.faces, name=key, up="+y"), driving, body="quadruped")
         assert result.skeleton is not None
         columns = [result.skeleton.names.index(body.joint_names[j]) for j in tail]

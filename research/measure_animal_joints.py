@@ -25,8 +25,8 @@ from mimesh.core.mesh import Mesh, cut_clip
 from mimesh.evaluate.run import provenance
 from mimesh.io import load_clip
 from mimesh.io.atomic import whole_file
-from mimesh.methods.mime.joint_targets import QUADRUPED
-from mimesh.pipeline.rigs import Rigs
+from mimesh.mime.joint_targets import QUADRUPED
+from mimesh.pipeline.file_rigs import Rigs
 
 NAMES = (*(name for limb in QUADRUPED.limbs for name in limb), "Head")
 """Joints whose places rigs agree on. Those of the trunk are anywhere in it."""

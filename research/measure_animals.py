@@ -25,7 +25,7 @@ from mimesh.core.rig import descendants
 from mimesh.evaluate.animals import read_animals
 from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
-from mimesh.methods.confidence import limb_joints
+from mimesh.rigs.confidence import limb_joints
 
 SMALLEST_SHARE = 0.8
 """Share of the surface of head and feet that must belong to the same limb in the file's own rig."""

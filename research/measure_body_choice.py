@@ -16,12 +16,11 @@ import numpy as np
 
 from mimesh.bodies.character_pool import PoolCharacter, read_pool
 from mimesh.core.mesh import Mesh
-from mimesh.core.normalization import Normalization
 from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
-from mimesh.methods.base import BodyMethod
-from mimesh.methods.find import NETWORK_OF_BODY, find_method
-from mimesh.pipeline.body_choice import shown_body
+from mimesh.methods.find import NETWORK_OF_BODY, find_mime
+from mimesh.mime.model import Mime
+from mimesh.pipeline.look import Subject, look
 
 FRAMES = 3
 """Most clips of which a frame is taken."""
@@ -34,8 +33,7 @@ def main() -> None:
     parser.add_argument("--split", default="val")
     parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/body_choice.json"))
     args = parser.parse_args()
-    method = find_method("mime")
-    assert isinstance(method, BodyMethod)
+    mime = find_mime("mime")
     rows = []
     for body in NETWORK_OF_BODY:
         meshes = [
@@ -44,7 +42,7 @@ def main() -> None:
             for mesh in shown(character, np.random.default_rng(0))
         ]
         for up in ("+y", None):
-            found = {mesh.name: recognised(method, mesh, up) for mesh in meshes}
+            found = {mesh.name: recognised(mime, mesh, up) for mesh in meshes}
             wrong = [name for name, (taken, _) in found.items() if taken != body]
             turned = [name for name, (taken, front) in found.items() if taken == body == "quadruped" and front != "+z"]
             rows.append({"body": body, "up": up, "meshes": len(meshes), "wrong": wrong, "turned": turned})
@@ -65,9 +63,9 @@ def shown(character: PoolCharacter, rng: np.random.Generator) -> list[Mesh]:
     return meshes
 
 
-def recognised(method: BodyMethod, mesh: Mesh, up: str | None) -> tuple[str, str]:
+def recognised(mime: Mime, mesh: Mesh, up: str | None) -> tuple[str, str]:
     """Return the body that a mesh is taken for, and the front of that."""
-    found = shown_body(method, None, mesh, Normalization.fit(mesh, up, None), (up, None), quick=True)
+    found = look(mime, Subject(mesh, (up, None)), None, quick=True)
     return found.body, found.norm.front
 
 

@@ -6,7 +6,7 @@
 `collect` shows the pool's characters and the things of `wrong_kind_meshes.py` to `mime`, and appends a line of figures
 for each; it goes on where it was stopped. Characters are those of the splits train and val, at rest and in a frame of a
 clip, animals of two; of each pack of people of `train` the first 8. `fit` finds the coefficients of
-`mimesh.methods.confidence.OTHER_KIND` by logistic regression, with equal weight of right and wrong kinds, and says how
+`mimesh.rigs.confidence.OTHER_KIND` by logistic regression, with equal weight of right and wrong kinds, and says how
 often the shipped ones give a note. Each pack is left out in turn to compare sets of figures.
 """
 
@@ -28,15 +28,12 @@ from wrong_kind_meshes import things
 
 from mimesh.bodies.character_pool import read_pool
 from mimesh.core.mesh import Mesh
-from mimesh.core.normalization import Normalization
 from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
-from mimesh.methods.base import BodyMethod, RigMethod
-from mimesh.methods.confidence import MAX_OTHER_KIND, MAX_SPREAD, Confidence, Standards
-from mimesh.methods.find import NETWORK_OF_BODY, find_method
-from mimesh.pipeline.body_choice import shown_body
-from mimesh.pipeline.matched_rigs import predicted_body
-from mimesh.pipeline.second_look import FITS
+from mimesh.methods.find import NETWORK_OF_BODY, find_mime
+from mimesh.mime.model import Mime
+from mimesh.pipeline.look import FITS, Subject, look, predicted_body
+from mimesh.rigs.confidence import MAX_OTHER_KIND, MAX_SPREAD, Confidence, Standards
 
 PER_PACK = 8
 """Most people of a pack of the split `train`."""
@@ -64,8 +61,7 @@ def collect(
     axes: Annotated[str, typer.Option(help="up: y up is known; none: no axis is.")] = "none",
 ) -> None:
     """Append the figures of each mesh that has no line yet."""
-    method = find_method("mime")
-    assert isinstance(method, BodyMethod)
+    mime = find_mime("mime")
     up = "+y" if axes == "up" else None
     lines = rows.read_text().splitlines() if rows.exists() else []
     done = {(row["mesh"], row["up"]) for row in map(json.loads, lines)}
@@ -73,7 +69,7 @@ def collect(
         for kind, split, pack, mesh in meshes(pool):
             if (mesh.name, up) not in done:
                 about = {"kind": kind, "split": split, "pack": pack, "mesh": mesh.name, "up": up}
-                file.write(json.dumps(about | figures(method, dataclasses.replace(mesh, up=up))) + "\n")
+                file.write(json.dumps(about | figures(mime, dataclasses.replace(mesh, up=up))) + "\n")
                 file.flush()
 
 
@@ -90,15 +86,13 @@ def meshes(pool: Path) -> Iterator[Shown]:
     yield from (Shown("thing", "made", "made", mesh) for mesh in things())
 
 
-def figures(method: BodyMethod, mesh: Mesh) -> dict[str, Any]:
+def figures(mime: Mime, mesh: Mesh) -> dict[str, Any]:
     """Say what a mesh is taken for, and the confidence of the fits: of that body, and of the other one if it is low."""
-    taken = shown_body(method, None, mesh, Normalization.fit(mesh), (None, None), quick=True).body
+    taken = look(mime, Subject(mesh, (None, None)), None, quick=True).body
     row: dict[str, Any] = {"taken": taken}
     for body in sorted(NETWORK_OF_BODY, key=lambda body: body != taken):
         if body == taken or read(row, taken).uncertainty > 1:
-            network = method.of_body(body)
-            assert isinstance(network, RigMethod)
-            row[body] = dataclasses.asdict(predicted_body(network, mesh, (None, None))[2])
+            row[body] = dataclasses.asdict(predicted_body(mime.of_body(body), mesh, (None, None))[2])
             del row[body]["standards"]
     return row
 

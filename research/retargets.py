@@ -24,12 +24,12 @@ from mimesh.core.mesh import Clip, Mesh
 from mimesh.evaluate.limb_metrics import LimbedCharacter, PosedLimbs, limb_angles, limb_metrics
 from mimesh.io import load_clip
 from mimesh.io.gltf.own_rig import GltfJoints, read_own_rig
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_mime
 from mimesh.pipeline import animate
-from mimesh.pipeline.play import play
-from mimesh.pipeline.prepared import MotionOptions, prepare
+from mimesh.pipeline.file_rigs import Rigs
+from mimesh.pipeline.joint_route import joint_route
+from mimesh.pipeline.options import Hints, MotionOptions
 from mimesh.pipeline.result import ClipResult, Timer
-from mimesh.pipeline.rigs import Rigs
 
 FPS = 30.0
 """Frame rate of the pool's clips."""
@@ -39,8 +39,6 @@ UPRIGHT_STEP = 5
 """Frames from one to the next in which trunks are compared."""
 INFLUENCES = 6
 """Largest weights of the shipped body that are measured."""
-NOT_GIVEN = (None, None, None, None)
-"""Axes that the user does not give."""
 METRICS = ("limb_deg", "end_effector", "sole_height", "touching", "penetration")
 
 
@@ -149,10 +147,8 @@ def copy_rotations(identity: Mesh, actor: Actor) -> ClipResult | None:
         dataclasses.replace(own, humanoid=dataclasses.replace(own.humanoid, frames=rest)),
         dataclasses.replace(person, rotation=person.rotation @ undone),
     )
-    options = MotionOptions(ground=False)
-    method = find_method("mime")
-    prepared = prepare(identity, actor.clip, lambda norm: method, NOT_GIVEN, None, options, rigs=rigs)
-    moved = play(prepared, Timer(), options)
+    route = joint_route(identity, actor.clip, find_mime("mime"), Hints(), rigs)
+    moved = route.play(Timer(), MotionOptions(ground=False))
     return ClipResult(identity, moved.frames, actor.clip.fps, "copy rotations", Timer(), moved.report, moved.notes)
 
 

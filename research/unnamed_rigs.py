@@ -15,9 +15,8 @@ from mimesh.bodies.joint_names import without_fingers
 from mimesh.core.errors import InputError
 from mimesh.io import load_mesh
 from mimesh.io.gltf.own_rig import read_own_rig
-from mimesh.methods import find_method
-from mimesh.methods.base import RigMethod
-from mimesh.pipeline.matched_rigs import joint_finder
+from mimesh.methods import find_mime
+from mimesh.pipeline.look import joint_finder
 
 LIMBS = ("Arm", "Leg", "Hand", "Foot")
 """Parts of the names of limb joints."""
@@ -27,8 +26,6 @@ KEYS = ("characters", "refused", "all limbs", "joints", "found")
 
 def match_character(character: PoolCharacter, folder: Path) -> dict[str, Any]:
     """Count the joints of a character that are found without names, and list limb joints that are not or wrongly."""
-    method = find_method("mime")
-    assert isinstance(method, RigMethod)
     names = tuple(f"joint_{j}" for j in range(len(character.rig.parents)))
     path = folder / f"{character.meta.file}.glb"
     write_character(
@@ -38,7 +35,7 @@ def match_character(character: PoolCharacter, folder: Path) -> dict[str, Any]:
     row = {"file": character.meta.file, "pack": character.meta.pack, "split": character.meta.split}
     row |= {"joints": len(expected), "found": 0, "wrong": [], "refused": ""}
     try:
-        humanoid = read_own_rig(load_mesh(path), joint_finder(method, (None, None))).humanoid
+        humanoid = read_own_rig(load_mesh(path), joint_finder(find_mime("mime"), (None, None))).humanoid
     except InputError as error:
         return row | {"refused": str(error)}
     found = {name: names.index(humanoid.character.joint_names[joint]) for name, joint in humanoid.joints.items()}

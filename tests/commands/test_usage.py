@@ -20,9 +20,8 @@ from mimesh.commands import about, common, terminal
 from mimesh.core.errors import did_you_mean
 from mimesh.methods.find import MODELS, PAIRING_CHOICES
 from mimesh.methods.onnx_runtime import THREADS
-from mimesh.pipeline.body_choice import BODIES
-from mimesh.pipeline.prepared import ROOTS
-from mimesh.pipeline.rigs import RIGS
+from mimesh.pipeline.look import BODIES
+from mimesh.pipeline.options import RIGS, ROOTS
 
 COPIED = "transfer hero.obj pose.obj -m copy --no-preview "
 """A transfer that needs no network."""

@@ -13,6 +13,7 @@ from people import person, walk
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.methods.aniformer import OVERLAP
+from mimesh.methods.base import Method
 from mimesh.methods.find import find_method
 from mimesh.pipeline import animate, transfer
 
@@ -155,7 +156,10 @@ def test_frames_are_read_one_at_a_time(model):
             read.append(t)
             yield trial.driving.vertices
 
-    drive = find_method(model, **trial.options(model)).prepare(IDENTITY, Clip.still(trial.driving))
+    method = find_method(model, **trial.options(model))
+    if not isinstance(method, Method):
+        pytest.skip("joints are kept of all frames, vertices of none")
+    drive = method.prepare(IDENTITY, Clip.still(trial.driving))
     for t, vertices in enumerate(drive(frames())):
         assert len(read) <= t + 1 + ahead
         assert vertices.shape == IDENTITY.vertices.shape

@@ -12,7 +12,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import Normalization
 from mimesh.methods.extremities import find_ends, match_ends
-from mimesh.pipeline.orientation import normalised
+from mimesh.pipeline.look import normalised
 
 FRAMES = 4
 

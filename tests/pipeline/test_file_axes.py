@@ -12,9 +12,9 @@ from mimesh import animate, transfer
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import ROTATIONS, Normalization
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
-from mimesh.methods.confidence import Confidence
 from mimesh.methods.find import find_method
-from mimesh.pipeline.orientation import reorient
+from mimesh.pipeline.look import reorient
+from mimesh.rigs.confidence import Confidence
 from mimesh.studio.operations import detect_facing
 from mimesh.tools.inspect import inspect_file
 

@@ -12,10 +12,10 @@ from mimesh.core.errors import InputError
 from mimesh.core.frame_buffer import LazyFrames
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import load_mesh, save_mesh
-from mimesh.methods.base import SkinnedDrive
 from mimesh.pipeline import animate, transfer
 from mimesh.pipeline.report import against_neighbours, flipped_share, quality
 from mimesh.player.pack import MotionLimits
+from mimesh.rigs.character import Character
 
 
 def ground_point(vertices):
@@ -62,7 +62,7 @@ def test_a_file_of_joints_is_written_without_making_all_frames(tmp_path, monkeyp
     network = write_mime_network(tmp_path / "net.onnx")
     clip = walk(frames=200)
     made = []
-    monkeypatch.setattr(SkinnedDrive, "posed", counted_calls(SkinnedDrive.posed, made))
+    monkeypatch.setattr(Character, "posed", counted_calls(Character.posed, made))
     result = animate(person(0), clip, str(network))
     result.save_skinned(tmp_path / "out.glb")
     page = result.player(tmp_path / "out.html", motion=MotionLimits(frames=10)).read_text()

@@ -7,9 +7,9 @@ from matrix import matrix
 from people import person
 
 from mimesh.core.normalization import Normalization
-from mimesh.methods.confidence import Confidence
 from mimesh.methods.find import find_method
-from mimesh.pipeline.orientation import reorient
+from mimesh.pipeline.look import reorient
+from mimesh.rigs.confidence import Confidence
 
 MESH = person(0, pose=3)
 MIME = find_method("mime")

@@ -17,7 +17,7 @@ from mimesh.core.mesh import Mesh
 from mimesh.io import save_mesh
 from mimesh.methods.find import INDEX_PAIRED, find_method
 from mimesh.pipeline import transfer
-from mimesh.pipeline.second_look import second_look
+from mimesh.pipeline.look import second_look
 
 UP = ("+y", None)
 

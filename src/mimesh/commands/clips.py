@@ -11,7 +11,7 @@ from .terminal import output_beside, tell_size
 if TYPE_CHECKING:
     from ..bodies.engine_rig import Layout
     from ..core.mesh import Clip, Mesh
-    from ..pipeline.prepared import MotionOptions
+    from ..pipeline.options import Hints, MotionOptions
     from ..pipeline.result import ClipResult
 
 JOINT_SUFFIXES = (".glb", ".gltf", ".fbx")
@@ -79,28 +79,22 @@ def check_clip_output(
     return False if frames or output.suffix.lower() not in JOINT_SUFFIXES else None
 
 
-def check_rig_layout(identity: Mesh, clip: Clip, model: str, options: MotionOptions, layout: Layout) -> None:
+def check_rig_layout(
+    identity: Mesh, clip: Clip, model: str, hints: Hints, options: MotionOptions, layout: Layout
+) -> None:
     """Check that the identity's own rig can get a layout if it is used, before anything is moved."""
-    from ..methods.find import takes_rigs
-    from ..pipeline.rigs import Rigs
+    from ..methods.find import moves_joints
+    from ..pipeline.file_rigs import read_rigs
     from ..pipeline.skinned import check_own_layout
 
     bones = layout.names != "own" or layout.root_bone or layout.rest != "file"
-    if not bones or options.rig != "own" or not takes_rigs(model):
+    if not bones or hints.rig != "own" or not moves_joints(model):
         return
-    rigs = Rigs.read(identity, clip, options.rig, body=options.body)
+    rigs = read_rigs(identity, clip, hints, copy=True)
     if rigs.identity is not None:
         check_own_layout(rigs.identity.person, layout, identity.name)
     elif rigs.copied is not None and not options.changes_motion:
         check_own_layout({}, layout, identity.name)
-
-
-def moves_joints(model: str) -> bool:
-    """Tell whether a model moves joints, which files then hold instead of frames."""
-    from ..methods.base import SkinnedMethod
-    from ..methods.find import find_method
-
-    return isinstance(find_method(model), SkinnedMethod)
 
 
 def check_frames_size(mesh: Mesh, frames: int, output: Path, blendshapes: int | None, quiet: bool) -> None:

@@ -17,7 +17,6 @@ from .clips import (
     check_single,
     check_suffix,
     clip_output,
-    moves_joints,
     save_clips,
 )
 from .common import LOGGER
@@ -323,8 +322,9 @@ def animate(
     from ..bodies.engine_rig import Layout
     from ..io import load_mesh
     from ..io.atomic import together
+    from ..methods.find import moves_joints
     from ..pipeline import animate as run_animate
-    from ..pipeline.prepared import MotionOptions
+    from ..pipeline.options import Hints, MotionOptions
     from ..tools.convert import choose_clips, hierarchy_note, read_driving, resampled_note
 
     _refuse_motion(identity, output)
@@ -356,7 +356,7 @@ def animate(
             taken = len(range(len(clip))[start:stop:step]) if whole else len(clip)
             check_frames_size(mesh, taken, target, blendshapes, quiet or json)
         used = rig if corrected.identity is None else "mimesh"
-        check_rig_layout(mesh, clip, model, MotionOptions(root, ground, smooth, rig=used, body=body), layout)
+        check_rig_layout(mesh, clip, model, Hints(rig=used, body=body), MotionOptions(root, ground, smooth), layout)
         with progress(f"frames of {title}" if title else "frames", quiet or json) as advance:
             result = run_animate(
                 mesh,
@@ -494,13 +494,12 @@ class JointFiles:
     ) -> JointFiles:
         """Read the files that were given, else those beside the inputs; only models with joints use the latter."""
         from ..io.joint_file import load_corrections, side_file
-        from ..methods.base import CorrectableMethod
-        from ..methods.find import find_method
+        from ..methods.find import moves_joints
 
         corrections, found = [], []
         for mesh, given in ((identity, joints), (driving, driving_joints)):
             beside = side_file(mesh)
-            usable = not no_joints and beside.is_file() and isinstance(find_method(model), CorrectableMethod)
+            usable = not no_joints and beside.is_file() and moves_joints(model)
             path = given or (beside if usable else None)
             found += [str(beside)] if usable and given is None else []
             corrections.append(None if path is None else load_corrections(path))
@@ -520,6 +519,7 @@ class JointFiles:
 def check_joint_outputs(paths: tuple[Path | None, Path | None], model: str, *others: Path) -> None:
     """Check that a model has joints to write, and that they are written to .json files that are no inputs."""
     from ..core.errors import InputError
+    from ..methods.find import moves_joints
 
     for path, option in zip(paths, ("--save-joints", "--save-driving-joints"), strict=True):
         if path is None:

@@ -7,6 +7,7 @@ Arrays are NumPy in frozen dataclasses; no function mutates an argument. Axes an
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -402,3 +403,18 @@ def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:
     return dataclasses.replace(
         mesh, vertices=mesh.vertices[order], faces=rank[mesh.faces], vertex_colors=colors, source=None
     )
+
+
+def check_size(frames: Iterable[Float[np.ndarray, "U 3"]], name: str) -> Iterator[Float[np.ndarray, "U 3"]]:
+    """Yield the frames of the clip `name`, checking that they have a size.
+
+    Raises:
+        InputError: all vertices of a frame are at one point.
+    """
+    for t, vertices in enumerate(frames):
+        if not (vertices != vertices[0]).any():
+            raise InputError(
+                f"{name}: expected some size in frame {t} of those taken, found all vertices at one point; "
+                "repair that frame, or end the clip before it with --stop"
+            )
+        yield vertices

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float32, Int
 
 from .canonical_order import TOLERANCE, CanonicalOrder, canonical_faces, canonical_order, rank_order
 from .geometry import face_areas, face_vectors
@@ -49,6 +49,16 @@ def at_barycentric(
 ) -> Float[np.ndarray, "*T N C"]:
     """Interpolate values of vertices at points given as (face index, barycentric coordinates)."""
     return interpolate(values, faces[chosen], barycentric)
+
+
+def batch_of_one(points: Float[np.ndarray, "*T N 3"]) -> Float32[np.ndarray, "1 *T N 3"]:
+    """Convert points to a network's input: float32, with a batch dimension of 1."""
+    return np.ascontiguousarray(points[None], np.float32)
+
+
+def generator(seed: int, stream: int) -> np.random.Generator:
+    """Return a random generator for one purpose (stream) of a seed, independent of those of other streams."""
+    return np.random.default_rng(np.random.SeedSequence([seed, stream]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,10 +19,11 @@ from jaxtyping import Float
 
 from ..core.errors import InputError, RefusedMeshError
 from ..core.geometry import edges
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, check_size
 from ..core.normalization import Normalization, bbox_centre
-from ..methods.base import Method, RigMethod, ShapeMethod, SizedMethod, check_size
+from ..methods.base import Method, ShapeMethod, SizedMethod
 from ..methods.find import find_method, weights_path
+from ..mime.model import Mime
 from ..pipeline import ClipResult, Result, animate, transfer
 from .characters import CharacterPair
 from .clip_protocols import ClipPair, on_template
@@ -67,7 +68,7 @@ TRAINED_ON = {
 """Description of each kind of training data (`data.kind` of a configuration), for reports."""
 AXES: dict[str, Any] = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
 """Facing of both meshes, passed to every method: axis detection is not part of what is measured."""
-Runtime = Callable[[Method, Path], Method]
+Runtime = Callable[[Mime | Method, Path], Method]
 """Returns a method whose network is run by another library; takes the method and the path of its weights."""
 STATIC_FRAMES = 5
 """Number of frames of the static clip that `still_mm` is measured on."""
@@ -197,7 +198,7 @@ def run_on_pair(
     return _run_network(pair, open_network(method, ensemble, runtime), refine)
 
 
-def _run_network(pair: Pair, network: Method, refine: bool) -> Output:
+def _run_network(pair: Pair, network: Mime | Method, refine: bool) -> Output:
     if compared_as_shapes(network, refine):
         vertices, origin = placed_shapes(network, pair.identity, Clip.still(pair.driving), pair.truth[None])
         return Output(vertices[0], origin[0])
@@ -205,7 +206,7 @@ def _run_network(pair: Pair, network: Method, refine: bool) -> Output:
     return Output.of(transfer(pair.identity, pair.driving, network, **AXES, **options))
 
 
-def open_network(name: str, ensemble: int, runtime: Runtime | None) -> Method:
+def open_network(name: str, ensemble: int, runtime: Runtime | None) -> Mime | Method:
     """Open a network by its name or path.
 
     Raises:
@@ -235,18 +236,18 @@ def deformation_transfer_inputs(pair: Pair, method: str) -> tuple[Mesh, dict[str
     return pair.driving, {"reference": reference, "markers": markers[markers[:, 1] >= 0]}
 
 
-def known_kind(network: Method) -> dict[str, str]:
+def known_kind(network: Mime | Method) -> dict[str, str]:
     """Return the option that says what the meshes are, for networks that would look at them for a note only."""
     body = getattr(network, "body", None)
-    return {} if body is None or isinstance(network, RigMethod) else {"body": body}
+    return {} if body is None or isinstance(network, Mime) else {"body": body}
 
 
-def needs_true_size(method: Method) -> bool:
+def needs_true_size(method: Mime | Method) -> bool:
     """Return whether a network's unit is the radius of the truth, as in the papers' tables: no user has that number."""
     return getattr(method, "target_scale", "identity") == "truth"
 
 
-def compared_as_shapes(method: Method, refine: bool) -> TypeGuard[ShapeMethod]:
+def compared_as_shapes(method: Mime | Method, refine: bool) -> TypeGuard[ShapeMethod]:
     """Return whether a method is a network of the papers whose own results are compared, as in its training.
 
     Refined results are those of `transfer`, which needs a size of the method.

@@ -42,8 +42,8 @@ from ..io.atomic import together, whole_file, writing
 from ..io.child_process import VARIABLES as LIBRARY_THREADS
 from ..io.joint_file import side_file
 from ..methods.find import weights_path
-from ..methods.mime.kept_results import keep_results
 from ..methods.onnx_runtime import THREADS
+from ..mime.kept_results import keep_results
 from ..render.camera import fit
 from ..render.raster import render_mesh
 from ..render.shading import BACKGROUND

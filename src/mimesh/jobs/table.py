@@ -30,7 +30,8 @@ from ..core.system import refuse_pipe
 from ..io import mesh_suffixes
 from ..io.formats import ANIMATED, CLIP_READERS, COLLECTIONS, MESH_WRITERS
 from ..methods.find import find_method
-from ..pipeline.prepared import MotionOptions
+from ..mime.model import Mime
+from ..pipeline.options import Hints, MotionOptions
 from ..tools.convert import file_stem
 from ..tools.preview import names_beside
 
@@ -282,9 +283,11 @@ def option_values(command: str, options: tuple[tuple[str, str], ...]) -> dict[st
         raise InputError(f"{message}; see mimesh {command} --help") from error
     for name in AXIS_OPTIONS:
         parse_axis(values[name], f"--{name.replace('_', '-')}")
-    method = find_method(values["model"], **{name: values[name] for name in ("ensemble", "seed", "pairing")})
-    motion: dict[str, Any] = {name: values[name] for name in ("root", "ground", "smooth") if name in values}
-    MotionOptions(**motion, rig=values["rig"], body=values["body"]).check(method)
+    model = find_method(values["model"], **{name: values[name] for name in ("ensemble", "seed", "pairing")})
+    motion = MotionOptions(**{name: values[name] for name in ("root", "ground", "smooth") if name in values})
+    Hints(rig=values["rig"], body=values["body"])
+    if not isinstance(model, Mime):
+        motion.refuse_without_joints(model.name)
     return values
 
 

@@ -22,19 +22,9 @@ from jaxtyping import Float, Int
 from ..core.canonical_order import CanonicalOrder, canonical_order, file_order
 from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
-from ..core.surface_points import padded_vertices
+from ..core.surface_points import batch_of_one, generator, padded_vertices
 from .base import Drive, Shapes
-from .npt import (
-    METRES,
-    Corresponding,
-    PointsAt,
-    batch_of_one,
-    check_same_mesh,
-    drive_of,
-    driving_input,
-    generator,
-    radii_in_metres,
-)
+from .npt import METRES, Corresponding, PointsAt, check_same_mesh, drive_of, driving_input, radii_in_metres
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession

@@ -8,15 +8,18 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.errors import InputError, did_you_mean
 from ..core.mesh import Clip, Mesh
-from .base import Drive, Method, RigMethod
+from .base import Drive, Method
 from .onnx_metadata import PAIRINGS
+
+if TYPE_CHECKING:
+    from ..mime.model import Mime
 
 # Names that `find_method` takes, besides those of WITHOUT_NETWORK and paths of .onnx files.
 SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
@@ -160,33 +163,36 @@ def check_weights(*models: str) -> None:
         )
 
 
-def takes_rigs(model: str | Method) -> bool:
-    """Whether a method uses the rigs of the files.
+def moves_joints(model: str) -> bool:
+    """Whether a model moves joints, not vertices: it takes the rigs of the files, and files of joints are written.
 
     Raises:
         InputError: as `find_method`.
     """
     if model in (*NETWORK_OF_BODY.values(), *WITHOUT_NETWORK):
         return model in NETWORK_OF_BODY.values()
-    return isinstance(find_method(model) if isinstance(model, str) else model, RigMethod)
+    from ..mime.model import Mime
+
+    return isinstance(find_method(model), Mime)
 
 
-def _with_other_bodies(method: Method, seed: int) -> Method:
+def find_mime(model: str, seed: int = 0) -> Mime:
+    """Return the model of a name or a file that is known to move joints."""
+    from ..mime.model import Mime
+
+    found = find_method(model, seed=seed)
+    assert isinstance(found, Mime)
+    return found
+
+
+def _with_other_bodies(mime: Mime, seed: int) -> Mime:
     """Return the shipped mime with the networks of the other shipped bodies."""
-    from .mime.drive import MimeMethod
 
-    def opener(model: str) -> Callable[[], MimeMethod]:
-        @cache  # the choice of a body asks for it again
-        def open_network() -> MimeMethod:
-            other = find_method(model, seed=seed)
-            assert isinstance(other, MimeMethod)
-            return other
+    def opener(model: str) -> Callable[[], Mime]:
+        return cache(lambda: find_mime(model, seed))  # the choice of a body asks for it again
 
-        return open_network
-
-    assert isinstance(method, MimeMethod)
-    others = {body: opener(model) for body, model in NETWORK_OF_BODY.items() if body != method.body}
-    return dataclasses.replace(method, other_bodies=others)
+    others = {body: opener(model) for body, model in NETWORK_OF_BODY.items() if body != mime.body}
+    return dataclasses.replace(mime, other_bodies=others)
 
 
 def find_method(
@@ -197,8 +203,8 @@ def find_method(
     pairing: str = "auto",
     reference: Mesh | None = None,
     markers: Int[np.ndarray, "M 2"] | None = None,
-) -> Method:
-    """Return the method of a name (MODELS, TABLE_MODELS, REDUCED_MODELS) or of an `.onnx` file of `mimesh export`.
+) -> Mime | Method:
+    """Return the model of a name (MODELS, TABLE_MODELS, REDUCED_MODELS) or of an `.onnx` file of `mimesh export`.
 
     Args:
         model: the name or the path.
@@ -215,6 +221,7 @@ def find_method(
         InputError: no such model, its file is missing or was not written by `mimesh export`, or an option cannot be
             used with it.
     """
+    from ..mime.model import Mime
     from .onnx_models import load_network
 
     if ensemble < 1:
@@ -257,21 +264,20 @@ def find_method(
             return _with_body_pairs(network, model, seed)
         if pairing not in ("auto", getattr(network, "pairing", "random")):
             raise _other_pairing(pairing, model)
-        return _with_other_bodies(network, seed) if model == "mime" else network
+        return _with_other_bodies(network, seed) if model == "mime" and isinstance(network, Mime) else network
     raise InputError(
         f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}"
         + did_you_mean(model, (*MODELS, *NETWORK_OF_BODY.values()))
     )
 
 
-def _with_body_pairs(network: Method, model: str, seed: int) -> Method:
+def _with_body_pairs(network: Mime | Method, model: str, seed: int) -> Method:
     """Return a network that was trained in one vertex order, with the pairs that the fitted body finds.
 
     Raises:
         InputError: it was trained otherwise, or for the vertices of one mesh.
     """
     from .aniformer import AniFormerMethod
-    from .mime.drive import MimeMethod
     from .npt import NPTMethod
 
     if not isinstance(network, (NPTMethod, AniFormerMethod)) or network.pairing != "order":
@@ -281,8 +287,7 @@ def _with_body_pairs(network: Method, model: str, seed: int) -> Method:
             f"--pairing body: expected a network for meshes of any vertices, found {model}, which is for {count} in "
             "the order of its training; leave --pairing out"
         )
-    mime = find_method(NETWORK_OF_BODY[network.body], seed=seed)
-    assert isinstance(mime, MimeMethod)
+    mime = find_mime(NETWORK_OF_BODY[network.body], seed)
     return dataclasses.replace(network, pairing="body", corresponding=mime.body_pairs)
 
 

@@ -15,14 +15,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Int
 
 from ..core.canonical_order import CanonicalOrder, canonical_order
 from ..core.errors import InputError
 from ..core.geometry import edges, spatial_order
 from ..core.mesh import Clip, Mesh, same_mesh
 from ..core.normalization import bbox_centre, radius
-from ..core.surface_points import SurfacePoints, padded_vertices
+from ..core.surface_points import SurfacePoints, batch_of_one, generator, padded_vertices
 from .base import Drive, ShapeMethod, Shapes, with_root_motion
 
 if TYPE_CHECKING:
@@ -253,13 +253,3 @@ def check_same_mesh(method: str, identity: Mesh, driving: Mesh) -> None:
             f"{driving.name}: expected the {counts[0]} vertices and the triangles of {identity.name}, which {method} "
             f"pairs by index, found {found}; give --pairing random with npt or aniformer"
         )
-
-
-def batch_of_one(points: Float[np.ndarray, "*T N 3"]) -> Float32[np.ndarray, "1 *T N 3"]:
-    """Convert points to a network's input: float32, with a batch dimension of 1."""
-    return np.ascontiguousarray(points[None], np.float32)
-
-
-def generator(seed: int, stream: int) -> np.random.Generator:
-    """Return a random generator for one purpose (stream) of a seed, independent of those of other streams."""
-    return np.random.default_rng(np.random.SeedSequence([seed, stream]))

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from ..bodies.character_limbs import SIDES
 from ..core.errors import InputError
 from ..core.system import refuse_pipe
+from ..mime.hands import FingerNetwork, HandFinder
+from ..mime.model import Mime
 from .aniformer import AniFormerMethod
 from .base import Method
-from .mime.drive import MimeMethod
-from .mime.hands import FingerNetwork, HandFinder
 from .npt import LIMPMethod, NPTMethod
 from .onnx_metadata import read_metadata
 from .onnx_runtime import import_onnxruntime, open_session
@@ -34,7 +34,7 @@ def load_network(
     seed: int = 0,
     fits: bool = True,
     fingers: bool = True,
-) -> Method:
+) -> Mime | Method:
     """Open an ONNX file written by `mimesh export`.
 
     Args:
@@ -64,7 +64,7 @@ def load_network(
     if card["model"] == "mime":
         joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
         hands = load_hand_finder(joints, seed) if fingers else None
-        return MimeMethod(name, session, joints, parents, legs, card["points"], body, fits, seed, hands=hands)
+        return Mime(name, session, joints, parents, legs, card["points"], body, fits, seed, hands=hands)
     # A network that pools the pose pairs nothing, however it was trained.
     pairing = pairing if card["pose_code"] == "per_vertex" else "random"
     return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed, body, pairing)

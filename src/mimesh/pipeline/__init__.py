@@ -13,26 +13,27 @@ from ..core.arguments import described, for_caller, public
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import UNNAMED, Clip, Mesh, check_clip, check_mesh, cut_clip
-from ..core.normalization import Normalization
 from ..methods.base import Method
-from ..methods.find import find_method, ordered_weights, takes_rigs
+from ..methods.find import find_method, ordered_weights
+from ..mime.model import Mime
 from ..motions.humanoid_rig import HumanoidRig
 from .corrections import Corrections, GivenJoints
+from .file_rigs import still_clip
 from .live import LiveSession, limited_threads, live_session
-from .move import move, prepare_frames
 from .odd_frames import far_frames_note, first_frame_note
-from .prepared import Choice, MotionOptions
+from .options import Hints, MotionOptions
 from .report import TransferReport
 from .result import ClipResult, Result, Timer
-from .rigs import still_clip
+from .route import Model, find_route
 from .same_mesh import same_triangles
+from .vertex_route import NamedMethod
 
 
 @public()
 def transfer(
     identity: Mesh | str | Path,
     driving: Mesh | str | Path,
-    model: str | Path | Method = "mime",
+    model: str | Path | Mime | Method = "mime",
     *,
     up: str | None = None,
     front: str | None = None,
@@ -96,17 +97,18 @@ def transfer(
     timer = Timer()
     with timer.step("load"):
         identity, driving = _read_mesh(identity, "identity"), _read_mesh(driving, "driving")
-    model = _usable_model(model)
-    axes = (up, front, driving_up, driving_front)
-    choice = _choice(model, (identity, driving), ensemble, seed, pairing, reference, markers)
+    chosen = _model(model, (identity, driving), ensemble, seed, pairing, reference, markers)
     clip = still_clip(driving)
     corrections = Corrections.read(joints, driving_joints, clip)
-    options = MotionOptions(rig=_usable_rig(rig, model), body=body)
-    moved = move(identity, clip, choice, axes, refine, timer, options, corrections=corrections)
+    hints = Hints((up, front, driving_up, driving_front), _usable_rig(rig, chosen), body, corrections)
+    options = MotionOptions()
+    with timer.step("prepare"):
+        route = find_route(identity, clip, chosen, hints, options).with_refinement(refine)
+    moved = route.play(timer, options)
     _name_axis_sources(moved.report, up, driving_up)
     return Result(
         identity.with_vertices(moved.frames.first()),
-        _name(model),
+        _name(chosen),
         timer,
         moved.report,
         tuple(map(for_caller, moved.notes)),
@@ -122,7 +124,7 @@ def transfer(
 def animate(
     identity: Mesh | str | Path,
     driving: Clip | str | Path,
-    model: str | Path | Method = "mime",
+    model: str | Path | Mime | Method = "mime",
     *,
     up: str | None = None,
     front: str | None = None,
@@ -206,11 +208,13 @@ def animate(
             whole = _read_clip(driving, fps, animation)
             corrections = Corrections.read(joints, driving_joints, whole)
             clip = cut_clip(whole, start, stop, step)
-    model = _usable_model(model)
+    chosen = _model(model, (identity, clip.mesh), ensemble, seed, pairing, reference, markers)
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
-    choice = _choice(model, (identity, clip.mesh), ensemble, seed, pairing, reference, markers)
-    options = MotionOptions(root, ground, smooth, skinned, _usable_rig(rig, model), body)
-    moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32, corrections)
+    hints = Hints(axes, _usable_rig(rig, chosen), body, corrections)
+    options = MotionOptions(root, ground, smooth, skinned)
+    with timer.step("prepare"):
+        route = find_route(identity, clip, chosen, hints, options).with_refinement(refine)
+    moved = route.play(timer, options, progress, np.float32)
     _name_axis_sources(moved.report, up, driving_up)
     notes = clip.notes + moved.notes + far_frames_note(clip, clip.mesh.name)
     if not isinstance(driving, Clip):
@@ -221,7 +225,7 @@ def animate(
         identity.with_vertices(moved.frames.first()),
         moved.frames,
         clip.fps,
-        _name(model),
+        _name(chosen),
         timer,
         moved.report,
         tuple(map(for_caller, notes)),
@@ -237,7 +241,7 @@ def animate(
 def prepare(
     identity: Mesh | str | Path,
     driving: Mesh | Clip | str | Path,
-    model: str | Path | Method = "mime",
+    model: str | Path | Mime | Method = "mime",
     *,
     up: str | None = None,
     front: str | None = None,
@@ -294,13 +298,13 @@ def prepare(
     known = Clip.still(_read_mesh(driving, "driving")) if isinstance(driving, Mesh) else driving
     clip = dataclasses.replace(_read_clip(known, None, None), skeleton=None)
     corrections = Corrections.read(joints, driving_joints, clip)
-    model = _usable_model(model)
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
-    options = MotionOptions(root, False, rig=_usable_rig(rig, model), body=body)
     with limited_threads(threads)():
-        choice = _choice(model, (identity, clip.mesh), ensemble, seed, pairing, reference, markers)
-        prepared = prepare_frames(identity, clip, choice, axes, refine, options, corrections)
-    session = live_session(prepared, clip, _name(model), root, threads)
+        chosen = _model(model, (identity, clip.mesh), ensemble, seed, pairing, reference, markers)
+        hints = Hints(axes, _usable_rig(rig, chosen), body, corrections)
+        options = MotionOptions(root, ground=False)
+        route = find_route(identity, clip, chosen, hints, options, live=True).with_refinement(refine)
+    session = live_session(route, _name(chosen), root, threads)
     _name_axis_sources(session.report, up, driving_up)
     return session
 
@@ -315,69 +319,60 @@ def _name_axis_sources(report: TransferReport, up: str | None, driving_up: str |
             facing["up_from"] = "joints"
 
 
-def _choice(
-    model: str | Method, meshes: tuple[Mesh, Mesh], ensemble: int, seed: int, pairing: str, reference, markers
-) -> Choice:
-    """Return the function that makes the method, given the driving's normalisation (which the reference needs too).
+def _model(
+    model: str | Path | Mime | Method,
+    meshes: tuple[Mesh, Mesh],
+    ensemble: int,
+    seed: int,
+    pairing: str,
+    reference,
+    markers,
+) -> Model:
+    """Return a model, opened if it has joints; `meshes` are those by which `pairing` "auto" is decided.
 
-    `meshes` are the identity and the driving, by which `pairing` "auto" is decided.
+    Raises:
+        InputError: no model, or it has no such options.
     """
-    if isinstance(model, Method):
-        return lambda norm: model
-    ordered = ordered_weights(model)
+    if isinstance(model, type):
+        raise InputError(f"model: expected a method, found its class {model.__name__}; give {model.__name__}()")
+    if isinstance(model, Mime | Method):
+        return model
+    if not isinstance(model, (str, Path)):
+        raise InputError(
+            f"model: expected a name, the path of an .onnx file, or a method with `rough`, `name` and `prepare`, found "
+            f"{described(model)}; mimesh models lists the names"
+        )
+    name = str(model)
+    ordered = ordered_weights(name)
     if pairing == "auto" and ordered is not None and ordered.is_file() and same_triangles(*meshes):
         pairing = "order"
-    reference = None if reference is None else _read_mesh(reference, "reference")
     if isinstance(markers, (str, Path)):
         from ..io.markers import load_markers
 
         markers = load_markers(Path(markers))
     elif markers is not None:
         markers = _checked_pairs(markers)
-
-    def choose(norm: Normalization) -> Method:
-        normalised = None
-        if reference is not None:
-            normalised = dataclasses.replace(reference, vertices=norm.apply(reference.vertices))
-        options = {"ensemble": ensemble, "seed": seed, "pairing": pairing}
-        return find_method(model, **options, reference=normalised, markers=markers)
-
-    return choose
+    reference = None if reference is None else _read_mesh(reference, "reference")
+    options = {"ensemble": ensemble, "seed": seed, "pairing": pairing, "markers": markers}
+    opened = find_method(name, reference=reference, **options)
+    return opened if isinstance(opened, Mime) else NamedMethod(name, options, reference)
 
 
-def _usable_model(model: str | Path | Method) -> str | Method:
-    """Return the name of a model, or the method itself.
-
-    Raises:
-        InputError: neither of them.
-    """
-    if isinstance(model, (str, Path)):
-        return str(model)
-    if isinstance(model, type):
-        raise InputError(f"model: expected a method, found its class {model.__name__}; give {model.__name__}()")
-    if not isinstance(model, Method):
-        raise InputError(
-            f"model: expected a name, the path of an .onnx file, or a method with `rough`, `name` and `prepare`, found "
-            f"{described(model)}; mimesh models lists the names"
-        )
-    return model
-
-
-def _usable_rig(rig: str | HumanoidRig, model: str | Method) -> str | HumanoidRig:
+def _usable_rig(rig: str | HumanoidRig, model: Model) -> str | HumanoidRig:
     """Return the choice of the identity's rig; models without joints use none.
 
     Raises:
         InputError: the rig itself is given, and the model has no joints.
     """
-    if takes_rigs(model):
+    if isinstance(model, Mime):
         return rig
     if isinstance(rig, HumanoidRig):
         raise InputError(f"--rig: expected a model with joints (mime), found {_name(model)}; choose it with -m")
     return "mimesh"
 
 
-def _name(model: str | Method) -> str:
-    return model.name if isinstance(model, Method) else model
+def _name(model: Model) -> str:
+    return model.model if isinstance(model, NamedMethod) else model.name
 
 
 def _checked_pairs(markers: ArrayLike) -> Int[np.ndarray, "M 2"]:

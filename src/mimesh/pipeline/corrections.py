@@ -1,4 +1,4 @@
-"""Pass the joints that a user has corrected to a method, and read the joints that it found."""
+"""Joints that a user has corrected, and the joints of the shipped bodies that can be."""
 
 from __future__ import annotations
 
@@ -6,23 +6,18 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ..bodies import load_body
-from ..bodies.anatomy import body_of_joints
-from ..bodies.joint_names import without_fingers
 from ..core.arguments import described
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
-from ..methods.base import CorrectableMethod, Method, SkinnedDrive
-
-if TYPE_CHECKING:
-    from .prepared import Prepared
+from ..mime.model import Positions
 
 HIDDEN = {
     "human": ("LHipJoint", "RHipJoint", "LThumb", "RThumb", "LeftFingerBase", "RightFingerBase", "LeftHandFinger1",
@@ -78,39 +73,46 @@ class Corrections:
             )
         return cls(*read, np.asarray(clip.vertices[read[1].frame], np.float64))
 
-    def apply(
-        self, method: Method, identity: Mesh, keyframes: Clip, norms: tuple[Normalization, Normalization]
-    ) -> tuple[Method, Clip]:
-        """Return the method with the corrected joints, and the keyframes with the frame of the driving's at the end.
+    def of_identity(self, identity: Mesh, joints: tuple[str, ...], norm: Normalization) -> Positions:
+        """Return the identity's corrected joints, normalised.
 
         Raises:
-            InputError: the method cannot be corrected, or a correction does not belong to its mesh.
+            InputError: a joint that a model does not have, or that is not near the mesh.
         """
-        if self.identity is None and self.driving is None:
-            return method, keyframes
-        if not isinstance(method, CorrectableMethod):
+        return _normalised(self.identity, identity.vertices, joints, identity.name, norm)
+
+    def of_driving(self, keyframes: Clip, joints: tuple[str, ...], norm: Normalization) -> tuple[Positions, Clip]:
+        """Return the driving's corrected joints, normalised, and its keyframes with their frame at the end.
+
+        Raises:
+            InputError: as `of_identity`.
+        """
+        if self.driving_frame is None:
+            return {}, keyframes
+        positions = _normalised(self.driving, self.driving_frame, joints, keyframes.mesh.name, norm)
+        last = norm.apply(self.driving_frame)[None]
+        if len(keyframes) == 1 and np.array_equal(keyframes.vertices[0], last[0]):  # a pose gets no second keyframe
+            return positions, dataclasses.replace(keyframes, vertices=last)
+        return positions, dataclasses.replace(keyframes, vertices=np.concatenate([keyframes.vertices, last]))
+
+    def refuse_without_joints(self, model: str) -> None:
+        """Raise InputError if joints are corrected of a model that has none."""
+        if self.given:
             option = "--driving-joints" if self.identity is None else "--joints"
-            raise InputError(f"{option}: expected a model with joints (mime), found {method.name}; choose it with -m")
-        known = []
-        meshes = (
-            (self.identity, identity.vertices, identity.name),
-            (
-                self.driving,
-                self.driving_frame,
-                keyframes.mesh.name,
-            ),
-        )
-        for (corrections, vertices, name), norm in zip(meshes, norms, strict=True):
-            if corrections is not None and vertices is not None:
-                corrections.check(vertices, method.joints, name)
-            positions = {} if corrections is None else corrections.positions
-            known.append({joint: norm.apply(position[None])[0] for joint, position in positions.items()})
-        if self.driving_frame is not None:
-            last = norms[1].apply(self.driving_frame)[None]
-            keyframes = dataclasses.replace(keyframes, vertices=np.concatenate([keyframes.vertices, last]))
-            if len(keyframes) == 2 and np.array_equal(keyframes.vertices[0], last[0]):  # a pose gets no second keyframe
-                keyframes = dataclasses.replace(keyframes, vertices=last)
-        return method.with_joints(*known), keyframes
+            raise InputError(f"{option}: expected a model with joints (mime), found {model}; choose it with -m")
+
+
+def _normalised(
+    corrections: JointCorrections | None,
+    vertices: Float[np.ndarray, "V 3"],
+    joints: tuple[str, ...],
+    name: str,
+    norm: Normalization,
+) -> Positions:
+    if corrections is None:
+        return {}
+    corrections.check(vertices, joints, name)
+    return {joint: norm.apply(position[None])[0] for joint, position in corrections.positions.items()}
 
 
 NO_CORRECTIONS = Corrections()
@@ -125,19 +127,6 @@ class FoundJoints:
     """Name of the shipped body whose joints they are."""
     identity: JointPositions
     driving: JointPositions
-
-
-def found_joints(prepared: Prepared, frame: int = 0) -> FoundJoints | None:
-    """Return the joints of the identity, and of the driving in a frame; None if the method has no joints."""
-    drive, norm = prepared.drive, prepared.driving_norm
-    if not isinstance(drive, SkinnedDrive):
-        return None
-    vertices = norm.apply(np.asarray(prepared.clip.vertices[frame], np.float64))
-    identity = prepared.identity_norm.undo(drive.rig.joints)
-    driving = norm.undo(drive.driving_pose(frame, vertices)[1])
-    mine = without_fingers({name: identity[j] for name, j in drive.person.items()})
-    theirs = without_fingers(dict(zip(drive.driving_joints, driving, strict=True)))
-    return FoundJoints(body_of_joints(drive.driving_joints), mine, theirs)
 
 
 def shown_bones(name: str = "human") -> dict[str, str | None]:

@@ -14,8 +14,11 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import ORIENTATIONS, ROTATIONS, parse_axis
 from ..io.gltf.animation import AnimatedValues, sample_nodes
 from ..io.gltf.own_rig import FileRig, GltfJoints, has_rig, read_file_rig
+from ..mime.model import Mime
+from .file_rigs import Rigs, read_rigs
+from .look import KINDS, OTHER, finds_joints, joint_finder, looks_like
+from .options import Axes, Hints
 from .report import MatchReport
-from .rigs import Axes
 
 SURE, SURE_ACROSS = 0.45, 0.6
 """Confidence below which a match is refused: of two creatures, and of a creature with a person or a four-legged animal.
@@ -70,6 +73,58 @@ class MatchedCreatures:
         back = CreatureMotion(mine.T @ moved.linear @ mine, moved.positions @ mine)
         joints = np.flatnonzero(self.creatures[0].moving).tolist()
         return self.identity.tracks(joints, back.transforms(self.identity.character.joints)[:, joints])
+
+
+def matched_creatures(
+    identity: Mesh, clip: Clip, rigs: Rigs, mime: Mime | None, hints: Hints
+) -> MatchedCreatures | None:
+    """Match the rigs of both files with each other, if these are of other creatures; None: the model moves the mesh.
+
+    Args:
+        rigs: as they are read by the names of their joints.
+        mime: the model, if it has joints.
+
+    Raises:
+        InputError: the rigs are of other creatures, and are not matched with certainty.
+    """
+    asked = OTHER if rigs.only_copied else hints.body
+    if asked not in ("auto", OTHER) or (asked == "auto" and not any(rigs.unnamed)):
+        return None
+    try:
+        matched = match_creatures(identity, clip, hints.axes)
+    except InputError:
+        if asked == OTHER:
+            raise
+        return None  # the note of `rigs` says what is wrong with it
+    if matched is None or asked == OTHER:
+        return matched if matched is None else sure_match(matched, SURE)
+    if mime is None or not finds_joints(mime):
+        return None
+    of_meshes = hints.axes[:2], hints.axes[2:]
+    find = joint_finder(mime, of_meshes[0]), joint_finder(mime, of_meshes[1])
+    by_surface = read_rigs(identity, clip, hints, find=find)
+    if None not in by_surface.bodies:
+        return None
+    mixed = any(body is not None for body in rigs.bodies)
+    least, advice = SURE_ACROSS if mixed else SURE, ""
+    if matched.match.confidence < least:
+        shown = [
+            {own} if own is not None else looks_like(mime, mesh, axes)
+            for own, mesh, axes in zip(rigs.bodies, (identity, clip.mesh), of_meshes, strict=True)
+        ]
+        if shown[0] & shown[1]:  # the joints are found on the surface, and a note says why
+            return None
+        advice = _surface_advice(shown, (identity.name, clip.mesh.name))
+    return sure_match(matched, least, advice)
+
+
+def _surface_advice(shown: list[set[str]], names: tuple[str, str]) -> str:
+    """Say how to move two meshes of which only one is known to be a person or an animal, if the other is one, too."""
+    for k in (0, 1):
+        if shown[k] and not shown[1 - k]:
+            body = min(shown[k])
+            return f"; if {names[1 - k]} is {KINDS[body]}, too, --rig mimesh --body {body} finds joints on the surfaces"
+    return ""
 
 
 def match_creatures(identity: Mesh, clip: Clip, axes: Axes) -> MatchedCreatures | None:

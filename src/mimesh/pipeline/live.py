@@ -1,6 +1,6 @@
 """A session that poses an identity one driving frame at a time, as the frames of a live stream arrive.
 
-Everything that is done once is done as for a clip (`move.prepare_frames`); only what needs later frames is left out:
+Everything that is done once is done as for a clip (`route.find_route`); only what needs later frames is left out:
 smoothing over time, and planting of feet.
 """
 
@@ -20,11 +20,13 @@ from ..core.arguments import described, for_caller, public
 from ..core.errors import InputError
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import LARGEST, Clip, Mesh
-from ..io.beside import missing_images, missing_images_notes
-from ..methods.base import BodyMethod, Drive, SkinnedDrive
-from .play import report_confidence
-from .prepared import Prepared
-from .report import TransferReport, facing, facing_note
+from ..methods.base import Drive
+from ..rigs.retarget import Retarget
+from .joint_route import JointRoute, report_confidence
+from .node_route import NodeRoute
+from .report import TransferReport
+from .route import Route
+from .vertex_route import VertexRoute
 
 PoseFrame = Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]
 """Maps the vertices of a driving frame to the identity's; both normalised."""
@@ -53,7 +55,7 @@ class LiveSession:
     """Facing of both meshes, and confidences and the body of models with joints, as in `ClipResult.report`."""
     notes: tuple[str, ...]
     """Lines for the user, as in `ClipResult.notes`."""
-    _prepared: Prepared = field(repr=False)
+    _route: JointRoute | VertexRoute = field(repr=False)
     _pose: PoseFrame = field(repr=False)
     _shift: Float[np.ndarray, " 3"] = field(repr=False)
     """Brings the result of the first frame to the identity's position, normalised."""
@@ -85,9 +87,9 @@ class LiveSession:
             [(502, 3), (502, 3), (502, 3)]
         """
         vertices = self._checked(driving)
-        norms = self._prepared.identity_norm, self._prepared.driving_norm
+        norms = self._route.norms
         with self._limit():
-            posed = self._pose(norms[1].apply(vertices)) @ self._prepared.turn.T
+            posed = self._pose(norms[1].apply(vertices)) @ self._route.turn.T
             return norms[0].undo(posed + self._shift)
 
     def _checked(self, driving: ArrayLike | Mesh) -> Float[np.ndarray, "U 3"]:
@@ -132,30 +134,27 @@ class LiveSession:
         return vertices
 
 
-def live_session(prepared: Prepared, clip: Clip, model: str, root: str, threads: int | None) -> LiveSession:
-    """Make the session of a prepared identity.
+def live_session(route: Route, model: str, root: str, threads: int | None) -> LiveSession:
+    """Make the session of a route.
 
     Args:
-        prepared: the identity and the frames of the driving that are known.
-        clip: these frames.
-        model: name of the method.
+        model: name of the model.
         root: as in `animate`.
         threads: of linear algebra; None leaves them as they are.
 
     Raises:
         InputError: the method looks at more than one frame at a time.
     """
-    first = prepared.driving_norm.apply(np.asarray(clip.vertices[0], np.float64))
-    limit = limited_threads(threads)
+    assert not isinstance(route, NodeRoute)  # `find_route` makes none for live frames
+    first, limit = route.driving_frame(0), limited_threads(threads)
     with limit():
-        pose = _pose_function(prepared, first, root)
-        if prepared.refinement is not None:
-            pose = _refined(pose, prepared.refinement)
-        shift = prepared.shift(pose(first) @ prepared.turn.T)
-    report, notes = _report(prepared)
+        pose = _pose_function(route, first, root)
+        shift = route.shift(pose(first) @ route.turn.T)
+    report, notes = _report(route)
+    clip = route.clip
     driving = Mesh(np.asarray(clip.vertices[0], np.float64), clip.mesh.faces, clip.mesh.name)
     notes = tuple(map(for_caller, notes))
-    return LiveSession(prepared.identity, driving, model, report, notes, prepared, pose, shift, limit)
+    return LiveSession(route.identity, driving, model, report, notes, route, pose, shift, limit)
 
 
 def limited_threads(threads: int | None) -> Callable[[], AbstractContextManager]:
@@ -174,30 +173,32 @@ def limited_threads(threads: int | None) -> Callable[[], AbstractContextManager]
     return lambda: libraries.limit(limits=threads)
 
 
-def _pose_function(prepared: Prepared, first: Float[np.ndarray, "U 3"], root: str) -> PoseFrame:
-    """Return the function that makes a frame of the result, not yet refined."""
-    if isinstance(prepared.drive, SkinnedDrive):
-        scale = prepared.driving_norm.radius / prepared.identity_norm.radius
-        return _follow_joints(prepared.drive, first, scale if root == "keep" else None, root == "drop")
-    return _step(prepared.drive, first, prepared.clip.mesh.name, prepared.method.name)
+def _pose_function(route: JointRoute | VertexRoute, first: Float[np.ndarray, "U 3"], root: str) -> PoseFrame:
+    """Return the function that makes a frame of the result."""
+    if isinstance(route, VertexRoute):
+        pose = _step(route.drive, first, route.names[1], route.method.name)
+    else:
+        scale = route.norms[1].radius / route.norms[0].radius
+        pose = _follow_joints(route.retarget, first, scale if root == "keep" else None, root == "drop")
+    return lambda vertices: route.refined(pose(vertices))
 
 
 def _follow_joints(
-    drive: SkinnedDrive, first: Float[np.ndarray, "U 3"], across: float | None, in_place: bool
+    retarget: Retarget, first: Float[np.ndarray, "U 3"], across: float | None, in_place: bool
 ) -> PoseFrame:
-    """Pose by joints: a function of the frame alone, but for where the first one was; see `SkinnedDrive.motion`."""
+    """Pose by joints: a function of the frame alone, but for where the first one was; see `Retarget.posed_joints`."""
 
     def joints(vertices: Float[np.ndarray, "U 3"]) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, " 3"]]:
-        rotation, positions = drive.follow(vertices)
+        rotation, positions = retarget.motion.pose(0, vertices)
         # The frame rate is for smoothing and for feet, which are left out.
-        posed = drive.motion(JointTrack(rotation[None], positions[None], 1.0), across, False, False)
+        posed = retarget.posed_joints(JointTrack(rotation[None], positions[None], 1.0), across, False, False)
         return posed.rotation[0], posed.root[0]
 
     start = joints(first)[1]
 
     def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
         rotation, root = joints(vertices)
-        return drive.posed(rotation, np.array([start[0], root[1], start[2]]) if in_place else root)
+        return retarget.character.posed(rotation, np.array([start[0], root[1], start[2]]) if in_place else root)
 
     return pose
 
@@ -240,18 +241,11 @@ def _step(drive: Drive, first: Float[np.ndarray, "U 3"], name: str, model: str) 
     return pose
 
 
-def _refined(pose: PoseFrame, refinement: Callable[[np.ndarray], np.ndarray]) -> PoseFrame:
-    return lambda vertices: refinement(pose(vertices))
-
-
-def _report(prepared: Prepared) -> tuple[TransferReport, tuple[str, ...]]:
+def _report(route: JointRoute | VertexRoute) -> tuple[TransferReport, tuple[str, ...]]:
     """Return what is known of both meshes before the first frame, and notes for the user."""
-    identity, clip = prepared.identity, prepared.clip
-    report: dict = {"identity": facing(prepared.identity_norm), "driving": facing(prepared.driving_norm)}
-    report |= {"body": prepared.method.body} if isinstance(prepared.method, BodyMethod) else {}
+    report: dict = dict(zip(("identity", "driving"), route.facings, strict=True))
     notes: tuple[str, ...] = ()
-    if isinstance(prepared.drive, SkinnedDrive):
-        notes += report_confidence(prepared.drive, report, (identity.name, clip.mesh.name))
-    notes += facing_note(prepared.identity_norm, identity.name, "--front")
-    notes += facing_note(prepared.driving_norm, clip.mesh.name, "--driving-front")
-    return cast(TransferReport, report), notes + prepared.rigs.notes + missing_images_notes(missing_images(identity))
+    if isinstance(route, JointRoute):
+        report["body"] = route.mime.body
+        notes += report_confidence(route.retarget, report, route.names)
+    return cast(TransferReport, report), notes + route.all_notes(True)

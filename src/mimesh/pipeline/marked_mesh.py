@@ -17,9 +17,9 @@ from ..core.normalization import ORIENTATIONS, Normalization
 from ..methods.base import Method
 from ..methods.deformation_transfer import DeformationTransfer
 from ..methods.extremities import FoundMarks, find_ends, match_ends
-from .orientation import normalised
+from .look import normalised
+from .options import Axes
 from .report import ReferenceReport
-from .rigs import Axes
 
 FRAMES = 12
 """Most frames, evenly spread over a clip, on which marks are looked for."""

@@ -14,8 +14,7 @@ from pathlib import Path
 import uvicorn
 
 from ..core.errors import InputError
-from ..methods.base import SkinnedMethod
-from ..methods.find import find_method
+from ..methods.find import moves_joints
 from .app import make_app
 from .security import AccessControl, new_token
 from .session import Session
@@ -97,7 +96,7 @@ def make_session(files: list[Path], limit: int, model: str = "mime") -> Session:
     onnx_models = [str(file) for file in files if file.suffix == ".onnx"]
     models = tuple(dict.fromkeys((*STUDIO_MODELS, *onnx_models, model)))
     other_models = [name for name in models if name not in STUDIO_MODELS]
-    skinned_models = tuple(name for name in other_models if isinstance(find_method(name), SkinnedMethod))
+    skinned_models = tuple(name for name in other_models if moves_joints(name))
     meshes = [file for file in files if file.suffix != ".onnx"]
     session = Session(UploadFolder(limit, TOTAL_FACTOR * limit), models, model, skinned_models)
     with contextlib.ExitStack() as undo:

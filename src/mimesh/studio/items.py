@@ -11,13 +11,14 @@ from typing import Any
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
-from ..methods.base import BodyMethod, Method, SkinnedMethod
-from ..methods.find import takes_rigs
-from ..pipeline.body_choice import BODIES
-from ..pipeline.move import PreparedMove
-from ..pipeline.prepared import ROOTS, MotionOptions, Prepared
+from ..methods.base import Method
+from ..mime.model import Mime
+from ..pipeline.look import BODIES
+from ..pipeline.node_route import NodeRoute
+from ..pipeline.options import RIGS, ROOTS, MotionOptions
 from ..pipeline.result import ClipResult
-from ..pipeline.rigs import RIGS
+from ..pipeline.route import Route
+from ..pipeline.vertex_route import VertexRoute
 
 
 @dataclass(frozen=True)
@@ -59,16 +60,15 @@ class Options:
         """Whether root motion and smoothing are other than the driving's: animations are then not copied."""
         return self.root != "scale", self.smooth > 0
 
-    def motion(self, method: Method) -> MotionOptions:
-        """Return the motion options for a method: those that it has.
+    def motion(self, model: Mime | Method) -> MotionOptions:
+        """Return the motion options for a model: only one with joints has any."""
+        return MotionOptions(self.root, self.ground, self.smooth) if isinstance(model, Mime) else MotionOptions()
 
-        Only methods with joints have root, ground, smooth and the rigs of files, only those of several bodies a body.
-        """
-        rig = self.rig if takes_rigs(self.model) else "mimesh"
-        body = self.body if isinstance(method, BodyMethod) and len(method.bodies) > 1 else "auto"
-        if not isinstance(method, SkinnedMethod):
-            return MotionOptions(rig=rig, body=body)
-        return MotionOptions(self.root, self.ground, self.smooth, rig=rig, body=body)
+    def kind(self, model: Mime | Method) -> tuple[str, str]:
+        """Return rig and body for a model: one with joints has the rigs of files, one of several bodies has a body."""
+        if not isinstance(model, Mime):
+            return "mimesh", "auto"
+        return self.rig, self.body if len(model.bodies) > 1 else "auto"
 
 
 def parse_rate(value: Any) -> float | None:
@@ -141,15 +141,16 @@ class Preparation:
     """See `Options`."""
     refine: bool | None
     """Option `refine`; False as it is prepared first."""
-    prepared: PreparedMove
+    route: Route
 
     def serves(self, inputs: tuple, motion_changes: tuple[bool, bool]) -> bool:
         """Whether it is the same with other inputs and options.
 
-        A method that was chosen where an animation could be copied is chosen with changed motion, too. Other ways to
+        A model that was chosen where an animation could be copied is chosen with changed motion, too. Other ways to
         move a mesh do not have all options, and refuse those that they lack.
         """
-        chosen = not any(self.motion_changes) and isinstance(self.prepared, Prepared)
+        by_reference = isinstance(self.route, VertexRoute) and self.route.reference is not None
+        chosen = not any(self.motion_changes) and not isinstance(self.route, NodeRoute) and not by_reference
         return self.inputs == inputs and (self.motion_changes == motion_changes or chosen)
 
 

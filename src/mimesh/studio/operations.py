@@ -22,16 +22,17 @@ from ..core.normalization import Normalization
 from ..io import load_clip, load_mesh
 from ..io.beside import confined
 from ..io.joint_file import describe_corrections, load_corrections, side_file
-from ..methods.base import CorrectableMethod, Method
+from ..methods.base import Method
 from ..methods.find import find_method
+from ..mime.model import Mime
 from ..motions.animal_clips import ANIMAL_MOTIONS, animal_clip
 from ..pipeline import driving_axes
-from ..pipeline.corrections import Corrections, correctable_joints, found_joints, shown_bones
-from ..pipeline.move import PreparedMove, play_move, prepare_move
-from ..pipeline.prepared import Prepared
+from ..pipeline.corrections import Corrections, correctable_joints, shown_bones
+from ..pipeline.look import OTHER
+from ..pipeline.options import Hints
 from ..pipeline.report import facing
 from ..pipeline.result import ClipResult, Timer
-from ..pipeline.rigs import OTHER
+from ..pipeline.route import Route, find_route
 from ..tools.demo import driving_clip
 from .items import Item, Options
 
@@ -124,31 +125,30 @@ def animations(content: Mesh | Clip) -> tuple[str, ...]:
     return tuple(getattr(mesh.source, "animations", ()))
 
 
-def prepare_inputs(identity: Item, driving: Item, options: Options) -> PreparedMove:
-    """Prepare identity and driving clip, which have been read, for a model and a body, without refinement."""
+def prepare_inputs(identity: Item, driving: Item, options: Options) -> Route:
+    """Choose the way to move an identity by a driving clip, which have been read, without refinement."""
     assert isinstance(identity.content, Mesh)
     assert isinstance(driving.content, Clip)
     axes = (*identity.axes, *driving_axes(driving.content, *driving.axes))
-    method = find_method(options.model)
-    motion = options.motion(method)
-    corrections = Corrections() if motion.body == OTHER else applicable_corrections(method, identity, driving)
-    return prepare_move(identity.content, driving.content, lambda frame: method, axes, False, motion, corrections)
+    model = find_method(options.model)
+    rig, body = options.kind(model)
+    corrections = Corrections() if body == OTHER else applicable_corrections(model, identity, driving)
+    hints = Hints(axes, rig, body, corrections)
+    return find_route(identity.content, driving.content, model, hints, options.motion(model))
 
 
-def compute_result(
-    prepared: PreparedMove, identity: Mesh, clip: Clip, options: Options, progress: Progress
-) -> ClipResult:
+def compute_result(route: Route, identity: Mesh, clip: Clip, options: Options, progress: Progress) -> ClipResult:
     """Compute the whole clip, as `pipeline.animate` does, or the one pose, as `pipeline.transfer` does."""
-    seconds, method = Timer(), find_method(options.model)
+    seconds, model = Timer(), find_method(options.model)
     dtype = np.float64 if len(clip) == 1 else np.float32
-    moved = play_move(prepared, seconds, options.motion(method), lambda done, total: progress(done, 2 * total), dtype)
+    moved = route.play(seconds, options.motion(model), lambda done, total: progress(done, 2 * total), dtype)
     # The page shows all frames: they are made here, where they can be stopped.
     frames = LazyFrames.stored(moved.frames.every(1, lambda done, total: progress(total + done, 2 * total)))
     return ClipResult(
         identity.with_vertices(frames.first()),
         frames,
         clip.fps,
-        method.name,
+        model.name,
         seconds,
         moved.report,
         moved.notes,
@@ -216,17 +216,17 @@ def parse_positions(item: Item, positions: Any) -> JointCorrections | None:
     return corrections if corrections.positions else None
 
 
-def applicable_corrections(method: Method, identity: Item, driving: Item) -> Corrections:
-    """Return the corrections of both items if the method can use them, else none."""
-    if not isinstance(method, CorrectableMethod) or not isinstance(driving.content, Clip):
+def applicable_corrections(model: Mime | Method, identity: Item, driving: Item) -> Corrections:
+    """Return the corrections of both items if the model can use them, else none."""
+    if not isinstance(model, Mime) or not isinstance(driving.content, Clip):
         return Corrections()
     return Corrections.read(identity.corrections, driving.corrections, driving.content)
 
 
-def describe_joints(prepared: PreparedMove, identity: Item, driving: Item) -> dict[str, Any]:
+def describe_joints(route: Route, identity: Item, driving: Item) -> dict[str, Any]:
     """Return the joints found on both meshes as JSON values; empty if the model has none."""
     frame = 0 if driving.corrections is None else driving.corrections.frame
-    found = found_joints(prepared, frame) if isinstance(prepared, Prepared) else None
+    found = route.joints(frame)
     if found is None:
         return {}
     shown = shown_bones(found.body)

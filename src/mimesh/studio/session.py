@@ -23,8 +23,8 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import parse_axis
-from ..pipeline.move import PreparedMove, frame_of_move, refined_move
 from ..pipeline.result import ClipResult
+from ..pipeline.route import Route
 from ..pipeline.skinned import AS_IT_IS
 from . import operations
 from .exports import MAX_EXPORTS, Export, write
@@ -178,8 +178,8 @@ class Session:
             raise Cancelled
 
         def work(progress: Progress) -> Float[np.ndarray, "V 3"]:
-            prepared, clip = self._prepare(item)
-            return frame_of_move(prepared, min(max(frame, 0), len(clip) - 1))
+            route, clip = self._prepare(item)
+            return route.frame(min(max(frame, 0), len(clip) - 1))
 
         return self.worker.submit(("pose", number), work, urgent=True)
 
@@ -329,9 +329,9 @@ class Session:
                 progress(done, total)
                 self._report_progress(outcome, done / total)
 
-            prepared, clip = self._prepare(item)
+            route, clip = self._prepare(item)
             assert isinstance(item.content, Mesh)
-            return operations.compute_result(prepared, item.content, clip, options, report)
+            return operations.compute_result(route, item.content, clip, options, report)
 
         self.worker.submit(("result", item.number), work).add_done_callback(partial(self._finish_result, outcome))
 
@@ -351,7 +351,7 @@ class Session:
             outcome.progress = progress
             self.changed()
 
-    def _prepare(self, item: Item) -> tuple[PreparedMove, Clip]:
+    def _prepare(self, item: Item) -> tuple[Route, Clip]:
         """Return a mesh and the driving clip as the model prepared them, from the cache if the inputs are the same.
 
         Preparation (fitting, normalization) takes most of the time to the first pose and hardly depends on the motion
@@ -362,13 +362,13 @@ class Session:
             raise Cancelled
         inputs, options, cached = preparation_inputs(item, driving, self.options), self.options, item.preparation
         if cached is None or not cached.serves(inputs, options.motion_changes):
-            prepared = operations.prepare_inputs(item, driving, options)
-            cached = Preparation(inputs, options.motion_changes, False, prepared)
+            route = operations.prepare_inputs(item, driving, options)
+            cached = Preparation(inputs, options.motion_changes, False, route)
         if cached.refine != options.refine:
-            refined = refined_move(cached.prepared, options.refine)
-            cached = dataclasses.replace(cached, refine=options.refine, prepared=refined)
+            route = cached.route.with_refinement(options.refine)
+            cached = dataclasses.replace(cached, refine=options.refine, route=route)
         item.preparation = cached
-        return cached.prepared, driving.content
+        return cached.route, driving.content
 
     def _cancel_jobs(self, item: Item) -> None:
         for what in ("read", "pose", "joints", "result"):

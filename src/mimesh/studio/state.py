@@ -12,7 +12,7 @@ from ..core.normalization import AXES, UNSURE
 from ..methods.find import MODELS, REDUCED_MODELS
 from ..motions.animal_clips import ANIMAL_MOTIONS
 from ..motions.clips import SEGMENTS
-from ..pipeline.prepared import ROOTS
+from ..pipeline.options import ROOTS
 from ..pipeline.result import ClipResult
 from ..player.pack import Panel, pack_scene
 from . import operations

@@ -12,12 +12,10 @@ from jaxtyping import Float, Int
 
 from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import Normalization
 from ..core.printable import printable
 from ..io.beside import missing_images, missing_images_notes
-from ..pipeline.body_choice import recognised_body
-from ..pipeline.rigs import RigFacts, rig_facts
-from ..pipeline.second_look import KINDS
+from ..pipeline.file_rigs import RigFacts, rig_facts
+from ..pipeline.look import KINDS, Subject, recognised_body
 
 PERSON = (1.4, 2.1)
 """Longest side (metres) of a standing person, arms spread or not: smallest and largest."""
@@ -287,9 +285,10 @@ def _motion_detail(joints: int) -> tuple[str, str]:
 
 def _stands(mesh: Mesh, rig: RigFacts | None) -> str:
     """Say up and front of a mesh, and what it is taken for: by its rig, else as a transfer of it alone would choose."""
-    norm, body = Normalization.fit(mesh), "human"
+    subject, body = Subject(mesh, (None, None)), "human"
+    norm = subject.norm
     if rig is None or not rig.person:
-        body, norm = recognised_body(mesh, norm, (None, None))
+        body, norm = recognised_body(subject)
     if body is None:
         return "looks neither like a person nor like a four-legged animal, as far as can be told"
     by_file = " (by the file)" if norm.up_from == "file" else ""

@@ -1,0 +1,432 @@
+"""mime as an ONNX file: finds the joints of a mesh (`Mime.rig`), and follows them through a clip (`Mime.capture`).
+
+A prediction is one run of the network on points sampled from a surface (`prediction.py`); every second one is of the
+mirror image. A mesh gets several, a consensus of them, and a fit of the shipped body. In each frame of a clip the
+joints' rotations are found by least squares over tracked points (`part_tracking.py`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies.anatomy import anatomy_of
+from ..bodies.sampled_body import PosedBody
+from ..core.canonical_order import CanonicalOrder, canonical_faces, canonical_order
+from ..core.errors import InputError
+from ..core.geometry import closest_on_mesh, vertex_normals
+from ..core.mesh import Clip, Mesh
+from ..core.rig import Rig, leg_length
+from ..core.skinning import SkinnedMesh
+from ..core.soles import find_soles
+from ..core.surface_points import SurfacePoints, generator
+from ..rigs.character import Character, names_above
+from ..rigs.confidence import MAX_UNMATCHED_SURFACE, Confidence
+from ..rigs.retarget import Follow, Motion, Pose, SurfaceMotion
+from .body_fit import (
+    RELIABLE_MISMATCH,
+    BodyFit,
+    SurfaceSample,
+    fit_body,
+    fit_predictions,
+    nearest_shares,
+    sampled_body,
+    whole_body,
+)
+from .hands import HandFinder, WeightedMesh, follow_fingers, with_fingers
+from .joint_targets import JointTargets
+from .kept_results import kept
+from .part_tracking import PartTracker
+from .prediction import (
+    ENSEMBLE,
+    TRACKED,
+    Denoiser,
+    JointNetwork,
+    KeyframePrediction,
+    NetworkPoints,
+    consensus,
+    face_outward,
+    sampled_points,
+)
+from .weights import DENSE, CoarseSurface, clean_weights, corrected_weights, with_whole_tail
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
+
+KEPT_RIGS, KEPT_DRIVINGS, KEPT_QUICK = 8, 16, 256
+"""How many results are kept (see `kept_results.py`): the weights of 10,000 vertices
+take 2.4 MB, a driving 8 MB. One pair may need four rigs: both meshes as both bodies."""
+RETRIES, DISAGREEMENT = 4, 15.0
+"""How many further keyframes are tried as the reference while the predictions for all keyframes, carried back to the
+reference by the measured motion, differ from their consensus by more than this angle (degrees, median)."""
+LIE = ("quadruped",)
+"""Bodies for which other orientations are tried where the predictions disagree: animals lie on their sides, and trunks
+of leaping ones point up or down. Of people figures of blocks became worse (docs/log/animals.md)."""
+
+
+Positions = Mapping[str, Float[np.ndarray, " 3"]]
+"""Joint -> position, normalised."""
+
+
+@dataclass(frozen=True, eq=False)
+class CapturedMotion(Motion):
+    """A motion that was found on the surfaces of a clip."""
+
+    keyframes: Clip = field(kw_only=True)
+    found: KeyframePrediction = field(kw_only=True)
+    """What was found in one of these."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mime:
+    """A loaded network that finds the joints of one shipped body, ready for any mesh."""
+
+    name: str
+    session: InferenceSession
+    joints: tuple[str, ...]
+    """Names of the network's joints."""
+    parents: tuple[int, ...]
+    """Parent of each joint; -1 for the root, which comes first."""
+    legs: tuple[tuple[int, ...], ...]
+    """Joints of each leg, from hip to ankle."""
+    points: int
+    """Samples of the surface that one prediction takes."""
+    body: str = "human"
+    """Name of the shipped body."""
+    fits: bool = True
+    """Fit the shipped body to each surface; has no effect if the network's joints are not the body's."""
+    seed: int = 0
+    other_bodies: Mapping[str, Callable[[], Mime]] = field(default_factory=dict)
+    """Name of each other body that there is a network for -> opens it."""
+    hands: HandFinder | None = None
+    """Finds hands that show fingers; without it fingers follow the hand."""
+
+    @cached_property
+    def network(self) -> JointNetwork:
+        """The network."""
+        return JointNetwork(self.session, self.joints, self.parents, self.legs)
+
+    @property
+    def kept_key(self) -> Hashable:
+        """What results for a mesh depend on besides the mesh."""
+        return self.session, self.body, self.fits, self.seed
+
+    @property
+    def trunk(self) -> list[int]:
+        """Return the joints of the body's trunk that many rigs lack."""
+        return [self.joints.index(name) for name in anatomy_of(self.body).optional_trunk if name in self.joints]
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies that there are networks for."""
+        return (self.body, *self.other_bodies)
+
+    def of_body(self, body: str) -> Mime:
+        """Return this method with the network of another body."""
+        return self if body == self.body else dataclasses.replace(self.other_bodies[body](), name=self.name)
+
+    @property
+    def fits_body(self) -> bool:
+        """Whether a body is fitted: it is not switched off, and the network's joints are the body's."""
+        return self.fits and self.joints == sampled_body(self.body).names
+
+    def rig(self, mesh: Mesh, corrected: Positions | None = None) -> Character:
+        """Find the joints of a mesh, which is normalised.
+
+        Args:
+            corrected: positions of some joints that the user has corrected, normalised.
+        """
+        mesh = face_outward(mesh)
+        rig, confidence = self._rig(mesh) if not corrected else self._consensus(mesh, self._targets(corrected))
+        ranked = canonical_order(mesh.vertices)
+        points = ranked.merge(mesh.vertices)
+        return Character(
+            joints=self.joints,
+            parents=self.parents,
+            rig=rig,
+            points=points,
+            group=ranked.group,
+            skinned=SkinnedMesh.of(points, rig, self.parents),
+            roles={name: j for j, name in enumerate(self.joints)},
+            above=names_above(self.joints, self.parents),
+            legs=self.legs,
+            leg=leg_length(rig.joints, self.legs),
+            soles=find_soles(points, rig, self.legs, self.parents),
+            confidence=_without_shares(confidence, mesh),
+        )
+
+    def capture(self, keyframes: Clip, corrected: Positions | None = None) -> CapturedMotion:
+        """Find the joints of a clip in its keyframes; in all others they are tracked from there.
+
+        Args:
+            keyframes: a few frames of the clip, normalised: evenly spread, the first one first. Its `mesh` has the
+                vertices of that one.
+            corrected: positions of some joints in the last keyframe that the user has corrected, normalised.
+        """
+        keyframes = dataclasses.replace(keyframes, mesh=face_outward(keyframes.mesh))
+        follow, found = self._tracked(keyframes) if not corrected else self._follow(keyframes, self._targets(corrected))
+        return CapturedMotion(
+            joints=self.joints,
+            follow=follow,
+            leg=found.leg,
+            surface=found.samples,
+            soles=found.soles,
+            confidence=_without_shares(found.confidence, keyframes.mesh),
+            keyframes=keyframes,
+            found=found,
+        )
+
+    def with_fingers(
+        self, character: Character, mesh: Mesh, motion: CapturedMotion, surface: SurfaceMotion
+    ) -> tuple[Character, Motion]:
+        """Add the fingers of hands of which both meshes show them, and the driving bends them otherwise.
+
+        Args:
+            character: made by `rig` of `mesh`.
+            surface: motion of the driving's surface in frames of the whole clip: it says whether fingers ever move.
+        """
+        if self.hands is None:
+            return character, motion
+        identity = WeightedMesh(
+            character.points, character.group[face_outward(mesh).faces], character.rig, character.rig.weights
+        )
+
+        def reference() -> WeightedMesh:
+            frames, found = motion.keyframes, motion.found
+            shown = dataclasses.replace(frames.mesh, vertices=frames.vertices[found.reference])
+            return WeightedMesh.of_points(shown, found.consensus, found.points, self.joints)
+
+        hands = self.hands.find_moving(identity, reference, surface)
+        if not hands:
+            return character, motion
+        rig, joints, parents = with_fingers(character.rig, self.joints, self.parents, hands)
+        fingered = dataclasses.replace(
+            character,
+            joints=joints,
+            parents=parents,
+            rig=rig,
+            skinned=SkinnedMesh.of(character.points, rig, parents),
+            roles={name: j for j, name in enumerate(joints)},
+            above=names_above(joints, parents),
+        )
+        assert motion.follow is not None
+        return fingered, dataclasses.replace(motion, joints=joints, follow=follow_fingers(motion.follow, hands))
+
+    def _targets(self, known: Positions) -> JointTargets:
+        return JointTargets([self.joints.index(name) for name in known], np.array(list(known.values())), self.body)
+
+    def predict_rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:
+        """Predict the joints of a normalised mesh, whatever its file has, and their weights of its vertices."""
+        mesh = face_outward(mesh)
+        rig, confidence = self._rig(mesh)
+        group = canonical_order(mesh.vertices).group
+        return dataclasses.replace(rig, weights=rig.weights.take(group, axis=0)), _without_shares(confidence, mesh)
+
+    @kept(most=KEPT_QUICK)
+    def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
+        """Predict once: mean entropy (nats) of the skinning weights of a mesh, and world rotation of its root joint."""
+        mesh = face_outward(mesh)
+        samples, denoised = self._sampled(mesh, canonical_order(mesh.vertices), 1)
+        return self.network.predict_once(NetworkPoints.of(samples, denoised))
+
+    @kept(most=KEPT_RIGS)
+    def _rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:
+        return self._consensus(mesh)
+
+    def _consensus(self, mesh: Mesh, targets: JointTargets | None = None) -> tuple[Rig, Confidence]:
+        """Predict the joints of a mesh and the skinning weights of its distinct positions: a consensus of ENSEMBLE."""
+        ranked = canonical_order(mesh.vertices)
+        vertices = ranked.merge(mesh.vertices)
+        faces = ranked.group[canonical_faces(mesh.faces, ranked.group)]
+        coarse = CoarseSurface.of(vertices, faces) if len(vertices) > DENSE and len(faces) else None
+        if coarse is not None:
+            vertices, faces = coarse.points, coarse.faces
+        normals = vertex_normals(vertices, faces) if len(faces) else np.zeros_like(vertices)
+        samples, denoised = self._sampled(mesh, ranked, ENSEMBLE)
+        # Confidence is measured at samples, which are spread evenly over the surface; vertices are not.
+        queries = NetworkPoints(vertices, normals).joined(NetworkPoints.of(samples.part(0, ENSEMBLE), denoised))
+        rigs = [self.network.predict(samples, denoised, k) for k in range(ENSEMBLE)]
+        mean = dataclasses.replace(consensus(rigs), weights=self.network.weights(rigs, samples, denoised, queries))
+        # Smoothing improves the normals but shrinks the surface: points are taken from the original mesh.
+        sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
+        confidence = self.network.confidence(rigs, mean, mean.weights[len(vertices) :])
+        if targets is None:
+            rig, confidence, fit = self._with_fit(mean, confidence, sample, rigs)
+        else:
+            rig, confidence, fit = self._with_corrections(mean, confidence, sample, queries, targets)
+            confidence = self._with_weights(confidence, rig.weights[len(vertices) :])
+        weights, nearest = rig.weights[: len(vertices)], None
+        if fit:
+            nearest = fit.nearest(vertices)
+            weights = fit.blended_weights(weights, nearest)
+        weights = with_whole_tail(weights, vertices, faces, self.joints, self.parents)
+        weights = clean_weights(weights, vertices, faces, self.parents, nearest, self.trunk)
+        weights = weights if coarse is None else coarse.carried(weights)
+        return dataclasses.replace(rig, weights=weights), confidence
+
+    def _sampled(
+        self, mesh: Mesh, ranked: CanonicalOrder, predictions: int
+    ) -> tuple[SurfacePoints, Float[np.ndarray, "V 3"]]:
+        """Draw points for some predictions from a mesh, and return its denoised vertices, on which they were drawn."""
+        denoised = Denoiser.of(mesh, ranked)(mesh.vertices)
+        return sampled_points(mesh, denoised, ranked, predictions * self.points, generator(self.seed, 0)), denoised
+
+    def _with_fit(
+        self, rig: Rig, confidence: Confidence, sample: SurfaceSample, predictions: Sequence[Rig]
+    ) -> tuple[Rig, Confidence, BodyFit | None]:
+        """Replace the joints of a rig, the consensus of predictions, by those of the body fitted to its surface.
+
+        Unchanged if not `fits_body`.
+        """
+        if not self.fits_body:
+            return rig, confidence, None
+        fit = fit_predictions(sample, rig, predictions, self.body)
+        return dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints), _with_measures(confidence, fit), fit
+
+    def _cost(self, reading: KeyframePrediction, frames: list[np.ndarray], denoised: list[np.ndarray]) -> float:
+        """Measure how badly the body fits a reading of a driving; without a fit, how far its predictions disagree."""
+        if not self.fits_body:
+            return reading.confidence.prediction_spread
+        sample = reading.surface(frames, denoised)
+        return fit_predictions(sample, reading.consensus, reading.predictions, self.body).cost
+
+    def _with_corrections(
+        self,
+        rig: Rig,
+        confidence: Confidence,
+        sample: SurfaceSample,
+        queries: NetworkPoints,
+        targets: JointTargets,
+    ) -> tuple[Rig, Confidence, BodyFit]:
+        """Replace joints and weights of a rig by those of the body that is fitted with some joints at their targets.
+
+        The weights are those of the points `queries`.
+        """
+        fit = fit_body(sample, *targets.move(rig.rotation, rig.joints), targets, self.body)
+        displacement = fit.joints - rig.joints
+        weights = corrected_weights(rig.weights, queries.points, queries.normals, displacement, fit.posed)
+        return Rig(fit.rotation, fit.joints, weights), _with_measures(confidence, fit), fit
+
+    def _with_weights(self, confidence: Confidence, weights: Float[np.ndarray, "N J"]) -> Confidence:
+        """Measure a corrected rig again: predictions may differ where the corrected body covers the surface."""
+        measured = Confidence.of(confidence.prediction_spread, weights, self.joints, self.parents)
+        confidence = dataclasses.replace(confidence, weight_entropy=measured.weight_entropy, limbs=measured.limbs)
+        if confidence.unmatched_surface > MAX_UNMATCHED_SURFACE:
+            return confidence
+        return dataclasses.replace(confidence, prediction_spread=0.0, fit_angle=0.0, flexion=0.0)
+
+    @kept(most=KEPT_DRIVINGS)
+    def _tracked(self, keyframes: Clip) -> tuple[Follow, KeyframePrediction]:
+        return self._follow(keyframes)
+
+    def _follow(self, keyframes: Clip, targets: JointTargets | None = None) -> tuple[Follow, KeyframePrediction]:
+        """Return the function that finds the pose of the joints in each frame of a clip, and what it starts from.
+
+        In a reference keyframe the network predicts which points belong to which joints. The points are tracked from
+        there to the other keyframes, and the rotations predicted in those are carried back by the measured motion. The
+        robust mean of all is used for the whole clip, so the network's errors are the same in every frame and add no
+        jitter. The first frame is the first choice of reference, because its facing is known; others are tried if the
+        predictions disagree. Where the user has corrected joints, the reference is the keyframe that this was done in.
+        """
+        ranked, frames = canonical_order(keyframes.mesh.vertices), list(keyframes.vertices)
+        denoiser = Denoiser.of(keyframes.mesh, ranked)
+        denoised = [denoiser(vertices) for vertices in frames]
+        samples = sampled_points(keyframes.mesh, denoised[0], ranked, ENSEMBLE * self.points, generator(self.seed, 1))
+        tracked = samples.part(0, TRACKED)
+        best = self.network.predict_keyframes(samples, frames, denoised, 0 if targets is None else len(frames) - 1)
+        # Points were drawn on the first frame; they are the same points of the surface in every other one.
+        for t in range(1, len(denoised), max(1, len(denoised) // RETRIES)):
+            if targets is None and best.confidence.prediction_spread > DISAGREEMENT:
+                other = self.network.predict_keyframes(samples, frames, denoised, t)
+                best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
+        if targets is None and self.body in LIE and best.confidence.prediction_spread > DISAGREEMENT:
+            turn = self.network.turn_to_stand(samples, denoised[best.reference])
+            if turn is not None:
+                other = self.network.predict_keyframes(samples, frames, denoised, best.reference, turn)
+                best = min(best, other, key=lambda reading: self._cost(reading, frames, denoised))
+        sample = best.surface(frames, denoised)
+        if targets is None:
+            rig, confidence, _ = self._with_fit(best.consensus, best.confidence, sample, best.predictions)
+        else:
+            queries = NetworkPoints(best.points, tracked.normals(denoised[best.reference]))
+            rig, confidence, _ = self._with_corrections(best.consensus, best.confidence, sample, queries, targets)
+            confidence = self._with_weights(confidence, rig.weights)
+        # Without a fit the median over all keyframes is more reliable than the reference alone.
+        leg = leg_length(rig.joints, self.legs) if self.fits_body else best.leg
+        soles = find_soles(sample.points, _nearest_weights(sample.points, best.points, rig), self.legs, self.parents)
+        best = dataclasses.replace(best, consensus=rig, leg=leg, confidence=confidence, soles=soles)
+        tracker = PartTracker.of(best.points, rig.weights, rig.joints, self.parents)
+
+        def follow(vertices: Float[np.ndarray, "U 3"]) -> Pose:
+            rotation, joints = tracker.follow(tracked.points(vertices))
+            return rotation @ rig.rotation, joints
+
+        return follow, best
+
+    def body_pairs(self, identity: Mesh, driving: Mesh) -> SurfacePoints:
+        """Find the point of the driving for each distinct position of the identity, by rank (`canonical_order`).
+
+        The shipped body is fitted to both normalised meshes, whatever faces they have. A vertex of the identity lies
+        near some vertices of the body at its own fit; the same vertices at the driving's fit say where it belongs
+        there, and the nearest point of the driving is taken. The order of vertices and faces has no influence.
+
+        Raises:
+            InputError: the body does not have the shape of one of the meshes.
+        """
+        from scipy.spatial import KDTree
+
+        mine, theirs = self._fitted_body(identity), self._fitted_body(driving)
+        rest = canonical_order(identity.vertices).merge(identity.vertices)
+        _, share, index = nearest_shares(KDTree(mine.points), rest, mine.state.size)
+        targets = np.einsum("wn,wnc->wc", share, theirs.points[index])
+        ranked = canonical_order(driving.vertices)
+        points, vertex = ranked.merge(driving.vertices), ranked.order[ranked.start]
+        if len(driving.faces) == 0:
+            nearest = vertex[np.asarray(KDTree(points).query(targets)[1])]
+            return SurfacePoints(np.repeat(nearest[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(targets), 1)))
+        faces = ranked.group[canonical_faces(driving.faces, ranked.group)]
+        face, barycentric, _ = closest_on_mesh(targets, points, faces)
+        return SurfacePoints(vertex[faces[face]], barycentric)
+
+    def _fitted_body(self, mesh: Mesh) -> PosedBody:
+        """Fit the shipped body to a normalised mesh, and return it with all of its vertices."""
+        mesh = face_outward(mesh)
+        samples, denoised = self._sampled(mesh, canonical_order(mesh.vertices), ENSEMBLE)
+        rigs = [self.network.predict(samples, denoised, k) for k in range(ENSEMBLE)]
+        surface = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
+        fit = fit_predictions(surface, consensus(rigs), rigs, self.body)
+        if fit.distance > RELIABLE_MISMATCH:
+            raise InputError(
+                f"{mesh.name}: expected a shape that the shipped {self.body} can be fitted to, found one that differs "
+                f"by {1e3 * fit.distance:.1f} mm; give --pairing random"
+            )
+        return PosedBody(whole_body(self.body), fit.posed.state)
+
+
+def _nearest_weights(points: Float[np.ndarray, "N 3"], known: Float[np.ndarray, "M 3"], rig: Rig) -> Rig:
+    """Return a rig with the weights of `points`: those of the nearest of the points whose weights are known."""
+    from scipy.spatial import KDTree
+
+    return dataclasses.replace(rig, weights=rig.weights[np.asarray(KDTree(known).query(points)[1])])
+
+
+def _without_shares(confidence: Confidence, mesh: Mesh) -> Confidence:
+    """Remove the shares of limbs if the mesh is a point cloud: its points may be denser on one limb than on another."""
+    return confidence if len(mesh.faces) else dataclasses.replace(confidence, limbs={}, unmatched_body={})
+
+
+def _with_measures(confidence: Confidence, fit: BodyFit) -> Confidence:
+    """Add how well a fitted body covers the surface."""
+    return dataclasses.replace(
+        confidence,
+        unmatched_body=fit.unmatched_body,
+        unmatched_surface=fit.unmatched_surface,
+        fit_distance=fit.distance,
+        fit_angle=fit.angle,
+    )

@@ -1,0 +1,252 @@
+"""Move an identity by joints: those of its file or found on it follow those of the driving.
+
+`joint_route` finds a `Character` and a `Motion`, each in a thread of its own; `JointRoute.play` moves the joints. The
+vertices of frames are made when they are asked for.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..bodies.anatomy import body_of_joints
+from ..bodies.character_limbs import SIDES
+from ..bodies.joint_names import finger_joints, without_fingers
+from ..core.animated_rig import INFLUENCES, AnimatedRig
+from ..core.foot_planting import PosedJoints, foot_skate
+from ..core.frame_buffer import LazyFrames, Progress, counted, each_frame, evenly_spread
+from ..core.joint_tracks import JointTrack
+from ..core.mesh import Clip, Mesh
+from ..core.normalization import Normalization
+from ..core.rig import Rig
+from ..io.gltf.own_animation import OwnAnimation
+from ..mime.model import CapturedMotion, Mime
+from ..mime.prediction import face_outward
+from ..rigs.character import Character
+from ..rigs.retarget import Motion, Retarget
+from .file_rigs import Rigs, face_tracks, read_rigs
+from .look import Subject, agreed, facing_front, finds_joints, joint_finder, normalised, other_body, reorient
+from .options import Hints, MotionOptions
+from .placed import KEYFRAMES, FoundJoints, Moved, Placed, first_frame, keyframes_of, surface_motion, surface_report
+from .refine import Refinement
+from .report import TransferReport
+from .result import Timer
+
+Found = TypeVar("Found", Character, Motion)
+
+
+@dataclass(frozen=True, eq=False)
+class JointRoute(Placed):
+    """A character and a motion that it follows."""
+
+    mime: Mime = field(kw_only=True)
+    retarget: Retarget = field(kw_only=True)
+
+    def with_refinement(self, refine: bool | None) -> JointRoute:
+        """Switch refinement on or off; None is off, as joints move surfaces smoothly."""
+        return dataclasses.replace(self, refinement=Refinement.of(self.rest) if refine else None)
+
+    def frame(self, t: int) -> Float[np.ndarray, "V 3"]:
+        """Make the identity's vertices in frame t only, at their position in the whole clip, without MotionOptions."""
+        chosen = [0] if t == 0 else [0, t]  # the first frame fixes the position of the whole clip
+        frames = [self.refined(self.retarget.frame(k, self.driving_frame(k))) @ self.turn.T for k in chosen]
+        return self.norms[0].undo(frames[-1] + self.shift(frames[0]))
+
+    def joints(self, t: int) -> FoundJoints:
+        """Return the joints of the identity, and of the driving in a frame."""
+        character, motion = self.retarget.character, self.retarget.motion
+        identity = self.norms[0].undo(character.rig.joints)
+        driving = self.norms[1].undo(motion.pose(t, self.driving_frame(t))[1])
+        mine = without_fingers({name: identity[j] for name, j in character.roles.items()})
+        theirs = without_fingers(dict(zip(motion.joints, driving, strict=True)))
+        return FoundJoints(body_of_joints(motion.joints), mine, theirs)
+
+    def play(
+        self,
+        timer: Timer,
+        options: MotionOptions,
+        progress: Progress | None = None,
+        dtype: type[np.floating] = np.float64,
+    ) -> Moved:
+        """Move the joints in all frames, and report."""
+        identity, clip = self.identity, self.clip
+        with timer.step("drive"):
+            driving = (self.norms[1].apply(vertices) for vertices in each_frame(clip.vertices))
+            limited = len(clip) > 1 if options.skinned is None else options.skinned
+            # The weights of an identity's own file stay as they are.
+            limited = limited and self.rigs.humanoid is None
+            retarget = self.retarget.limited(INFLUENCES) if limited else self.retarget
+            track = retarget.track(counted(driving, len(clip), progress), clip.fps).smoothed(options.smooth)
+            across = self.norms[1].radius / self.norms[0].radius if options.root == "keep" else None
+            posed = retarget.posed_joints(track, across, options.root == "drop", options.ground)
+            route = dataclasses.replace(self, retarget=retarget)
+            shift = self.shift(route.turned(posed, 0))
+            skeleton = route.animated_rig(posed, shift)
+            own = self.own_animation(skeleton)
+            moved = route.made_frames(posed, shift, own, np.dtype(dtype))
+            if len(clip) == 1:
+                moved = LazyFrames.stored(moved.every(1))
+            report = surface_report(identity, clip, moved, self.facings)
+        report |= {"body": self.mime.body} | ({} if self.rigs.humanoid is None else {"rig": "own"})
+        notes = report_confidence(retarget, report, self.names) + self.all_notes(own is not None)
+        report["fingers"] = [
+            side.lower() for side in SIDES if finger_joints(side)[0] in retarget.character.joints
+        ]  # of these hands; elsewhere fingers follow the hand
+        report |= self._skates(retarget, track, posed, across, options)
+        if limited:
+            report["influence_deviation"] = self._influence_deviation(retarget, posed)
+        positions = self.norms[1].undo(track.positions[0])
+        driving_joints = without_fingers(dict(zip(retarget.motion.joints, positions, strict=True)))
+        return Moved(moved, skeleton, own, cast(TransferReport, report), notes, driving_joints)
+
+    def turned(self, posed: PosedJoints, t: int) -> Float[np.ndarray, "V 3"]:
+        """Make a frame, refined, with the driving's heading."""
+        return self.refined(self.retarget.character.posed(posed.rotation[t], posed.root[t])) @ self.turn.T
+
+    def made_frames(
+        self, posed: PosedJoints, shift: Float[np.ndarray, " 3"], own: OwnAnimation | None, dtype: np.dtype
+    ) -> LazyFrames:
+        """Return frames that are made of the joints when they are asked for: a file of joints needs few of them."""
+        shape = len(posed.root), len(self.identity.vertices)
+        # The joints of a person alone move neither morph targets nor what else has been copied.
+        if own is not None and (own.morphs or self.rigs.beside):
+            return LazyFrames(shape, own.vertices, dtype)
+
+        def make(chosen: Int[np.ndarray, " N"]) -> Iterator[Float[np.ndarray, "V 3"]]:
+            return (self.norms[0].undo(self.turned(posed, t) + shift) for t in chosen.tolist())
+
+        return LazyFrames(shape, make, dtype)
+
+    def animated_rig(self, posed: PosedJoints, shift: Float[np.ndarray, " 3"]) -> AnimatedRig:
+        """Return the rig and its motion in the identity's axes, unit and position."""
+        identity, norm, character = self.identity, self.norms[0], self.retarget.character
+        undo, rig = norm.rotation.T, character.vertex_rig
+        placed = Rig(undo @ rig.rotation, norm.undo(rig.joints), rig.weights)
+        rotation, root = undo @ self.turn @ posed.rotation, norm.undo(posed.root @ self.turn.T + shift)
+        if self.rigs.humanoid is not None:
+            identity = identity.with_vertices(self.rigs.humanoid.character.mesh.vertices)
+        return AnimatedRig(identity, character.joints, character.parents, placed, rotation, root, character.roles)
+
+    def own_animation(self, skeleton: AnimatedRig) -> OwnAnimation | None:
+        """Return the motion on the bones of the identity's own file, if its rig is used."""
+        own, clip = self.rigs.identity, self.clip
+        if own is None:
+            return None
+        tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms()) | self.rigs.beside | face_tracks(own, clip)
+        return OwnAnimation(own.source, clip.mesh.name, tracks, clip.fps, len(clip), own.person)
+
+    def _skates(
+        self, retarget: Retarget, track: JointTrack, posed: PosedJoints, across: float | None, options: MotionOptions
+    ) -> dict[str, float | None]:
+        """Measure how fast soles slide that should stand, of result and driving (identity heights a second)."""
+        keys = ("foot_skate", "foot_skate_driving")
+        scale = (retarget.stride if across is None else across, retarget.stride)
+        speeds = foot_skate(posed, track, retarget.feet, scale)
+        if speeds is None or options.root == "drop":  # in place, feet slide as they should
+            return dict.fromkeys(keys)
+        height = np.ptp(self.rest.vertices[:, 1])
+        return {key: None if speed is None else speed / height for key, speed in zip(keys, speeds, strict=True)}
+
+    def _influence_deviation(self, limited: Retarget, posed: PosedJoints) -> float:
+        """Measure how far vertices are from where all their weights take them, in at most KEYFRAMES frames.
+
+        In sizes of the mesh: the longest side of the bounding box.
+        """
+        largest = 0.0
+        for t in evenly_spread(len(self.clip), KEYFRAMES):
+            pose = posed.rotation[t], posed.root[t]
+            difference = limited.character.posed(*pose) - self.retarget.character.posed(*pose)
+            largest = max(largest, float(np.linalg.norm(difference, axis=-1).max()))
+        return largest / float(np.ptp(self.rest.vertices, axis=0).max())
+
+
+def report_confidence(retarget: Retarget, report: dict[str, Any], names: tuple[str, str]) -> tuple[str, ...]:
+    """Add the confidences of joints that were found to the report, and return notes on low ones."""
+    notes: tuple[str, ...] = ()
+    found = retarget.character.confidence, retarget.motion.confidence
+    for which, confidence, name in zip(("identity", "driving"), found, names, strict=True):
+        if confidence is not None:
+            report[which] |= confidence.facts()
+            notes += confidence.notes(name)
+    return notes
+
+
+def joint_route(identity: Mesh, clip: Clip, mime: Mime, hints: Hints, rigs: Rigs) -> JointRoute:
+    """Find the joints of both meshes, and let the identity's follow the driving's.
+
+    Raises:
+        InputError: an axis, the body or the corrections cannot be used, or the two are of different kinds.
+    """
+    first, asked = first_frame(clip), hints.asked_body
+    subjects = rigs.subjects(identity, first, hints.axes)
+    network, looks = agreed(mime, asked, subjects)
+    norms = looks[0].norm, looks[1].norm
+    if any(rigs.unnamed) and finds_joints(network):
+        find = joint_finder(network, hints.axes[:2]), joint_finder(network, hints.axes[2:])
+        rigs = read_rigs(identity, clip, hints, find=find).with_notes((identity.name, clip.mesh.name), rigs)
+        subjects = rigs.subjects(identity, first, hints.axes)
+        norms = subjects[0].norm, subjects[1].norm
+    (character, mine), (motion, theirs) = _found(network, clip, subjects, norms, hints, rigs)
+    if hints.body == "auto" and not hints.corrections.given:
+        confidences = character.confidence, motion.confidence
+        other = other_body(mime, network.body, subjects, confidences)
+        if other is not None:
+            network, looks = agreed(mime, other, subjects)
+            norms = looks[0].norm, looks[1].norm
+            (character, mine), (motion, theirs) = _found(network, clip, subjects, norms, hints, rigs)
+    rest = normalised(identity, mine)
+    if rigs.humanoid is None and isinstance(motion, CapturedMotion):
+        character, motion = network.with_fingers(character, rest, motion, partial(surface_motion, clip, theirs))
+    retarget = Retarget.of(character, motion, clip.mesh.name)
+    return JointRoute(identity, clip, (mine, theirs), rest, rigs=rigs, mime=network, retarget=retarget)
+
+
+def _found(
+    mime: Mime,
+    clip: Clip,
+    subjects: tuple[Subject, Subject],
+    norms: tuple[Normalization, Normalization],
+    hints: Hints,
+    rigs: Rigs,
+) -> tuple[tuple[Character, Normalization], tuple[Motion, Normalization]]:
+    """Find the joints of both meshes, each with the normalisation in which it was recognised."""
+    corrections = hints.corrections
+
+    def character(norm: Normalization) -> Character:
+        mesh = normalised(subjects[0].mesh, norm)
+        if rigs.humanoid is not None:
+            return Character.of_file(rigs.humanoid, norm, mesh.vertices)
+        return mime.rig(mesh, corrections.of_identity(subjects[0].mesh, mime.joints, norm))
+
+    def motion(norm: Normalization) -> Motion:
+        if rigs.driving is not None:
+            mesh = face_outward(normalised(subjects[1].mesh, norm))
+            return Motion.of_file(rigs.driving, mesh, clip.fps, norm, mime.seed)
+        corrected, keyframes = corrections.of_driving(keyframes_of(clip, norm), mime.joints, norm)
+        return mime.capture(keyframes, corrected)
+
+    with ThreadPoolExecutor(1) as executor:  # the two meshes are independent
+        mine = executor.submit(_settled, mime, subjects[0], norms[0], character)
+        theirs = _settled(mime, subjects[1], norms[1], motion)
+        return mine.result(), theirs
+
+
+def _settled(
+    mime: Mime, subject: Subject, norm: Normalization, find: Callable[[Normalization], Found]
+) -> tuple[Found, Normalization]:
+    """Find the joints of a mesh; where it is not recognised, once more in the axes that a prediction shows."""
+    mesh, axes = subject.mesh, subject.axes
+    turned = facing_front(mime, mesh, norm, axes[1] is not None or not norm.detected)
+    found = find(turned)
+    corrected = reorient(mime, mesh, norm, axes, found.confidence)
+    if corrected is norm:
+        return found, turned
+    turned = facing_front(mime, mesh, corrected, known=True)
+    return find(turned), turned

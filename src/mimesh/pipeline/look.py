@@ -1,0 +1,384 @@
+"""Look at a mesh: which way it stands, and whether it is a person or a four-legged animal.
+
+Axes come from the user, the file, its joints, or the shape, in this order. The body comes from the joints of a file; of
+bare surfaces the networks of both bodies predict joints once, and the one with the more decided skinning weights is
+taken. A fit of the body says more and takes longer: it is the second look, at meshes that do not look like what they
+were taken for. A sheep that is taken for a person fits no person, and a chair fits neither.
+
+Each mesh is looked at alone. Only where the two are taken for different bodies is one looked at again: beside an
+animal, a mesh that is not clearly a person is one (`agreed`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies import load_body
+from ..bodies.character_limbs import FindJoints, match_joints
+from ..bodies.skinned_character import SkinnedCharacter
+from ..core.errors import InputError, RefusedMeshError
+from ..core.mesh import Mesh
+from ..core.normalization import (
+    ORIENTATIONS,
+    Normalization,
+    axis_name,
+    parse_axis,
+    turned_to_front,
+    without_heading,
+)
+from ..core.rig import Rig
+from ..methods.base import Method
+from ..methods.find import INDEX_PAIRED, NETWORK_OF_BODY, SHIPPED_NETWORKS, TABLE_MODELS, find_mime
+from ..mime.model import Mime
+from ..rigs.confidence import IF_IT_IS, MAX_ENTROPY, MAX_SPREAD, Confidence
+
+UpFront = tuple[str | None, str | None]
+"""Up and front of a mesh; None is detected."""
+OTHER = "other"
+"""Choice of `--body` for what is neither a person nor a four-legged animal."""
+BODIES = ("auto", *NETWORK_OF_BODY, OTHER)
+"""Choices of `--body`."""
+KINDS = {"human": "a person", "quadruped": "a four-legged animal"}
+PLURAL = {"human": "people", "quadruped": "four-legged animals"}
+"""What meshes with each body are called in messages."""
+MARGIN = 0.1
+"""By how much the entropy of the skinning weights (nats) must be lower for an animal than for a person. Chosen on the
+splits train and val of the pool (docs/log/animals.md): most files show people."""
+ENTROPY_TOLERANCE = 0.45
+"""By how much less decided (nats) the network of animals may be on a mesh that is moved as one beside a clear animal.
+Chosen on the same meshes: the largest of an animal, a pug, is 0.43. Animals are not moved as people: MARGIN favours
+people already."""
+MIN_GAIN = 0.15
+"""Decrease of the skinning weights' mean entropy (nats) from which on other axes are taken (docs/log/mime.md)."""
+FITS = 0.0
+"""Largest `Confidence.other_kind` of a mesh that another body is found on. It is below MAX_OTHER_KIND, so that no mesh
+changes its kind for a trifle."""
+
+
+def check_body(body: str) -> None:
+    """Raise InputError if a choice is none of BODIES."""
+    if body not in BODIES:
+        raise InputError(f"--body: expected one of {', '.join(BODIES)}, found {body!r}; choose one of them")
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """One of the two meshes, and what is known of it before a network looks at it."""
+
+    mesh: Mesh
+    """Of a clip the first frame."""
+    axes: UpFront
+    """As the user or the joints of the file say."""
+    body: str | None = None
+    """Shipped body whose joints the file has, if they are used."""
+
+    @cached_property
+    def norm(self) -> Normalization:
+        """The normalisation in the axes that are given, or that the shape of a person shows."""
+        return Normalization.fit(self.mesh, *self.axes)
+
+
+class Look(NamedTuple):
+    """What a mesh is taken for."""
+
+    body: str
+    norm: Normalization
+    """Its normalisation as that."""
+    difference: float
+    """By how much the network of the other body is less decided (nats)."""
+    entropy: float = 0.0
+    """Mean entropy (nats) of the weights of the network of a person; 0 of known bodies."""
+
+
+def agreed(mime: Mime, asked: str, subjects: tuple[Subject, Subject]) -> tuple[Mime, tuple[Look, Look]]:
+    """Decide which body both meshes have; return its network, and the looks at both.
+
+    Args:
+        asked: one of BODIES. A file's joints say it for both.
+
+    Raises:
+        InputError: a person and an animal, or a body that there is no network for.
+    """
+    if len(mime.bodies) == 1:
+        check_known_body(mime, asked)
+        first, second = (Look(mime.body, subject.norm, np.inf) for subject in subjects)
+        return mime, (first, second)
+    known = next((of.body for of in subjects if of.body is not None), None) if asked == "auto" else asked
+    looks = [look(mime, subject, known, quick=True) for subject in subjects]
+    if looks[0].body != looks[1].body:
+        person = int(looks[1].body == "human")
+        looks[person] = look(mime, subjects[person], known)  # it may be an animal in an orientation that was not tried
+        if looks[person].body == "human":
+            if looks[person].difference <= min(ENTROPY_TOLERANCE, looks[1 - person].difference):
+                looks[person] = look(mime, subjects[person], "quadruped")
+            else:
+                found = [of.body or second_look(mime, seen.body, of) for of, seen in zip(subjects, looks, strict=True)]
+                if None in found or found[0] != found[1]:
+                    raise RefusedMeshError(different_kinds(found, subjects))
+                looks = [look(mime, subject, found[0]) for subject in subjects]
+    return mime.of_body(looks[0].body), (looks[0], looks[1])
+
+
+def look(mime: Mime, subject: Subject, known: str | None, quick: bool = False) -> Look:
+    """Tell whose shape a mesh has, if that is not known.
+
+    Args:
+        known: the body that it has, or None.
+        quick: do not look for an animal in all 24 orientations where the mesh looks like a person.
+    """
+    mesh, norm, axes = subject.mesh, subject.norm, subject.axes
+    if subject.body is not None or known == "human":
+        return Look(subject.body or "human", norm, np.inf)
+    person = mime.of_body("human").quick_predict(normalised(mesh, norm))[0] if known is None else np.inf
+    unsure = norm.detected and norm.up_from != "file" and axes[0] is None
+    if quick and unsure and person < MAX_ENTROPY:
+        return Look("human", norm, MAX_ENTROPY - person, person)
+    lowest, _, turned = predicted_orientation(mime.of_body("quadruped"), mesh, norm, axes)
+    if known is None and lowest + MARGIN < person:  # a person may be recognised in another orientation, too
+        person = predicted_orientation(mime.of_body("human"), mesh, norm, axes)[0]
+    difference = person - lowest - MARGIN
+    if difference <= 0:
+        return Look("human", norm, -difference, person)
+    # What the detector of people says about the shape of an animal does not count. Where up is known, the network finds
+    # the front of the animals of `research/measure_body_choice.py` without an error.
+    sure = axes[0] is not None or turned.up_from == "file"
+    return Look("quadruped", dataclasses.replace(turned, shape_up=None, margin=float(sure)), difference, person)
+
+
+def second_look(mime: Mime, taken: str, subject: Subject, confidence: Confidence | None = None) -> str | None:
+    """Say which body a mesh has: the one that it was taken for, if that fits, else another one that does, else None.
+
+    Args:
+        confidence: of the body that it was taken for, if that was fitted already.
+    """
+    first = _fitted(mime, taken, subject) if confidence is None else confidence
+    if first is None or not first.is_other_kind:
+        return taken
+    for body in mime.bodies:
+        other = None if body == taken else _fitted(mime, body, subject)
+        if other is not None and other.other_kind < FITS and other.prediction_spread <= MAX_SPREAD:
+            return body
+    return None
+
+
+def other_body(
+    mime: Mime, taken: str, subjects: tuple[Subject, Subject], confidences: tuple[Confidence | None, Confidence | None]
+) -> str | None:
+    """Return the body that both meshes have after all, where it is not the one that they were taken for.
+
+    Args:
+        mime: knows all bodies.
+        taken: the body that was fitted to both.
+        confidences: of these fits.
+
+    Raises:
+        RefusedMeshError: one mesh has the one body, the other another one.
+    """
+    doubted = [confidence is not None and confidence.is_other_kind for confidence in confidences]
+    if any(subject.body is not None for subject in subjects) or not any(doubted):
+        return None
+    found = [
+        second_look(mime, taken, subject, confidence) if confidence else taken
+        for subject, confidence in zip(subjects, confidences, strict=True)
+    ]
+    known = {body for body in found if body is not None}
+    if len(known) > 1:
+        raise RefusedMeshError(different_kinds(found, subjects))
+    # Where one is of the kind that it was taken for and the other one of none, a note says so.
+    return next(iter(known - {taken}), None)
+
+
+def different_kinds(found: list[str | None], subjects: tuple[Subject, Subject]) -> str:
+    """Say which kinds two meshes are of, and what helps."""
+    names = [subject.mesh.name for subject in subjects]
+    if None in found:
+        odd, other = (0, 1) if found[0] is None else (1, 0)
+        body = found[other]
+        beside = f", as {names[other]} is {KINDS[body]}" if body else ""
+        return (
+            f"{names[odd]}: expected a person or a four-legged animal{beside}, found a shape that looks like "
+            f"neither, as far as can be told; {IF_IT_IS}"
+        )
+    first, second = (KINDS[body] for body in found if body is not None)
+    return (
+        f"{names[0]} is taken for {first}, and {names[1]} for {second}: expected two of a kind; give "
+        "another driving, or --body human or quadruped if one of the two is taken for the wrong one"
+    )
+
+
+def _fitted(mime: Mime, body: str, subject: Subject) -> Confidence | None:
+    """Fit a body to a mesh; None if the network does not fit one."""
+    confidence = predicted_body(mime.of_body(body), subject.mesh, subject.axes)[2]
+    return confidence if confidence.fitted else None
+
+
+def normalised(mesh: Mesh, norm: Normalization) -> Mesh:
+    """Apply a normalisation to the vertices of a mesh."""
+    return dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices), up="+y")
+
+
+def facing_front(mime: Mime, mesh: Mesh, norm: Normalization, known: bool) -> Normalization:
+    """Take the heading of a mesh out of its normalisation: predictions depend on it.
+
+    Args:
+        known: its front is not only what the shape shows.
+    """
+    person = mime.body == "human"  # the front of an animal was found by its network (see `look`)
+    rough = without_heading(mesh, norm, known, person)
+    _, hips = mime.quick_predict(normalised(mesh, rough))
+    return turned_to_front(mesh, rough, hips[:, 2], known or not person)
+
+
+def reorient(
+    mime: Mime, mesh: Mesh, norm: Normalization, axes: UpFront, confidence: Confidence | None
+) -> Normalization:
+    """Return a normalisation with corrected axes, or the same one if no other orientation is clearly better.
+
+    Needed only where axes were detected and the mesh is not recognised in them.
+    """
+    if not norm.detected or confidence is None or confidence.recognised:
+        return norm
+    lowest, detected, chosen = predicted_orientation(mime, mesh, norm, axes)
+    # A small gain may be noise of the prediction: the detector's axes are then kept.
+    return norm if lowest > detected - MIN_GAIN else chosen
+
+
+def predicted_orientation(
+    mime: Mime, mesh: Mesh, norm: Normalization, axes: UpFront
+) -> tuple[float, float, Normalization]:
+    """Find the orientation in which a network's prediction is most decided.
+
+    It predicts once for each of the 24 orientations that the axes of the user and the file allow, 4 where up is known,
+    1 where both are. The one with the lowest entropy of skinning weights wins, and the axes of the hips predicted in
+    it, rounded to the mesh's, are the new up and front.
+
+    Args:
+        norm: the present normalisation.
+        axes: up and front as the user gave them.
+
+    Returns the lowest entropy (nats), that in the present orientation, and the normalisation with the new axes: the
+    present one if they are the same.
+    """
+    up, front = parse_axis(axes[0], "--up"), parse_axis(axes[1], "--front")
+    up = norm.up if norm.up_from == "file" else up
+    allowed = [names for names in ORIENTATIONS if up in (None, names[0]) and front in (None, names[1])]
+    predictions: list[tuple[float, Normalization, Float[np.ndarray, "3 3"]]] = []
+    for names in allowed:
+        candidate = Normalization.fit(mesh, *names)
+        entropy, hips = mime.quick_predict(normalised(mesh, candidate))
+        predictions.append((entropy, candidate, hips))
+    lowest, best, hips = min(predictions, key=lambda prediction: prediction[0])
+    # Columns 1 and 2 of the hips' rotation are their up and front; `best.rotation.T` brings them into the mesh's axes.
+    names = tuple(axis_name(best.rotation.T @ hips[:, k]) for k in (1, 2))
+    chosen = Normalization.fit(mesh, *names) if names in allowed else best
+    present = next(entropy for entropy, n, _ in predictions if (n.up, n.front) == (norm.up, norm.front))
+    if (chosen.up, chosen.front) == (norm.up, norm.front):
+        return lowest, present, norm
+    # A margin of 0 makes the report say that the facing is uncertain.
+    uncertain = dataclasses.replace(chosen, detected=True, margin=0.0, up_from=norm.up_from, shape_up=norm.shape_up)
+    return lowest, present, uncertain
+
+
+def predicted_body(mime: Mime, mesh: Mesh, axes: UpFront) -> tuple[Normalization, Rig, Confidence]:
+    """Predict the joints of a mesh, in another orientation where the first is wrong; returns its normalisation, too."""
+    norm = Normalization.fit(mesh, *axes)
+    body, confidence = mime.predict_rig(normalised(mesh, norm))
+    other = reorient(mime, mesh, norm, axes, confidence)
+    if other is not norm:
+        norm = other
+        body, confidence = mime.predict_rig(normalised(mesh, norm))
+    return norm, body, confidence
+
+
+def looks_like(mime: Mime, mesh: Mesh, axes: UpFront) -> set[str]:
+    """List the bodies that a mesh is recognised as."""
+    return {body for body in mime.bodies if predicted_body(mime.of_body(body), mesh, axes)[2].whole}
+
+
+def finds_joints(mime: Mime) -> bool:
+    """Return whether a network predicts the joints of the shipped body, which those of other rigs are compared with."""
+    return mime.joints == load_body().joint_names
+
+
+def joint_finder(mime: Mime, axes: UpFront) -> FindJoints:
+    """Make the function that finds the joints of a rig whose names say nothing, by the surface that they move.
+
+    Args:
+        axes: up and front of the character; None is detected.
+    """
+
+    def find(rig: SkinnedCharacter) -> dict[str, int]:
+        mesh = dataclasses.replace(rig.mesh, up="+y")
+        norm, body, confidence = predicted_body(mime, mesh, axes)
+        if not confidence.recognised:
+            raise InputError(
+                f"{mesh.name}: expected joints with the names of a person's, or the shape of a person, found neither; "
+                "rename the joints, for example LeftUpLeg, LeftArm"
+            )
+        return match_joints(rig, dataclasses.replace(body, joints=norm.undo(body.joints)), mesh.name)
+
+    return find
+
+
+def recognised_body(subject: Subject) -> tuple[str | None, Normalization]:
+    """Say which body a mesh has by its shape alone, and its normalisation as that; None: it looks like none."""
+    mime = find_mime(NETWORK_OF_BODY["human"])
+    shown = look(mime, subject, None, quick=True)
+    if shown.body == "human" and shown.entropy <= MAX_ENTROPY:
+        return shown.body, shown.norm
+    body = second_look(mime, shown.body, subject)
+    if body not in (None, shown.body):
+        shown = look(mime, subject, body)
+    return body, shown.norm
+
+
+def check_known_body(model: Mime | Method, asked: str) -> None:
+    """Raise InputError if a model of one body is asked for another one."""
+    own = getattr(model, "body", "human")
+    if asked not in ("auto", own):
+        raise InputError(
+            f"--body: expected {own} with the model {model.name}, found {asked}: it knows only {PLURAL[own]}; "
+            "choose the model mime"
+        )
+
+
+def trained_on_people(method: Method, asked: str, subjects: tuple[Subject, Subject]) -> tuple[str, ...]:
+    """Return notes on meshes that are no people, for networks of the papers that were trained on people.
+
+    Networks of users are left out: what they were trained on is not known.
+
+    Args:
+        asked: what the user says that both meshes are; "auto" looks at them.
+    """
+    if asked != "auto" or getattr(method, "body", None) != "human":
+        return ()
+    if method.name not in (*SHIPPED_NETWORKS, *INDEX_PAIRED.values(), *TABLE_MODELS):
+        return ()
+    notes = []
+    for subject in subjects:
+        body = recognised_body(subject)[0]
+        if body != "human":
+            looks = f"looks like {KINDS[body]}" if body else "looks neither like a person nor like a four-legged animal"
+            helps = "-m mime moves it" if body else "people and four-legged animals are moved by -m mime"
+            notes.append(
+                f"{subject.mesh.name} {looks}, as far as can be told, and the weights of {method.name} were trained on "
+                f"people: the result is probably useless; {helps}, and --body human says that it is a person"
+            )
+    return tuple(notes)
+
+
+def turned_as_animal(subject: Subject) -> Normalization:
+    """Return the normalisation of an animal whose axes are not known, for networks of the papers.
+
+    The detector was trained on people; the network that finds animals' joints tells which way an animal faces.
+    """
+    if not subject.norm.detected:
+        return subject.norm
+    finder = find_mime(NETWORK_OF_BODY["quadruped"])
+    return predicted_orientation(finder, subject.mesh, subject.norm, subject.axes)[2]

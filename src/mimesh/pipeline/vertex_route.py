@@ -1,0 +1,166 @@
+"""Move an identity by a method that moves vertices: networks of the papers, deformation transfer, a user's."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.frame_buffer import LazyFrames, Progress, each_frame, store_frames
+from ..core.mesh import Clip, Mesh
+from ..core.normalization import Normalization
+from ..methods.base import Drive, Method, SizedMethod
+from ..methods.find import find_method
+from .file_rigs import NO_RIGS, Rigs
+from .look import check_known_body, normalised, trained_on_people, turned_as_animal
+from .marked_mesh import MarkedFrame
+from .options import Hints, MotionOptions
+from .placed import Moved, Placed, first_frame, keyframes_of, surface_report
+from .refine import Refinement
+from .report import MeshReport, TransferReport, facing
+from .result import Timer
+from .same_mesh import ReferenceFrame, paired_note
+
+
+@dataclass(frozen=True, eq=False)
+class NamedMethod:
+    """A method that is opened by name when the driving's normalisation is known, which its reference needs too."""
+
+    model: str
+    options: dict[str, Any]
+    """Options of `find_method`."""
+    reference: Mesh | None
+
+    def open(self, norm: Normalization) -> Method:
+        """Open it."""
+        reference = None if self.reference is None else normalised(self.reference, norm)
+        return cast(Method, find_method(self.model, reference=reference, **self.options))
+
+
+@dataclass(frozen=True, eq=False)
+class VertexRoute(Placed):
+    """A method that is ready to move an identity."""
+
+    method: Method = field(kw_only=True)
+    drive: Drive = field(kw_only=True)
+    reference: ReferenceFrame | MarkedFrame | None = field(default=None, kw_only=True)
+    """The frame of the driving in about the identity's pose, for deformation transfer of what is no body."""
+    found_axes: tuple[MeshReport, MeshReport] | None = field(default=None, kw_only=True)
+    """Axes for the report, where those of `norms` are not the caller's but were found with the reference."""
+
+    @property
+    def facings(self) -> tuple[MeshReport, MeshReport]:
+        """Axes of both meshes for the report."""
+        return self.found_axes or super().facings
+
+    def with_refinement(self, refine: bool | None) -> VertexRoute:
+        """Switch refinement on or off; None takes the method's default."""
+        wanted = self.method.rough if refine is None else refine
+        return dataclasses.replace(self, refinement=Refinement.of(self.rest) if wanted else None)
+
+    def frame(self, t: int) -> Float[np.ndarray, "V 3"]:
+        """Make the identity's vertices in frame t only, at their position in the whole clip.
+
+        Methods that work in windows of frames get frames 0 and t alone: their result may differ from that of the clip.
+        """
+        # Frame 0 is needed too: it fixes the position of the whole clip, and the size of results of some methods.
+        chosen = [0] if t == 0 else [0, t]
+        frames = list(self._placed(map(self.driving_frame, chosen), Timer()))
+        return frames[-1]
+
+    def joints(self, t: int) -> None:
+        """Return the joints of both meshes: there are none."""
+
+    def play(
+        self,
+        timer: Timer,
+        options: MotionOptions,
+        progress: Progress | None = None,
+        dtype: type[np.floating] = np.float64,
+    ) -> Moved:
+        """Make all frames, and report."""
+        identity, clip = self.identity, self.clip
+        with timer.step("drive"):
+            driving = (self.norms[1].apply(vertices) for vertices in each_frame(clip.vertices))
+            frames = self._placed(driving, timer)
+            stored = store_frames(frames, len(clip), len(identity.vertices), np.dtype(dtype), progress)
+            moved = LazyFrames.stored(stored)
+            report = surface_report(identity, clip, moved, self.facings)
+        report |= {} if self.reference is None else {"reference": self.reference.facts()}
+        return Moved(moved, None, None, cast(TransferReport, report), self.all_notes(False))
+
+    def _placed(self, driving: Iterable[Float[np.ndarray, "U 3"]], timer: Timer) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield frames at the identity's place: the first one has its position."""
+        frames = (vertices @ self.turn.T for vertices in self._refined(self.drive(driving), timer))
+        first = next(frames)
+        shift = self.shift(first)
+        return (self.norms[0].undo(vertices + shift) for vertices in itertools.chain([first], frames))
+
+    def _refined(self, frames: Iterable[Float[np.ndarray, "V 3"]], timer: Timer) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield the frames refined. Their time is moved from the step "drive", inside which this runs, to "refine"."""
+        for vertices in frames:
+            before = timer["refine"]
+            with timer.step("refine"):
+                refined = self.refined(vertices)
+            timer["drive"] -= timer["refine"] - before
+            yield refined
+
+
+def vertex_route(
+    identity: Mesh, clip: Clip, model: NamedMethod | Method, hints: Hints, options: MotionOptions, rigs: Rigs
+) -> VertexRoute:
+    """Normalise both meshes and prepare a method.
+
+    Args:
+        rigs: joints in the files say how both meshes stand; they are not moved.
+
+    Raises:
+        InputError: an axis, the model or its options cannot be used.
+    """
+    first, asked = first_frame(clip), hints.asked_body
+    subjects = rigs.subjects(identity, first, hints.axes)
+    norms = subjects[0].norm, subjects[1].norm
+    method = model.open(norms[1]) if isinstance(model, NamedMethod) else model
+    options.refuse_without_joints(method.name)
+    notes = trained_on_people(method, asked, subjects) + paired_note(method, identity, first)
+    check_known_body(method, asked)
+    if getattr(method, "body", "human") == "quadruped":
+        norms = turned_as_animal(subjects[0]), turned_as_animal(subjects[1])
+    hints.corrections.refuse_without_joints(method.name)
+    return _prepared(identity, clip, method, norms, rigs, notes)
+
+
+def reference_route(
+    identity: Mesh, clip: Clip, reference: ReferenceFrame | MarkedFrame, hints: Hints, options: MotionOptions
+) -> VertexRoute:
+    """Prepare deformation transfer from a frame of the driving that has about the identity's pose."""
+    options.refuse_without_joints("deformation-transfer")
+    given = Normalization.fit(identity, *hints.axes[:2])
+    axes = given.up, given.front, *reference.axes(given)
+    norms = Normalization.fit(identity, *axes[:2]), Normalization.fit(first_frame(clip), *axes[2:])
+    note = reference.note((identity.name, clip.mesh.name))
+    route = _prepared(identity, clip, reference.method(clip.mesh, given, norms[1]), norms, NO_RIGS, (note,))
+    driving = facing(norms[1])
+    if isinstance(reference, ReferenceFrame):
+        driving["up_from"] = "identity"
+    return dataclasses.replace(route, reference=reference, found_axes=(facing(given), driving))
+
+
+def _prepared(
+    identity: Mesh,
+    clip: Clip,
+    method: Method,
+    norms: tuple[Normalization, Normalization],
+    rigs: Rigs,
+    notes: tuple[str, ...],
+) -> VertexRoute:
+    if isinstance(method, SizedMethod):
+        method = method.with_sizes((identity.name, norms[0].radius), (clip.mesh.name, norms[1].radius))
+    rest = normalised(identity, norms[0])
+    drive = method.prepare(rest, keyframes_of(clip, norms[1]))
+    return VertexRoute(identity, clip, norms, rest, None, rigs, notes, method=method, drive=drive)

@@ -1,0 +1,175 @@
+"""Characters: meshes with joints that have roles, such as "left upper arm", whoever found them.
+
+Everything here is normalised: y up, +z front, bounding box centred, largest distance from its centre 1. A character is
+made of the rig of a file (`Character.of_file`), or of what `mime` finds on a bare surface (`mime.model.Mime.rig`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..bodies.joint_names import ancestors
+from ..core.geometry import rotate_between, unit_vectors
+from ..core.normalization import Normalization
+from ..core.rig import Rig
+from ..core.skinning import SkinnedMesh
+from ..core.soles import Soles, find_soles
+from ..motions.humanoid_rig import HumanoidRig
+from .confidence import Confidence
+
+RestPose = tuple[Float[np.ndarray, "D 3 3"], Float[np.ndarray, "D 3"]]
+"""World rotations and positions of a driving's joints at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Character:
+    """A mesh that can be posed by its joints."""
+
+    joints: tuple[str, ...]
+    """Names of the joints that move with the hips, the hips first."""
+    parents: tuple[int, ...]
+    rig: Rig
+    """Joints at rest, and skinning weights of `points`. A rotation is that of the body's joint that a joint is or
+    belongs to, from the body's T-pose to rest."""
+    points: Float[np.ndarray, "W 3"]
+    """Distinct positions of the mesh at rest."""
+    group: Int[np.ndarray, " V"]
+    """Index of each vertex of the mesh among them."""
+    skinned: SkinnedMesh
+    """The distinct positions, skinned."""
+    roles: Mapping[str, int]
+    """Index of each joint that is one of the shipped body's, by its name there."""
+    above: tuple[tuple[str, ...], ...]
+    """For each joint, the body's joints that it is or is below, the nearest first."""
+    legs: tuple[tuple[int, ...], ...]
+    """Of each leg hip, knee and ankle, those of them that it has."""
+    leg: float
+    """Length of a leg."""
+    soles: Soles
+    """Contact points of the feet, as indices of `points`."""
+    confidence: Confidence | None = None
+    """How certainly the joints were found; None: they are those of a file."""
+    whole: Mapping[str, str] = field(default_factory=dict)
+    """Body's joints that move a whole limb here, and the one at the other end of the limb."""
+    directions: Mapping[str, Float[np.ndarray, " 3"]] = field(default_factory=dict)
+    """Direction of these limbs in a T-pose."""
+    standing: Mapping[str, Float[np.ndarray, "3 3"]] = field(default_factory=dict)
+    """Rotations at rest of the body's joints that keep how they stand: they are turned from there by as much as the
+    driving's from its own rest."""
+
+    @classmethod
+    def of_file(cls, humanoid: HumanoidRig, norm: Normalization, vertices: Float[np.ndarray, "V 3"]) -> Character:
+        """Normalise the rig of a file and select the joints that move with its hips.
+
+        Args:
+            vertices: the mesh, normalised; may be in another pose than the rig's rest.
+        """
+        character = humanoid.character
+        kept, parents = humanoid.tree()
+        of_joint = {joint: name for name, joint in reversed(humanoid.joints.items())}
+        place = {joint: k for k, joint in enumerate(kept)}
+        above = tuple(
+            tuple(of_joint[kept[k]] for k in ancestors(parents, j) if kept[k] in of_joint) for j in range(len(kept))
+        )
+        frames = np.stack([humanoid.frames[names[0] if names else "Hips"] for names in above])
+        columns = character.nearest_columns(place, 0)
+        weights = character.summed_weights(columns, len(kept))
+        rig = Rig(norm.rotation @ frames, norm.apply(character.joints[kept]), weights)
+        points = norm.apply(character.points.reshape(-1, 3)).reshape(character.points.shape)
+        legs = tuple(tuple(place[j] for j in leg) for leg in humanoid.legs)
+        body = humanoid.body
+        ends = {
+            name: body.joints[body.joint(end)] - body.joints[body.joint(name)]
+            for name, end in humanoid.whole_limbs.items()
+        }
+        return cls(
+            joints=tuple(character.joint_names[j] for j in kept),
+            parents=parents,
+            rig=rig,
+            points=vertices,
+            group=np.arange(len(vertices)),
+            skinned=SkinnedMesh.of_influences(columns[character.joint_of], character.weights, points, rig, parents),
+            roles={name: place[joint] for name, joint in humanoid.joints.items() if joint in place},
+            above=above,
+            legs=legs,
+            leg=humanoid.leg / norm.radius,
+            soles=find_soles(vertices, rig, legs, parents),
+            whole=humanoid.whole_limbs,
+            directions={name: end / np.linalg.norm(end) for name, end in ends.items()},
+            standing={name: humanoid.turn @ humanoid.frames[name] for name in humanoid.stands & humanoid.joints.keys()},
+        )
+
+    @property
+    def vertex_rig(self) -> Rig:
+        """The rig with the weights of all vertices of the mesh."""
+        return replace(self.rig, weights=self.rig.weights.take(self.group, axis=0))
+
+    def limited(self, influences: int) -> Character:
+        """Keep only the largest weights of each vertex, as files of skinned meshes do."""
+        rig = self.rig.limited(influences)
+        return replace(self, rig=rig, skinned=SkinnedMesh.of(self.points, rig, self.parents))
+
+    def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
+        """Return the vertices for world rotations of the joints and a position of the root joint."""
+        return self.skinned.posed(rotation, root).take(self.group, axis=0)
+
+    def linked(self, driving: tuple[str, ...], rest: RestPose | None = None) -> LinkedJoints:
+        """Find the joint of a driving that each joint follows; `rest` is the driving at rest."""
+        index = {name: k for k, name in enumerate(driving)}
+        whole = {
+            self.roles[name]: (index[end], self.directions[name])
+            for name, end in self.whole.items()
+            if name in index and end in index
+        }
+        linked = LinkedJoints(_nearest_known(self.above, index), whole)
+        if rest is None or not self.standing:
+            return linked
+        at_rest = linked.rotations(*(array[None] for array in rest))[0]
+        turned = np.tile(np.eye(3), (len(self.joints), 1, 1))
+        for j, names in enumerate(self.above):
+            if names and names[0] in self.standing:
+                turned[j] = at_rest[j].T @ self.standing[names[0]]
+        return replace(linked, standing=turned)
+
+
+@dataclass(frozen=True, eq=False)
+class LinkedJoints:
+    """The joint of a driving that each joint of a character follows."""
+
+    follows: Int[np.ndarray, " J"]
+    """Index of that joint. One without a counterpart follows that of the nearest joint above it."""
+    whole: Mapping[int, tuple[int, Float[np.ndarray, " 3"]]]
+    """Joints of the character that move a whole limb: index of the driving's joint at the other end of the limb, and
+    direction of the limb in a T-pose."""
+    standing: Float[np.ndarray, "J 3 3"] | None = None
+    """Rotation before that of each joint, in the frame of the joint; None: none."""
+
+    def rotations(
+        self, rotation: Float[np.ndarray, "T D 3 3"], positions: Float[np.ndarray, "T D 3"]
+    ) -> Float[np.ndarray, "T J 3 3"]:
+        """Return the rotations of the joints; a whole limb points from the driving's first joint to its end.
+
+        So an arm of one joint has the direction from shoulder to hand when the driving bends its elbow.
+        """
+        linked = rotation[:, self.follows]
+        for joint, (end, direction) in self.whole.items():
+            start = self.follows[joint]
+            old = unit_vectors(rotation[:, start] @ direction)
+            new = unit_vectors(positions[:, end] - positions[:, start])
+            columns = (rotate_between(old, new, rotation[:, start, :, k]) for k in range(3))
+            linked[:, joint] = np.stack(list(columns), axis=-1)
+        return linked if self.standing is None else linked @ self.standing
+
+
+def names_above(joints: tuple[str, ...], parents: tuple[int, ...]) -> tuple[tuple[str, ...], ...]:
+    """Return for each joint of a body its own name and those of all joints above it, the nearest first."""
+    return tuple(tuple(joints[k] for k in ancestors(parents, j)) for j in range(len(joints)))
+
+
+def _nearest_known(above: Iterable[tuple[str, ...]], index: Mapping[str, int]) -> Int[np.ndarray, " J"]:
+    """Return the index of the first known name of each row; that of the root, which comes first, if there is none."""
+    return np.array([next((index[name] for name in names if name in index), 0) for names in above])

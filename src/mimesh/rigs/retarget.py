@@ -1,0 +1,167 @@
+"""Motions of joints, and how a character follows one: rotations by role, root path, soles that stand.
+
+A motion is that of a file's joints (`Motion.of_file`), or `mime` finds it on the surfaces of a clip
+(`mime.model.Mime.capture`). Everything here is normalised; the two have normalisations of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies import load_body
+from ..bodies.anatomy import anatomy_of_joints, body_of_joints
+from ..bodies.character_limbs import SIDES
+from ..bodies.joint_names import ancestors, finger_joints
+from ..core.foot_planting import PosedJoints, plant_feet
+from ..core.joint_tracks import JointTrack, root_path
+from ..core.mesh import Mesh, check_size
+from ..core.normalization import Normalization
+from ..core.person_motion import PersonMotion
+from ..core.rig import Rig
+from ..core.soles import Feet, Soles, find_soles
+from ..core.surface_points import SurfacePoints, generator
+from .character import Character, LinkedJoints, RestPose
+from .confidence import Confidence
+
+Pose = tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]
+"""World rotation and position of every joint."""
+Follow = Callable[[Float[np.ndarray, "U 3"]], Pose]
+"""Finds the joints in a frame of a clip, which has these vertices."""
+SurfaceMotion = Callable[[SurfacePoints], Float[np.ndarray, "T N 3"]]
+"""Maps points of the driving's surface to their positions in frames of the whole clip, normalised."""
+SOLE_SAMPLES = 8192
+"""Points of a driving's surface among which those of the soles are, where its joints are known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The joints of a driving clip: known in all of its frames, or found in each from its vertices."""
+
+    joints: tuple[str, ...]
+    """Names of the shipped body's joints, the hips first."""
+    follow: Follow | None
+    """Finds the joints in a frame; None where they are known."""
+    leg: float
+    """Length of a leg."""
+    surface: SurfacePoints
+    """Points of the clip's surface."""
+    soles: Soles
+    """Contact points of the feet, as indices of these."""
+    track: JointTrack | None = None
+    """The joints in all frames, where the file has them."""
+    rest: RestPose | None = None
+    """The joints at rest, where the file has them."""
+    confidence: Confidence | None = None
+    """How certainly the joints were found; None: they are those of a file."""
+
+    @classmethod
+    def of_file(cls, motion: PersonMotion, mesh: Mesh, fps: float, norm: Normalization, seed: int) -> Motion:
+        """Normalise the joints of a file; `mesh` is the clip's first frame, normalised already."""
+        positions = norm.apply(motion.positions.reshape(-1, 3)).reshape(motion.positions.shape)
+        track = JointTrack(norm.rotation @ motion.rotation, positions, fps)
+        surface = SurfacePoints.of(mesh, SOLE_SAMPLES, generator(seed, 1))
+        soles: Soles = ()
+        if motion.weights is not None:
+            weights = (surface.barycentric[..., None] * motion.weights[surface.corners]).sum(axis=1)
+            index = {name: k for k, name in enumerate(motion.joints)}
+            chains = anatomy_of_joints(motion.joints).legs
+            legs = tuple(tuple(index[name] for name in leg if name in index) for leg in chains)
+            rig = Rig(track.rotation[0], track.positions[0], weights)
+            soles = find_soles(surface.points(mesh.vertices), rig, legs, body_parents(motion.joints))
+        return cls(motion.joints, None, motion.leg / norm.radius, surface, soles, track, motion.rest)
+
+    def pose(self, t: int, vertices: Float[np.ndarray, "U 3"]) -> Pose:
+        """Return the pose of the joints in frame t of the clip, which has these vertices."""
+        if self.track is not None:
+            return self.track.rotation[t], self.track.positions[t]
+        assert self.follow is not None
+        return self.follow(vertices)
+
+
+def body_parents(names: tuple[str, ...]) -> tuple[int, ...]:
+    """Return the parent of each joint among some of a shipped body's, the hips first: the nearest one above it."""
+    body = load_body(body_of_joints(names))
+    above = {
+        name: [body.joint_names[j] for j in ancestors(body.parents, k)[1:]] for k, name in enumerate(body.joint_names)
+    }
+    for side in SIDES:
+        hand = f"{side}Hand"
+        fingers = finger_joints(side)
+        for k, name in enumerate(fingers):
+            chain = list(fingers[k - k % 3 : k])[::-1]
+            above[name] = [*chain, hand, *above[hand]]
+    index = {name: k for k, name in enumerate(names)}
+    return tuple(
+        next((index[name] for name in above[own] if name in index), -1 if k == 0 else 0) for k, own in enumerate(names)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Retarget:
+    """A character that follows a motion."""
+
+    character: Character
+    motion: Motion
+    links: LinkedJoints
+    stride: float
+    """The character's displacement over the driving's, each in its normalisation: the ratio of leg lengths."""
+    feet: Feet | None
+    """Contact points of the soles; None if there are none, and then nothing is planted."""
+    name: str
+    """Name of the driving, for error messages."""
+
+    @classmethod
+    def of(cls, character: Character, motion: Motion, name: str) -> Retarget:
+        """Let a character follow a motion: each joint the driving's of its role, steps as long as its legs."""
+        links = character.linked(motion.joints, motion.rest)
+        return cls(character, motion, links, character.leg / motion.leg, _feet(character, motion), name)
+
+    def limited(self, influences: int) -> Retarget:
+        """Keep only the largest weights of each vertex."""
+        return replace(self, character=self.character.limited(influences))
+
+    def track(self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float) -> JointTrack:
+        """Return the motion of the driving's joints and soles over all frames."""
+        poses, soles = [], []
+        for t, vertices in enumerate(check_size(frames, self.name)):
+            poses.append(self.motion.pose(t, vertices))
+            if self.feet is not None:
+                soles.append(self.feet.driving_soles(vertices))
+        rotation, positions = (np.stack(arrays) for arrays in zip(*poses, strict=True))
+        return JointTrack(rotation, positions, fps, np.stack(soles) if soles else None)
+
+    def posed_joints(self, track: JointTrack, across: float | None, in_place: bool, ground: bool) -> PosedJoints:
+        """Return the motion of the character's joints.
+
+        Args:
+            track: motion of the driving's joints.
+            across: scale from the driving's displacement over the ground (x and z) to the character's, which is kept
+                then; None is `stride`.
+            in_place: no displacement over the ground.
+            ground: correct root path and legs so that soles stand where the driving's do.
+        """
+        scale = (self.stride if across is None else across, self.stride)
+        rotation = self.links.rotations(track.rotation, track.positions)
+        posed = PosedJoints(rotation, root_path(track, *scale, in_place))
+        if not ground or self.feet is None:
+            return posed
+        # In place, feet slide as they should: only heights are corrected.
+        return plant_feet(posed, track, self.character.skinned, self.feet, scale, across is None, not in_place)
+
+    def frame(self, t: int, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
+        """Make the character's vertices in frame t of the driving, which has these vertices; nothing is planted."""
+        rotation, positions = self.motion.pose(t, vertices)
+        linked = self.links.rotations(rotation[None], positions[None])[0]
+        return self.character.posed(linked, self.stride * positions[0])
+
+
+def _feet(character: Character, motion: Motion) -> Feet | None:
+    """Find the contact points of the feet that both have; None where a leg was not found."""
+    lacking = any(of.confidence is not None and of.confidence.lacks_leg for of in (character, motion))
+    if lacking or len(character.legs) != len(motion.soles):
+        return None
+    return Feet.of(character.legs, motion.leg, character.soles, character.skinned, motion.soles, motion.surface)
