@@ -2,24 +2,15 @@
 
 import numpy as np
 import pytest
-from networks import write_mime_network
 from people import person, walk
 
 from mimesh.core.mesh import Clip
 from mimesh.pipeline import animate
 
-pytest.importorskip("onnx")
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    """A network whose weights are spread over many joints."""
-    return str(write_mime_network(tmp_path_factory.mktemp("networks") / "mime.onnx"))
-
 
 @pytest.mark.parametrize("skinned", [True, None])
-def test_skinned_frames_are_those_of_the_file(skinned, model, tmp_path):
-    limited, whole = (animate(person(0), walk(frames=3), model, skinned=value) for value in (skinned, False))
+def test_skinned_frames_are_those_of_the_file(skinned, tmp_path):
+    limited, whole = (animate(person(0), walk(frames=3), skinned=value) for value in (skinned, False))
     assert ((limited.skeleton.rig.weights > 0).sum(axis=1) <= 4).all()
     assert ((whole.skeleton.rig.weights > 0).sum(axis=1) > 4).any()
     limited.save_skinned(tmp_path / "limited.glb")
@@ -30,13 +21,13 @@ def test_skinned_frames_are_those_of_the_file(skinned, model, tmp_path):
     assert "influence_deviation" not in whole.report
 
 
-def test_a_pose_keeps_all_weights_unless_it_becomes_skinned(model):
+def test_a_pose_keeps_all_weights_unless_it_becomes_skinned():
     pose = Clip.still(person(1, pose=0))
-    assert "influence_deviation" not in animate(person(0), pose, model, skinned=None).report
-    assert "influence_deviation" in animate(person(0), pose, model, skinned=True).report
+    assert "influence_deviation" not in animate(person(0), pose, skinned=None).report
+    assert "influence_deviation" in animate(person(0), pose, skinned=True).report
 
 
 @pytest.mark.parametrize(("root", "moves"), [("scale", True), ("keep", True), ("drop", False)])
-def test_the_root_goes_as_asked(root, moves, model):
-    path = animate(person(0), walk(frames=3), model, root=root, ground=True).skeleton.root
+def test_the_root_goes_as_asked(root, moves):
+    path = animate(person(0), walk(frames=3), root=root, ground=True).skeleton.root
     assert (np.ptp(path[:, [0, 2]], axis=0).max() > 0.01) == moves

@@ -15,9 +15,9 @@ from mimesh.bodies.animals import animal
 from mimesh.cli import run
 from mimesh.core.mesh import Mesh
 from mimesh.io import save_mesh
-from mimesh.methods.find import INDEX_PAIRED, find_method
+from mimesh.methods.find import INDEX_PAIRED, find_mime
 from mimesh.pipeline import transfer
-from mimesh.pipeline.look import second_look
+from mimesh.pipeline.look import Subject, second_look
 
 UP = ("+y", None)
 
@@ -60,7 +60,7 @@ FITS = [
 
 @matrix(("taken", "name", "found"), FITS, quick=FITS[1:2])
 def test_a_fit_finds_the_body_that_a_mesh_has(taken, name, found):
-    assert second_look(find_method("mime"), taken, MESHES[name], UP) == found
+    assert second_look(find_mime("mime"), taken, Subject(MESHES[name], UP)) == found
 
 
 @pytest.mark.slow
