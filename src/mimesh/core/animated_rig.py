@@ -51,8 +51,7 @@ class AnimatedRig:
         if self.positions is not None:
             return self.positions
         bones = self.rig.bones(self.parents)
-        frames = zip(self.root, self.rotation, strict=True)
-        return np.stack([place_joints(root, bones, rotation, self.parents) for root, rotation in frames])
+        return place_joints(self.root, bones, self.rotation, self.parents)
 
     def local_positions(self) -> Float[np.ndarray, "T J 3"]:
         """Compute the position of every joint in the frame of its parent; the root's is that in the world."""

@@ -214,7 +214,7 @@ def plant_feet(
     found[..., 1] = _solve(weight, error, len(soles), track.fps, HEIGHTS, (cyclic, cyclic))
     root, steps = found[0], found[1:]
     steps *= np.minimum(1, LARGEST_STEP * leg / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-9))
-    positions = np.stack([skinned.joint_positions(*pose) for pose in zip(posed.rotation, posed.root, strict=True)])
+    positions = skinned.joint_positions(posed.rotation, posed.root)
     lowered = _lowered_hips(positions, feet, steps, FLOATING * leg, track.fps, cyclic)[:, None] * [0.0, 1.0, 0.0]
     rotation = posed.rotation
     for joints, step in zip(feet.legs, steps, strict=True):

@@ -143,11 +143,13 @@ def spread_exactly(frames: int, count: int, name: str) -> Int[np.ndarray, " N"]:
 
 
 def each_frame(
-    vertices: Float[np.ndarray, "T V 3"], progress: Progress | None = None
+    vertices: Float[np.ndarray, "T V 3"],
+    progress: Progress | None = None,
+    dtype: type[np.floating] | np.dtype = np.float64,
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """Iterate over the frames of a clip in double precision, and release their pages as they have been read."""
+    """Iterate over the frames of a clip, in double precision by default; their pages are released when they are read."""
     for t, points in enumerate(vertices):
-        yield np.asarray(points, np.float64)
+        yield np.asarray(points, dtype)
         if t % PAGED == 0:
             release_pages(vertices)
         if progress is not None:

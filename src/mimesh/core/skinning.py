@@ -84,11 +84,11 @@ def skinning_transforms(
 
 
 def place_joints(
-    root: Float[np.ndarray, " 3"],
+    root: Float[np.ndarray, "*T 3"],
     bones: Float[np.ndarray, "B 3"],
-    linear: Float[np.ndarray, "J 3 3"],
+    linear: Float[np.ndarray, "*T J 3 3"],
     parents: tuple[int, ...],
-) -> Float[np.ndarray, "J 3"]:
+) -> Float[np.ndarray, "*T J 3"]:
     """Compute joint positions from the joints' world maps (forward kinematics): p_child = p_parent + linear bone.
 
     Args:
@@ -97,7 +97,8 @@ def place_joints(
         linear: map of each joint from its own frame to the world: a rotation, also times scales of bones.
         parents: -1 for the root, which comes first; parents come before their children.
     """
-    steps = np.concatenate([root[None], (linear[list(parents[1:])] @ bones[..., None])[..., 0]])
+    along = (linear[..., list(parents[1:]), :, :] @ bones[..., None])[..., 0]
+    steps = np.concatenate([root[..., None, :], along], axis=-2)
     # Each joint is where the steps of its ancestors and its own lead to: one product instead of a loop.
     return descendant_matrix(parents).T @ steps
 
@@ -201,9 +202,18 @@ class SkinnedMesh:
             start = end
         return vertices.take(self.place, axis=0)
 
+    def posed_frames(
+        self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
+    ) -> Float[np.ndarray, "T V 3"]:
+        """Compute few vertices in many frames at once; see `posed`."""
+        positions = self.joint_positions(rotation, root)[:, :, None]
+        maps = np.concatenate([rotation.swapaxes(-1, -2), positions], axis=2).astype(np.float32)
+        blocks = [block.packed @ maps[:, block.joints].reshape(len(maps), -1, 3) for block in self.blocks]
+        return np.concatenate(blocks, axis=1).take(self.place, axis=1).astype(np.float64)
+
     def joint_positions(
-        self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]
-    ) -> Float[np.ndarray, "J 3"]:
+        self, rotation: Float[np.ndarray, "*T J 3 3"], root: Float[np.ndarray, "*T 3"]
+    ) -> Float[np.ndarray, "*T J 3"]:
         """Compute the joint positions of that pose; bones keep their lengths."""
         return place_joints(root, self.bones, rotation, self.parents)
 

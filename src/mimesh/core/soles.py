@@ -91,7 +91,7 @@ class Feet:
         self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
     ) -> Float[np.ndarray, "T F C 3"]:
         """Return the identity's contact points in all frames."""
-        at_origin = np.stack([self.identity.posed(frame, np.zeros(3)) for frame in rotation])
+        at_origin = self.identity.posed_frames(rotation, np.zeros_like(root))
         soles = at_origin.reshape(len(rotation), len(self.legs), -1, MEAN_OF, 3).mean(axis=3)
         return soles + root[:, None, None]
 

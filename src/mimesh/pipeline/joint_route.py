@@ -78,12 +78,11 @@ class JointRoute(Placed):
         """Move the joints in all frames, and report."""
         identity, clip = self.identity, self.clip
         with timer.step("drive"):
-            driving = (self.norms[1].apply(vertices) for vertices in each_frame(clip.vertices))
             limited = len(clip) > 1 if options.skinned is None else options.skinned
             # The weights of an identity's own file stay as they are.
             limited = limited and self.rigs.humanoid is None
             retarget = self.retarget.limited(INFLUENCES) if limited else self.retarget
-            track = retarget.track(counted(driving, len(clip), progress), clip.fps).smoothed(options.smooth)
+            track = self._track(retarget, progress).smoothed(options.smooth)
             across = self.norms[1].radius / self.norms[0].radius if options.root == "keep" else None
             posed = retarget.posed_joints(track, across, options.root == "drop", options.ground)
             route = dataclasses.replace(self, retarget=retarget)
@@ -105,6 +104,19 @@ class JointRoute(Placed):
         positions = self.norms[1].undo(track.positions[0])
         driving_joints = without_fingers(dict(zip(retarget.motion.joints, positions, strict=True)))
         return Moved(moved, skeleton, own, cast(TransferReport, report), notes, driving_joints)
+
+    def _track(self, retarget: Retarget, progress: Progress | None) -> JointTrack:
+        """Return the motion of the driving's joints and soles in all frames, normalised."""
+        clip, norm, known = self.clip, self.norms[1], retarget.motion.track
+        if known is None:
+            frames = (norm.apply(vertices) for vertices in each_frame(clip.vertices))
+            return retarget.track(counted(frames, len(clip), progress), clip.fps)
+        if retarget.feet is None:
+            return known
+        # Of a surface whose joints are known, only the points of the soles are read.
+        frames = each_frame(clip.vertices, progress, clip.vertices.dtype)
+        soles = np.stack([retarget.feet.driving_soles(vertices) for vertices in frames])
+        return dataclasses.replace(known, soles=norm.apply(soles))
 
     def turned(self, posed: PosedJoints, t: int) -> Float[np.ndarray, "V 3"]:
         """Make a frame, refined, with the driving's heading."""

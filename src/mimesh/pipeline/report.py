@@ -12,8 +12,8 @@ from ..core.geometry import edges, face_vectors
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 
-MOST_FRAMES = 32
-"""Largest number of frames, evenly spread, by which a clip is measured."""
+MOST_FRAMES, MOST_POINTS = 32, 250_000
+"""Largest number of frames, evenly spread, by which a clip is measured, and of vertices in all of them together."""
 MIN_EDGE = 1e-3
 """Share of the mean edge length below which the stretch of an edge is not measured."""
 
@@ -161,7 +161,8 @@ def quality(identity: Mesh, moved: LazyFrames) -> dict[str, float]:
     before = against_neighbours(identity.faces, identity.vertices)
     stretches, flips = [], []
     # Frame by frame: the edges of a large mesh in all frames would take gigabytes.
-    for vertices in moved.at(evenly_spread(len(moved), MOST_FRAMES)):
+    most = max(2, min(MOST_FRAMES, MOST_POINTS // len(identity.vertices)))
+    for vertices in moved.at(evenly_spread(len(moved), most)):
         stretches.append(_largest_stretches(edge_stretch(identity.vertices, vertices, pairs)))
         flips.append(flipped_share(identity.faces, before, vertices))
     largest, p99 = np.max(stretches, axis=0)
