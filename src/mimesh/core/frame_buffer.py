@@ -147,7 +147,7 @@ def each_frame(
     progress: Progress | None = None,
     dtype: type[np.floating] | np.dtype = np.float64,
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """Iterate over the frames of a clip, in double precision by default; their pages are released when they are read."""
+    """Iterate over the frames of a clip, in double precision by default, and release their pages when they are read."""
     for t, points in enumerate(vertices):
         yield np.asarray(points, dtype)
         if t % PAGED == 0:

@@ -28,7 +28,7 @@ from ..core.soles import find_soles
 from ..core.surface_points import SurfacePoints, generator
 from ..rigs.character import Character, names_above
 from ..rigs.confidence import MAX_UNMATCHED_SURFACE, Confidence
-from ..rigs.retarget import Follow, Motion, Pose, SurfaceMotion
+from ..rigs.retarget import Follow, JointMotion, Pose, SurfaceMotion
 from .body_fit import (
     RELIABLE_MISMATCH,
     BodyFit,
@@ -75,7 +75,7 @@ Positions = Mapping[str, Float[np.ndarray, " 3"]]
 
 
 @dataclass(frozen=True, eq=False)
-class CapturedMotion(Motion):
+class CapturedMotion(JointMotion):
     """A motion that was found on the surfaces of a clip."""
 
     keyframes: Clip = field(kw_only=True)
@@ -184,7 +184,7 @@ class Mime:
 
     def with_fingers(
         self, character: Character, mesh: Mesh, motion: CapturedMotion, surface: SurfaceMotion
-    ) -> tuple[Character, Motion]:
+    ) -> tuple[Character, JointMotion]:
         """Add the fingers of hands of which both meshes show them, and the driving bends them otherwise.
 
         Args:

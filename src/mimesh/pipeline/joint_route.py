@@ -1,7 +1,7 @@
 """Move an identity by joints: those of its file or found on it follow those of the driving.
 
-`joint_route` finds a `Character` and a `Motion`, each in a thread of its own; `JointRoute.play` moves the joints. The
-vertices of frames are made when they are asked for.
+`joint_route` finds a `Character` and a `JointMotion`, each in a thread of its own; `JointRoute.play` moves the joints.
+The vertices of frames are made when they are asked for.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ..io.gltf.own_animation import OwnAnimation
 from ..mime.model import CapturedMotion, Mime
 from ..mime.prediction import face_outward
 from ..rigs.character import Character
-from ..rigs.retarget import Motion, Retarget
+from ..rigs.retarget import JointMotion, Retarget
 from .file_rigs import Rigs, face_tracks, read_rigs
 from .look import Subject, agreed, facing_front, finds_joints, joint_finder, normalised, other_body, reorient
 from .options import Hints, MotionOptions
@@ -39,7 +39,7 @@ from .refine import Refinement
 from .report import TransferReport
 from .result import Timer
 
-Found = TypeVar("Found", Character, Motion)
+Found = TypeVar("Found", Character, JointMotion)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +227,7 @@ def _found(
     norms: tuple[Normalization, Normalization],
     hints: Hints,
     rigs: Rigs,
-) -> tuple[tuple[Character, Normalization], tuple[Motion, Normalization]]:
+) -> tuple[tuple[Character, Normalization], tuple[JointMotion, Normalization]]:
     """Find the joints of both meshes, each with the normalisation in which it was recognised."""
     corrections = hints.corrections
 
@@ -237,10 +237,10 @@ def _found(
             return Character.of_file(rigs.humanoid, norm, mesh.vertices)
         return mime.rig(mesh, corrections.of_identity(subjects[0].mesh, mime.joints, norm))
 
-    def motion(norm: Normalization) -> Motion:
+    def motion(norm: Normalization) -> JointMotion:
         if rigs.driving is not None:
             mesh = face_outward(normalised(subjects[1].mesh, norm))
-            return Motion.of_file(rigs.driving, mesh, clip.fps, norm, mime.seed)
+            return JointMotion.of_file(rigs.driving, mesh, clip.fps, norm, mime.seed)
         corrected, keyframes = corrections.of_driving(keyframes_of(clip, norm), mime.joints, norm)
         return mime.capture(keyframes, corrected)
 

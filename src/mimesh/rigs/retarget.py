@@ -1,6 +1,6 @@
 """Motions of joints, and how a character follows one: rotations by role, root path, soles that stand.
 
-A motion is that of a file's joints (`Motion.of_file`), or `mime` finds it on the surfaces of a clip
+A motion is that of a file's joints (`JointMotion.of_file`), or `mime` finds it on the surfaces of a clip
 (`mime.model.Mime.capture`). Everything here is normalised; the two have normalisations of their own.
 """
 
@@ -38,7 +38,7 @@ SOLE_SAMPLES = 8192
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class JointMotion:
     """The joints of a driving clip: known in all of its frames, or found in each from its vertices."""
 
     joints: tuple[str, ...]
@@ -59,7 +59,7 @@ class Motion:
     """How certainly the joints were found; None: they are those of a file."""
 
     @classmethod
-    def of_file(cls, motion: PersonMotion, mesh: Mesh, fps: float, norm: Normalization, seed: int) -> Motion:
+    def of_file(cls, motion: PersonMotion, mesh: Mesh, fps: float, norm: Normalization, seed: int) -> JointMotion:
         """Normalise the joints of a file; `mesh` is the clip's first frame, normalised already."""
         positions = norm.apply(motion.positions.reshape(-1, 3)).reshape(motion.positions.shape)
         track = JointTrack(norm.rotation @ motion.rotation, positions, fps)
@@ -105,7 +105,7 @@ class Retarget:
     """A character that follows a motion."""
 
     character: Character
-    motion: Motion
+    motion: JointMotion
     links: LinkedJoints
     stride: float
     """The character's displacement over the driving's, each in its normalisation: the ratio of leg lengths."""
@@ -115,7 +115,7 @@ class Retarget:
     """Name of the driving, for error messages."""
 
     @classmethod
-    def of(cls, character: Character, motion: Motion, name: str) -> Retarget:
+    def of(cls, character: Character, motion: JointMotion, name: str) -> Retarget:
         """Let a character follow a motion: each joint the driving's of its role, steps as long as its legs."""
         links = character.linked(motion.joints, motion.rest)
         return cls(character, motion, links, character.leg / motion.leg, _feet(character, motion), name)
@@ -159,7 +159,7 @@ class Retarget:
         return self.character.posed(linked, self.stride * positions[0])
 
 
-def _feet(character: Character, motion: Motion) -> Feet | None:
+def _feet(character: Character, motion: JointMotion) -> Feet | None:
     """Find the contact points of the feet that both have; None where a leg was not found."""
     lacking = any(of.confidence is not None and of.confidence.lacks_leg for of in (character, motion))
     if lacking or len(character.legs) != len(motion.soles):
