@@ -211,7 +211,7 @@ def find_method(
         ensemble: average over this many random pairings of driving and identity vertices (index-paired networks only).
         seed: seed of those pairings, and of sampled points.
         pairing: "random" or "order": how the network must pair vertices, where INDEX_PAIRED have weights for both;
-            "body": one that pairs by order gets the points that the fitted body finds (`MimeMethod.body_pairs`);
+            "body": one that pairs by order gets the points that the fitted body finds (`Mime.body_pairs`);
             "auto": as it does, at random where there are both.
         reference: the driving subject in the identity's pose, normalised like the driving mesh, whose vertices and
             faces it shares (deformation transfer only).
