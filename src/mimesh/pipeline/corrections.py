@@ -27,8 +27,6 @@ HIDDEN = {
 """Joints of each shipped body without a handle: in the hips, in a hand, which they follow, or between others that move
 them.
 """
-JointPositions = dict[str, Float[np.ndarray, " 3"]]
-"""Joint -> position in the axes, unit and position of a mesh's file."""
 GivenJoints = JointCorrections | Mapping[str, Any] | str | Path | None
 """Corrections as the public functions take them: joint -> position, or the path of a file of them."""
 
@@ -117,16 +115,6 @@ def _normalised(
 
 NO_CORRECTIONS = Corrections()
 """All joints are found by the model."""
-
-
-@dataclass(frozen=True, eq=False)
-class FoundJoints:
-    """Joints that a method found on both meshes, without those of fingers."""
-
-    body: str
-    """Name of the shipped body whose joints they are."""
-    identity: JointPositions
-    driving: JointPositions
 
 
 def shown_bones(name: str = "human") -> dict[str, str | None]:

@@ -34,7 +34,7 @@ from ..rigs.retarget import JointMotion, Retarget
 from .file_rigs import Rigs, face_tracks, read_rigs
 from .look import Subject, agreed, facing_front, finds_joints, joint_finder, normalised, other_body, reorient
 from .options import Hints, MotionOptions
-from .placed import KEYFRAMES, JointPair, Moved, Placed, first_frame, keyframes_of, surface_motion, surface_report
+from .placed import KEYFRAMES, FoundJoints, Moved, Placed, first_frame, keyframes_of, surface_motion, surface_report
 from .refine import Refinement
 from .report import TransferReport
 from .result import Timer
@@ -59,14 +59,14 @@ class JointRoute(Placed):
         frames = [self.refined(self.retarget.frame(k, self.driving_frame(k))) @ self.turn.T for k in chosen]
         return self.norms[0].undo(frames[-1] + self.shift(frames[0]))
 
-    def joints(self, t: int) -> JointPair:
+    def joints(self, t: int) -> FoundJoints:
         """Return the joints of the identity, and of the driving in a frame."""
         character, motion = self.retarget.character, self.retarget.motion
         identity = self.norms[0].undo(character.rig.joints)
         driving = self.norms[1].undo(motion.pose(t, self.driving_frame(t))[1])
         mine = without_fingers({name: identity[j] for name, j in character.roles.items()})
         theirs = without_fingers(dict(zip(motion.joints, driving, strict=True)))
-        return JointPair(body_of_joints(motion.joints), mine, theirs)
+        return FoundJoints(body_of_joints(motion.joints), mine, theirs)
 
     def play(
         self,

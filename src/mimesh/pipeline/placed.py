@@ -49,7 +49,7 @@ class Moved:
 
 
 @dataclass(frozen=True, eq=False)
-class JointPair:
+class FoundJoints:
     """Joints of both meshes, without those of fingers."""
 
     body: str
