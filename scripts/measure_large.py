@@ -58,10 +58,9 @@ LINEAR, FLAT = 1.05, 0.1
 GROWTH = {"mime": ("vertices", (100_000, 300_000, 1_000_000, 3_000_000)), "animate": ("frames", (100, 1000, 10_000))}
 """Cases of `growth` with what grows, and the sizes to measure."""
 STEPS = {
-    "normalise": ("mimesh.pipeline.prepared", "fitted_norms"),
-    "choose_body": ("mimesh.pipeline.prepared", "with_body"),
-    "find_joints": ("mimesh.pipeline.prepared", "_prepared_drive"),
-    "report": ("mimesh.pipeline.play", "surface_report"),
+    "choose_body": ("mimesh.pipeline.joint_route", "agreed"),
+    "find_joints": ("mimesh.pipeline.joint_route", "_found"),
+    "report": ("mimesh.pipeline.joint_route", "surface_report"),
 }
 """Steps inside of `transfer` and `animate`: module and function."""
 
@@ -144,12 +143,15 @@ def make_files(case: str, size: int, folder: Path) -> dict[str, Any]:
         parts = tuple(Part(f"part{k}", a, b) for k, (a, b) in enumerate(itertools.pairwise(stops)))
         save_mesh(Mesh(vertices, faces, "body", parts=parts), folder / "identity.obj")
     elif case == "morphs":
-        save_clip(frames_of(clip.mesh, clip.vertices, size), folder / "identity.glb")  # frame k is morph target k
+        save_clip(
+            frames_of(clip.mesh, np.asarray(clip.vertices), size), folder / "identity.glb"
+        )  # frame k is morph target k
     else:
         save_mesh(identity, folder / "identity.ply")
     if case in ("animate", "large-clip"):
         save_clip(
-            frames_of(clip.mesh, clip.vertices, size if case == "animate" else CLIP_FRAMES), folder / "driving.npz"
+            frames_of(clip.mesh, np.asarray(clip.vertices), size if case == "animate" else CLIP_FRAMES),
+            folder / "driving.npz",
         )
     else:
         driving = subdivided(np.asarray(clip.vertices[FRAME], np.float64), body.faces, count * (case != "mime"))

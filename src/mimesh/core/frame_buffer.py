@@ -6,13 +6,14 @@ import mmap
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from .errors import InputError
+from .skinning import SkinnedMesh
 
 T = TypeVar("T")
 LARGE = 64 * 2**20
@@ -23,6 +24,59 @@ PAGED = 32
 
 Progress = Callable[[int, int], None]
 """Callback for progress, called with (frames done, frames in all)."""
+
+
+@dataclass(frozen=True, eq=False)
+class PosedFrames:
+    """Frames of a skinned mesh that are posed when they are read; else it behaves as an array (T, V, 3).
+
+    Thousands of frames of a capture need no room, and those that nobody looks at no time. `np.asarray` makes all.
+    """
+
+    skinned: SkinnedMesh
+    rotation: Float[np.ndarray, "T J 3 3"]
+    root: Float[np.ndarray, "T 3"]
+    dtype: ClassVar[np.dtype] = np.dtype(np.float32)
+    ndim: ClassVar[int] = 3
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Numbers of frames and of vertices, and 3."""
+        return len(self.root), len(self.skinned.place), 3
+
+    def __len__(self) -> int:
+        """Return how many frames there are."""
+        return len(self.root)
+
+    def __iter__(self) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Pose one frame after the other."""
+        return (self[t] for t in range(len(self)))
+
+    def __getitem__(self, key: Any) -> Any:
+        """Pose the frames of a key, as of an array; those of a slice are posed when they are read."""
+        first, rest = (key[0], key[1:]) if isinstance(key, tuple) else (key, ())
+        if isinstance(first, int | np.integer):
+            posed = self.skinned.posed(self.rotation[first], self.root[first]).astype(self.dtype)
+            return posed[rest] if rest else posed
+        chosen = replace(self, rotation=self.rotation[first], root=self.root[first])
+        if isinstance(first, slice) and not rest:
+            return chosen
+        return np.asarray(chosen)[(slice(None), *rest)]
+
+    def __array__(self, dtype: np.dtype | None = None, copy: bool | None = None) -> Float[np.ndarray, "T V 3"]:
+        """Pose all frames."""
+        frames = np.empty(self.shape, self.dtype if dtype is None else dtype)
+        for t, points in enumerate(self):
+            frames[t] = points
+        return frames
+
+    def of_vertices(self, vertices: Int[np.ndarray, " P"]) -> Float[np.ndarray, "T P 3"]:
+        """Pose few vertices in all frames."""
+        return self.skinned.part(vertices).posed_frames(self.rotation, self.root)
+
+
+Frames = Float[np.ndarray, "T V 3"] | PosedFrames
+"""Vertices of a mesh in all frames of a clip."""
 
 
 def allocate_frames(count: int, vertices: int, dtype: type[np.floating] | np.dtype) -> Float[np.ndarray, "T V 3"]:
@@ -56,7 +110,7 @@ def reserve_space(descriptor: int, size: int) -> None:
         ) from error
 
 
-def release_pages(frames: Float[np.ndarray, "T V 3"]) -> None:
+def release_pages(frames: Frames) -> None:
     """Release the memory of a memory-mapped array; its values stay in the file. Other arrays are left alone."""
     pages = getattr(frames, "_mmap", None)
     if pages is not None and hasattr(pages, "madvise"):
@@ -97,9 +151,10 @@ class LazyFrames:
     """Stored frames; None where they are made."""
 
     @classmethod
-    def stored(cls, vertices: Float[np.ndarray, "T V 3"]) -> LazyFrames:
-        """Give out frames that are there already."""
-        return cls(vertices.shape[:2], lambda chosen: (vertices[t] for t in chosen), vertices.dtype, vertices)
+    def stored(cls, vertices: Frames) -> LazyFrames:
+        """Give out the frames of a clip."""
+        array = None if isinstance(vertices, PosedFrames) else vertices
+        return cls(vertices.shape[:2], lambda chosen: (vertices[t] for t in chosen), vertices.dtype, array)
 
     def __repr__(self) -> str:
         """Sum up the frames: arrays of thousands of numbers say nothing."""
@@ -143,7 +198,7 @@ def spread_exactly(frames: int, count: int, name: str) -> Int[np.ndarray, " N"]:
 
 
 def each_frame(
-    vertices: Float[np.ndarray, "T V 3"],
+    vertices: Frames,
     progress: Progress | None = None,
     dtype: type[np.floating] | np.dtype = np.float64,
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
@@ -162,3 +217,14 @@ def counted(items: Iterable[T], count: int, progress: Progress | None) -> Iterat
         yield item
         if progress is not None:
             progress(done, count)
+
+
+def vertices_of_all(
+    frames: Frames, chosen: Int[np.ndarray, " P"], progress: Progress | None = None
+) -> Float[np.ndarray, "T P 3"]:
+    """Return few vertices in all frames; nothing else is read of stored frames, nor posed of others."""
+    if not isinstance(frames, PosedFrames):
+        return np.stack([points[chosen] for points in each_frame(frames, progress, frames.dtype)])
+    if progress is not None:
+        progress(len(frames), len(frames))
+    return frames.of_vertices(chosen)

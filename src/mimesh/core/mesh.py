@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from .arguments import as_faces, as_floats, as_frames, as_vertices, check_kind
 from .budgets import FACES, VERTICES, check_clip_size
 from .errors import InputError
-from .frame_buffer import each_frame, spread_exactly
+from .frame_buffer import Frames, PosedFrames, Progress, each_frame, spread_exactly, store_frames
 from .geometry import face_areas, turn_normals
 from .person_motion import JointSource
 
@@ -169,7 +169,7 @@ class Clip:
 
     mesh: Mesh
     """Topology, appearance and source; its vertices are those of frame 0 unless the file has a rest shape."""
-    vertices: Float[np.ndarray, "T V 3"]
+    vertices: Frames
     """Points of all frames, in the order, axes and unit of the mesh's."""
     fps: float = 30.0
     """Frames a second."""
@@ -185,7 +185,8 @@ class Clip:
         check_kind("Clip.mesh", self.mesh, "Mesh")
         check_kind("Clip.fps", self.fps, "float")
         object.__setattr__(self, "fps", float(self.fps))
-        object.__setattr__(self, "vertices", as_frames(self.vertices, self.mesh.name, len(self.mesh.vertices)))
+        if not isinstance(self.vertices, PosedFrames):
+            object.__setattr__(self, "vertices", as_frames(self.vertices, self.mesh.name, len(self.mesh.vertices)))
 
     @classmethod
     def still(cls, mesh: Mesh) -> Clip:
@@ -298,6 +299,10 @@ def check_clip(clip: Clip, path: str | Path) -> Clip:
 def check_frames(clip: Clip, path: str | Path) -> None:
     """Raise InputError for coordinates in any frame that are not finite, or too large."""
     advice = "export it again" if isinstance(path, Path) else "repair it"
+    if isinstance(clip.vertices, PosedFrames):
+        if not (np.isfinite(clip.vertices.rotation).all() and np.isfinite(clip.vertices.root).all()):
+            raise InputError(f"{path}: expected finite joints, found NaN or infinity; {advice}")
+        return
     for t, vertices in enumerate(each_frame(clip.vertices)):
         if not np.isfinite(vertices).all():
             raise InputError(f"{path}: expected finite coordinates, found NaN or infinity in frame {t}; {advice}")
@@ -367,6 +372,15 @@ def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
     headings = None if clip.headings is None else clip.headings[start:stop:step]
     skeleton = None if clip.skeleton is None else clip.skeleton.cut(slice(start, stop, step))
     return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step, headings=headings, skeleton=skeleton)
+
+
+def stored_clip(clip: Clip, progress: Progress | None = None) -> Clip:
+    """Return a clip whose frames are all there, as an array: in memory, or on disk if they are many."""
+    if not isinstance(clip.vertices, PosedFrames):
+        return clip
+    count, vertices, _ = clip.vertices.shape
+    stored = store_frames(clip.vertices, count, vertices, clip.vertices.dtype, progress)
+    return dataclasses.replace(clip, vertices=stored)
 
 
 def spread_clip(clip: Clip, count: int) -> Clip:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from .frame_buffer import Frames, Progress, vertices_of_all
 from .rig import Rig, descendants
 from .skinning import SkinnedMesh
 from .surface_points import SurfacePoints
@@ -86,6 +87,13 @@ class Feet:
     def driving_soles(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "F C 3"]:
         """Return the driving's contact points in a frame."""
         return self.driving.points(vertices).reshape(len(self.legs), -1, MEAN_OF, 3).mean(axis=2)
+
+    def soles_in(self, frames: Frames, progress: Progress | None = None) -> Float[np.ndarray, "T F C 3"]:
+        """Return the driving's contact points in all frames, of which only their vertices are read."""
+        used, corners = np.unique(self.driving.corners, return_inverse=True)
+        few = SurfacePoints(corners.reshape(-1, 3), self.driving.barycentric)
+        points = few.points(vertices_of_all(frames, used, progress))
+        return points.reshape(len(points), len(self.legs), -1, MEAN_OF, 3).mean(axis=3)
 
     def identity_soles(
         self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]

@@ -160,7 +160,7 @@ class Output(NamedTuple):
     @classmethod
     def of(cls, result: Result | ClipResult) -> Output:
         """Take vertices and confidence from a result of the library."""
-        vertices = result.vertices if isinstance(result, Result) else result.clip.vertices.astype(np.float64)
+        vertices = result.vertices if isinstance(result, Result) else np.asarray(result.clip.vertices, np.float64)
         values = [result.report[mesh].get("uncertainty") for mesh in ("identity", "driving")]
         known = [value for value in values if value is not None]
         # Up and front are given, so that every note is one of low confidence.
@@ -270,7 +270,7 @@ def placed_shapes(
     )
     if isinstance(network, SizedMethod):
         network = network.with_sizes((identity.name, identity_norm.radius), (driving.name, driving_norm.radius))
-    frames = driving_norm.apply(clip.vertices.astype(np.float64))
+    frames = driving_norm.apply(np.asarray(clip.vertices, np.float64))
     shapes = np.stack(list(network.shapes(identity, Clip.still(driving))(check_size(frames, driving.name))))
     sizes = box_radius(truth) if needs_true_size(network) else np.full(len(truth), identity_norm.radius)
     origin = bbox_centre(frames) * sizes[0]

@@ -8,6 +8,7 @@ from .formats import clip_suffixes as clip_suffixes
 from .formats import mesh_suffixes as mesh_suffixes
 from .load import list_animations as list_animations
 from .load import load_clip as load_clip
+from .load import load_driving as load_driving
 from .load import load_mesh as load_mesh
 from .load import load_points as load_points
 from .load import load_recorded_clip as load_recorded_clip

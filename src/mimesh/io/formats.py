@@ -72,7 +72,7 @@ def _read_motion(path: Path) -> Mesh:
 def _read_motion_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
     from ..motions.on_body import motion_file_clip
 
-    return motion_file_clip(path, fps, progress)
+    return motion_file_clip(path, fps)
 
 
 def _read_npz(path: Path) -> Mesh:

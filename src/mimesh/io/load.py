@@ -16,7 +16,7 @@ from jaxtyping import Float
 from ..core.arguments import public
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip
+from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip, stored_clip
 from ..core.system import refuse_pipe
 from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, COLLECTIONS, MESH_READERS, MOTIONS, found_suffix
 from .frame_folder import read_frame, read_sequence
@@ -100,6 +100,18 @@ def load_clip(
         >>> clip.vertices.shape, clip.fps  # (T, V, 3), and frames a second
         ((2, 502, 3), 5.0)
     """
+    return stored_clip(load_driving(path, fps=fps, animation=animation, progress=progress, frames=frames), progress)
+
+
+def load_driving(
+    path: str | Path,
+    *,
+    fps: float | None = None,
+    animation: str | int | None = None,
+    progress: Progress | None = None,
+    frames: slice = slice(None),
+) -> Clip:
+    """Read a clip as `load_clip` does; the frames of a motion file are posed when they are read (`PosedFrames`)."""
     path, animation = Path(path), None if animation is None else str(animation)
     _check_clip_options(path, fps, animation)
     _must_exist(path)
@@ -110,7 +122,7 @@ def load_clip(
     if path.is_file():
         with _reading(path):
             if is_motion_file(path):
-                return check_clip(motion_file_clip(path, fps, progress, frames), path)
+                return check_clip(motion_file_clip(path, fps, frames), path)
     clip = _whole_clip(path, fps, animation, progress)
     return cut_clip(clip, frames.start or 0, frames.stop, 1 if frames.step is None else frames.step)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..bodies import load_body
 from ..core.budgets import check_clip_size
-from ..core.frame_buffer import Progress, store_frames
+from ..core.frame_buffer import PosedFrames
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import archive_names
 from ..core.person_motion import KnownJoints, PersonMotion
@@ -59,14 +59,11 @@ def _load(path: str | Path) -> Bvh:
     return load_bvh(path) if Path(path).suffix.lower() == BVH else load_amass(path)
 
 
-def motion_file_clip(
-    path: str | Path, fps: float | None = None, progress: Progress | None = None, frames: slice = slice(None)
-) -> Clip:
+def motion_file_clip(path: str | Path, fps: float | None = None, frames: slice = slice(None)) -> Clip:
     """Load a motion file as a clip of the shipped body (see `played`).
 
     The frame rate is that of the file, or `fps`: the motion is resampled, so that frame k is at k / fps seconds.
-    The surface is posed in the chosen `frames` alone. They are those of the whole clip: the rest pose and the floor are
-    found from all frames.
+    The chosen `frames` are those of the whole clip: the rest pose and the floor are found from all frames.
 
     Raises:
         InputError: as `motion_of_file`, a frame rate that is not positive, or no frame is left.
@@ -76,7 +73,7 @@ def motion_file_clip(
     motion, notes = _whole_motion(path, facts and (facts.st_dev, facts.st_ino, facts.st_mtime_ns, facts.st_size))
     motion = cut_motion(motion if fps is None else resample(motion, fps, str(path)), frames)
     check_clip_size(len(motion), len(load_body().vertices), path)
-    return dataclasses.replace(played(motion, progress), notes=notes)
+    return dataclasses.replace(played(motion), notes=notes)
 
 
 @lru_cache(maxsize=1)  # a batch moves many meshes by one capture; a capture of a minute has 10 MB
@@ -91,19 +88,17 @@ def motion_file_mesh(path: str | Path) -> Mesh:
     return first_frame(motion_of_file(path))
 
 
-def played(motion: Motion, progress: Progress | None = None) -> Clip:
+def played(motion: Motion) -> Clip:
     """Make a clip of the shipped body (mean shape) in motion: metres, y up, floor at y = 0, with headings and joints.
 
-    The mesh is that of the first frame. Positions are single precision; the frames of long clips are stored on disk.
+    The mesh is that of the first frame. Frames are posed when they are read (`PosedFrames`).
     """
     body = load_body()
     leg = leg_length(body.joints, body.joint_names)
     joints = PersonMotion(motion.joint_names, *joint_tracks(body, motion), leg, body.weights)
     rest = Rig(np.tile(np.eye(3), (len(body.parents), 1, 1)), body.joints, body.weights)
-    # Long captures have thousands of frames: single precision takes a quarter of the time of `motion_clip`.
     skinned = SkinnedMesh.of(body.vertices, rest, body.parents)
-    frames = (skinned.posed(*pose) for pose in zip(joints.rotation, joints.positions[:, 0], strict=True))
-    vertices = store_frames(frames, len(motion), len(body.vertices), np.float32, progress)
+    vertices = PosedFrames(skinned, joints.rotation, joints.positions[:, 0])
     mesh = dataclasses.replace(body.mesh(np.asarray(vertices[0], np.float64)), name=motion.name, up="+y")
     return Clip(mesh, vertices, motion.fps, joints.rotation[:, 0, :, 2], KnownJoints(joints))
 

@@ -196,13 +196,13 @@ def animate(
         (4, 502, 3)
         >>> path = moving.save_skinned("walking.glb")
     """
-    from ..io import load_clip
+    from ..io import load_driving
 
     timer = Timer()
     with timer.step("load"):
         identity = _read_mesh(identity, "identity")
         if driving_joints is None and not isinstance(driving, Clip):
-            clip = load_clip(driving, fps=fps, animation=animation, frames=slice(start, stop, step))
+            clip = load_driving(driving, fps=fps, animation=animation, frames=slice(start, stop, step))
             corrections = Corrections.read(joints, None, clip)
         else:  # corrected joints may be in a frame that is not taken
             whole = _read_clip(driving, fps, animation)

@@ -18,7 +18,7 @@ from ..bodies.joint_names import finger_joints, person_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.geometry import nearest_rotation
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, stored_clip
 from ..core.normalization import ORIENTATIONS, ROTATIONS
 from ..core.person_motion import KnownJoints, PersonMotion
 from ..core.rig import local_rotations
@@ -161,7 +161,7 @@ def clip_of_bones(
     _check_finite(T_world_joint, bones.name)
     rest = bones.T_world_joint
     rotation = nearest_rotation(T_world_joint[..., :3, :3] @ np.linalg.pinv(rest[:, :3, :3]))
-    clip = played(on_body(_skeleton(bones, rotation, T_world_joint[..., :3, 3], fps), bones.name))
+    clip = stored_clip(played(on_body(_skeleton(bones, rotation, T_world_joint[..., :3, 3], fps), bones.name)))
     assert isinstance(clip.skeleton, KnownJoints)
     joints = person_joints(bones.joint_names, bones.parents)
     motion = _with_fingers(clip.skeleton.motion, joints, rest, T_world_joint)

@@ -114,9 +114,7 @@ class JointRoute(Placed):
         if retarget.feet is None:
             return known
         # Of a surface whose joints are known, only the points of the soles are read.
-        frames = each_frame(clip.vertices, progress, clip.vertices.dtype)
-        soles = np.stack([retarget.feet.driving_soles(vertices) for vertices in frames])
-        return dataclasses.replace(known, soles=norm.apply(soles))
+        return dataclasses.replace(known, soles=norm.apply(retarget.feet.soles_in(clip.vertices, progress)))
 
     def turned(self, posed: PosedJoints, t: int) -> Float[np.ndarray, "V 3"]:
         """Make a frame, refined, with the driving's heading."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.frame_buffer import PAGED, release_pages
+from ..core.frame_buffer import vertices_of_all
 from ..core.mesh import Clip
 
 LONE_FRAMES = 12
@@ -57,11 +57,7 @@ def far_frames_note(clip: Clip, name: str) -> tuple[str, ...]:
     if len(clip) * FAR_SHARE < 1:
         return ()
     every = max(1, len(clip.mesh.vertices) // FAR_VERTICES)
-    frames = np.empty((len(clip), *clip.mesh.vertices[::every].shape))
-    for t in range(len(clip)):
-        frames[t] = clip.vertices[t, ::every]
-        if t % PAGED == 0:
-            release_pages(clip.vertices)
+    frames = vertices_of_all(clip.vertices, np.arange(0, len(clip.mesh.vertices), every)).astype(np.float64)
     size = np.median(np.ptp(frames, axis=1).max(axis=-1))
     before, after = frames[:-2], frames[2:]
     away = np.linalg.norm(frames[1:-1] - (before + after) / 2, axis=-1).mean(axis=-1)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt16
 
-from ..core.frame_buffer import each_frame
+from ..core.frame_buffer import Frames, each_frame
 
 LEVEL = 6
 """Compression level of zlib; 9 takes three times as long to save one percent."""
@@ -65,7 +65,7 @@ def fit_quantization(vertices: Float[np.ndarray, "T V 3"]) -> Quantization:
     return Quantization(np.array(centre), low, size / STEPS if size > 0 else 1.0)
 
 
-def encode_frames(vertices: Float[np.ndarray, "T V 3"], quantization: Quantization) -> str:
+def encode_frames(vertices: Frames, quantization: Quantization) -> str:
     """Encode all frames as differences to the frame before; the first frame as differences to the value before."""
     compressor = zlib.compressobj(LEVEL)
     pieces, before = [], None

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from ..core.errors import InputError
 from ..core.frame_buffer import each_frame
 from ..core.geometry import weld
-from ..core.mesh import Clip, Mesh, cut_clip
+from ..core.mesh import Clip, Mesh, cut_clip, stored_clip
 from ..render import camera
 from ..render.textures import creased_normals, decode_image
 from .encoding import Quantization, encode_frames, pack_array, to_base64
@@ -106,7 +106,8 @@ def pack_scene(
     left_out: list[str] = []
     whole = max(panel.frames for panel in panels)
     step = 1 if motion.frames is None else -(-whole // motion.frames)
-    panels = [panel.with_every(max(step, panel.every)) for panel in panels]
+    shown = [panel.with_every(max(step, panel.every)) for panel in panels]
+    panels = [dataclasses.replace(panel, clip=stored_clip(panel.clip)) for panel in shown]
     panels = [_simplify_driving(panel, budget, motion, left_out) for panel in panels]
     most = budget // VERTEX_CHARACTERS
     most = most if motion.vertices is None else min(most, motion.vertices)

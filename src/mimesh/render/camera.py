@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.errors import InputError
-from ..core.frame_buffer import each_frame
+from ..core.frame_buffer import Frames, each_frame
 
 VIEWS = {
     "three-quarter": (-32.0, 12.0),
@@ -136,7 +136,7 @@ def orbit(
 
 
 def extreme_points(
-    frames: Float[np.ndarray, "T V 3"],
+    frames: Frames,
     size: tuple[int, int] = (512, 512),
     view: str | tuple[float, float] = "three-quarter",
     offsets: Float[np.ndarray, "T 3"] | None = None,
@@ -169,7 +169,7 @@ def extreme_points(
 
 
 def follow(
-    points: Float[np.ndarray, "T V 3"],
+    points: Frames,
     size: tuple[int, int] = (512, 512),
     view: str | tuple[float, float] = "three-quarter",
     *,

@@ -19,6 +19,7 @@ from ..io import (
     clip_suffixes,
     list_animations,
     load_clip,
+    load_driving,
     load_mesh,
     load_recorded_clip,
     save_as_fbx,
@@ -272,14 +273,18 @@ def read_driving(
         InputError: a file cannot be read, or no frame is left.
     """
     path = chosen.path
-    posed = body_model is None and path.is_file() and is_motion_file(path)
-    early = posed and not whole
-    clip, notes = read_clip(path, body_model, fps, chosen.animation, progress, frames if early else slice(None))
+    early = body_model is None and path.is_file() and is_motion_file(path) and not whole
+    if body_model is None:
+        taken = frames if early else slice(None)
+        clip = load_driving(path, fps=fps, animation=chosen.animation, progress=progress, frames=taken)
+        notes = clip.notes
+    else:
+        clip, notes = read_clip(path, body_model, fps, chosen.animation, progress)
     notes += animations_note(chosen.animations, path, several=True) if chosen.animation is None else ()
     notes += taken_rate_note(clip, path) if fps is None else ()
     if frames.start == 0:
-        # The capture is kept in memory: its first frames are posed, and nothing is read again.
-        first = load_clip(path, fps=fps, frames=slice(0, LONE_FRAMES)) if early else clip
+        # The capture is kept in memory: nothing is read again.
+        first = load_driving(path, fps=fps, frames=slice(0, LONE_FRAMES)) if early else clip
         notes += first_frame_note(first, 0, path.name)
     check_cut(clip.mesh.name, len(clip), slice(None) if early else frames)
     return (clip if early or whole else cut_clip(clip, frames.start, frames.stop, frames.step)), notes

@@ -84,7 +84,7 @@ def read_gltf_clip(
     """
     document = open_document(path)
     if is_motion(document):
-        clip = played(on_body(read_skeleton(document, fps, animation), path), progress)
+        clip = played(on_body(read_skeleton(document, fps, animation), path))
         return dataclasses.replace(clip, skeleton=_joints(document, animation, clip))
     mesh = _read_mesh(document)
     assert isinstance(mesh.source, GltfSource)
