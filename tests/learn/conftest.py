@@ -77,6 +77,16 @@ def exported(tmp_path_factory):
     return export
 
 
+@pytest.fixture(scope="module")
+def tiny_exports(tmp_path_factory):
+    """From here on in a file, export every NPT as a tiny network: the exporter takes seconds, and has test_export.py."""
+    from networks import stand_in
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mimesh.learn.export.to_onnx", stand_in(tmp_path_factory.mktemp("tiny")))
+        yield
+
+
 @pytest.fixture(scope="session")
 def read_back(exported):
     """Load an exported network from its file, once: for mime the exporter runs a second time."""
