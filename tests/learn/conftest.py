@@ -79,7 +79,7 @@ def exported(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def tiny_exports(tmp_path_factory):
-    """From here on in a file, export every NPT as a tiny network: the exporter takes seconds, and has test_export.py."""
+    """From here on in a file, export a tiny network for every NPT: the exporter, of test_export.py, takes seconds."""
     from networks import stand_in
 
     with pytest.MonkeyPatch.context() as patch:

@@ -15,6 +15,9 @@ from mimesh.studio import make_session
 from mimesh.studio.state import describe
 
 
+pytestmark = pytest.mark.usefixtures("kept")
+
+
 @pytest.fixture
 def files(tmp_path):
     save_mesh(person(0), tmp_path / "hero.obj")

@@ -21,6 +21,7 @@ from mimesh.methods.mime.prediction import NetworkPoints
 from mimesh.methods.onnx_models import load_hand_finder
 from mimesh.pipeline.prepared import KEYFRAMES, MotionOptions, prepare
 
+pytestmark = pytest.mark.usefixtures("kept")
 AXES = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
 BODY = body_with_fingers()
 
