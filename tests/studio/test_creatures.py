@@ -13,7 +13,6 @@ from mimesh.motions.animal_clips import ANIMAL_MOTIONS
 from mimesh.studio import make_session, operations
 from mimesh.studio.operations import demo_clip
 
-
 pytestmark = pytest.mark.usefixtures("kept")
 
 
