@@ -22,7 +22,7 @@ ANIFORMER = {
 }
 MIME = {
     "network": "mime",
-    "model": {"width": 16, "heads": 2, "latents": 4, "blocks": 2, "near": 4, "local": 8, "skinning": 8},
+    "model": {"width": 16, "latents": 4, "blocks": 2, "refinements": 2, "near": 4, "local": 8, "skinning": 8},
     "data": {"kind": "wide", "vertices": 32, "target_scale": "identity", "body": "quadruped"},
     "batch": 2,
     "precision": "fp32",
