@@ -20,6 +20,16 @@ def no_progress_lines(monkeypatch):
     monkeypatch.setattr("mimesh.commands.terminal.LINE_SECONDS", 3600.0)
 
 
+@pytest.fixture(scope="module")
+def kept():
+    """Keep what mime finds on a mesh for the other tests of a file: it changes no result (test_kept_results.py)."""
+    from mimesh.methods.mime.kept_results import keep_results
+
+    keep_results()
+    yield
+    keep_results(False)
+
+
 @pytest.fixture
 def in_process(monkeypatch):
     """Have native decoders read sound files without a child process (`support/in_process.py`)."""

@@ -14,7 +14,7 @@ from mimesh import animate, load_clip, save_clip, save_mesh
 from mimesh.bodies.animals import animal
 from mimesh.motions.animal_clips import gait_clip
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("kept")]
 
 SIZE = {"width": 760, "height": 480}
 HERO = ".row[data-state='done']:has-text('hero.glb')"

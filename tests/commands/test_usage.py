@@ -136,6 +136,7 @@ def test_verbose_tells_times_axes_and_method_on_stderr(files, call):
 THREADS_OF = """
 import os, sys
 from mimesh.cli import run
+sys.modules["torch"] = None  # takes seconds to load, and is refused as if it were missing
 run(sys.argv[1:])
 print(*[os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MIMESH_THREADS")])
 """

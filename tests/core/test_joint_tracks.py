@@ -51,6 +51,7 @@ def test_smoothing_keeps_constant_and_linear_tracks_and_reduces_noise():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("kept")
 def test_options_of_animate_change_path_contacts_and_noise():
     identity, clip = person(0), dataclasses.replace(walk(faces=600), fps=2.0)  # slow enough to plant feet
     options = ({"root": "scale", "ground": True}, {"ground": False}, {"root": "keep"}, {"root": "drop"})

@@ -22,6 +22,8 @@ from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.motions.animal_clips import gait_clip
 
+pytestmark = pytest.mark.usefixtures("kept")
+
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 

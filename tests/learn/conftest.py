@@ -13,16 +13,16 @@ from trainings import TINY, losses  # noqa: E402
 
 ANIFORMER = {
     "network": "aniformer",
-    "model": {"encoder": [8, 8, 16], "layers": [16], "attention": "frames", "frames": 2},
+    "model": {"encoder": [8, 8, 16], "layers": [16], "attention": "frames", "head": "regression"},
     "data": {"kind": "clips80", "vertices": 16},
     "batch": 2,
     "precision": "fp32",
     "learning_rate": 1e-3,
-    "losses": {"motion": "velocity"},
+    "losses": {"motion": "off"},
 }
 MIME = {
     "network": "mime",
-    "model": {"width": 16, "heads": 2, "latents": 4, "blocks": 2, "near": 4, "local": 8, "skinning": 8},
+    "model": {"width": 16, "latents": 4, "blocks": 2, "refinements": 2, "near": 4, "local": 8, "skinning": 8},
     "data": {"kind": "wide", "vertices": 32, "target_scale": "identity", "body": "quadruped"},
     "batch": 2,
     "precision": "fp32",
@@ -75,6 +75,16 @@ def exported(tmp_path_factory):
         return *checkpoint.load_model(folder / "last.safetensors"), folder / "net.onnx"
 
     return export
+
+
+@pytest.fixture(scope="module")
+def tiny_exports(tmp_path_factory):
+    """From here on in a file, export a tiny network for every NPT: the exporter, of test_export.py, takes seconds."""
+    from networks import stand_in
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mimesh.learn.export.to_onnx", stand_in(tmp_path_factory.mktemp("tiny")))
+        yield
 
 
 @pytest.fixture(scope="session")

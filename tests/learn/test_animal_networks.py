@@ -33,7 +33,7 @@ LAYERS = {"npt": "model.decoder=[19,8,8]", "aniformer": "model.layers=[16,8]"}
 
 
 @pytest.fixture(scope="module", params=[pytest.param("npt", marks=pytest.mark.slow)])
-def trained(request, tmp_path_factory):
+def trained(request, tmp_path_factory, tiny_exports):
     """A network that was trained for seconds, exported: its name, its file and the folder of the training."""
     folder = tmp_path_factory.mktemp(request.param)
     run_folder = train_command(request.param, "small", folder / "run", None, None, [*TINY, LAYERS[request.param]])

@@ -317,7 +317,7 @@ def train_by_command(network, config, data, folder):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("written")
+@pytest.mark.usefixtures("written", "tiny_exports")
 def test_train_export_and_transfer_by_the_command_line(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     state = train_by_command("npt", MESHES, folder, tmp_path)

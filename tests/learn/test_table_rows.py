@@ -39,7 +39,7 @@ def run(*words):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("small_table")
+@pytest.mark.usefixtures("small_table", "tiny_exports")
 def test_a_table_is_trained_with_seeds_and_measured(tmp_path):
     done = run("--train", "--seeds", "2", "--without", "npt-no-edge", "--without", "npt-full", "-o", "table.json")
     assert done.exit_code == 0, done.output

@@ -17,6 +17,8 @@ from mimesh.methods.base import Method
 from mimesh.methods.find import find_method
 from mimesh.pipeline import animate, transfer
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 IDENTITY = person(0)
 SAME_COUNT = person(1, pose=0)
 FEWER, MORE = person(1, pose=1, faces=600), person(2, pose=2, faces=1500)

@@ -62,6 +62,7 @@ def moved(identity: Mesh, driving: Mesh):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_fits")
 def test_identity_as_driving_returns_the_identity():
     mesh = normalised(person(0, pose=1))
     assert np.allclose(moved(mesh, mesh), mesh.vertices, rtol=0, atol=1e-12)

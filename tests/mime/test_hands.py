@@ -24,6 +24,7 @@ from mimesh.pipeline.joint_route import joint_route
 from mimesh.pipeline.options import Hints
 from mimesh.pipeline.placed import KEYFRAMES, surface_motion
 
+pytestmark = pytest.mark.usefixtures("kept")
 AXES = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
 BODY = body_with_fingers()
 

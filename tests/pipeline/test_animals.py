@@ -25,6 +25,7 @@ from mimesh.evaluate.protocols import PROTOCOLS, QUADRUPED
 from mimesh.io import load_clip
 from mimesh.motions.animal_clips import gait_clip
 
+pytestmark = pytest.mark.usefixtures("kept")
 OTHER = proportioned(
     BODY,
     {f"Neck{k}": 1.3 for k in (1, 2, 3)} | {f"Tail{k}": 1.4 for k in range(1, 7)} | {"Forearm": 1.2, "Shin": 1.2},

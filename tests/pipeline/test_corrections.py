@@ -19,6 +19,7 @@ from mimesh.io.joint_file import load_corrections, save_corrections
 from mimesh.motions.animal_clips import gait_clip
 from mimesh.pipeline.corrections import Corrections
 
+pytestmark = pytest.mark.usefixtures("kept")
 BODY = load_body()
 REMAINING, FACES = decimation(2500)
 PERSON = Mesh(BODY.vertices[REMAINING], FACES, "person")

@@ -11,6 +11,7 @@ from mimesh.bodies.animals import animal
 from mimesh.core.mesh import Clip
 from mimesh.core.normalization import turn
 
+pytestmark = pytest.mark.usefixtures("kept")
 IDENTITY, DRIVING = person(0), person(1, pose=2)
 LARGEST = 0.002
 """Largest distance of a vertex, over the size; the samples of points that lie between two triangles may change."""

@@ -21,6 +21,7 @@ from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import save_clip, save_mesh
 from mimesh.motions.animal_clips import gait_clip
 
+pytestmark = pytest.mark.usefixtures("kept")
 CLOSE = 1e-3
 """Largest difference over the size of the identity."""
 

@@ -19,6 +19,8 @@ from mimesh.methods.find import INDEX_PAIRED, find_mime
 from mimesh.pipeline import transfer
 from mimesh.pipeline.look import Subject, second_look
 
+pytestmark = pytest.mark.usefixtures("kept")
+
 UP = ("+y", None)
 
 

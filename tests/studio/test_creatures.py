@@ -8,8 +8,12 @@ from waiting import wait_until
 
 from mimesh import animate, load_clip, save_mesh
 from mimesh.bodies.animals import ANIMALS
+from mimesh.core.mesh import cut_clip
 from mimesh.motions.animal_clips import ANIMAL_MOTIONS
-from mimesh.studio import make_session
+from mimesh.studio import make_session, operations
+from mimesh.studio.operations import demo_clip
+
+pytestmark = pytest.mark.usefixtures("kept")
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +36,9 @@ def session():
 
 
 @pytest.fixture
-def client(session, visit):
-    """The page of an empty session."""
+def client(session, visit, monkeypatch):
+    """The page of an empty session, whose demos are clips of three frames."""
+    monkeypatch.setattr(operations, "demo_clip", lambda motion: cut_clip(demo_clip(motion), 0, 9, 3))
     for number in [*session.identities, *([session.driving.number] if session.driving else [])]:
         session.remove(number)
     session.set_options({"model": "mime", "body": "auto", "root": "scale", "smooth": 0})
@@ -102,7 +107,8 @@ def test_meshes_that_do_not_correspond_are_refused_in_the_words_of_the_page(clie
     assert "imp is taken for a person, and horse-gallop for a four-legged animal: expected two of a kind" in error
     assert "choose the body" in error
     assert "--" not in error
-    client.delete(f"/api/meshes/{moved(client)['number']}")
+    for number in (moved(client)["number"], client.get("/api/state").json()["driving"]["number"]):
+        client.delete(f"/api/meshes/{number}")
     client.post("/api/options", json={"body": "other"})
     upload(client, "identity", files / "bird.glb")
     upload(client, "driving", files / "hero.glb")

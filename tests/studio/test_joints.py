@@ -14,6 +14,8 @@ from mimesh.pipeline.corrections import shown_bones
 from mimesh.studio import make_session
 from mimesh.studio.state import describe
 
+pytestmark = pytest.mark.usefixtures("kept")
+
 
 @pytest.fixture
 def files(tmp_path):

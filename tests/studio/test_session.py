@@ -67,6 +67,7 @@ def test_results_are_those_of_animate(mime_session, files, model):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("kept")
 def test_the_body_is_found_or_given(tmp_path):
     dog = gait_clip("dog", "walk", seconds=0.1, fps=10.0)
     save_mesh(animal("cat"), tmp_path / "cat.ply")

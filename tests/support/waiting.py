@@ -6,11 +6,15 @@ from typing import Any
 
 
 def wait_until(condition: Callable[[], Any], seconds: float = 120.0) -> Any:
-    """Wait until a condition holds, and return what it returned; fails after so many seconds."""
-    end = time.monotonic() + seconds
+    """Wait until a condition holds, and return what it returned; fails after so many seconds.
+
+    It is asked ever more rarely: to ask a server all the time takes as long as what it waits for.
+    """
+    end, pause = time.monotonic() + seconds, 0.005
     while not (found := condition()):
         assert time.monotonic() < end, "the condition did not come to hold"
-        time.sleep(0.005)
+        time.sleep(pause)
+        pause = min(1.5 * pause, 0.2)
     return found
 
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import onnx
-import onnxscript.optimizer
 import torch
 from google.protobuf.message import DecodeError
 from torch import Tensor, nn
@@ -161,6 +160,8 @@ def test_set(card: dict[str, Any]) -> str:
 
 def to_onnx(interface: OnnxInterface) -> onnx.ModelProto:
     """Export a network; all inputs and outputs are float32."""
+    import onnxscript.optimizer  # loads for a second, which trainings need not wait for
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the exporter's own deprecations
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # torchvision, which is not needed
