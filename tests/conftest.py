@@ -23,7 +23,7 @@ def no_progress_lines(monkeypatch):
 @pytest.fixture(scope="module")
 def kept():
     """Keep what mime finds on a mesh for the other tests of a file: it changes no result (test_kept_results.py)."""
-    from mimesh.methods.mime.kept_results import keep_results
+    from mimesh.mime.kept_results import keep_results
 
     keep_results()
     yield
