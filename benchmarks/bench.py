@@ -76,7 +76,7 @@ def picture() -> dict[str, float]:
 
 def networks() -> dict[str, float]:
     """Measure milliseconds per frame of shipped networks at 6,890 vertices, without reading and writing files."""
-    from mimesh.methods.find import find_method
+    from mimesh.methods.find import find_model
     from mimesh.mime.model import Mime
     from mimesh.rigs.retarget import Retarget
 
@@ -84,7 +84,7 @@ def networks() -> dict[str, float]:
     posed = body.mesh(body.posed(sample_shape(body, 0, 0), rotvec_to_rotmat(sample_pose(body, 0, 0))))
     figures = {}
     for name in ("mime", "npt", "npt-maxpool"):  # the other networks have the same layers as npt
-        model = find_method(name)
+        model = find_model(name)
         if isinstance(model, Mime):
             retarget = Retarget.of(model.rig(body.mesh()), model.capture(Clip.still(posed)), name)
             move = partial(retarget.frame, 0, posed.vertices)

@@ -25,7 +25,6 @@ from mimesh.core.rig import Rig
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.evaluate.remesh import split_faces
 from mimesh.io.atomic import whole_file
-from mimesh.methods.base import Method
 from mimesh.methods.find import find_method, find_mime
 from mimesh.motions import motion_clip, walk_motion
 from mimesh.rigs.retarget import Retarget
@@ -89,9 +88,7 @@ def blend_skinning(vertices: np.ndarray, rig: Rig, transforms: np.ndarray) -> np
 
 def network_time(name: str, identity: Mesh, clip: Clip) -> float:
     """Return milliseconds per frame of another network, as `animate` runs it."""
-    method = find_method(name)
-    assert isinstance(method, Method)
-    drive = method.prepare(identity, Clip(clip.mesh, clip.vertices, clip.fps))
+    drive = find_method(name).prepare(identity, Clip(clip.mesh, clip.vertices, clip.fps))
     frames = [vertices.astype(np.float64) for vertices in clip.vertices]
     return round(milliseconds(lambda: list(drive(iter(frames))), 2) / FRAMES, 1)
 

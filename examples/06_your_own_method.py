@@ -70,7 +70,7 @@ def main(argv: list[str] | None = None) -> None:
 
     protocol, table = PROTOCOLS["human-npt"], {}
     print(f"{'method':10}" + "".join(f"{kind:>10}" for kind in protocol.kinds) + "   (PMD x1e4, lower is better)")
-    for method in (Mirrored(find_method("mime")), *options.beside):
+    for method in (Mirrored(find_method("npt")), *options.beside):
         # measure(), mimesh.transfer() and mimesh.animate() take the name of a model or a method.
         errors = {
             kind: np.mean([measure(pair, method)["pmd_e4"] for pair in protocol.trials("test", kind, options.pairs)])

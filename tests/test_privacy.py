@@ -208,7 +208,7 @@ def test_a_program_that_imported_onnxruntime_before_has_decided(tmp_path, monkey
 
 @pytest.mark.slow
 def test_opening_a_network_leaves_no_file(place):
-    code = "from mimesh.methods import find_method; find_method('npt')"
+    code = "from mimesh.methods import find_model; find_model('npt')"
     subprocess.run([sys.executable, "-c", code], cwd=place.home, env=place.environment, check=True, timeout=SECONDS)
     assert place.leftovers() == [place.home / "caches"]
 

@@ -3,6 +3,7 @@
     result = mimesh.transfer("hero.glb", "pose.obj")  # a pose; result.save("hero-pose.glb")
     moving = mimesh.animate("hero.glb", "walk.bvh")   # a motion; moving.save_skinned("hero-walk.glb")
 
+rig                     give a mesh a skeleton and skinning weights; gives a RiggedMesh
 transfer, animate       move a mesh (Mesh or path) by a pose or a clip; give a Result or a ClipResult
 save_skinned            write several motions of one mesh into one file
 batch                   many meshes by many clips, resumable
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from .pipeline import animate, prepare, transfer
     from .pipeline.live import LiveSession
     from .pipeline.result import ClipResult, Result
+    from .pipeline.rigging import RiggedMesh, rig
     from .pipeline.skinned import save_skinned
 
 __version__ = "0.1.0"
@@ -40,12 +42,14 @@ __all__ = [
     "LiveSession",
     "Mesh",
     "Result",
+    "RiggedMesh",
     "animate",
     "batch",
     "load_clip",
     "load_mesh",
     "no_limits",
     "prepare",
+    "rig",
     "save_clip",
     "save_mesh",
     "save_skinned",
@@ -62,6 +66,7 @@ _MODULES = {
     "pipeline": ("animate", "prepare", "transfer"),
     "pipeline.live": ("LiveSession",),
     "pipeline.result": ("ClipResult", "Result"),
+    "pipeline.rigging": ("RiggedMesh", "rig"),
     "pipeline.skinned": ("save_skinned",),
 }
 

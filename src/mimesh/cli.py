@@ -20,6 +20,7 @@ import typer
 
 from .commands import about, learn, measure, move, show
 from .commands.common import Command
+from .commands.rig import rig
 from .commands.terminal import Stop
 from .core.printable import say
 from .jobs.command import batch
@@ -37,6 +38,7 @@ app = typer.Typer(
 COMMANDS = (
     move.transfer,
     move.animate,
+    rig,
     batch,
     show.convert,
     show.look,

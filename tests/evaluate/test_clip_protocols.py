@@ -339,7 +339,7 @@ def test_networks_that_pair_by_index_are_measured_here_and_refused_where_vertice
 
 def test_a_network_with_weights_for_each_vertex_gets_the_order_of_the_body(monkeypatch):
     trial = CLIPS_ORDERED.pair("val", "seen", 1)
-    monkeypatch.setattr("mimesh.evaluate.measure.find_method", lambda method: SimpleNamespace(vertices=6890))
+    monkeypatch.setattr("mimesh.evaluate.measure.find_model", lambda method: SimpleNamespace(vertices=6890))
     ordered = on_supported_vertices(trial, "any.onnx")
     plain = CLIPS_ORDERED.unshuffled_pair("val", "seen", 1, CLIPS_ORDERED.rng("val", "seen", 1))
     for field in ("truth_frames", "aligned_frames"):

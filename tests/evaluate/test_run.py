@@ -29,7 +29,7 @@ from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT, HumanNpt
 from mimesh.evaluate.run import dump_worst, evaluate_command, fingerprint
 from mimesh.evaluate.tables import TABLES, paper_table, table_command
 from mimesh.io import load_mesh
-from mimesh.methods.find import INDEX_PAIRED, MODELS, NETWORK_OF_BODY, REDUCED_MODELS, TABLE_MODELS, find_method
+from mimesh.methods.find import INDEX_PAIRED, MODELS, NETWORK_OF_BODY, REDUCED_MODELS, TABLE_MODELS, find_model
 from mimesh.methods.onnx_models import hands_path
 from mimesh.pipeline import transfer
 
@@ -88,7 +88,7 @@ class Shifted:
 def test_offset_of_a_network_counts_in_equation_7_alone(scale, tmp_path):
     """As in the papers: nothing re-aligns what a network gives."""
     pair = HUMAN_NPT.pair("val", "unseen", 0)
-    network = find_method(str(write_network(tmp_path / "net.onnx", target_scale=scale)))
+    network = find_model(str(write_network(tmp_path / "net.onnx", target_scale=scale)))
     centred, beside = (
         measure(pair, dataclasses.replace(network, session=session))
         for session in (network.session, Shifted(network.session))

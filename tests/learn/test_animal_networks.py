@@ -24,7 +24,7 @@ from mimesh.learn.data.people import PairSource
 from mimesh.learn.models import find_task
 from mimesh.learn.npt import NPTConfig, NPTData, NPTTrainConfig
 from mimesh.learn.start import train_command
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_model
 
 CPU = torch.device("cpu")
 TINY = ["data.body=quadruped", "data.vertices=32", "pairs=8", "batch=4", "validate_every=8", "validation_pairs=1"]
@@ -57,7 +57,7 @@ def test_file_card_and_report_say_that_it_is_of_animals(trained):
     assert "animals of the shipped quadruped" in card["data"]
     assert "people" not in card["data"]
     assert card["config"]["data"]["body"] == export.test_set(card) == "quadruped"
-    assert find_method(str(path)).body == "quadruped"
+    assert find_model(str(path)).body == "quadruped"
     assert extra_inputs(str(path)) == "trained on our quadruped"
     assert "random animals" in training_facts(str(path))["trained"], network
 

@@ -15,7 +15,7 @@ from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint, export
 from mimesh.learn.export import INT8_STEPS, STORED_BITS, compress, load_start, stored_weights
 from mimesh.learn.start import train_command
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_model
 
 
 @pytest.mark.slow
@@ -91,4 +91,4 @@ def test_an_exported_network_of_animals_says_so(exported):
     assert card["body"] == "quadruped"
     assert tuple(card["joints"]) == body.joint_names
     assert [[body.joint_names[j] for j in leg] for leg in card["legs"]] == [list(leg) for leg in QUADRUPED.legs]
-    assert find_method(str(path)).body == "quadruped"
+    assert find_model(str(path)).body == "quadruped"

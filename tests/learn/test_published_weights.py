@@ -20,7 +20,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import save_mesh
 from mimesh.learn.published_weights import load_published, read_state
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_model
 
 VERTICES = 60
 """Of a small AniFormer: the arrays that hold a number for each vertex."""
@@ -212,7 +212,7 @@ def imported_sequence(sequence_state, tmp_path_factory) -> Path:
 
 @pytest.mark.slow
 def test_imported_aniformer_takes_meshes_of_its_vertices_in_their_order(imported_sequence, sequence_state):
-    method = find_method(str(imported_sequence))
+    method = find_model(str(imported_sequence))
     identity = person(0, VERTICES)
     scaled = identity.with_vertices(identity.vertices / np.linalg.norm(identity.vertices, axis=1).max())
     frames = np.stack([person(seed, VERTICES).vertices for seed in (1, 2)])

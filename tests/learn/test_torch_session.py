@@ -12,7 +12,7 @@ from mimesh.core.mesh import Clip
 from mimesh.evaluate.run import evaluate_command
 from mimesh.learn import torch_session
 from mimesh.learn.torch_session import in_torch
-from mimesh.methods import find_method
+from mimesh.methods import find_model
 
 
 @pytest.mark.slow
@@ -31,7 +31,7 @@ def test_results_are_those_of_onnxruntime(network, precision, tolerance, exporte
     path = Path(shutil.copytree(exported(network)[2].parent, tmp_path / "copy")) / "net.onnx"
     mesh = grid(6)
     frames = mesh.vertices + np.random.default_rng(0).normal(0.0, 0.1, (4, *mesh.vertices.shape))
-    method = find_method(str(path))
+    method = find_model(str(path))
     results = [
         np.stack(list(each.prepare(mesh, Clip(mesh, frames, 24.0))(iter(frames))))
         for each in (method, in_torch(method, path))

@@ -8,7 +8,7 @@ from networks import write_sequence_network
 from people import person, walk
 
 from mimesh.methods.aniformer import OVERLAP, AniFormerMethod, blended, middles, windows
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_model
 from mimesh.pipeline import animate
 
 HEADS = ["frames", "regression"]
@@ -86,7 +86,7 @@ def test_clip_of_any_length_gives_as_many_frames(network, count):
 
 
 def test_ensemble_is_the_mean_of_its_pairings(network):
-    method = find_method(network, ensemble=3)
+    method = find_model(network, ensemble=3)
     assert isinstance(method, AniFormerMethod)
     rng = np.random.default_rng(0)
     identity, window = rng.normal(size=(30, 3)), rng.normal(size=(3, 50, 3))

@@ -14,7 +14,7 @@ from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.methods.aniformer import OVERLAP
 from mimesh.methods.base import Method
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_model
 from mimesh.pipeline import animate, transfer
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -158,7 +158,7 @@ def test_frames_are_read_one_at_a_time(model):
             read.append(t)
             yield trial.driving.vertices
 
-    method = find_method(model, **trial.options(model))
+    method = find_model(model, **trial.options(model))
     if not isinstance(method, Method):
         pytest.skip("joints are kept of all frames, vertices of none")
     drive = method.prepare(IDENTITY, Clip.still(trial.driving))

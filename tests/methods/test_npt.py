@@ -18,7 +18,7 @@ from mimesh.core.normalization import bbox_centre, radius
 from mimesh.core.surface_points import padded_vertices
 from mimesh.evaluate.measure import placed_shapes
 from mimesh.evaluate.run import evaluate_command
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_model
 from mimesh.methods.npt import PatchDistances
 from mimesh.methods.onnx_models import load_network
 from mimesh.pipeline import animate, transfer
@@ -123,14 +123,14 @@ def test_files_that_are_no_networks_of_ours_are_refused(tmp_path):
     write_network(tmp_path / "other.onnx", metadata=False)
     for name, message in (("none", "found no file"), ("text", "ONNX format"), ("other", "no such metadata")):
         with pytest.raises(InputError, match=message):
-            find_method(str(tmp_path / f"{name}.onnx"))
+            find_model(str(tmp_path / f"{name}.onnx"))
 
 
 def test_unknown_models_and_ensembles_below_one_are_refused():
     with pytest.raises(InputError, match=r"copy, .*npt, npt-maxpool"):
-        find_method("mimic")
+        find_model("mimic")
     with pytest.raises(InputError, match="--ensemble"):
-        find_method("copy", ensemble=0)
+        find_model("copy", ensemble=0)
 
 
 class Recorder:
@@ -147,7 +147,7 @@ class Recorder:
 @pytest.mark.parametrize("write", [write_network, write_sequence_network])
 def test_a_network_of_metres_gets_both_meshes_in_metres(tmp_path, write):
     """Its input is each mesh of the files, centred on its box; the result is in metres too, whatever the size."""
-    method = find_method(str(write(tmp_path / "metres.onnx", target_scale="metres")))
+    method = find_model(str(write(tmp_path / "metres.onnx", target_scale="metres")))
     recorder = Recorder(method.session)
     tall = person(0).with_vertices(1.25 * person(0).vertices + [3.0, 2.0, 1.0])
     result = transfer(tall, person(1, 0), dataclasses.replace(method, session=recorder), refine=False)
@@ -166,7 +166,7 @@ def test_a_network_of_metres_is_measured_in_metres(tmp_path):
     path = write_network(tmp_path / "authors.onnx", target_scale="metres")
     imported = {"config": {"network": "npt", "model": {}}, "imported": {"file": "original_169.model"}}
     path.with_suffix(".json").write_text(json.dumps(imported))
-    method = find_method(str(path))
+    method = find_model(str(path))
     recorder, driving = Recorder(method.session), person(1, 0)
     network = dataclasses.replace(method, session=recorder)
     placed, origin = placed_shapes(network, person(0), Clip.still(driving), driving.vertices[None])
@@ -181,7 +181,7 @@ def test_a_network_of_metres_is_measured_in_metres(tmp_path):
 
 @pytest.mark.parametrize("write", [write_network, write_sequence_network])
 def test_a_network_of_metres_refuses_other_units(tmp_path, write):
-    method = find_method(str(write(tmp_path / "metres.onnx", target_scale="metres")))
+    method = find_model(str(write(tmp_path / "metres.onnx", target_scale="metres")))
     large = person(0).with_vertices(100 * person(0).vertices)
     with pytest.raises(InputError, match=r"expected a mesh in metres.* radius of 0\.2 to 2\.5, found [\d.]+; scale"):
         transfer(large, person(1, 0), method)

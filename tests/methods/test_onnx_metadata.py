@@ -8,7 +8,7 @@ import pytest
 from networks import write_mime_network, write_network, write_sequence_network
 
 from mimesh.core.errors import InputError
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_model
 
 onnx = pytest.importorskip("onnx")
 
@@ -51,7 +51,7 @@ def refusal(network, text: str, path) -> str:
     changed.metadata_props[0].value = text
     onnx.save(changed, str(path))
     with pytest.raises(InputError) as caught:
-        find_method(str(path))
+        find_model(str(path))
     message = str(caught.value)
     assert message.startswith(f"{path}: expected ")
     assert len(message) < 400 + len(str(path))
@@ -96,7 +96,7 @@ def test_metadata_that_other_networks_cannot_have_are_refused(write, fact, tmp_p
     other.metadata_props[0].value = json.dumps(json.loads(other.metadata_props[0].value) | fact)
     onnx.save(other, str(tmp_path / "odd.onnx"))
     with pytest.raises(InputError, match=next(iter(fact))):
-        find_method(str(tmp_path / "odd.onnx"))
+        find_model(str(tmp_path / "odd.onnx"))
 
 
 def test_joints_are_those_of_the_network(network, tmp_path):
@@ -105,7 +105,7 @@ def test_joints_are_those_of_the_network(network, tmp_path):
     longer = card | {"joints": [*card["joints"], "Tail"], "parents": [*card["parents"], 0]}
     assert f"{len(longer['joints'])} joints" in refusal(network, json.dumps(longer), tmp_path / "odd.onnx")
     onnx.save(network, str(tmp_path / "good.onnx"))
-    assert find_method(str(tmp_path / "good.onnx")).name
+    assert find_model(str(tmp_path / "good.onnx")).name
 
 
 def test_name_that_is_no_text_is_refused(network, tmp_path, capsys):
@@ -114,5 +114,5 @@ def test_name_that_is_no_text_is_refused(network, tmp_path, capsys):
     assert content.count(b"distance") > 1
     (tmp_path / "a.onnx").write_bytes(content.replace(b"distance", b"dist\x88nce", 1))
     with pytest.raises(InputError, match="expected a network in ONNX format"):
-        find_method(str(tmp_path / "a.onnx"))
+        find_model(str(tmp_path / "a.onnx"))
     assert capsys.readouterr() == ("", "")

@@ -16,7 +16,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import Normalization
 from mimesh.methods import find
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_model
 from mimesh.pipeline import animate, prepare, transfer
 
 pytest.importorskip("onnx")
@@ -61,7 +61,7 @@ def test_permuting_both_meshes_permutes_the_result_and_permuting_one_changes_it(
 def test_each_vertex_gets_the_driving_vertex_of_its_index(tmp_path):
     """Naive implementation: the network on the two files' vertices as they are numbered."""
     identity, driving = person(0), person(1, 0)
-    method = find_method(str(write_network(tmp_path / "tiny.onnx", pairing="order")))
+    method = find_model(str(write_network(tmp_path / "tiny.onnx", pairing="order")))
     (result,) = method.prepare(identity, Clip.still(driving))(iter([driving.vertices]))
     points = driving.vertices - (driving.vertices.min(axis=0) + driving.vertices.max(axis=0)) / 2
     points = points / np.linalg.norm(points, axis=1).max()
@@ -141,7 +141,7 @@ def test_networks_of_another_pairing_are_refused(ordered, tmp_path):
         ):
             transfer(person(0), person(1, 0), model, pairing=pairing)
     with pytest.raises(InputError, match="expected auto, random, order or body"):
-        find_method("npt", pairing="index")
+        find_model("npt", pairing="index")
 
 
 @matrix("kind", ["faces", "points"], quick=["faces"])
@@ -153,7 +153,7 @@ def test_body_pairs_are_near_the_true_places_on_meshes_of_other_faces_and_on_poi
     )
     ranked = canonical_order(identity.vertices)
     mesh = driving if kind == "faces" else Mesh(true.vertices[::-1], np.zeros((0, 3), int))
-    points = find_method("mime").body_pairs(identity, mesh).points(mesh.vertices)[ranked.group]
+    points = find_model("mime").body_pairs(identity, mesh).points(mesh.vertices)[ranked.group]
     error = np.linalg.norm(points - true.vertices, axis=1)
     assert error.mean() < 0.03  # of the radius; edges have 0.1
     assert error.mean() < 0.1 * np.linalg.norm(points[::-1] - true.vertices, axis=1).mean()
@@ -210,4 +210,4 @@ def test_networks_of_one_mesh_are_not_paired_by_the_body(tmp_path):
     card = {"pairing": "order", "vertices": 502}
     network = str(write_sequence_network(tmp_path / "tiny.onnx", metadata=card))
     with pytest.raises(InputError, match=r"pairing body.*expected a network for meshes of any vertices"):
-        find_method(network, pairing="body")
+        find_model(network, pairing="body")

@@ -11,10 +11,10 @@ from mimesh.bodies.animals import animal
 from mimesh.core.canonical_order import canonical_order
 from mimesh.core.rig import Rig
 from mimesh.core.surface_points import generator
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_model
 from mimesh.mime.prediction import ENSEMBLE, NetworkPoints, sampled_points
 
-METHOD = find_method("mime-quadruped")
+METHOD = find_model("mime-quadruped")
 
 
 def points_of(turn: np.ndarray):

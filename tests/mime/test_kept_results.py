@@ -9,7 +9,7 @@ import pytest
 from people import person, walk
 
 import mimesh
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_model
 from mimesh.mime.kept_results import keep_results
 from mimesh.mime.model import Mime
 from mimesh.mime.prediction import JointNetwork
@@ -49,7 +49,7 @@ def test_kept_results_save_predictions_and_change_nothing(predictions, model):
 
 def test_another_mesh_and_another_seed_are_predicted(predictions):
     def method(seed: int) -> Mime:
-        found = find_method("mime", seed=seed)
+        found = find_model("mime", seed=seed)
         assert isinstance(found, Mime)
         return found
 

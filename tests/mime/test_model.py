@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from mimesh.core.mesh import Clip
 from mimesh.core.rig import leg_length
 from mimesh.core.surface_points import SurfacePoints
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_model
 from mimesh.mime.prediction import Denoiser
 from mimesh.pipeline import animate, transfer
 from mimesh.rigs.retarget import Retarget
@@ -27,7 +27,7 @@ def path(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def method(path):
-    return find_method(path)
+    return find_model(path)
 
 
 def moved(method, frames, mesh=DRIVING):

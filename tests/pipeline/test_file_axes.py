@@ -12,7 +12,7 @@ from mimesh import animate, transfer
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import ROTATIONS, Normalization
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_model
 from mimesh.pipeline.look import reorient
 from mimesh.rigs.confidence import Confidence
 from mimesh.studio.operations import detect_facing
@@ -135,7 +135,7 @@ def test_the_up_axis_stays_with_a_mesh(tmp_path):
 def test_a_mesh_that_is_not_recognised_keeps_the_up_axis_of_its_file(monkeypatch):
     mesh = dataclasses.replace(person(0, pose=3), up="+z")
     norm = Normalization.fit(mesh)
-    tried, mime = [], find_method("mime")
+    tried, mime = [], find_model("mime")
     fit = Normalization.fit
     monkeypatch.setattr(Normalization, "fit", lambda mesh, *axes: tried.append(axes) or fit(mesh, *axes))
     corrected = reorient(mime, mesh, norm, (None, None), NOT_RECOGNISED)

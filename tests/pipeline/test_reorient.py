@@ -7,12 +7,12 @@ from matrix import matrix
 from people import person
 
 from mimesh.core.normalization import Normalization
-from mimesh.methods.find import find_method
+from mimesh.methods.find import find_model
 from mimesh.pipeline.look import reorient
 from mimesh.rigs.confidence import Confidence
 
 MESH = person(0, pose=3)
-MIME = find_method("mime")
+MIME = find_model("mime")
 AXES = [("-y", "+z"), ("-y", "+x"), ("+z", "+y"), ("+x", "-z")]
 NOT_RECOGNISED = Confidence(40.0, 2.0, {})
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from animals import small
 from matrix import matrix
 from people import person
+from zoo import ring
 
 from mimesh.bodies.animals import animal
 from mimesh.cli import run
@@ -22,17 +22,6 @@ from mimesh.pipeline.look import Subject, second_look
 pytestmark = pytest.mark.usefixtures("kept")
 
 UP = ("+y", None)
-
-
-def ring() -> Mesh:
-    """A torus: no limbs at all."""
-    across, along = np.meshgrid(*(np.linspace(0, 2 * np.pi, n, endpoint=False) for n in (10, 30)), indexing="ij")
-    radius = 1 + 0.25 * np.cos(across)
-    vertices = np.stack([radius * np.cos(along), 0.25 * np.sin(across), radius * np.sin(along)], axis=-1)
-    index = np.arange(300).reshape(10, 30)
-    corners = [np.roll(index, shift, (0, 1)) for shift in ((0, 0), (-1, 0), (-1, -1), (0, -1))]
-    a, b, c, d = (corner.ravel() for corner in corners)
-    return Mesh(vertices.reshape(-1, 3), np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]), name="ring")
 
 
 MESHES = {"man": replace(person(0), name="man"), "cow": replace(small(animal("cow")), name="cow"), "ring": ring()}

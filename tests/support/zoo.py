@@ -32,6 +32,17 @@ def grid(n: int = 5) -> Mesh:
     return Mesh(vertices, faces, name="grid")
 
 
+def ring() -> Mesh:
+    """A torus: no limbs at all."""
+    across, along = np.meshgrid(*(np.linspace(0, 2 * np.pi, n, endpoint=False) for n in (10, 30)), indexing="ij")
+    radius = 1 + 0.25 * np.cos(across)
+    vertices = np.stack([radius * np.cos(along), 0.25 * np.sin(across), radius * np.sin(along)], axis=-1)
+    index = np.arange(300).reshape(10, 30)
+    corners = [np.roll(index, shift, (0, 1)) for shift in ((0, 0), (-1, 0), (-1, -1), (0, -1))]
+    a, b, c, d = (corner.ravel() for corner in corners)
+    return Mesh(vertices.reshape(-1, 3), np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]), name="ring")
+
+
 def two_parts() -> Mesh:
     """Make a mesh of two connected components: a tetrahedron and a cube."""
     first, second = tetrahedron(), cube()

@@ -7,10 +7,11 @@ import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from .errors import InputError
 from .skinning import SkinnedMesh
@@ -27,10 +28,11 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class PosedFrames:
+class PosedFrames(NDArrayOperatorsMixin):
     """Frames of a skinned mesh that are posed when they are read; else it behaves as an array (T, V, 3).
 
-    Thousands of frames of a capture need no room, and those that nobody looks at no time. `np.asarray` makes all.
+    Thousands of frames of a capture need no room, and those that nobody looks at no time. `np.asarray` makes all, and
+    so does whatever else arrays can do.
     """
 
     skinned: SkinnedMesh
@@ -70,13 +72,26 @@ class PosedFrames:
             frames[t] = points
         return frames
 
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        """Compute with all frames."""
+        arrays = (np.asarray(given) if isinstance(given, PosedFrames) else given for given in inputs)
+        return getattr(ufunc, method)(*arrays, **options)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a method or an attribute of an array of all frames."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(np.asarray(self), name)
+
     def of_vertices(self, vertices: Int[np.ndarray, " P"]) -> Float[np.ndarray, "T P 3"]:
         """Pose few vertices in all frames."""
         return self.skinned.part(vertices).posed_frames(self.rotation, self.root)
 
 
-Frames = Float[np.ndarray, "T V 3"] | PosedFrames
-"""Vertices of a mesh in all frames of a clip."""
+if TYPE_CHECKING:  # it behaves as an array, and programs of users know arrays alone
+    Frames = Float[np.ndarray, "T V 3"]
+else:
+    Frames = Float[np.ndarray, "T V 3"] | PosedFrames
 
 
 def allocate_frames(count: int, vertices: int, dtype: type[np.floating] | np.dtype) -> Float[np.ndarray, "T V 3"]:

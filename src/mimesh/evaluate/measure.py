@@ -22,7 +22,7 @@ from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh, check_size
 from ..core.normalization import Normalization, bbox_centre
 from ..methods.base import Method, ShapeMethod, SizedMethod
-from ..methods.find import find_method, weights_path
+from ..methods.find import find_model, weights_path
 from ..mime.model import Mime
 from ..pipeline import ClipResult, Result, animate, transfer
 from .characters import CharacterPair
@@ -82,7 +82,7 @@ def extra_inputs(method: str) -> str:
     """Describe the inputs of a method besides the two meshes and their axes, for reports."""
     if method in EXTRA_INPUTS:
         return EXTRA_INPUTS[method]
-    network = find_method(method)
+    network = find_model(method)
     shipped = "our quadruped" if getattr(network, "body", "human") == "quadruped" else "our body"
     card, body = card_of(method), shipped
     if "imported" in card:
@@ -179,7 +179,7 @@ def run_on_pair(
 
     Args:
         method: a name (of EXTRA_INPUTS or of `methods.MODELS`), the path of an `.onnx` file, or a Method object.
-        ensemble: see `find_method`.
+        ensemble: see `find_model`.
         refine: see `transfer`.
         runtime: what runs the network instead of onnxruntime.
 
@@ -212,7 +212,7 @@ def open_network(name: str, ensemble: int, runtime: Runtime | None) -> Mime | Me
     Raises:
         InputError: no such network, or one that the runtime does not run.
     """
-    network = find_method(name, ensemble=ensemble)
+    network = find_model(name, ensemble=ensemble)
     return network if runtime is None else runtime(network, weights_path(name))
 
 
@@ -407,7 +407,7 @@ def on_supported_vertices(trial: ClipPair, method: str) -> ClipPair:
     Raises:
         NotApplicableError: the method is limited to the template, and the trial is not of the shipped body.
     """
-    network = None if method in EXTRA_INPUTS else find_method(method)
+    network = None if method in EXTRA_INPUTS else find_model(method)
     if getattr(network, "template_only", False):
         if trial.template is None:
             raise NotApplicableError(

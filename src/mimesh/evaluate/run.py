@@ -27,7 +27,7 @@ from ..methods.find import (
     NETWORK_OF_BODY,
     REDUCED_MODELS,
     check_weights,
-    find_method,
+    find_model,
     is_table_model,
     weights_path,
 )
@@ -345,7 +345,7 @@ def fingerprint(method: str) -> int:
     if path.suffix != ".onnx":
         return 0
     checksum = zlib.crc32(path.read_bytes())
-    uses_hands = getattr(find_method(method), "hands", None) is not None
+    uses_hands = getattr(find_model(method), "hands", None) is not None
     return zlib.crc32(hands_path().read_bytes(), checksum) if uses_hands else checksum
 
 

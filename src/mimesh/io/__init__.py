@@ -20,6 +20,8 @@ from .save import save_clip as save_clip
 from .save import save_mesh as save_mesh
 from .save import save_own_animations as save_own_animations
 from .save import save_own_pose as save_own_pose
+from .save import save_own_rig as save_own_rig
+from .save import save_rig as save_rig
 from .save import save_rig_animations as save_rig_animations
 from .save import save_skinned as save_skinned
 from .save import save_vrma as save_vrma

@@ -26,6 +26,7 @@ from .frame_folder import write_sequence
 from .load import load_mesh
 from .mtl import copy_companions
 from .obj import ObjSource
+from .timing import DEFAULT_FPS
 
 if TYPE_CHECKING:
     from ..motions.bone_motion import BoneMotion
@@ -179,6 +180,30 @@ def save_rig_animations(animations: Sequence[RigAnimation], path: str | Path) ->
     refuse_vrm(path)
     with _file_of_joints(Path(path)) as temporary:
         return write_gltf_skinned(animations, temporary)
+
+
+def save_rig(skeleton: AnimatedRig, path: str | Path) -> None:
+    """Write a skinned mesh at rest, without an animation, as .glb, .gltf or .fbx.
+
+    Raises:
+        InputError: another format, or a path that cannot be written to.
+    """
+    from .gltf.skinned import write_gltf_skinned
+
+    with _file_of_joints(Path(path)) as temporary:
+        write_gltf_skinned([RigAnimation("rest", skeleton, DEFAULT_FPS)], temporary, animated=False)
+
+
+def save_own_rig(rig: OwnAnimation, path: str | Path) -> None:
+    """Write the own glTF file of a mesh with the bone names and the root bone that `rig` has; it adds no animation.
+
+    Raises:
+        InputError: another format, or a path that cannot be written to.
+    """
+    from .gltf.own_animation import write_own_rig
+
+    with _file_of_joints(Path(path)) as temporary:
+        write_own_rig(rig, temporary)
 
 
 def save_own_animations(animations: Sequence[OwnAnimation], path: str | Path) -> list[PlayedAnimation]:

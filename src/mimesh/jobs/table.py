@@ -29,7 +29,7 @@ from ..core.normalization import parse_axis
 from ..core.system import refuse_pipe
 from ..io import mesh_suffixes
 from ..io.formats import ANIMATED, CLIP_READERS, COLLECTIONS, MESH_WRITERS
-from ..methods.find import find_method
+from ..methods.find import find_model
 from ..mime.model import Mime
 from ..pipeline.options import Hints, MotionOptions
 from ..tools.convert import file_stem
@@ -283,7 +283,7 @@ def option_values(command: str, options: tuple[tuple[str, str], ...]) -> dict[st
         raise InputError(f"{message}; see mimesh {command} --help") from error
     for name in AXIS_OPTIONS:
         parse_axis(values[name], f"--{name.replace('_', '-')}")
-    model = find_method(values["model"], **{name: values[name] for name in ("ensemble", "seed", "pairing")})
+    model = find_model(values["model"], **{name: values[name] for name in ("ensemble", "seed", "pairing")})
     motion = MotionOptions(**{name: values[name] for name in ("root", "ground", "smooth") if name in values})
     Hints(rig=values["rig"], body=values["body"])
     if not isinstance(model, Mime):

@@ -1,4 +1,4 @@
-"""Names of all methods, and `find_method`, which opens a method by name."""
+"""Names of all models, and `find_model`, which opens one by name."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,7 +21,7 @@ from .onnx_metadata import PAIRINGS
 if TYPE_CHECKING:
     from ..mime.model import Mime
 
-# Names that `find_method` takes, besides those of WITHOUT_NETWORK and paths of .onnx files.
+# Names that `find_model` takes, besides those of WITHOUT_NETWORK and paths of .onnx files.
 SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
 NETWORK_OF_BODY = {"human": "mime", "quadruped": "mime-quadruped"}
 """Shipped body -> the network that finds its joints. `mime` opens the others itself; their names are for measuring."""
@@ -167,20 +167,32 @@ def moves_joints(model: str) -> bool:
     """Whether a model moves joints, not vertices: it takes the rigs of the files, and files of joints are written.
 
     Raises:
-        InputError: as `find_method`.
+        InputError: as `find_model`.
     """
     if model in (*NETWORK_OF_BODY.values(), *WITHOUT_NETWORK):
         return model in NETWORK_OF_BODY.values()
     from ..mime.model import Mime
 
-    return isinstance(find_method(model), Mime)
+    return isinstance(find_model(model), Mime)
+
+
+def find_method(model: str, **options: Any) -> Method:
+    """Return the method of a name or of an `.onnx` file that moves vertices; `options` are those of `find_model`.
+
+    Raises:
+        InputError: as `find_model`, or the model moves joints.
+    """
+    found = find_model(model, **options)
+    if not isinstance(found, Method):
+        raise InputError(f"--model: expected a model that moves vertices, found {model}, which moves joints; try npt")
+    return found
 
 
 def find_mime(model: str, seed: int = 0) -> Mime:
     """Return the model of a name or a file that is known to move joints."""
     from ..mime.model import Mime
 
-    found = find_method(model, seed=seed)
+    found = find_model(model, seed=seed)
     assert isinstance(found, Mime)
     return found
 
@@ -195,7 +207,7 @@ def _with_other_bodies(mime: Mime, seed: int) -> Mime:
     return dataclasses.replace(mime, other_bodies=others)
 
 
-def find_method(
+def find_model(
     model: str,
     *,
     ensemble: int = 1,

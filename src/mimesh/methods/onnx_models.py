@@ -40,8 +40,8 @@ def load_network(
     Args:
         path: the .onnx file.
         name: of the method in messages and reports.
-        ensemble: see `find_method`.
-        seed: see `find_method`.
+        ensemble: see `find_model`.
+        seed: see `find_model`.
         fits: whether mime fits a body to the meshes, starting from its predictions (see `mime/body_fit.py`).
         fingers: whether mime moves the fingers of hands that show them (see `mime/hands.py`).
 
@@ -80,7 +80,7 @@ def load_hand_finder(joints: tuple[str, ...], seed: int = 0) -> HandFinder | Non
 
     Args:
         joints: of the body.
-        seed: see `find_method`.
+        seed: see `find_model`.
     """
     path = hands_path()
     if not path.is_file() or not FINDER_JOINTS.issubset(joints):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -98,7 +99,7 @@ def played(motion: Motion) -> Clip:
     joints = PersonMotion(motion.joint_names, *joint_tracks(body, motion), leg, body.weights)
     rest = Rig(np.tile(np.eye(3), (len(body.parents), 1, 1)), body.joints, body.weights)
     skinned = SkinnedMesh.of(body.vertices, rest, body.parents)
-    vertices = PosedFrames(skinned, joints.rotation, joints.positions[:, 0])
+    vertices: Any = PosedFrames(skinned, joints.rotation, joints.positions[:, 0])
     mesh = dataclasses.replace(body.mesh(np.asarray(vertices[0], np.float64)), name=motion.name, up="+y")
     return Clip(mesh, vertices, motion.fps, joints.rotation[:, 0, :, 2], KnownJoints(joints))
 

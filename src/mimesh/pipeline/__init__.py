@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from ..core.arguments import described, for_caller, public
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
-from ..core.mesh import UNNAMED, Clip, Mesh, check_clip, check_mesh, cut_clip
+from ..core.mesh import Clip, Mesh, cut_clip
 from ..methods.base import Method
-from ..methods.find import find_method, ordered_weights
+from ..methods.find import find_model, ordered_weights
 from ..mime.model import Mime
 from ..motions.humanoid_rig import HumanoidRig
 from .corrections import Corrections, GivenJoints
@@ -22,6 +22,7 @@ from .file_rigs import still_clip
 from .live import LiveSession, limited_threads, live_session
 from .odd_frames import far_frames_note, first_frame_note
 from .options import Hints, MotionOptions
+from .read import read_clip, read_mesh
 from .report import TransferReport
 from .result import ClipResult, Result, Timer
 from .route import Model, find_route
@@ -96,7 +97,7 @@ def transfer(
     """
     timer = Timer()
     with timer.step("load"):
-        identity, driving = _read_mesh(identity, "identity"), _read_mesh(driving, "driving")
+        identity, driving = read_mesh(identity, "identity"), read_mesh(driving, "driving")
     chosen = _model(model, (identity, driving), ensemble, seed, pairing, reference, markers)
     clip = still_clip(driving)
     corrections = Corrections.read(joints, driving_joints, clip)
@@ -200,12 +201,12 @@ def animate(
 
     timer = Timer()
     with timer.step("load"):
-        identity = _read_mesh(identity, "identity")
+        identity = read_mesh(identity, "identity")
         if driving_joints is None and not isinstance(driving, Clip):
             clip = load_driving(driving, fps=fps, animation=animation, frames=slice(start, stop, step))
             corrections = Corrections.read(joints, None, clip)
         else:  # corrected joints may be in a frame that is not taken
-            whole = _read_clip(driving, fps, animation)
+            whole = read_clip(driving, fps, animation)
             corrections = Corrections.read(joints, driving_joints, whole)
             clip = cut_clip(whole, start, stop, step)
     chosen = _model(model, (identity, clip.mesh), ensemble, seed, pairing, reference, markers)
@@ -294,9 +295,9 @@ def prepare(
         >>> session.pose(frame).shape  # (V, 3)
         (502, 3)
     """
-    identity = _read_mesh(identity, "identity")
-    known = Clip.still(_read_mesh(driving, "driving")) if isinstance(driving, Mesh) else driving
-    clip = dataclasses.replace(_read_clip(known, None, None), skeleton=None)
+    identity = read_mesh(identity, "identity")
+    known = Clip.still(read_mesh(driving, "driving")) if isinstance(driving, Mesh) else driving
+    clip = dataclasses.replace(read_clip(known, None, None), skeleton=None)
     corrections = Corrections.read(joints, driving_joints, clip)
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
     with limited_threads(threads)():
@@ -352,9 +353,9 @@ def _model(
         markers = load_markers(Path(markers))
     elif markers is not None:
         markers = _checked_pairs(markers)
-    reference = None if reference is None else _read_mesh(reference, "reference")
+    reference = None if reference is None else read_mesh(reference, "reference")
     options = {"ensemble": ensemble, "seed": seed, "pairing": pairing, "markers": markers}
-    opened = find_method(name, reference=reference, **options)
+    opened = find_model(name, reference=reference, **options)
     return opened if isinstance(opened, Mime) else NamedMethod(name, options, reference)
 
 
@@ -396,32 +397,3 @@ def driving_axes(clip: Clip, up: str | None, front: str | None) -> tuple[str | N
     if abs(y) > max(abs(x), abs(z)):  # lying or bowing: the front of the hips points up or down
         return "+y", None
     return "+y", ("+" if max(x, z, key=abs) > 0 else "-") + ("x" if abs(x) > abs(z) else "z")
-
-
-def _read_mesh(mesh: Mesh | str | Path, role: str) -> Mesh:
-    """Read a mesh, or check one in memory; see `_named`."""
-    if isinstance(mesh, Mesh):
-        mesh = _named(mesh, role)
-        return check_mesh(mesh, mesh.name)
-    from ..io import load_mesh
-
-    return load_mesh(Path(mesh))
-
-
-def _named(mesh: Mesh, role: str) -> Mesh:
-    """Name a mesh of arrays that has no name by what it is for, in messages and in files that are written."""
-    return dataclasses.replace(mesh, name=role) if mesh.name == UNNAMED and mesh.source is None else mesh
-
-
-def _read_clip(clip: Clip | str | Path, fps: float | None, animation: str | int | None) -> Clip:
-    if isinstance(clip, Clip):
-        clip = dataclasses.replace(clip, mesh=_named(clip.mesh, "driving"))
-        if animation is not None:
-            raise InputError(
-                f"animation: expected the path of a file with it, found {described(clip)}; give the path, or the "
-                "animation to load_clip"
-            )
-        return check_clip(clip if fps is None else dataclasses.replace(clip, fps=fps), clip.mesh.name)
-    from ..io import load_clip
-
-    return load_clip(Path(clip), fps=fps, animation=animation)

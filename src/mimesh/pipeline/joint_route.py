@@ -31,6 +31,7 @@ from ..mime.model import CapturedMotion, Mime
 from ..mime.prediction import face_outward
 from ..rigs.character import Character
 from ..rigs.retarget import JointMotion, Retarget
+from .corrections import Corrections
 from .file_rigs import Rigs, face_tracks, read_rigs
 from .look import Subject, agreed, facing_front, finds_joints, joint_finder, normalised, other_body, reorient
 from .options import Hints, MotionOptions
@@ -229,12 +230,6 @@ def _found(
     """Find the joints of both meshes, each with the normalisation in which it was recognised."""
     corrections = hints.corrections
 
-    def character(norm: Normalization) -> Character:
-        mesh = normalised(subjects[0].mesh, norm)
-        if rigs.humanoid is not None:
-            return Character.of_file(rigs.humanoid, norm, mesh.vertices)
-        return mime.rig(mesh, corrections.of_identity(subjects[0].mesh, mime.joints, norm))
-
     def motion(norm: Normalization) -> JointMotion:
         if rigs.driving is not None:
             mesh = face_outward(normalised(subjects[1].mesh, norm))
@@ -243,9 +238,23 @@ def _found(
         return mime.capture(keyframes, corrected)
 
     with ThreadPoolExecutor(1) as executor:  # the two meshes are independent
-        mine = executor.submit(_settled, mime, subjects[0], norms[0], character)
+        mine = executor.submit(find_character, mime, subjects[0], norms[0], rigs, corrections)
         theirs = _settled(mime, subjects[1], norms[1], motion)
         return mine.result(), theirs
+
+
+def find_character(
+    mime: Mime, subject: Subject, norm: Normalization, rigs: Rigs, corrections: Corrections
+) -> tuple[Character, Normalization]:
+    """Find the joints of a mesh: those of its file if they are used, else on its surface."""
+
+    def character(norm: Normalization) -> Character:
+        mesh = normalised(subject.mesh, norm)
+        if rigs.humanoid is not None:
+            return Character.of_file(rigs.humanoid, norm, mesh.vertices)
+        return mime.rig(mesh, corrections.of_identity(subject.mesh, mime.joints, norm))
+
+    return _settled(mime, subject, norm, character)
 
 
 def _settled(

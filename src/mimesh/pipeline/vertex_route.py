@@ -39,7 +39,7 @@ class NamedMethod:
     def open(self, norm: Normalization) -> Method:
         """Open it."""
         reference = None if self.reference is None else normalised(self.reference, norm)
-        return cast(Method, find_method(self.model, reference=reference, **self.options))
+        return find_method(self.model, reference=reference, **self.options)
 
 
 @dataclass(frozen=True, eq=False)

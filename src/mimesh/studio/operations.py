@@ -23,7 +23,7 @@ from ..io import load_clip, load_mesh
 from ..io.beside import confined
 from ..io.joint_file import describe_corrections, load_corrections, side_file
 from ..methods.base import Method
-from ..methods.find import find_method
+from ..methods.find import find_model
 from ..mime.model import Mime
 from ..motions.animal_clips import ANIMAL_MOTIONS, animal_clip
 from ..pipeline import driving_axes
@@ -130,7 +130,7 @@ def prepare_inputs(identity: Item, driving: Item, options: Options) -> Route:
     assert isinstance(identity.content, Mesh)
     assert isinstance(driving.content, Clip)
     axes = (*identity.axes, *driving_axes(driving.content, *driving.axes))
-    model = find_method(options.model)
+    model = find_model(options.model)
     rig, body = options.kind(model)
     corrections = Corrections() if body == OTHER else applicable_corrections(model, identity, driving)
     hints = Hints(axes, rig, body, corrections)
@@ -139,7 +139,7 @@ def prepare_inputs(identity: Item, driving: Item, options: Options) -> Route:
 
 def compute_result(route: Route, identity: Mesh, clip: Clip, options: Options, progress: Progress) -> ClipResult:
     """Compute the whole clip, as `pipeline.animate` does, or the one pose, as `pipeline.transfer` does."""
-    seconds, model = Timer(), find_method(options.model)
+    seconds, model = Timer(), find_model(options.model)
     dtype = np.float64 if len(clip) == 1 else np.float32
     moved = route.play(seconds, options.motion(model), lambda done, total: progress(done, 2 * total), dtype)
     # The page shows all frames: they are made here, where they can be stopped.

@@ -114,10 +114,10 @@ def _motions() -> str:
 
 
 def _networks() -> str:
-    from ..methods.find import NETWORK_OF_BODY, SHIPPED_NETWORKS, find_method
+    from ..methods.find import NETWORK_OF_BODY, SHIPPED_NETWORKS, find_model
 
     names = dict.fromkeys((*NETWORK_OF_BODY.values(), *SHIPPED_NETWORKS))
-    return ", ".join(find_method(name).name for name in names)
+    return ", ".join(find_model(name).name for name in names)
 
 
 def _writable() -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float, UInt8
 
 from ..core.frame_buffer import evenly_spread
 from ..core.mesh import Clip, Mesh
@@ -16,11 +17,15 @@ from ..io.atomic import whole_file, writing
 from ..pipeline.report import MeshReport
 from ..pipeline.result import ClipResult, Result
 from ..player.pack import MotionLimits
+from ..render.camera import fit
 from ..render.movie import clip_frames
-from ..render.sheet import DRIVING_TINT, page, stack, strip
+from ..render.raster import render_mesh
+from ..render.sheet import DRIVING_TINT, captioned, page, stack, strip
 
 if TYPE_CHECKING:
     from PIL import Image
+
+    from ..pipeline.rigging import RiggedMesh
 
 FORBIDDEN = re.compile(r'[<>:"/\\|?*]')
 """Characters that names of animations may have, and names of files on some system may not."""
@@ -30,6 +35,8 @@ TILE = (360, 440)
 """Width and height of one picture in pixels."""
 STRIP, STRIP_TILE = 6, (220, 280)
 """Frames of a clip that are drawn side by side, and the size of each in pixels."""
+BONE_CLAY, BONE_COLOR, JOINT_COLOR, BONE_WIDTH = (0.86, 0.87, 0.89), (199, 72, 38), (60, 60, 70), 3
+"""Colours of a mesh whose bones are drawn over it, of bones and of joints, and the width of bones in pixels."""
 DRAWN = 300_000
 """Vertices to which larger meshes are reduced before they are drawn: a picture has 158,400 pixels."""
 
@@ -79,6 +86,36 @@ def result_picture(result: Result | ClipResult) -> Image.Image:
         still(result.mesh, f"result ({result.model})", **identity_axes),
     ]
     return page(tiles, len(tiles))
+
+
+def rig_picture(rigged: RiggedMesh) -> Image.Image:
+    """Draw a mesh, and its bones over it from the front and from the side."""
+    skeleton, axes = rigged.skeleton, _axes(rigged.report)
+    mesh, joints = skeleton.mesh, skeleton.rig.joints
+    drawn = clustered_mesh(mesh, DRAWN) if len(mesh.vertices) > 2 * DRAWN and len(mesh.faces) else mesh
+    tiles = [still(mesh, "mesh", **axes)]
+    for view in ("front", "side"):
+        camera = fit(drawn.vertices, TILE, view, **axes)
+        picture = render_mesh(drawn, TILE, camera, clay=True, tint=BONE_CLAY)
+        places = camera.project(joints, TILE)[:, :2]
+        tiles.append(captioned(_with_bones(picture, places, skeleton.parents), f"bones, {view}"))
+    return page(tiles, len(tiles))
+
+
+def _with_bones(
+    picture: UInt8[np.ndarray, "h w C"], places: Float[np.ndarray, "J 2"], parents: tuple[int, ...]
+) -> UInt8[np.ndarray, "h w C"]:
+    """Draw bones, from the joints' pixels to those of their parents, over a picture."""
+    from PIL import Image, ImageDraw
+
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image)
+    for j, parent in enumerate(parents):
+        if parent >= 0:
+            draw.line([*map(tuple, (places[parent].tolist(), places[j].tolist()))], BONE_COLOR, BONE_WIDTH)
+    for x, y in places.tolist():
+        draw.ellipse((x - BONE_WIDTH, y - BONE_WIDTH, x + BONE_WIDTH, y + BONE_WIDTH), JOINT_COLOR)
+    return np.asarray(image)
 
 
 def save_picture(image: Image.Image, path: Path) -> Path:

@@ -198,6 +198,11 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> list
     return [PlayedAnimation(written, source.rest, channels) for channels in played]
 
 
+def write_own_rig(rig: OwnAnimation, path: Path) -> None:
+    """Write the file of an identity with new names of its bones, and a root bone, as `with_layout` has set them."""
+    _copied_file([rig], _find_root_bone([rig])).save(path)
+
+
 def write_own_pose(animation: OwnAnimation, path: Path) -> None:
     """Write the file of an identity with its nodes as they are in the first frame of an animation.
 

@@ -67,13 +67,14 @@ class _ThinnedRotations:
         return replace(skeleton, rotation=rotation.swapaxes(0, 1), positions=kept)
 
 
-def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path) -> list[AnimatedRig]:
+def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path, animated: bool = True) -> list[AnimatedRig]:
     """Write a mesh with joints and animations of them, as .glb or .gltf by the suffix of `path`.
 
     A mesh that came from a glTF file keeps all of that file but its skins, animations and morph targets.
 
     Args:
         animations: of one rig: they have the same mesh, joints, weights and rest pose.
+        animated: False writes the rig alone.
 
     Returns:
         The motions as clients of the file play them.
@@ -95,10 +96,11 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path) -> list[A
         skin = _add_skin(draft, skeleton, joint_nodes, node_groups[0].T_world_local)
         _attach_skinned_mesh(draft, node, skin, node_groups)
     thinned = [_ThinnedRotations.of(animation.skeleton) for animation in animations]
-    draft.gltf["animations"] = [
-        _joint_animation(draft, animation, rotations, joint_nodes)
-        for animation, rotations in zip(animations, thinned, strict=True)
-    ]
+    if animated:
+        draft.gltf["animations"] = [
+            _joint_animation(draft, animation, rotations, joint_nodes)
+            for animation, rotations in zip(animations, thinned, strict=True)
+        ]
     draft.save(path)
     return [rotations.played(animation.skeleton) for animation, rotations in zip(animations, thinned, strict=True)]
 

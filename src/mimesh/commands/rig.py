@@ -1,0 +1,154 @@
+"""The command `mimesh rig`: give a mesh a skeleton and skinning weights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..core.printable import say
+from .move import Axis, JointFiles, Joints, Names, NoJoints, Rest, SaveJoints, check_joint_outputs
+from .terminal import (
+    Json,
+    Large,
+    Model,
+    NoClobber,
+    NoLimits,
+    Output,
+    Quiet,
+    Seed,
+    given_path,
+    one_of,
+    output_path,
+    print_json,
+    print_next,
+    progress,
+    refuse_existing,
+    refuse_inputs,
+)
+
+if TYPE_CHECKING:
+    from ..pipeline.rigging import RiggedMesh
+
+
+def rig(
+    file: Annotated[Path, typer.Argument(metavar="FILE", parser=given_path, help="The mesh: GLB, OBJ, PLY, FBX ...")],
+    output: Output = None,
+    names: Names = "own",
+    root_bone: Annotated[bool, typer.Option("--root-bone", help="Add a bone on the ground above the hips.")] = False,
+    rest: Rest = "file",
+    up: Axis = None,
+    front: Axis = None,
+    body: Annotated[
+        str,
+        typer.Option(help="What it is: human, quadruped (four-legged animals), or auto: by rig or shape."),
+    ] = "auto",
+    replace: Annotated[
+        str,
+        typer.Option(
+            "--rig",
+            help="own: keep the rig of FILE, if it has any; mimesh: find joints on its surface.",
+            autocompletion=one_of("rig"),
+        ),
+    ] = "own",
+    joints: Joints = None,
+    no_joints: NoJoints = False,
+    save_joints: SaveJoints = None,
+    model: Model = "mime",
+    preview: Annotated[
+        bool, typer.Option("--preview/--no-preview", help="Write a picture with the bones beside the output.")
+    ] = True,
+    seed: Seed = 0,
+    no_clobber: NoClobber = False,
+    large: Large = False,
+    no_limits: NoLimits = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> dict[str, Any]:
+    """Give the mesh FILE a skeleton and skinning weights.
+
+    By default the output is FILE-rigged.glb beside FILE. Joints are found on people and four-legged animals in any
+    pose; --names mixamo, --rest T gives the bones and the pose that programs for motions expect.
+    """
+    from ..io import load_mesh
+    from ..io.atomic import together
+    from ..pipeline.rigging import BONES
+    from ..pipeline.rigging import rig as find_rig
+    from ..tools.preview import names_beside, rig_picture, save_picture
+    from .clips import check_suffix
+
+    target = output_path(output, lambda: file.with_name(f"{file.stem}-rigged.glb"))
+    picture = names_beside(target)[0] if preview else None
+    for written in filter(None, (target, picture)):
+        refuse_inputs(written, file)
+    check_suffix(target, BONES)
+    check_joint_outputs((save_joints, None), model, file, target)
+    refuse_existing(no_clobber, target, picture, save_joints)
+    corrected = JointFiles.found(file, file, joints, None, no_joints, model)
+    with progress("finding joints", quiet or json):
+        rigged = find_rig(
+            load_mesh(file), up=up, front=front, body=body, rig=replace, joints=corrected.identity, seed=seed,
+            model=model,
+        )  # fmt: skip
+    replaced = target.is_file()
+    with together():
+        rigged.save(target, names=names, root_bone=root_bone, rest=rest)
+        _save_joints(rigged, file, save_joints)
+        if picture is not None:
+            save_picture(rig_picture(rigged), picture)
+    facts = _facts(rigged, target, replaced, picture, corrected.described())
+    if json:
+        print_json(facts)
+    elif not quiet:
+        _print_summary(facts)
+    return facts
+
+
+def _save_joints(rigged: RiggedMesh, file: Path, path: Path | None) -> None:
+    """Write the joints that were found to a file, to be edited."""
+    from ..core.joint_corrections import JointCorrections
+    from ..io.joint_file import save_corrections
+
+    if path is not None:
+        save_corrections(JointCorrections(rigged.joints, 0, file.name, len(rigged.mesh.vertices)), path)
+
+
+def _facts(
+    rigged: RiggedMesh, output: Path, replaced: bool, picture: Path | None, joints: tuple[str, ...]
+) -> dict[str, Any]:
+    """Return the facts about a rig and its file, with all notes."""
+    from ..tools.convert import not_kept
+
+    return {
+        "output": str(output),
+        "replaced": replaced,
+        "body": rigged.body,
+        "source": rigged.source,
+        "joints": len(rigged.skeleton.names),
+        "vertices": len(rigged.mesh.vertices),
+        "seconds": {step: round(value, 4) for step, value in rigged.seconds.items()},
+        "report": {
+            **rigged.report,
+            "corrected": list(joints),
+            "notes": [*rigged.notes, *not_kept(rigged.mesh, output)],
+            "pictures": [] if picture is None else [str(picture)],
+        },
+    }
+
+
+def _print_summary(facts: dict[str, Any]) -> None:
+    """Print the output, how certain the joints are, notes, the picture and a next step."""
+    report, seconds = facts["report"], sum(facts["seconds"].values())
+    kind = {"human": "a person", "quadruped": "a four-legged animal"}[facts["body"]]
+    sure = f", confidence {report['confidence']:.2f}" if "confidence" in report else ""
+    where = {"file": "of the file", "found": "found", "corrected": "found with corrections"}[facts["source"]]
+    replaced = " (replaced)" if facts["replaced"] else ""
+    say(f"{facts['output']}{replaced}: {facts['joints']} joints of {kind}, {where}{sure}, {seconds:.1f} s")
+    for line in report["corrected"]:
+        say(f"joints: {line}")
+    for note in report["notes"]:
+        say(f"note: {note}")
+    for path in report["pictures"]:
+        say(f"picture: {path}")
+    print_next("animate", facts["output"], "walk.bvh")

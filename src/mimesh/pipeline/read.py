@@ -1,0 +1,36 @@
+"""Read the meshes and clips that the public functions are given, or check those in memory."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from ..core.arguments import described
+from ..core.errors import InputError
+from ..core.mesh import UNNAMED, Clip, Mesh, check_clip, check_mesh
+from ..io import load_clip, load_mesh
+
+
+def read_mesh(mesh: Mesh | str | Path, role: str) -> Mesh:
+    """Read a mesh, or check one in memory; see `_named`."""
+    if isinstance(mesh, Mesh):
+        mesh = _named(mesh, role)
+        return check_mesh(mesh, mesh.name)
+    return load_mesh(Path(mesh))
+
+
+def _named(mesh: Mesh, role: str) -> Mesh:
+    """Name a mesh of arrays that has no name by what it is for, in messages and in files that are written."""
+    return dataclasses.replace(mesh, name=role) if mesh.name == UNNAMED and mesh.source is None else mesh
+
+
+def read_clip(clip: Clip | str | Path, fps: float | None, animation: str | int | None) -> Clip:
+    if isinstance(clip, Clip):
+        clip = dataclasses.replace(clip, mesh=_named(clip.mesh, "driving"))
+        if animation is not None:
+            raise InputError(
+                f"animation: expected the path of a file with it, found {described(clip)}; give the path, or the "
+                "animation to load_clip"
+            )
+        return check_clip(clip if fps is None else dataclasses.replace(clip, fps=fps), clip.mesh.name)
+    return load_clip(Path(clip), fps=fps, animation=animation)

@@ -1,0 +1,223 @@
+"""`mimesh.rig`: give a mesh a skeleton and skinning weights, or tell that its file has them.
+
+The mesh is looked at as by `animate`, alone and once: the joints of its file if these are sound, else those that `mime`
+finds on its surface.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies.engine_names import SCHEMES
+from ..bodies.engine_rig import Layout, engine_rig
+from ..bodies.joint_names import without_fingers
+from ..core.animated_rig import AnimatedRig
+from ..core.arguments import for_caller, public
+from ..core.errors import InputError, RefusedMeshError
+from ..core.mesh import Clip, Mesh
+from ..core.normalization import Normalization
+from ..core.rig import Rig
+from ..io import save_own_rig, save_rig
+from ..io.beside import missing_images, missing_images_notes
+from ..io.gltf.own_animation import OwnAnimation
+from ..io.gltf.own_rig import OwnRig
+from ..methods.find import NETWORK_OF_BODY, find_mime
+from ..mime.model import Mime
+from ..rigs.character import Character
+from .corrections import Corrections, GivenJoints
+from .file_rigs import read_rigs
+from .joint_route import find_character
+from .look import OTHER, different_kinds, look, second_look
+from .options import Hints
+from .placed import check_identity
+from .read import read_mesh
+from .report import MeshReport, facing, facing_note
+from .result import Timer
+from .skinned import check_own_layout
+
+BONES = (".glb", ".gltf", ".fbx")
+"""Suffixes of files with bones. A .vrm needs an author and a licence, too."""
+FILE = "file"
+"""Where joints are from that a file has, as `RiggedMesh.source` says."""
+
+
+@dataclass(frozen=True, eq=False)
+class RiggedMesh:
+    """A mesh with a skeleton, at rest; made by `mimesh.rig`.
+
+    Example:
+        >>> rigged.body, rigged.source, len(rigged.skeleton.names)
+        ('human', 'found', 31)
+    """
+
+    mesh: Mesh
+    """The mesh, as it was given."""
+    skeleton: AnimatedRig
+    """Joints and skinning weights in the axes, unit and position of the file; its one frame is the rest pose. Of a
+    file's own rig it has the joints that move with the hips."""
+    body: str
+    """Shipped body whose joints they are: "human" or "quadruped"."""
+    source: Literal["file", "found", "corrected"]
+    """Where the joints are from: the file, its surface, or its surface with joints that the user has corrected."""
+    report: MeshReport
+    """Axes of the mesh, and how certainly joints were found: its "confidence" is from 0 to 1."""
+    seconds: Timer
+    """Wall time in seconds of the steps: load, prepare, write."""
+    notes: tuple[str, ...] = ()
+    """Lines for the user: what may be wrong, and what to do."""
+    own: OwnRig | None = field(default=None, repr=False)
+    """The rig of the file, where that is kept."""
+
+    @property
+    def joints(self) -> dict[str, Float[np.ndarray, " 3"]]:
+        """Joint -> position (3,), in axes, unit and position of the file.
+
+        Those of fingers are left out: all others can be corrected and passed to `rig`.
+
+        Example:
+            >>> rigged.joints["LeftLeg"].shape
+            (3,)
+        """
+        roles = self.skeleton.person or {name: j for j, name in enumerate(self.skeleton.names)}
+        return without_fingers({name: self.skeleton.rig.joints[j] for name, j in roles.items()})
+
+    @public()
+    def save(self, path: str | Path, *, names: str = "own", root_bone: bool = False, rest: str = "file") -> Path:
+        """Write the mesh with its bones, without an animation: .glb, .gltf, or .fbx where Blender is installed.
+
+        The rig of a file is kept as it is, with all of its contents; only its bones may get other names.
+
+        Args:
+            path: the file.
+            names: names and hierarchy of the bones, as in "mixamo", "unreal", "vrm", "godot", "rigify"; "own" keeps
+                them.
+            root_bone: add a bone on the ground above the hips.
+            rest: pose that mesh and bones are bound in: that of the "file", "T" or "A".
+
+        Returns:
+            The path.
+
+        Raises:
+            InputError: another format, no such names or pose, or a path that cannot be written to.
+
+        Example:
+            >>> path = rigged.save("hero-rigged.glb", names="mixamo", rest="T")
+        """
+        layout = Layout(names, root_bone, rest)
+        layout.check()
+        if Path(path).suffix.lower() not in BONES:
+            raise InputError(
+                f"{path}: expected .glb, .gltf or .fbx for bones, found '{Path(path).suffix}'; name another with -o"
+            )
+        with self.seconds.step("write"):
+            if self.own is not None:
+                check_own_layout(self.own.person, layout, self.mesh.name)
+                kept = OwnAnimation(self.own.source, self.mesh.name, {}, 30.0, 1, self.own.person)
+                save_own_rig(kept.with_layout(SCHEMES[names].bones, layout.root, root_bone), path)
+            else:
+                axes = {"up": self.report["up"], "front": self.report["front"]}
+                save_rig(engine_rig(self.skeleton, names, root_bone, rest, **axes), path)
+        return Path(path)
+
+
+@public()
+def rig(
+    mesh: Mesh | str | Path,
+    *,
+    up: str | None = None,
+    front: str | None = None,
+    body: str = "auto",
+    rig: str = "own",
+    joints: GivenJoints = None,
+    seed: int = 0,
+    model: str = "mime",
+) -> RiggedMesh:
+    """Give a mesh a skeleton and skinning weights: those of its file if it has any, else found on its surface.
+
+    Args:
+        mesh: the mesh, or its path: a person or a four-legged animal in any pose.
+        up: axis away from the ground ("+y", "-z"); detected by default.
+        front: axis to the front; detected by default.
+        body: what it is: "human", "quadruped" (four-legged animals), or "auto", found by its shape.
+        rig: "own" keeps the rig of the file, if it has a sound one; "mimesh" replaces it.
+        joints: positions of some joints, where they are found wrongly: joint -> (x, y, z) in the axes and unit of the
+            file, or the path of a .joints.json. The names are the keys of `RiggedMesh.joints`.
+        seed: seed of all random choices.
+        model: "mime", or the path of an .onnx file that was trained as `mime` is.
+
+    Returns:
+        The mesh with its skeleton; `save` writes it.
+
+    Raises:
+        InputError: a file, an axis, the body or the joints cannot be used.
+        RefusedMeshError: the mesh looks neither like a person nor like a four-legged animal; `body` insists.
+
+    Example:
+        >>> rigged = mimesh.rig("hero.obj")
+        >>> path = rigged.save("hero-rigged.glb")
+    """
+    timer = Timer()
+    with timer.step("load"):
+        mesh = read_mesh(mesh, "mesh")
+    check_identity(mesh)
+    if body == OTHER:
+        raise InputError(
+            f"--body: expected {', '.join(NETWORK_OF_BODY)} or auto, found {body}: joints are found on people and "
+            "four-legged animals alone"
+        )
+    hints = Hints((up, front, None, None), rig, body, Corrections.read(joints, None, Clip.still(mesh)))
+    with timer.step("prepare"):
+        return _rigged(mesh, find_mime(model, seed), hints, timer)
+
+
+def _rigged(mesh: Mesh, mime: Mime, hints: Hints, timer: Timer) -> RiggedMesh:
+    """Look at a mesh and find its joints."""
+    rigs = read_rigs(mesh, Clip.still(mesh), hints)
+    subject = rigs.subjects(mesh, mesh, hints.axes)[0]
+    seen = look(mime, subject, None if hints.asked_body == "auto" else hints.asked_body, quick=True)
+    character, norm = find_character(mime.of_body(seen.body), subject, seen.norm, rigs, hints.corrections)
+    if hints.asked_body == "auto" and rigs.humanoid is None:
+        kind = second_look(mime, seen.body, subject, character.confidence)
+        if kind is None:
+            raise RefusedMeshError(different_kinds([None, None], (subject, subject)))
+        if kind != seen.body:
+            seen = look(mime, subject, kind)
+            character, norm = find_character(mime.of_body(kind), subject, seen.norm, rigs, hints.corrections)
+    report = facing(norm)
+    notes = facing_note(norm, mesh.name, "--front") + rigs.notes
+    if rigs.humanoid is not None:
+        report["up_from"] = "joints" if hints.axes[0] is None else "given"
+        notes += (f"{mesh.name} has a rig, which is kept; --rig mimesh replaces it",)
+    elif character.confidence is not None:
+        report |= character.confidence.facts()
+        notes = character.confidence.notes(mesh.name) + notes
+    notes += missing_images_notes(missing_images(mesh))
+    source = FILE if rigs.humanoid is not None else "corrected" if hints.corrections.given else "found"
+    skeleton = _at_rest(mesh, character, norm)
+    if rigs.humanoid is not None:
+        skeleton = dataclasses.replace(skeleton, mesh=mesh.with_vertices(rigs.humanoid.character.mesh.vertices))
+    return RiggedMesh(
+        mesh,
+        skeleton,
+        seen.body,
+        source,
+        cast(MeshReport, report),
+        timer,
+        tuple(map(for_caller, notes)),
+        rigs.identity,
+    )
+
+
+def _at_rest(mesh: Mesh, character: Character, norm: Normalization) -> AnimatedRig:
+    """Return the rig of a character at rest, in the axes, unit and position of its file."""
+    undo, found = norm.rotation.T, character.vertex_rig
+    rig = Rig(undo @ found.rotation, norm.undo(found.joints), found.weights)
+    return AnimatedRig(
+        mesh, character.joints, character.parents, rig, rig.rotation[None], rig.joints[:1], character.roles
+    )
