@@ -93,7 +93,7 @@ class SurfacePoints:
         """Select part `which` of `of` disjoint parts; each is as evenly spread as the whole."""
         return SurfacePoints(self.corners[which % of :: of], self.barycentric[which % of :: of])
 
-    def points(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "N 3"]:
+    def points(self, vertices: Float[np.ndarray, "*T U 3"]) -> Float[np.ndarray, "*T N 3"]:
         """Compute the positions of the points in a frame."""
         return interpolate(vertices, self.corners, self.barycentric)
 
