@@ -6,7 +6,6 @@ python examples/06_your_own_method.py --pairs 72  # as many as the tables have
 
 import argparse
 import dataclasses
-import itertools
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -18,8 +17,10 @@ import numpy as np
 import mimesh
 from mimesh.evaluate.measure import measure
 from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.methods.base import Drive, Method
-from mimesh.methods.find import find_method
+from mimesh.methods.base import Drive
+from mimesh.methods.find import find_mime
+from mimesh.mime.model import Mime
+from mimesh.rigs.retarget import Retarget
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 """Factors of x, y and z that exchange left and right."""
@@ -27,13 +28,13 @@ MIRROR = np.array([-1.0, 1.0, 1.0])
 
 @dataclass(frozen=True)
 class Mirrored:
-    """Runs another method on a pair and on its mirror image, and averages the two results.
+    """Moves a mesh by mime's joints and its mirror image by those of the mirrored driving, and averages the two.
 
     A method gets both meshes normalised: y up, facing +z, in the unit sphere. `prepare` does the work that is needed
     once and returns a drive: a function from driving frames to the identity's vertices, one frame at a time.
     """
 
-    inner: Method
+    inner: Mime
     rough: ClassVar[bool] = False
     """Whether results have a rough surface, so that they are refined by default."""
 
@@ -42,18 +43,20 @@ class Mirrored:
         return f"{self.inner.name} twice"
 
     def prepare(self, identity: mimesh.Mesh, driving: mimesh.Clip) -> Drive:
-        direct_drive = self.inner.prepare(identity, driving)
+        direct = self.follow(identity, driving)
         mirror_image = dataclasses.replace(driving, mesh=mirrored(driving.mesh), vertices=driving.vertices * MIRROR)
-        mirrored_drive = self.inner.prepare(mirrored(identity), mirror_image)
+        mirror = self.follow(mirrored(identity), mirror_image)
 
         def drive(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-            # Both drives are generators that take frame after frame, so a clip of any length needs little memory.
-            frames, again = itertools.tee(frames)
-            results = zip(direct_drive(frames), mirrored_drive(frame * MIRROR for frame in again), strict=True)
-            for direct, mirror in results:
-                yield (direct + mirror * MIRROR) / 2
+            # A generator that takes frame after frame, so a clip of any length needs little memory.
+            for t, frame in enumerate(frames):
+                yield (direct.frame(t, frame) + mirror.frame(t, frame * MIRROR) * MIRROR) / 2
 
         return drive
+
+    def follow(self, identity: mimesh.Mesh, driving: mimesh.Clip) -> Retarget:
+        """Let the joints that are found on the identity follow those of the driving."""
+        return Retarget.of(self.inner.rig(identity), self.inner.capture(driving), driving.mesh.name)
 
 
 def mirrored(mesh: mimesh.Mesh) -> mimesh.Mesh:
@@ -70,7 +73,7 @@ def main(argv: list[str] | None = None) -> None:
 
     protocol, table = PROTOCOLS["human-npt"], {}
     print(f"{'method':10}" + "".join(f"{kind:>10}" for kind in protocol.kinds) + "   (PMD x1e4, lower is better)")
-    for method in (Mirrored(find_method("npt")), *options.beside):
+    for method in (Mirrored(find_mime("mime")), *options.beside):
         # measure(), mimesh.transfer() and mimesh.animate() take the name of a model or a method.
         errors = {
             kind: np.mean([measure(pair, method)["pmd_e4"] for pair in protocol.trials("test", kind, options.pairs)])

@@ -19,7 +19,7 @@ from mimesh.pipeline import report
 
 UNITS = r"second|degree|[Ss]hare|height|factor|[Ff]rom 0 to 1|nats|metres|unit|threshold"
 """What a number is measured in, one of which stands beside each."""
-FIRST = ("transfer", "animate", "prepare")
+FIRST = ("transfer", "animate", "prepare", "rig")
 """Whose examples make what others use."""
 CLASSES = [value for name in mimesh.__all__ if isinstance(value := getattr(mimesh, name), type)]
 CLASSES += [report.TransferReport, report.MeshReport, report.Accelerations, report.MatchReport, report.ReferenceReport]
@@ -104,6 +104,7 @@ def test_examples_run(tmp_path, monkeypatch):
     """In one process and in this order: the first ones make `result`, `moving` and `session`."""
     monkeypatch.chdir(tmp_path)
     save_mesh(person(0), "hero.glb")
+    save_mesh(person(0), "hero.obj")
     save_mesh(person(1, 2), "pose.obj")
     save_clip(walk(frames=5), "walk.npz")
     ordered = sorted(ALL, key=lambda each: FIRST.index(each.name) if each.name in FIRST else len(FIRST))
