@@ -4,6 +4,7 @@
     moving = mimesh.animate("hero.glb", "walk.bvh")   # a motion; moving.save_skinned("hero-walk.glb")
 
 rig                     give a mesh a skeleton and skinning weights; gives a RiggedMesh
+capture                 read the motion of joints out of a clip; gives a CapturedClip
 transfer, animate       move a mesh (Mesh or path) by a pose or a clip; give a Result or a ClipResult
 save_skinned            write several motions of one mesh into one file
 batch                   many meshes by many clips, resumable
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from .io import load_clip, load_mesh, save_clip, save_mesh
     from .jobs.run import batch
     from .pipeline import animate, prepare, transfer
+    from .pipeline.capturing import CapturedClip, capture
     from .pipeline.live import LiveSession
     from .pipeline.result import ClipResult, Result
     from .pipeline.rigging import RiggedMesh, rig
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
+    "CapturedClip",
     "Clip",
     "ClipResult",
     "InputError",
@@ -45,6 +48,7 @@ __all__ = [
     "RiggedMesh",
     "animate",
     "batch",
+    "capture",
     "load_clip",
     "load_mesh",
     "no_limits",
@@ -64,6 +68,7 @@ _MODULES = {
     "jobs.run": ("batch",),
     "io": ("load_clip", "load_mesh", "save_clip", "save_mesh"),
     "pipeline": ("animate", "prepare", "transfer"),
+    "pipeline.capturing": ("CapturedClip", "capture"),
     "pipeline.live": ("LiveSession",),
     "pipeline.result": ("ClipResult", "Result"),
     "pipeline.rigging": ("RiggedMesh", "rig"),

@@ -19,6 +19,7 @@ from typing import Annotated, Any
 import typer
 
 from .commands import about, learn, measure, move, show
+from .commands.capture import capture
 from .commands.common import Command
 from .commands.rig import rig
 from .commands.terminal import Stop
@@ -39,6 +40,7 @@ COMMANDS = (
     move.transfer,
     move.animate,
     rig,
+    capture,
     batch,
     show.convert,
     show.look,

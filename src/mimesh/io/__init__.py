@@ -4,6 +4,7 @@ Clips are read and written frame by frame, so that memory does not grow with the
 """
 
 from .bvh_write import save_bvh as save_bvh
+from .bvh_write import save_joint_motion as save_joint_motion
 from .formats import clip_suffixes as clip_suffixes
 from .formats import mesh_suffixes as mesh_suffixes
 from .load import list_animations as list_animations

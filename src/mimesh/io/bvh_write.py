@@ -1,4 +1,4 @@
-"""Write motions as BVH files (Biovision hierarchy)."""
+"""Write motions of joints as BVH files (Biovision hierarchy)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from ..core.errors import InputError
 from .atomic import whole_file, writing
@@ -29,16 +30,39 @@ def save_bvh(motion: Motion, body: RiggedBody, path: str | Path) -> Path:
     Raises:
         InputError: the motion is for another skeleton, or the path cannot be written to.
     """
-    from scipy.spatial.transform import Rotation
-
     if motion.joint_names != body.joint_names:
         raise InputError(f"{motion.name}: expected a motion of {body.name}, found other joints; retarget it first")
+    joints, root = CENTIMETRES * body.joints, CENTIMETRES * (body.joints[0] + motion.root)
+    return save_joint_motion(body.joint_names, body.parents, joints, motion.rotmat, root, motion.fps, path)
+
+
+def save_joint_motion(
+    names: tuple[str, ...],
+    parents: tuple[int, ...],
+    rest: Float[np.ndarray, "J 3"],
+    rotmat: Float[np.ndarray, "T J 3 3"],
+    root: Float[np.ndarray, "T 3"],
+    fps: float,
+    path: str | Path,
+) -> Path:
+    """Write the motion of any skeleton, and return the path; y is up.
+
+    Args:
+        parents: index of each joint's parent; -1 for the root, which comes first.
+        rest: positions at rest, in the unit of the file.
+        rotmat: rotation of each joint in its parent's frame; joints at rest have the axes of the world.
+        root: position of the root.
+
+    Raises:
+        InputError: the path cannot be written to.
+    """
+    from scipy.spatial.transform import Rotation
+
     lines, order = ["HIERARCHY"], []
-    _write_joint(body, 0, lines, order)
-    angles = Rotation.from_matrix(motion.rotmat[:, order].reshape(-1, 3, 3)).as_euler(ORDER, degrees=True)
-    root = CENTIMETRES * (body.joints[0] + motion.root)
-    rows = np.concatenate([root, angles.reshape(len(motion), -1)], axis=1)
-    lines += ["MOTION", f"Frames: {len(motion)}", f"Frame Time: {1 / motion.fps:.7f}"]
+    _write_joint(names, parents, rest, 0, lines, order)
+    angles = Rotation.from_matrix(rotmat[:, order].reshape(-1, 3, 3)).as_euler(ORDER, degrees=True)
+    rows = np.concatenate([root, angles.reshape(len(root), -1)], axis=1)
+    lines += ["MOTION", f"Frames: {len(root)}", f"Frame Time: {1 / fps:.7f}"]
     lines += [" ".join(f"{value:.5f}" for value in row) for row in rows]
     path = Path(path)
     with writing(path), whole_file(path) as temporary:
@@ -46,23 +70,31 @@ def save_bvh(motion: Motion, body: RiggedBody, path: str | Path) -> Path:
     return path
 
 
-def _write_joint(body: RiggedBody, j: int, lines: list[str], order: list[int], indent: str = "") -> None:
+def _write_joint(
+    names: tuple[str, ...],
+    parents: tuple[int, ...],
+    rest: Float[np.ndarray, "J 3"],
+    j: int,
+    lines: list[str],
+    order: list[int],
+    indent: str = "",
+) -> None:
     """Append a joint and its descendants to the lines of the hierarchy, and their indices to `order`.
 
     `order` is depth first, the order in which BVH lists the channels of each frame.
     """
     order.append(j)
-    parent, children = body.parents[j], [k for k, other in enumerate(body.parents) if other == j]
-    offset = CENTIMETRES * (body.joints[j] - (body.joints[parent] if parent >= 0 else 0.0))
+    parent, children = parents[j], [k for k, other in enumerate(parents) if other == j]
+    offset = rest[j] - (rest[parent] if parent >= 0 else 0.0)
     rotations = " ".join(f"{axis}rotation" for axis in ORDER)
     lines += [
-        f"{indent}{'JOINT' if parent >= 0 else 'ROOT'} {body.joint_names[j]}",
+        f"{indent}{'JOINT' if parent >= 0 else 'ROOT'} {names[j]}",
         f"{indent}{{",
         f"{indent}\t{_offset(offset)}",
         f"{indent}\tCHANNELS " + (f"3 {rotations}" if parent >= 0 else f"6 Xposition Yposition Zposition {rotations}"),
     ]
     for child in children:
-        _write_joint(body, child, lines, order, indent + "\t")
+        _write_joint(names, parents, rest, child, lines, order, indent + "\t")
     if not children:
         # A leaf needs an end site, which gives its bone a length: half of the parent bone's.
         lines += [f"{indent}\tEnd Site", f"{indent}\t{{", f"{indent}\t\t{_offset(offset / 2)}", f"{indent}\t}}"]

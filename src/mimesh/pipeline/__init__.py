@@ -22,7 +22,7 @@ from .file_rigs import still_clip
 from .live import LiveSession, limited_threads, live_session
 from .odd_frames import far_frames_note, first_frame_note
 from .options import Hints, MotionOptions
-from .read import read_clip, read_mesh
+from .read import driving_axes, read_clip, read_mesh
 from .report import TransferReport
 from .result import ClipResult, Result, Timer
 from .route import Model, find_route
@@ -387,13 +387,3 @@ def _checked_pairs(markers: ArrayLike) -> Int[np.ndarray, "M 2"]:
             "rows are (identity vertex, driving vertex)"
         )
     return pairs.astype(np.int64)
-
-
-def driving_axes(clip: Clip, up: str | None, front: str | None) -> tuple[str | None, str | None]:
-    """Return up and front of the driving's first frame: those given, else by its joints, else None (to be detected)."""
-    if up is not None or front is not None or clip.headings is None:
-        return up, front
-    x, y, z = clip.headings[0]
-    if abs(y) > max(abs(x), abs(z)):  # lying or bowing: the front of the hips points up or down
-        return "+y", None
-    return "+y", ("+" if max(x, z, key=abs) > 0 else "-") + ("x" if abs(x) > abs(z) else "z")

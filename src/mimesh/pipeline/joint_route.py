@@ -229,17 +229,9 @@ def _found(
 ) -> tuple[tuple[Character, Normalization], tuple[JointMotion, Normalization]]:
     """Find the joints of both meshes, each with the normalisation in which it was recognised."""
     corrections = hints.corrections
-
-    def motion(norm: Normalization) -> JointMotion:
-        if rigs.driving is not None:
-            mesh = face_outward(normalised(subjects[1].mesh, norm))
-            return JointMotion.of_file(rigs.driving, mesh, clip.fps, norm, mime.seed)
-        corrected, keyframes = corrections.of_driving(keyframes_of(clip, norm), mime.joints, norm)
-        return mime.capture(keyframes, corrected)
-
     with ThreadPoolExecutor(1) as executor:  # the two meshes are independent
         mine = executor.submit(find_character, mime, subjects[0], norms[0], rigs, corrections)
-        theirs = _settled(mime, subjects[1], norms[1], motion)
+        theirs = find_motion(mime, clip, subjects[1], norms[1], rigs, corrections)
         return mine.result(), theirs
 
 
@@ -255,6 +247,21 @@ def find_character(
         return mime.rig(mesh, corrections.of_identity(subject.mesh, mime.joints, norm))
 
     return _settled(mime, subject, norm, character)
+
+
+def find_motion(
+    mime: Mime, clip: Clip, subject: Subject, norm: Normalization, rigs: Rigs, corrections: Corrections
+) -> tuple[JointMotion, Normalization]:
+    """Find the joints of a clip: those of its file if they are used, else on its surface."""
+
+    def motion(norm: Normalization) -> JointMotion:
+        if rigs.driving is not None:
+            mesh = face_outward(normalised(subject.mesh, norm))
+            return JointMotion.of_file(rigs.driving, mesh, clip.fps, norm, mime.seed)
+        corrected, keyframes = corrections.of_driving(keyframes_of(clip, norm), mime.joints, norm)
+        return mime.capture(keyframes, corrected)
+
+    return _settled(mime, subject, norm, motion)
 
 
 def _settled(

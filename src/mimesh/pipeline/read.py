@@ -8,7 +8,7 @@ from pathlib import Path
 from ..core.arguments import described
 from ..core.errors import InputError
 from ..core.mesh import UNNAMED, Clip, Mesh, check_clip, check_mesh
-from ..io import load_clip, load_mesh
+from ..io import load_driving, load_mesh
 
 
 def read_mesh(mesh: Mesh | str | Path, role: str) -> Mesh:
@@ -24,13 +24,24 @@ def _named(mesh: Mesh, role: str) -> Mesh:
     return dataclasses.replace(mesh, name=role) if mesh.name == UNNAMED and mesh.source is None else mesh
 
 
-def read_clip(clip: Clip | str | Path, fps: float | None, animation: str | int | None) -> Clip:
+def read_clip(clip: Clip | str | Path, fps: float | None, animation: str | int | None, role: str = "driving") -> Clip:
+    """Read a clip, or check one in memory; see `_named`."""
     if isinstance(clip, Clip):
-        clip = dataclasses.replace(clip, mesh=_named(clip.mesh, "driving"))
+        clip = dataclasses.replace(clip, mesh=_named(clip.mesh, role))
         if animation is not None:
             raise InputError(
                 f"animation: expected the path of a file with it, found {described(clip)}; give the path, or the "
                 "animation to load_clip"
             )
         return check_clip(clip if fps is None else dataclasses.replace(clip, fps=fps), clip.mesh.name)
-    return load_clip(Path(clip), fps=fps, animation=animation)
+    return load_driving(Path(clip), fps=fps, animation=animation)
+
+
+def driving_axes(clip: Clip, up: str | None, front: str | None) -> tuple[str | None, str | None]:
+    """Return up and front of the driving's first frame: those given, else by its joints, else None (to be detected)."""
+    if up is not None or front is not None or clip.headings is None:
+        return up, front
+    x, y, z = clip.headings[0]
+    if abs(y) > max(abs(x), abs(z)):  # lying or bowing: the front of the hips points up or down
+        return "+y", None
+    return "+y", ("+" if max(x, z, key=abs) > 0 else "-") + ("x" if abs(x) > abs(z) else "z")

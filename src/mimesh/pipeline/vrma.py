@@ -74,7 +74,7 @@ def _own_bone_motion(identity: Mesh, animation: OwnAnimation, name: str, path: P
     rig = read_own_rig(identity)
     document, humanoid = rig.source.document, rig.humanoid
     person = with_named_neck(rig.person, [str(node.get("name", "")) for node in document.gltf["nodes"]])
-    joints = _checked_joints(person, path)
+    joints = check_joints(person, path)
     nodes = [person[joint] for joint in joints]
     is_vrm = vrm_version(document) is not None and bool(vrm_bones(document))
     at_rest = world_matrices(document) if is_vrm else rig.scene.T_world_node
@@ -87,7 +87,7 @@ def _own_bone_motion(identity: Mesh, animation: OwnAnimation, name: str, path: P
     frame_of = {node: humanoid.frames[joint] for joint, node in rig.person.items()}
     frames = np.stack([frame_of[node] for node in nodes])
     floor = float(humanoid.character.mesh.vertices[:, 1].min())
-    return _since_t_pose(
+    return since_t_pose(
         name, joints, rest[:, :3, 3] @ turn.T, turn @ frames, turn @ moved @ frames, hips, floor, animation.fps
     )
 
@@ -97,15 +97,15 @@ def _found_bone_motion(
 ) -> BoneMotion:
     """Return the motion of joints that were found on a surface; `turn` takes its axes to y up, +z front."""
     index = {joint: j for j, joint in enumerate(skeleton.names)}
-    joints = _checked_joints(index, path)
+    joints = check_joints(index, path)
     chosen = [index[joint] for joint in joints]
     rest = skeleton.rig.joints[chosen] @ turn.T
     floor = float((skeleton.mesh.vertices @ turn.T)[:, 1].min())
     frames, rotation = turn @ skeleton.rig.rotation[chosen], turn @ skeleton.rotation[:, chosen]
-    return _since_t_pose(name, joints, rest, frames, rotation, skeleton.root @ turn.T, floor, fps)
+    return since_t_pose(name, joints, rest, frames, rotation, skeleton.root @ turn.T, floor, fps)
 
 
-def _since_t_pose(
+def since_t_pose(
     name: str,
     joints: tuple[str, ...],
     rest: Float[np.ndarray, "J 3"],
@@ -133,7 +133,7 @@ def _since_t_pose(
     return BoneMotion(name, joints, placed, since, hips - start, fps)
 
 
-def _checked_joints(known: dict[str, int], path: Path) -> tuple[str, ...]:
+def check_joints(known: dict[str, int], path: Path) -> tuple[str, ...]:
     """Select the joints that VRM has bones for; raises InputError where required ones are missing."""
     missing = [joint for joint in NEEDED if joint not in known]
     missing += [] if any(joint in known for joint in TRUNK) else ["Spine"]

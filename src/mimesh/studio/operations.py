@@ -26,10 +26,10 @@ from ..methods.base import Method
 from ..methods.find import find_model
 from ..mime.model import Mime
 from ..motions.animal_clips import ANIMAL_MOTIONS, animal_clip
-from ..pipeline import driving_axes
 from ..pipeline.corrections import Corrections, correctable_joints, shown_bones
 from ..pipeline.look import OTHER
 from ..pipeline.options import Hints
+from ..pipeline.read import driving_axes
 from ..pipeline.report import facing
 from ..pipeline.result import ClipResult, Timer
 from ..pipeline.route import Route, find_route

@@ -1,0 +1,120 @@
+"""The command `mimesh capture`: read the motion of joints out of a clip of surfaces."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..core.printable import say
+from .move import Axis, JointFiles, Joints, NoJoints
+from .terminal import (
+    Json,
+    Large,
+    Model,
+    NoClobber,
+    NoLimits,
+    Output,
+    Quiet,
+    Seed,
+    given_path,
+    output_path,
+    print_json,
+    print_next,
+    progress,
+    refuse_existing,
+    refuse_inputs,
+)
+
+if TYPE_CHECKING:
+    from ..pipeline.capturing import CapturedClip
+
+
+def capture(
+    clip: Annotated[
+        Path, typer.Argument(metavar="CLIP", parser=given_path, help="A folder of meshes, GLB, ABC, USD, PC2, NPZ ...")
+    ],
+    output: Output = None,
+    fps: Annotated[float | None, typer.Option(help="Frame rate of CLIP, where its files do not say.")] = None,
+    animation: Annotated[str | None, typer.Option(help="Animation of a glTF file: name or number.")] = None,
+    start: Annotated[int, typer.Option(help="First frame to take, counted from 0.")] = 0,
+    stop: Annotated[int | None, typer.Option(help="Frame to stop before.")] = None,
+    step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
+    smooth: Annotated[float, typer.Option(metavar="SECONDS", help="Average the motion of joints over time.")] = 0.0,
+    up: Axis = None,
+    front: Axis = None,
+    body: Annotated[
+        str, typer.Option(help="What CLIP shows: human, quadruped (four-legged animals), or auto: by its shape.")
+    ] = "auto",
+    joints: Joints = None,
+    no_joints: NoJoints = False,
+    model: Model = "mime",
+    seed: Seed = 0,
+    no_clobber: NoClobber = False,
+    large: Large = False,
+    no_limits: NoLimits = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> dict[str, Any]:
+    """Read the motion of joints out of the surfaces of CLIP: scans, caches, another character.
+
+    By default the output is CLIP.bvh beside CLIP. A .vrma plays on any VRM character. Joints that the file has are
+    taken as they are.
+    """
+    from ..io import load_driving
+    from ..pipeline.capturing import JOINT_FILES
+    from ..pipeline.capturing import capture as capture_joints
+    from .clips import check_suffix
+
+    target = output_path(output, lambda: clip.with_name(f"{clip.stem if clip.is_file() else clip.name}.bvh"))
+    refuse_inputs(target, clip)
+    check_suffix(target, JOINT_FILES)
+    refuse_existing(no_clobber, target)
+    corrected = JointFiles.found(clip, clip, joints, None, no_joints, model)
+    with progress(f"reading {clip.name}", quiet or json) as advance:
+        whole = load_driving(clip, fps=fps, animation=animation, progress=advance)
+    with progress("finding joints", quiet or json) as advance:
+        captured = capture_joints(
+            whole, up=up, front=front, body=body, joints=corrected.identity, start=start, stop=stop, step=step,
+            smooth=smooth, seed=seed, model=model, progress=advance,
+        )  # fmt: skip
+    replaced = target.is_file()
+    captured.save(target)
+    facts = _facts(captured, target, replaced, corrected.described())
+    if json:
+        print_json(facts)
+    elif not quiet:
+        _print_summary(facts)
+    return facts
+
+
+def _facts(captured: CapturedClip, output: Path, replaced: bool, joints: tuple[str, ...]) -> dict[str, Any]:
+    """Return the facts about a motion and its file, with all notes."""
+    return {
+        "output": str(output),
+        "replaced": replaced,
+        "body": captured.body,
+        "joints": len(captured.names),
+        "frames": len(captured.root),
+        "fps": captured.fps,
+        "seconds": {step: round(value, 4) for step, value in captured.seconds.items()},
+        "report": {**captured.report, "corrected": list(joints), "notes": list(captured.notes)},
+    }
+
+
+def _print_summary(facts: dict[str, Any]) -> None:
+    """Print the output, how certain the joints are, notes, and a next step."""
+    from ..tools.convert import frames_at
+
+    report, seconds = facts["report"], sum(facts["seconds"].values())
+    kind = {"human": "a person", "quadruped": "a four-legged animal"}[facts["body"]]
+    sure = f"found, confidence {report['confidence']:.2f}" if "confidence" in report else "of the file"
+    replaced = " (replaced)" if facts["replaced"] else ""
+    length = frames_at(facts["frames"], facts["fps"])
+    say(f"{facts['output']}{replaced}: {facts['joints']} joints of {kind}, {sure}, {length}, {seconds:.1f} s")
+    for line in report["corrected"]:
+        say(f"joints: {line}")
+    for note in report["notes"]:
+        say(f"note: {note}")
+    print_next("animate", "hero.glb", facts["output"])

@@ -1,0 +1,230 @@
+"""`mimesh.capture`: read the motion of joints out of a clip of surfaces: scans, caches, another character's animation.
+
+Joints that the file has are taken as they are; otherwise `mime` finds them on the surface of a few frames, and follows
+them through all others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.arguments import for_caller, public
+from ..core.errors import InputError, RefusedMeshError
+from ..core.frame_buffer import Progress, counted, each_frame
+from ..core.geometry import turned
+from ..core.joint_tracks import JointTrack
+from ..core.mesh import Clip, check_size, cut_clip
+from ..core.normalization import Normalization, turn
+from ..core.rig import local_rotations
+from ..io import save_joint_motion, save_vrma
+from ..methods.find import find_mime
+from ..rigs.retarget import body_parents
+from .corrections import Corrections, GivenJoints
+from .file_rigs import read_rigs
+from .joint_route import find_motion
+from .look import different_kinds, look, second_look
+from .odd_frames import far_frames_note
+from .options import Hints
+from .placed import check_identity, first_frame
+from .read import driving_axes, read_clip
+from .report import MeshReport, facing, facing_note
+from .result import Timer
+from .vrma import check_joints, since_t_pose
+
+JOINT_FILES = (".bvh", ".vrma")
+"""Suffixes of files of joints alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class CapturedClip:
+    """The joints of a clip in motion; made by `mimesh.capture`.
+
+    Example:
+        >>> captured.names[0], captured.rotation.shape  # (T, J, 3, 3)
+        ('Hips', (5, 31, 3, 3))
+    """
+
+    name: str
+    """Name of the clip."""
+    names: tuple[str, ...]
+    """Names of the J joints, the hips first; parents come before their children."""
+    parents: tuple[int, ...]
+    """Index of each joint's parent, -1 for the hips."""
+    rest: Float[np.ndarray, "J 3"]
+    """Positions of the joints in a T-pose above a floor at y = 0: y up, +z front, in the unit of the clip."""
+    rotation: Float[np.ndarray, "T J 3 3"]
+    """World rotation of each joint since that pose."""
+    root: Float[np.ndarray, "T 3"]
+    """Position of the hips in the unit of the clip: y up, and the clip's axes else."""
+    fps: float
+    """Frames a second."""
+    body: str
+    """Shipped body whose joints they are: "human" or "quadruped"."""
+    report: MeshReport
+    """Axes of the clip, and how certainly joints were found: its "confidence" is from 0 to 1; absent where they are
+    those of the file."""
+    seconds: Timer = field(repr=False)
+    """Wall time in seconds of the steps: load, prepare, drive, write."""
+    notes: tuple[str, ...] = ()
+    """Lines for the user: what may be wrong, and what to do."""
+
+    @public()
+    def save(self, path: str | Path) -> Path:
+        """Write the motion as .bvh, or as .vrma, which plays on any VRM character.
+
+        A .bvh has the T-pose at rest, angles in degrees, and the unit of the clip; y is up.
+
+        Args:
+            path: the file.
+
+        Returns:
+            The path.
+
+        Raises:
+            InputError: another format, joints that a .vrma has no bones for, or a path that cannot be written to.
+
+        Example:
+            >>> path = captured.save("walk.bvh")
+        """
+        path = Path(path)
+        with self.seconds.step("write"):
+            if path.suffix.lower() == ".bvh":
+                local = local_rotations(self.rotation, self.parents)
+                return save_joint_motion(self.names, self.parents, self.rest, local, self.root, self.fps, path)
+            if path.suffix.lower() != ".vrma":
+                raise InputError(
+                    f"{path}: expected .bvh or .vrma for joints, found '{path.suffix}'; for a mesh with bones use "
+                    "mimesh animate with the first frame as IDENTITY"
+                )
+            index = {name: j for j, name in enumerate(self.names)}
+            joints = check_joints(index, path)
+            chosen = [index[joint] for joint in joints]
+            still = np.tile(np.eye(3), (len(chosen), 1, 1))
+            motion = since_t_pose(
+                self.name, joints, self.rest[chosen], still, self.rotation[:, chosen], self.root, 0.0, self.fps
+            )
+            save_vrma([motion], path)
+        return path
+
+
+@public()
+def capture(
+    clip: Clip | str | Path,
+    *,
+    up: str | None = None,
+    front: str | None = None,
+    body: str = "auto",
+    joints: GivenJoints = None,
+    fps: float | None = None,
+    animation: str | int | None = None,
+    start: int = 0,
+    stop: int | None = None,
+    step: int = 1,
+    smooth: float = 0.0,
+    seed: int = 0,
+    model: str = "mime",
+    progress: Progress | None = None,
+) -> CapturedClip:
+    """Read the motion of joints out of a clip: a sequence of meshes, a point cache, an animated character.
+
+    Args:
+        clip: the clip, or its path: a folder of numbered meshes, .glb, .abc, .usd, .pc2, .npz ...
+        up: axis away from the ground ("+y", "-z") in the first frame; detected by default.
+        front: axis to the front in the first frame; detected by default.
+        body: what it shows: "human", "quadruped" (four-legged animals), or "auto", found by its shape.
+        joints: positions of some joints in the first frame, where they are found wrongly; see `rig`.
+        fps: frame rate of the clip, where its file has none or a wrong one.
+        animation: which animation of a glTF file, by name or number; the first by default.
+        start: first frame to take, counted from 0.
+        stop: frame to stop before; None takes all.
+        step: take every `step`-th frame.
+        smooth: standard deviation (seconds) of a Gaussian filter over rotations and the path of the hips.
+        seed: seed of all random choices.
+        model: "mime", or the path of an .onnx file that was trained as `mime` is.
+        progress: is called with the frames done and the frames in all.
+
+    Returns:
+        The joints in every frame; `save` writes them.
+
+    Raises:
+        InputError: a file, an axis, the range, the body or the joints cannot be used.
+        RefusedMeshError: the clip shows neither a person nor a four-legged animal; `body` insists.
+
+    Example:
+        >>> captured = mimesh.capture("walk.npz")
+        >>> path = captured.save("walk.bvh")
+    """
+    timer = Timer()
+    with timer.step("load"):
+        whole = read_clip(clip, fps, animation, "clip")
+        corrections = Corrections.read(None, joints, whole)
+        taken = cut_clip(whole, start, stop, step)
+    first = first_frame(taken)
+    check_identity(first)
+    hints = Hints((None, None, *driving_axes(taken, up, front)), "mimesh", body, corrections)
+    with timer.step("prepare"):
+        rigs = read_rigs(first, taken, hints)
+        subject = rigs.subjects(first, first, hints.axes)[1]
+        mime = find_mime(model, seed)
+        asked = None if hints.asked_body == "auto" else hints.asked_body
+        seen = look(mime, subject, asked, quick=True)
+        motion, norm = find_motion(mime.of_body(seen.body), taken, subject, seen.norm, rigs, corrections)
+        if asked is None and rigs.driving is None:
+            kind = second_look(mime, seen.body, subject, motion.confidence)
+            if kind is None:
+                raise RefusedMeshError(different_kinds([None, None], (subject, subject)))
+            if kind != seen.body:
+                seen = look(mime, subject, kind)
+                motion, norm = find_motion(mime.of_body(kind), taken, subject, seen.norm, rigs, corrections)
+    with timer.step("drive"):
+        track = motion.track
+        if track is None:
+            frames = (norm.apply(vertices) for vertices in each_frame(taken.vertices))
+            frames = check_size(counted(frames, len(taken), progress), first.name)
+            poses = [motion.pose(t, vertices) for t, vertices in enumerate(frames)]
+            rotation, positions = (np.stack(arrays) for arrays in zip(*poses, strict=True))
+            track = JointTrack(rotation, positions, taken.fps)
+        track = track.smoothed(smooth)
+    report = facing(norm)
+    notes = facing_note(norm, first.name, "--front") + rigs.notes + taken.notes + far_frames_note(taken, first.name)
+    if motion.confidence is not None:
+        report |= motion.confidence.facts()
+        notes = motion.confidence.notes(first.name) + notes
+    elif up is None:
+        report["up_from"] = "joints"
+    about = tuple(map(for_caller, notes))
+    return _captured(track, motion.joints, norm, first.name, seen.body, cast(MeshReport, report), timer, about)
+
+
+def _captured(
+    track: JointTrack,
+    names: tuple[str, ...],
+    norm: Normalization,
+    name: str,
+    body: str,
+    report: MeshReport,
+    timer: Timer,
+    notes: tuple[str, ...],
+) -> CapturedClip:
+    """Return joints that are known in the normalisation of a clip in its unit, y up."""
+    parents = body_parents(names)
+    upright = turned(track.positions * norm.radius + norm.centre, norm.heading)
+    rotation = turn(norm.heading) @ track.rotation
+    # Bones have the mean of their directions in the frames of their parents: those that are tracked differ a little.
+    steps = np.zeros((len(names), 3))
+    for j, parent in enumerate(parents):
+        if parent >= 0:
+            bone = (upright[:, j] - upright[:, parent])[..., None]
+            steps[j] = (rotation[:, parent].swapaxes(-1, -2) @ bone)[..., 0].mean(axis=0)
+    rest = np.zeros((len(names), 3))
+    for j, parent in enumerate(parents):
+        rest[j] = steps[j] + (rest[parent] if parent >= 0 else 0.0)
+    floor = float(upright[..., 1].min())
+    rest[:, 1] -= rest[:, 1].min()
+    root = upright[:, 0] - [0.0, floor, 0.0]
+    return CapturedClip(name, names, parents, rest, rotation, root, track.fps, body, report, timer, notes)

@@ -1,0 +1,102 @@
+"""`capture`: joints of a clip of surfaces are those that moved it, whatever its axes; files of them play as it does."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from people import walk
+from zoo import ring
+
+import mimesh
+from mimesh.bodies import load_body
+from mimesh.bodies.sampling import sample_shape
+from mimesh.core.errors import InputError, RefusedMeshError
+from mimesh.core.geometry import angles_between, nearest_rotation
+from mimesh.core.mesh import Clip, Mesh
+from mimesh.motions import motion_clip, walk_motion
+from mimesh.motions.bvh import load_bvh
+
+BODY = load_body()
+
+
+@pytest.fixture(scope="module")
+def clip() -> Clip:
+    return walk(frames=12)
+
+
+@pytest.fixture(scope="module")
+def captured(clip) -> mimesh.CapturedClip:
+    return mimesh.capture(clip)
+
+
+def test_joints_are_found_in_a_t_pose_and_in_every_frame(captured, clip):
+    assert captured.names == BODY.joint_names
+    assert captured.rotation.shape == (len(clip), len(captured.names), 3, 3)
+    assert captured.fps == clip.fps
+    assert captured.report["confidence"] > 0.5
+    place = dict(zip(captured.names, captured.rest, strict=True))
+    arm = place["LeftHand"] - place["LeftArm"]
+    assert arm[0] > 0.95 * np.linalg.norm(arm), "arms are horizontal, the left one to +x"
+    assert place["LeftFoot"][1] < 0.2 * place["Head"][1]
+    assert captured.rest[:, 1].min() == 0
+
+
+def test_a_file_of_joints_has_the_motion(captured, tmp_path):
+    path = captured.save(tmp_path / "walk.bvh")
+    read = load_bvh(path)
+    order = [captured.names.index(name) for name in read.joint_names]
+    world = [read.rotmat[:, 0]]
+    for j, parent in enumerate(read.parents[1:], 1):
+        world.append(world[parent] @ read.rotmat[:, j])
+    np.testing.assert_allclose(np.stack(world, axis=1), captured.rotation[:, order], atol=1e-4)
+    np.testing.assert_allclose(read.root, captured.root, atol=1e-4)
+    assert captured.save(tmp_path / "walk.vrma").stat().st_size > 1000
+    with pytest.raises(InputError, match=r"expected \.bvh or \.vrma for joints, found '\.glb'"):
+        captured.save(tmp_path / "walk.glb")
+
+
+def test_axes_range_and_unit_of_the_clip_change_nothing_else(captured, clip):
+    """z up, in centimetres, every second frame."""
+    lying = 100 * np.stack([clip.vertices[..., 0], -clip.vertices[..., 2], clip.vertices[..., 1]], axis=-1)
+    turned = Clip(Mesh(lying[0].astype(float), clip.mesh.faces, "lying"), lying, clip.fps)
+    found = mimesh.capture(turned, up="+z", front="-y", step=2)
+    assert found.fps == clip.fps / 2
+    assert np.median(angles_between(found.rotation, captured.rotation[::2])) < 3
+    np.testing.assert_allclose(found.root, 100 * captured.root[::2], atol=3)
+
+
+def test_joints_of_a_file_are_taken_as_they_are(captured, tmp_path):
+    again = mimesh.capture(captured.save(tmp_path / "walk.bvh"))
+    assert "confidence" not in again.report
+    assert np.median(angles_between(again.rotation, captured.rotation)) < 1
+
+
+def test_smoothing_and_corrections_are_those_of_animate(captured, clip):
+    smooth = mimesh.capture(clip, smooth=0.2)
+    assert np.abs(np.diff(smooth.root, 2, axis=0)).mean() < np.abs(np.diff(captured.root, 2, axis=0)).mean()
+    with pytest.raises(InputError, match="joints: expected names of joints, found 'Elbow'"):
+        mimesh.capture(clip, joints={"Elbow": [0, 0, 0]})
+
+
+def test_what_is_no_body_is_refused():
+    with pytest.raises(RefusedMeshError, match=r"^ring: expected a person or a four-legged animal"):
+        mimesh.capture(Clip.still(ring()))
+
+
+@pytest.mark.slow
+def test_a_capture_moves_the_same_body_as_the_clip_did(tmp_path):
+    shape = sample_shape(BODY, 0, 0)
+    clip = motion_clip(BODY, shape, walk_motion(BODY, 0, 0, seconds=2.0, fps=30))
+    bare = dataclasses.replace(clip, mesh=Mesh(clip.mesh.vertices, BODY.faces, "walk"), skeleton=None, headings=None)
+    path = mimesh.capture(bare).save(tmp_path / "walk.bvh")
+    rest = Mesh(BODY.posed(shape, np.tile(np.eye(3), (len(BODY.parents), 1, 1))), BODY.faces, "rest")
+    moved = mimesh.animate(rest, path, ground=False).clip.vertices
+    millimetres = []
+    for mine, truth in zip(moved, np.asarray(clip.vertices, float), strict=True):
+        centres = mine.mean(axis=0), truth.mean(axis=0)
+        turn = nearest_rotation((truth - centres[1]).T @ (mine - centres[0]))
+        millimetres.append(1e3 * np.linalg.norm((mine - centres[0]) @ turn.T - (truth - centres[1]), axis=1))
+    assert np.mean(millimetres) < 5
+    assert np.max(millimetres) < 25
