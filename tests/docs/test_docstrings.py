@@ -19,7 +19,7 @@ from mimesh.pipeline import report
 
 UNITS = r"second|degree|[Ss]hare|height|factor|[Ff]rom 0 to 1|nats|metres|unit|threshold"
 """What a number is measured in, one of which stands beside each."""
-FIRST = ("transfer", "animate", "prepare", "rig")
+FIRST = ("transfer", "animate", "prepare", "rig", "capture")
 """Whose examples make what others use."""
 CLASSES = [value for name in mimesh.__all__ if isinstance(value := getattr(mimesh, name), type)]
 CLASSES += [report.TransferReport, report.MeshReport, report.Accelerations, report.MatchReport, report.ReferenceReport]

@@ -36,16 +36,16 @@ MISSING_LIMB = 0.4
 """A limb is missing if more than this share of it is far from the surface, whatever the rest. One-sided scans: 0.3."""
 
 EXPECTED_ERROR = {
-    "constant": -9.8286,
-    "spread": 0.5238,
-    "entropy": 0.2914,
-    "fit_distance": 0.5799,
-    "fit_angle": 1.2867,
-    "incomplete": 1.7338,
+    "constant": -9.5464,
+    "spread": 0.4036,
+    "entropy": 0.2241,
+    "fit_distance": 0.695,
+    "fit_angle": 1.3674,
+    "incomplete": 1.5916,
 }
 """Logarithm of what a mesh adds to the mean error of a result (heights of the identity): constant, and coefficients of
 `Confidence.features`. Fitted by `research/fit_confidence.py` (docs/log/mime.md, "Confidence")."""
-MAX_ERROR = 0.0165
+MAX_ERROR = 0.015
 """Largest expected error of a mesh without a note: about 2 % of good results have one (docs/log/mime.md)."""
 OTHER_KIND = {"constant": -8.3, "entropy": 3.64, "fit_distance": 3.07}
 """Logarithm of the odds that a mesh shows something else than the body that was fitted to it, where both are as likely
