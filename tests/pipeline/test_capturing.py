@@ -73,6 +73,19 @@ def test_joints_of_a_file_are_taken_as_they_are(captured, tmp_path):
     assert np.median(angles_between(again.rotation, captured.rotation)) < 1
 
 
+def test_joints_of_a_character_become_a_t_pose_in_any_order(captured, clip, tmp_path):
+    """Its file lists children before parents."""
+    moving = mimesh.animate(clip.mesh, clip).save_skinned(tmp_path / "moving.glb", names="unreal")
+    found = mimesh.capture(moving)
+    assert "confidence" not in found.report
+    assert all(parent < j for j, parent in enumerate(found.parents))
+    place = dict(zip(found.names, found.rest, strict=True))
+    for name, joint in dict(zip(captured.names, captured.rest, strict=True)).items():
+        if name in place and name != "Hips":
+            ours, theirs = joint - captured.rest[0], place[name] - place["Hips"]
+            assert np.linalg.norm(ours - theirs) < 0.06 * np.ptp(captured.rest[:, 1]), name
+
+
 def test_smoothing_and_corrections_are_those_of_animate(captured, clip):
     smooth = mimesh.capture(clip, smooth=0.2)
     assert np.abs(np.diff(smooth.root, 2, axis=0)).mean() < np.abs(np.diff(captured.root, 2, axis=0)).mean()

@@ -13,6 +13,7 @@ from typing import cast
 import numpy as np
 from jaxtyping import Float
 
+from ..bodies.joint_names import parents_first
 from ..core.arguments import for_caller, public
 from ..core.errors import InputError, RefusedMeshError
 from ..core.frame_buffer import Progress, counted, each_frame
@@ -212,9 +213,13 @@ def _captured(
     notes: tuple[str, ...],
 ) -> CapturedClip:
     """Return joints that are known in the normalisation of a clip in its unit, y up."""
-    parents = body_parents(names)
-    upright = turned(track.positions * norm.radius + norm.centre, norm.heading)
-    rotation = turn(norm.heading) @ track.rotation
+    # Joints of a file come in any order.
+    above = body_parents(names)
+    order = parents_first(above)
+    parents = tuple(-1 if above[j] < 0 else order.index(above[j]) for j in order)
+    names = tuple(names[j] for j in order)
+    upright = turned(track.positions[:, order] * norm.radius + norm.centre, norm.heading)
+    rotation = turn(norm.heading) @ track.rotation[:, order]
     # Bones have the mean of their directions in the frames of their parents: those that are tracked differ a little.
     steps = np.zeros((len(names), 3))
     for j, parent in enumerate(parents):
