@@ -143,14 +143,12 @@ def make_files(case: str, size: int, folder: Path) -> dict[str, Any]:
         parts = tuple(Part(f"part{k}", a, b) for k, (a, b) in enumerate(itertools.pairwise(stops)))
         save_mesh(Mesh(vertices, faces, "body", parts=parts), folder / "identity.obj")
     elif case == "morphs":
-        save_clip(
-            frames_of(clip.mesh, np.asarray(clip.vertices), size), folder / "identity.glb"
-        )  # frame k is morph target k
+        save_clip(frames_of(clip.mesh, clip.vertices, size), folder / "identity.glb")  # frame k is morph target k
     else:
         save_mesh(identity, folder / "identity.ply")
     if case in ("animate", "large-clip"):
         save_clip(
-            frames_of(clip.mesh, np.asarray(clip.vertices), size if case == "animate" else CLIP_FRAMES),
+            frames_of(clip.mesh, clip.vertices, size if case == "animate" else CLIP_FRAMES),
             folder / "driving.npz",
         )
     else:

@@ -70,7 +70,7 @@ def stream(frames: int) -> dict:
     """Pose a stream of frames; return milliseconds of a frame by percentile, and memory."""
     body = load_body()
     clip = motion_clip(body, sample_shape(body, SEED, 0), walk_motion(body, SEED, 0, seconds=4.0, fps=RATE))
-    vertices, faces = dense(np.asarray(clip.vertices), body.faces)
+    vertices, faces = dense(clip.vertices, body.faces)
     driving = Clip(Mesh(vertices[0].astype(np.float64), faces, name="walk"), vertices.astype(np.float32), RATE)
     identity = Mesh(*dense(body.mesh().vertices, body.faces), name="body")
     spread = np.linspace(0, len(driving) - 1, 16).round().astype(int)

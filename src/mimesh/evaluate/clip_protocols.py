@@ -218,8 +218,8 @@ def make_clip_pair(identity: Person, driving: Person, rest: Pose, motion: Motion
     return ClipPair(
         **fields,
         clip=dataclasses.replace(clip, mesh=fields["driving"]),
-        truth_frames=np.asarray(truth.vertices),
-        aligned_frames=np.asarray(clip.vertices),
+        truth_frames=truth.vertices,
+        aligned_frames=clip.vertices,
         template=template().corners[:, :2] if identity.body is human() else None,
     )
 

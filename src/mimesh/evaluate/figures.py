@@ -247,7 +247,7 @@ def foreign_clip_rows(models: tuple[str, ...], count: int, data: Path | None) ->
         trial = CLIPS_ANIFORMER.pair("test", "procedural", i)
         assert isinstance(trial, ClipPair)
         clip = trial.clip
-        yield [EMPTY, *_frame_tiles("driving", np.asarray(clip.vertices), clip.mesh.faces)]
+        yield [EMPTY, *_frame_tiles("driving", clip.vertices, clip.mesh.faces)]
         identity = load_mesh(path)
         for model in models:
             result = animate(identity, clip, model, driving_up="+y", driving_front="+z").clip
@@ -357,7 +357,7 @@ def _pair_row(pair: Pair, models: tuple[str, ...]) -> list[Tile]:
 
 def _clip_rows(trial: ClipPair, models: tuple[str, ...], driving: str = "driving") -> Iterator[list[Tile]]:
     """Make the rows of a clip, frame below frame: driving, a result of each model beside the identity, truth."""
-    yield [EMPTY, *_frame_tiles(driving, np.asarray(trial.clip.vertices), trial.driving.faces)]
+    yield [EMPTY, *_frame_tiles(driving, trial.clip.vertices, trial.driving.faces)]
     for model in models:
         supported = on_supported_vertices(trial, model)
         faces_of_model = supported.identity.faces

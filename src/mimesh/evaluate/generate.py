@@ -215,8 +215,8 @@ class TakesOnBodyModel(OnBodyModel):
         still = identity.posed_mesh(self.pose("train", int(rng.integers(self.poses))))
         return ClipPair(
             still, clip.mesh, truth.vertices[0].astype(np.float64), self.height(identity), truth_name=truth.mesh.name,
-            groups=(identity.label, take.stem), clip=clip, truth_frames=np.asarray(truth.vertices),
-            aligned_frames=np.asarray(clip.vertices),
+            groups=(identity.label, take.stem), clip=clip, truth_frames=truth.vertices,
+            aligned_frames=clip.vertices,
             template=None,
         )  # fmt: skip
 

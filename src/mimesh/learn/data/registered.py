@@ -217,7 +217,7 @@ class FrameStore:
             raise InputError(
                 f"{path}: expected a mesh with some size, found all vertices at one point; export it again"
             )
-        return np.asarray(frames)
+        return frames
 
     def _check(self, mesh: Mesh, path: Path) -> None:
         suffix = path.suffix.lower()
