@@ -96,6 +96,8 @@ def test_smoothing_and_corrections_are_those_of_animate(captured, clip):
 def test_what_is_no_body_is_refused():
     with pytest.raises(RefusedMeshError, match=r"^ring: expected a person or a four-legged animal"):
         mimesh.capture(Clip.still(ring()))
+    with pytest.raises(InputError, match="body: expected human, quadruped or auto, found other"):
+        mimesh.capture(Clip.still(ring()), body="other")
 
 
 @pytest.mark.slow

@@ -105,10 +105,11 @@ def _facts(captured: CapturedClip, output: Path, replaced: bool, joints: tuple[s
 
 def _print_summary(facts: dict[str, Any]) -> None:
     """Print the output, how certain the joints are, notes, and a next step."""
+    from ..pipeline.look import KINDS
     from ..tools.convert import frames_at
 
     report, seconds = facts["report"], sum(facts["seconds"].values())
-    kind = {"human": "a person", "quadruped": "a four-legged animal"}[facts["body"]]
+    kind = KINDS[facts["body"]]
     sure = f"found, confidence {report['confidence']:.2f}" if "confidence" in report else "of the file"
     replaced = " (replaced)" if facts["replaced"] else ""
     length = frames_at(facts["frames"], facts["fps"])

@@ -139,8 +139,10 @@ def _facts(
 
 def _print_summary(facts: dict[str, Any]) -> None:
     """Print the output, how certain the joints are, notes, the picture and a next step."""
+    from ..pipeline.look import KINDS
+
     report, seconds = facts["report"], sum(facts["seconds"].values())
-    kind = {"human": "a person", "quadruped": "a four-legged animal"}[facts["body"]]
+    kind = KINDS[facts["body"]]
     sure = f", confidence {report['confidence']:.2f}" if "confidence" in report else ""
     where = {"file": "of the file", "found": "found", "corrected": "found with corrections"}[facts["source"]]
     replaced = " (replaced)" if facts["replaced"] else ""

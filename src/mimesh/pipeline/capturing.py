@@ -15,20 +15,20 @@ from jaxtyping import Float
 
 from ..bodies.joint_names import parents_first
 from ..core.arguments import for_caller, public
-from ..core.errors import InputError, RefusedMeshError
+from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted, each_frame
 from ..core.geometry import turned
 from ..core.joint_tracks import JointTrack
-from ..core.mesh import Clip, check_size, cut_clip
+from ..core.mesh import Clip, cut_clip
 from ..core.normalization import Normalization, turn
 from ..core.rig import local_rotations
 from ..io import save_joint_motion, save_vrma
 from ..methods.find import find_mime
-from ..rigs.retarget import body_parents
+from ..mime.model import Mime
+from ..rigs.retarget import JointMotion, body_parents
 from .corrections import Corrections, GivenJoints
 from .file_rigs import read_rigs
-from .joint_route import find_motion
-from .look import different_kinds, look, second_look
+from .joint_route import find_motion, found_alone
 from .odd_frames import far_frames_note
 from .options import Hints
 from .placed import check_identity, first_frame
@@ -171,25 +171,16 @@ def capture(
     with timer.step("prepare"):
         rigs = read_rigs(first, taken, hints)
         subject = rigs.subjects(first, first, hints.axes)[1]
-        mime = find_mime(model, seed)
-        asked = None if hints.asked_body == "auto" else hints.asked_body
-        seen = look(mime, subject, asked, quick=True)
-        motion, norm = find_motion(mime.of_body(seen.body), taken, subject, seen.norm, rigs, corrections)
-        if asked is None and rigs.driving is None:
-            kind = second_look(mime, seen.body, subject, motion.confidence)
-            if kind is None:
-                raise RefusedMeshError(different_kinds([None, None], (subject, subject)))
-            if kind != seen.body:
-                seen = look(mime, subject, kind)
-                motion, norm = find_motion(mime.of_body(kind), taken, subject, seen.norm, rigs, corrections)
+
+        def find(network: Mime, norm: Normalization) -> tuple[JointMotion, Normalization]:
+            return find_motion(network, taken, subject, norm, rigs, corrections)
+
+        seen, motion, norm = found_alone(find_mime(model, seed), subject, hints.asked_body, find)
     with timer.step("drive"):
         track = motion.track
         if track is None:
             frames = (norm.apply(vertices) for vertices in each_frame(taken.vertices))
-            frames = check_size(counted(frames, len(taken), progress), first.name)
-            poses = [motion.pose(t, vertices) for t, vertices in enumerate(frames)]
-            rotation, positions = (np.stack(arrays) for arrays in zip(*poses, strict=True))
-            track = JointTrack(rotation, positions, taken.fps)
+            track = motion.tracked(counted(frames, len(taken), progress), taken.fps, first.name)
         track = track.smoothed(smooth)
     report = facing(norm)
     notes = facing_note(norm, first.name, "--front") + rigs.notes + taken.notes + far_frames_note(taken, first.name)

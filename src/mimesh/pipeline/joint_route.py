@@ -20,20 +20,35 @@ from ..bodies.anatomy import body_of_joints
 from ..bodies.character_limbs import SIDES
 from ..bodies.joint_names import finger_joints, without_fingers
 from ..core.animated_rig import INFLUENCES, AnimatedRig
+from ..core.errors import InputError, RefusedMeshError
 from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import LazyFrames, Progress, counted, each_frame, evenly_spread
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
-from ..core.rig import Rig
 from ..io.gltf.own_animation import OwnAnimation
+from ..methods.find import NETWORK_OF_BODY
 from ..mime.model import CapturedMotion, Mime
 from ..mime.prediction import face_outward
 from ..rigs.character import Character
 from ..rigs.retarget import JointMotion, Retarget
 from .corrections import Corrections
 from .file_rigs import Rigs, face_tracks, read_rigs
-from .look import Subject, agreed, facing_front, finds_joints, joint_finder, normalised, other_body, reorient
+from .look import (
+    OTHER,
+    Look,
+    Subject,
+    agreed,
+    different_kinds,
+    facing_front,
+    finds_joints,
+    joint_finder,
+    look,
+    normalised,
+    other_body,
+    reorient,
+    second_look,
+)
 from .options import Hints, MotionOptions
 from .placed import KEYFRAMES, FoundJoints, Moved, Placed, first_frame, keyframes_of, surface_motion, surface_report
 from .refine import Refinement
@@ -138,12 +153,13 @@ class JointRoute(Placed):
     def animated_rig(self, posed: PosedJoints, shift: Float[np.ndarray, " 3"]) -> AnimatedRig:
         """Return the rig and its motion in the identity's axes, unit and position."""
         identity, norm, character = self.identity, self.norms[0], self.retarget.character
-        undo, rig = norm.rotation.T, character.vertex_rig
-        placed = Rig(undo @ rig.rotation, norm.undo(rig.joints), rig.weights)
+        undo = norm.rotation.T
         rotation, root = undo @ self.turn @ posed.rotation, norm.undo(posed.root @ self.turn.T + shift)
         if self.rigs.humanoid is not None:
             identity = identity.with_vertices(self.rigs.humanoid.character.mesh.vertices)
-        return AnimatedRig(identity, character.joints, character.parents, placed, rotation, root, character.roles)
+        return AnimatedRig(
+            identity, character.joints, character.parents, character.rig_of_file(norm), rotation, root, character.roles
+        )
 
     def own_animation(self, skeleton: AnimatedRig) -> OwnAnimation | None:
         """Return the motion on the bones of the identity's own file, if its rig is used."""
@@ -233,6 +249,40 @@ def _found(
         mine = executor.submit(find_character, mime, subjects[0], norms[0], rigs, corrections)
         theirs = find_motion(mime, clip, subjects[1], norms[1], rigs, corrections)
         return mine.result(), theirs
+
+
+def found_alone(
+    mime: Mime,
+    subject: Subject,
+    asked: str,
+    find: Callable[[Mime, Normalization], tuple[Found, Normalization]],
+) -> tuple[Look, Found, Normalization]:
+    """Decide which body a single mesh has, and find its joints; what looks like none is refused.
+
+    Args:
+        asked: the body that the user says; "auto" looks at the mesh, whose file may have joints.
+        find: finds the joints of the body that a network is for.
+
+    Raises:
+        InputError: a body that joints are not found on.
+        RefusedMeshError: the mesh looks neither like a person nor like a four-legged animal.
+    """
+    if asked == OTHER:
+        raise InputError(
+            f"--body: expected {', '.join(NETWORK_OF_BODY)} or auto, found {asked}: joints are found on people and "
+            "four-legged animals alone"
+        )
+    seen = look(mime, subject, None if asked == "auto" else asked, quick=True)
+    found, norm = find(mime.of_body(seen.body), seen.norm)
+    if asked != "auto" or subject.body is not None:
+        return seen, found, norm
+    kind = second_look(mime, seen.body, subject, found.confidence)
+    if kind is None:
+        raise RefusedMeshError(different_kinds([None, None], (subject, subject)))
+    if kind != seen.body:
+        seen = look(mime, subject, kind)
+        found, norm = find(mime.of_body(kind), seen.norm)
+    return seen, found, norm
 
 
 def find_character(

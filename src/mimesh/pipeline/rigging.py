@@ -19,21 +19,19 @@ from ..bodies.engine_rig import Layout, engine_rig
 from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import AnimatedRig
 from ..core.arguments import for_caller, public
-from ..core.errors import InputError, RefusedMeshError
+from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
-from ..core.rig import Rig
 from ..io import save_own_rig, save_rig
 from ..io.beside import missing_images, missing_images_notes
 from ..io.gltf.own_animation import OwnAnimation
 from ..io.gltf.own_rig import OwnRig
-from ..methods.find import NETWORK_OF_BODY, find_mime
+from ..methods.find import find_mime
 from ..mime.model import Mime
 from ..rigs.character import Character
 from .corrections import Corrections, GivenJoints
 from .file_rigs import read_rigs
-from .joint_route import find_character
-from .look import OTHER, different_kinds, look, second_look
+from .joint_route import find_character, found_alone
 from .options import Hints
 from .placed import check_identity
 from .read import read_mesh
@@ -43,8 +41,6 @@ from .skinned import check_own_layout
 
 BONES = (".glb", ".gltf", ".fbx")
 """Suffixes of files with bones. A .vrm needs an author and a licence, too."""
-FILE = "file"
-"""Where joints are from that a file has, as `RiggedMesh.source` says."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,11 +162,6 @@ def rig(
     with timer.step("load"):
         mesh = read_mesh(mesh, "mesh")
     check_identity(mesh)
-    if body == OTHER:
-        raise InputError(
-            f"--body: expected {', '.join(NETWORK_OF_BODY)} or auto, found {body}: joints are found on people and "
-            "four-legged animals alone"
-        )
     hints = Hints((up, front, None, None), rig, body, Corrections.read(joints, None, Clip.still(mesh)))
     with timer.step("prepare"):
         return _rigged(mesh, find_mime(model, seed), hints, timer)
@@ -180,15 +171,11 @@ def _rigged(mesh: Mesh, mime: Mime, hints: Hints, timer: Timer) -> RiggedMesh:
     """Look at a mesh and find its joints."""
     rigs = read_rigs(mesh, Clip.still(mesh), hints)
     subject = rigs.subjects(mesh, mesh, hints.axes)[0]
-    seen = look(mime, subject, None if hints.asked_body == "auto" else hints.asked_body, quick=True)
-    character, norm = find_character(mime.of_body(seen.body), subject, seen.norm, rigs, hints.corrections)
-    if hints.asked_body == "auto" and rigs.humanoid is None:
-        kind = second_look(mime, seen.body, subject, character.confidence)
-        if kind is None:
-            raise RefusedMeshError(different_kinds([None, None], (subject, subject)))
-        if kind != seen.body:
-            seen = look(mime, subject, kind)
-            character, norm = find_character(mime.of_body(kind), subject, seen.norm, rigs, hints.corrections)
+
+    def find(network: Mime, norm: Normalization) -> tuple[Character, Normalization]:
+        return find_character(network, subject, norm, rigs, hints.corrections)
+
+    seen, character, norm = found_alone(mime, subject, hints.asked_body, find)
     report = facing(norm)
     notes = facing_note(norm, mesh.name, "--front") + rigs.notes
     if rigs.humanoid is not None:
@@ -198,7 +185,7 @@ def _rigged(mesh: Mesh, mime: Mime, hints: Hints, timer: Timer) -> RiggedMesh:
         report |= character.confidence.facts()
         notes = character.confidence.notes(mesh.name) + notes
     notes += missing_images_notes(missing_images(mesh))
-    source = FILE if rigs.humanoid is not None else "corrected" if hints.corrections.given else "found"
+    source = "file" if rigs.humanoid is not None else "corrected" if hints.corrections.given else "found"
     skeleton = _at_rest(mesh, character, norm)
     if rigs.humanoid is not None:
         skeleton = dataclasses.replace(skeleton, mesh=mesh.with_vertices(rigs.humanoid.character.mesh.vertices))
@@ -216,8 +203,7 @@ def _rigged(mesh: Mesh, mime: Mime, hints: Hints, timer: Timer) -> RiggedMesh:
 
 def _at_rest(mesh: Mesh, character: Character, norm: Normalization) -> AnimatedRig:
     """Return the rig of a character at rest, in the axes, unit and position of its file."""
-    undo, found = norm.rotation.T, character.vertex_rig
-    rig = Rig(undo @ found.rotation, norm.undo(found.joints), found.weights)
+    rig = character.rig_of_file(norm)
     return AnimatedRig(
         mesh, character.joints, character.parents, rig, rig.rotation[None], rig.joints[:1], character.roles
     )

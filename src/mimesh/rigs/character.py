@@ -108,6 +108,11 @@ class Character:
         """The rig with the weights of all vertices of the mesh."""
         return replace(self.rig, weights=self.rig.weights.take(self.group, axis=0))
 
+    def rig_of_file(self, norm: Normalization) -> Rig:
+        """Return `vertex_rig` in the axes, unit and position of the file; `norm` is that of the character."""
+        rig = self.vertex_rig
+        return replace(rig, rotation=norm.rotation.T @ rig.rotation, joints=norm.undo(rig.joints))
+
     def limited(self, influences: int) -> Character:
         """Keep only the largest weights of each vertex, as files of skinned meshes do."""
         rig = self.rig.limited(influences)

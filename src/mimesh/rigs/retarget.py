@@ -74,6 +74,18 @@ class JointMotion:
             soles = find_soles(surface.points(mesh.vertices), rig, legs, body_parents(motion.joints))
         return cls(motion.joints, None, motion.leg / norm.radius, surface, soles, track, motion.rest)
 
+    def tracked(
+        self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float, name: str, feet: Feet | None = None
+    ) -> JointTrack:
+        """Return the joints in all frames of the clip `name`, and the contact points of its feet, if there are any."""
+        poses, soles = [], []
+        for t, vertices in enumerate(check_size(frames, name)):
+            poses.append(self.pose(t, vertices))
+            if feet is not None:
+                soles.append(feet.driving_soles(vertices))
+        rotation, positions = (np.stack(arrays) for arrays in zip(*poses, strict=True))
+        return JointTrack(rotation, positions, fps, np.stack(soles) if soles else None)
+
     def pose(self, t: int, vertices: Float[np.ndarray, "U 3"]) -> Pose:
         """Return the pose of the joints in frame t of the clip, which has these vertices."""
         if self.track is not None:
@@ -126,13 +138,7 @@ class Retarget:
 
     def track(self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float) -> JointTrack:
         """Return the motion of the driving's joints and soles over all frames."""
-        poses, soles = [], []
-        for t, vertices in enumerate(check_size(frames, self.name)):
-            poses.append(self.motion.pose(t, vertices))
-            if self.feet is not None:
-                soles.append(self.feet.driving_soles(vertices))
-        rotation, positions = (np.stack(arrays) for arrays in zip(*poses, strict=True))
-        return JointTrack(rotation, positions, fps, np.stack(soles) if soles else None)
+        return self.motion.tracked(frames, fps, self.name, self.feet)
 
     def posed_joints(self, track: JointTrack, across: float | None, in_place: bool, ground: bool) -> PosedJoints:
         """Return the motion of the character's joints.
