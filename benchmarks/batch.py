@@ -96,7 +96,7 @@ def identity_costs(folder: Path) -> dict[str, dict[str, float]]:
 
         def seconds(clip: Path = clip) -> float:
             begin = time.process_time()
-            mimesh.animate(identity, clip, skinned=None)
+            mimesh.animate(identity, clip, motion=mimesh.MotionOptions(skinned=None))
             return round(time.process_time() - begin, 3)
 
         figures[kind] = {"first": seconds(), "alone": min(seconds() for _ in range(3))}

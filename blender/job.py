@@ -10,15 +10,24 @@ if TYPE_CHECKING:
     from mimesh import Clip, ClipResult, Mesh
 
 PANEL_NAMES = {
-    "give --driving-front": "choose a front of the driving (Facing)",
-    "give --front": "choose a front of the identity (Facing)",
-    "choose it with -m": "choose it as the model",
-    "--body human or quadruped": "choose the body (Both are)",
-    "--body chooses": "Both are chooses",
-    "--skinned": "New armature",
-    "--rig": "Own armature",
+    "model": "the model",
+    "up": "up of the identity (Facing)",
+    "front": "the front of the identity (Facing)",
+    "driving_up": "up of the driving (Facing)",
+    "driving_front": "the front of the driving (Facing)",
+    "body": "Both are",
+    "skinned": "New armature",
+    "rig": "Own armature",
+    "smooth": "Smoothing",
+    "root": "Root motion",
 }
-"""Replacements in messages: options of the command line by names of the panel."""
+"""Options of mimesh -> what the panel calls them."""
+
+
+def panel_name(name: str, value: object = None) -> str:
+    """Name an option in a message of mimesh, with a value to choose, as the panel does."""
+    known = PANEL_NAMES.get(name, name.replace("_", " "))
+    return known if value is None or value is ... else f"{known}: {value}"
 
 
 class Cancelled(Exception):
@@ -69,9 +78,9 @@ class Job:
         identity, driving, options = self._inputs
         try:
             import mimesh
-            from mimesh.core.errors import command_line_words
+            from mimesh.core.errors import naming_options
 
-            with command_line_words():  # `panel_message` replaces options
+            with naming_options(panel_name):
                 self._result = mimesh.animate(identity, driving, progress=self._progress, **options)
         except Exception as error:  # raised again by `result`, in the main thread
             self._error = error
@@ -80,10 +89,3 @@ class Job:
         if self._cancelled.is_set():
             raise Cancelled
         self.fraction = done / total
-
-
-def panel_message(message: str) -> str:
-    """Adapt a message of mimesh to the names of the panel."""
-    for option, name in PANEL_NAMES.items():
-        message = message.replace(option, name)
-    return message

@@ -17,7 +17,7 @@ from bpy.types import Context, Event, Operator
 
 from . import building, joints, own_armature, reading
 from .bones import OwnArmature
-from .job import Job, panel_message
+from .job import Job
 
 if TYPE_CHECKING:
     from mimesh import Clip, ClipResult
@@ -70,12 +70,12 @@ def _run(
         own: move the identity's own armature.
         with_bones: use the bones of a driving armature, unless its joints were moved.
     """
-    from mimesh import InputError
+    from mimesh import Hints, InputError
 
     settings = context.scene.mimesh
     yield 0.0, "mimesh: reading the scene"
     with_joints = settings.model == "mime"
-    options = settings.options() | (joints.corrections(context, frames) if with_joints else {})
+    hints = settings.hints() | (joints.corrections(context, frames) if with_joints else {})
     if own:
         if not with_joints:
             raise InputError(f"Own armature: expected the model mime, found {settings.model}; choose it as the model")
@@ -83,12 +83,13 @@ def _run(
         identity = reading.read_own_armature(
             context, settings.identity, settings.identity_up, settings.front("identity"), settings.body
         )
-        options["rig"] = identity.rig
+        hints["rig"] = identity.rig
     else:
         identity = reading.read_identity(context, settings.identity)
-    clip = yield from _read_driving(context, frames, with_bones and with_joints and "driving_joints" not in options)
+    clip = yield from _read_driving(context, frames, with_bones and with_joints and "driving_joints" not in hints)
     if clip.mesh.up is not None:  # bones without a mesh move mimesh's body, whose axes are known
-        options |= {"driving_up": None, "driving_front": None}
+        hints |= {"driving_up": None, "driving_front": None}
+    options = {"model": settings.model, "hints": Hints(**hints), "motion": settings.motion()}
     job = Job(identity.mesh, clip, options)
     job.start()
     try:
@@ -175,14 +176,14 @@ class _TransferOperator(Operator):
                 if time.monotonic() >= until:
                     return None
         except InputError as error:
-            self.report({"ERROR"}, panel_message(str(error)))
+            self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         return {"FINISHED"}
 
     def _work(self, context: Context) -> Iterator[Step]:
         notes = yield from transfer(context, self.frames(context), self.single_pose)
         for note in notes:
-            self.report({"WARNING"}, panel_message(note))
+            self.report({"WARNING"}, note)
 
     def _show(self, context: Context, fraction: float, text: str) -> None:
         if bpy.app.background or context.window is None:

@@ -123,19 +123,22 @@ class MimeshSettings(PropertyGroup):
         front = getattr(self, f"{which}_front")
         return None if front == "auto" else front
 
-    def options(self) -> dict:
-        """Return the keyword arguments of `mimesh.animate`; options of mime are left out for other models."""
-        options = {
-            "model": self.model,
+    def hints(self) -> dict:
+        """Return what is known of both meshes, as `mimesh.Hints` has it."""
+        return {
             "up": self.identity_up,
             "front": self.front("identity"),
             "driving_up": self.driving_up,
             "driving_front": self.front("driving"),
-            "skinned": self.result == "ARMATURE",
+            "body": self.body if self.model == "mime" else "auto",
         }
-        if self.model == "mime":
-            options |= {"root": self.root, "ground": self.ground, "smooth": self.smooth, "body": self.body}
-        return options
+
+    def motion(self) -> MotionOptions:
+        """Return how joints move; options of mime are left out for other models."""
+        from mimesh import MotionOptions
+
+        of_joints = {"root": self.root, "ground": self.ground, "smooth": self.smooth} if self.model == "mime" else {}
+        return MotionOptions(skinned=self.result == "ARMATURE", **of_joints)
 
 
 class MimeshProgress(PropertyGroup):

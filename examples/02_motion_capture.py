@@ -28,7 +28,7 @@ def main(argv: list[str] | None = None) -> None:
         motion = save_bvh(load_motion("jump"), load_body(), options.output / "jump.bvh")
 
     # A motion file has joints and no mesh, so the shipped body is animated by it. Every second frame is enough here.
-    result = mimesh.animate(identity, motion, stop=options.frames, step=2)
+    result = mimesh.animate(identity, motion, frames=mimesh.FrameRange(stop=options.frames, step=2))
 
     # The same animation in two forms. Joints, weights and joint rotations: small files, supported by game engines.
     skinned = result.save_skinned(options.output / "skinned.glb")

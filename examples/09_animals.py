@@ -25,7 +25,8 @@ def main(argv: list[str] | None = None) -> None:
     driving = mimesh.load_clip(options.driving, fps=30.0) if options.driving else gait_clip("horse", "gallop", 4)
 
     # body="auto", the default, would find out that these are animals; to say it leaves nothing to guess.
-    result = mimesh.animate(identity, driving, body="quadruped", stop=options.frames)
+    hints, frames = mimesh.Hints(body="quadruped"), mimesh.FrameRange(stop=options.frames)
+    result = mimesh.animate(identity, driving, hints=hints, frames=frames)
     print("wrote", result.save_skinned(options.output / "result.glb"))
 
     # Confidence is from 0 to 1, the expected error in heights of the identity; of two rigged animals there is neither.

@@ -26,6 +26,7 @@ from scipy.optimize import least_squares
 
 from mimesh.bodies.character_pool import read_arrays
 from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.options import MotionOptions
 from mimesh.evaluate.characters import ACROSS
 from mimesh.evaluate.measure import AXES
 from mimesh.evaluate.metrics import mean_error_mm, pmd_aligned
@@ -34,7 +35,7 @@ from mimesh.evaluate.run import find_protocol
 from mimesh.methods.find import find_mime
 from mimesh.pipeline.file_rigs import NO_RIGS
 from mimesh.pipeline.joint_route import joint_route
-from mimesh.pipeline.options import Hints, MotionOptions
+from mimesh.pipeline.known import Known
 from mimesh.pipeline.result import Timer
 from mimesh.rigs.confidence import Confidence
 
@@ -61,14 +62,13 @@ def collect(
 ) -> None:
     """Run mime on pairs of many kinds; write the error and the confidence of both meshes of each."""
     mime = find_mime(model)
-    axes = (AXES["up"], AXES["front"], AXES["driving_up"], AXES["driving_front"])
     rows = []
-    hints = Hints(axes, body="human")  # "auto" refuses what looks like no person; here it is measured
+    known = Known(AXES.axes, body="human")  # "auto" refuses what looks like no person; here it is measured
     options = MotionOptions()
     with typer.progressbar(list(_pairs(characters, people)), label="pairs") as bar:
         for name, make in bar:
             pair = make()
-            route = joint_route(pair.identity, Clip.still(pair.driving), mime, hints, NO_RIGS)
+            route = joint_route(pair.identity, Clip.still(pair.driving), mime, known, NO_RIGS)
             found = route.retarget.character.confidence, route.retarget.motion.confidence
             confidences = [confidence for confidence in found if confidence is not None]
             meshes = [dataclasses.asdict(confidence) for confidence in confidences]

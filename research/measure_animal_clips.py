@@ -22,6 +22,7 @@ from mimesh import transfer
 from mimesh.bodies import load_body
 from mimesh.bodies.animals import ANIMALS, animal, animal_body, standing
 from mimesh.core.mesh import Mesh
+from mimesh.core.options import Hints
 from mimesh.core.rig import descendants
 from mimesh.evaluate import remesh
 from mimesh.evaluate.run import provenance
@@ -98,10 +99,14 @@ def tail_shares(species: str) -> dict[str, float]:
     shares = {}
     for key, replaced in (("without", lambda weights, *_: weights), ("with", None)):
         if replaced is None:
-            result = transfer(Mesh(mesh.vertices, mesh.faces, name=key, up="+y"), driving, body="quadruped")
+            result = transfer(
+                Mesh(mesh.vertices, mesh.faces, name=key, up="+y"), driving, hints=Hints(body="quadruped")
+            )
         else:
             with patch("mimesh.mime.model.with_whole_tail", replaced):
-                result = transfer(Mesh(mesh.vertices, mesh.faces, name=key, up="+y"), driving, body="quadruped")
+                result = transfer(
+                    Mesh(mesh.vertices, mesh.faces, name=key, up="+y"), driving, hints=Hints(body="quadruped")
+                )
         assert result.skeleton is not None
         columns = [result.skeleton.names.index(body.joint_names[j]) for j in tail]
         shares[key] = round(float((result.skeleton.rig.weights[own][:, columns].sum(axis=1) > 0.5).mean()), 3)

@@ -22,6 +22,7 @@ from jaxtyping import Float
 
 from mimesh import animate
 from mimesh.core.mesh import Mesh, cut_clip
+from mimesh.core.options import Hints, MotionOptions
 from mimesh.evaluate.run import provenance
 from mimesh.io import load_clip
 from mimesh.io.atomic import whole_file
@@ -75,11 +76,8 @@ def errors(path: Path, identity: str, driving: str) -> Iterator[dict[str, Any]]:
             result = animate(
                 mesh,
                 motion,
-                front=rig.front,
-                driving_front=rig.front,
-                body="quadruped",
-                ground=False,
-                joints=joints,
+                hints=Hints(front=rig.front, driving_front=rig.front, body="quadruped", joints=joints),
+                motion=MotionOptions(ground=False),
             )
             off = np.linalg.norm(centred(result.clip.vertices) - centred(motion.vertices), axis=-1)
             row[which] = round(100 * float(off.mean() / np.ptp(motion.mesh.vertices[:, 1])), 2)

@@ -20,6 +20,7 @@ from mimesh.bodies.character_pool import PoolCharacter, read_pool
 from mimesh.bodies.rig_matching import Creature, match_rigs
 from mimesh.core.animated_rig import AnimatedRig, RigAnimation
 from mimesh.core.mesh import Mesh
+from mimesh.core.options import Hints
 from mimesh.core.rig import Rig
 from mimesh.evaluate.run import provenance
 from mimesh.io import load_clip, load_mesh
@@ -71,7 +72,7 @@ def own_error(creature: PoolCharacter, folder: Path) -> float:
     worst = 0.0
     for clip in creature.clips:
         truth = load_clip(mine, animation=clip).vertices
-        moved = animate(load_mesh(mine), load_clip(copy, animation=clip), body="other").clip.vertices
+        moved = animate(load_mesh(mine), load_clip(copy, animation=clip), hints=Hints(body="other")).clip.vertices
         worst = max(worst, float(np.linalg.norm(moved - truth, axis=-1).max()))
     return 100 * worst / float(np.linalg.norm(np.ptp(creature.rig.mesh.vertices, axis=0)))
 

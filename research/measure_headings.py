@@ -22,6 +22,7 @@ from mimesh.bodies.character_pool import PoolCharacter, read_pool
 from mimesh.core.geometry import turned
 from mimesh.core.mesh import Mesh
 from mimesh.core.normalization import turn
+from mimesh.core.options import Hints
 from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
 
@@ -77,11 +78,11 @@ def in_a_frame(character: PoolCharacter, rng: np.random.Generator) -> Mesh:
 
 def measure_pair(identity: Mesh, driving: Mesh, body: str) -> dict[str, list[float]]:
     """Turn each mesh by every angle; return the largest distances of a vertex in percent, one for each angle."""
-    plain = transfer(identity, driving, body=body).mesh.vertices
+    plain = transfer(identity, driving, hints=Hints(body=body)).mesh.vertices
     moves: dict[str, list[float]] = {"of_identity": [], "of_driving": []}
     for angle in np.radians(ANGLES):
-        of_identity = transfer(headed(identity, angle), driving, body=body).mesh.vertices
-        of_driving = transfer(identity, headed(driving, angle), body=body).mesh.vertices
+        of_identity = transfer(headed(identity, angle), driving, hints=Hints(body=body)).mesh.vertices
+        of_driving = transfer(identity, headed(driving, angle), hints=Hints(body=body)).mesh.vertices
         moves["of_identity"].append(largest_distance(of_identity, plain))
         moves["of_driving"].append(largest_distance(of_driving @ turn(-angle).T, plain))
     return moves

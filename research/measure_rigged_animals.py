@@ -23,6 +23,7 @@ from mimesh.bodies.character_pool import PoolCharacter
 from mimesh.commands.terminal import progress
 from mimesh.core.frame_buffer import counted
 from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.options import MotionOptions
 from mimesh.core.person_motion import KnownJoints
 from mimesh.evaluate.animals import Animals, animals
 from mimesh.evaluate.measure import AXES
@@ -63,7 +64,8 @@ def measured(protocol: Animals, split: str, i: int) -> dict[str, Any]:
     identity, driving, clip, frame = protocol.draw(split, i, protocol.rng(split, kind, i))
     pair = protocol.unshuffled_pair(split, kind, i, protocol.rng(split, kind, i))
     rig, _ = animal_rig(identity.rig, np.eye(3), identity.meta.file)
-    moved = animate(pair.identity, posed(driving, pair.driving, clip, frame), "mime", rig=rig, ground=False, **AXES)
+    hints, motion = dataclasses.replace(AXES, rig=rig), MotionOptions(ground=False)
+    moved = animate(pair.identity, posed(driving, pair.driving, clip, frame), "mime", hints=hints, motion=motion)
     error = pmd_aligned(moved.clip.vertices[0].astype(np.float64), pair.truth)
     return {"identity": identity.meta.file, "driving": pair.driving.name, "pmd_e4": round(1e4 * error, 2)}
 

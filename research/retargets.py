@@ -21,6 +21,7 @@ from mimesh.bodies.character_limbs import find_limbs, name_limb_joints
 from mimesh.bodies.character_pool import PoolCharacter, facing_rotation
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.options import MotionOptions
 from mimesh.evaluate.limb_metrics import LimbedCharacter, PosedLimbs, limb_angles, limb_metrics
 from mimesh.io import load_clip
 from mimesh.io.gltf.own_rig import GltfJoints, read_own_rig
@@ -28,7 +29,7 @@ from mimesh.methods.find import find_mime
 from mimesh.pipeline import animate
 from mimesh.pipeline.file_rigs import Rigs
 from mimesh.pipeline.joint_route import joint_route
-from mimesh.pipeline.options import Hints, MotionOptions
+from mimesh.pipeline.known import Known
 from mimesh.pipeline.result import ClipResult, Timer
 
 FPS = 30.0
@@ -147,7 +148,7 @@ def copy_rotations(identity: Mesh, actor: Actor) -> ClipResult | None:
         dataclasses.replace(own, humanoid=dataclasses.replace(own.humanoid, frames=rest)),
         dataclasses.replace(person, rotation=person.rotation @ undone),
     )
-    route = joint_route(identity, actor.clip, find_mime("mime"), Hints(), rigs)
+    route = joint_route(identity, actor.clip, find_mime("mime"), Known(), rigs)
     moved = route.play(Timer(), MotionOptions(ground=False))
     return ClipResult(identity, moved.frames, actor.clip.fps, "copy rotations", Timer(), moved.report, moved.notes)
 

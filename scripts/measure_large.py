@@ -195,7 +195,7 @@ def run(case: str, size: int, folder: Path) -> dict[str, Any]:
             driving = load_clip(folder / "driving.npz") if moving else load_mesh(folder / "driving.ply")
         with timed(seconds, "moved"):
             if isinstance(driving, Clip):
-                result = mimesh.animate(identity, driving, skinned=None)
+                result = mimesh.animate(identity, driving, motion=mimesh.MotionOptions(skinned=None))
                 save = result.save_skinned
             else:
                 result = mimesh.transfer(identity, driving, "copy" if case == "copy" else "mime")

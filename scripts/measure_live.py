@@ -156,9 +156,14 @@ def errors(name: str, k: int) -> dict[str, float | None]:
     found: dict[str, float | None] = {}
     for count in PREPARED:
         spread = np.linspace(0, len(driving) - 1, count).round().astype(int)
-        session = mimesh.prepare(identity, Clip(driving.mesh, driving.vertices[spread], RATE), body=name)
+        session = mimesh.prepare(
+            identity, Clip(driving.mesh, driving.vertices[spread], RATE), hints=mimesh.Hints(body=name)
+        )
         found[str(count)] = error(session.pose(vertices) for vertices in driving.vertices)
-    whole, free = (mimesh.animate(identity, driving, body=name, ground=ground) for ground in (True, False))
+    whole, free = (
+        mimesh.animate(identity, driving, hints=mimesh.Hints(body=name), motion=mimesh.MotionOptions(ground=ground))
+        for ground in (True, False)
+    )
     found |= {"animate": error(whole.clip.vertices), "animate_unplanted": error(free.clip.vertices)}
     for key, result in (("skate_animate", whole), ("skate_live", free)):
         found[key] = result.report.get("foot_skate")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zoo
+from support.options import grouped
 
 import mimesh
 from mimesh.core.arguments import as_faces, as_vertices, for_caller, public
@@ -50,11 +51,11 @@ def _mesh(vertices: Any, *more: Any, **options: Any) -> Callable[[], Any]:
 
 
 def _transfer(*given: Any, **options: Any) -> Callable[[], Any]:
-    return lambda: mimesh.transfer(*given, **options)
+    return lambda: mimesh.transfer(*given, **grouped(**options))
 
 
 def _animate(*given: Any, **options: Any) -> Callable[[], Any]:
-    return lambda: mimesh.animate(*given, **options)
+    return lambda: mimesh.animate(*given, **grouped(**options))
 
 
 MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {

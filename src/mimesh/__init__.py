@@ -10,6 +10,7 @@ save_skinned            write several motions of one mesh into one file
 batch                   many meshes by many clips, resumable
 prepare, LiveSession    pose a mesh frame by frame
 load_mesh, load_clip, save_mesh, save_clip, Mesh, Clip    files and arrays
+Hints, ModelOptions, MotionOptions, FrameRange            what is known, and what is wanted
 Layout                  bone names, root bone, rest pose and frame rate of files for engines
 InputError, no_limits   what is wrong with an input; larger files than usual
 
@@ -22,10 +23,10 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .bodies.engine_rig import Layout
     from .core.budgets import no_limits
     from .core.errors import InputError
     from .core.mesh import Clip, Mesh
+    from .core.options import FrameRange, Hints, Layout, ModelOptions, MotionOptions
     from .io import load_clip, load_mesh, save_clip, save_mesh
     from .jobs.run import batch
     from .pipeline import animate, prepare, transfer
@@ -40,10 +41,14 @@ __all__ = [
     "CapturedClip",
     "Clip",
     "ClipResult",
+    "FrameRange",
+    "Hints",
     "InputError",
     "Layout",
     "LiveSession",
     "Mesh",
+    "ModelOptions",
+    "MotionOptions",
     "Result",
     "RiggedMesh",
     "animate",
@@ -61,10 +66,10 @@ __all__ = [
 ]
 
 _MODULES = {
-    "bodies.engine_rig": ("Layout",),
     "core.budgets": ("no_limits",),
     "core.errors": ("InputError",),
     "core.mesh": ("Clip", "Mesh"),
+    "core.options": ("FrameRange", "Hints", "Layout", "ModelOptions", "MotionOptions"),
     "jobs.run": ("batch",),
     "io": ("load_clip", "load_mesh", "save_clip", "save_mesh"),
     "pipeline": ("animate", "prepare", "transfer"),

@@ -111,12 +111,12 @@ def main(arguments: list[str] | None = None) -> None:
 
 def run(arguments: list[str]) -> int:
     """Run one command and return its exit code; the message about a failure is already on stderr."""
-    from .core.errors import command_line_words
+    from .core.errors import naming_options
 
     try:
         # Commands return nothing, or the facts that they print.
         # What an option sets for one command, such as --no-limits, ends with it.
-        with command_line_words():
+        with naming_options():
             returned = copy_context().run(command_line(), arguments, prog_name="mimesh", standalone_mode=False)
         code = returned if isinstance(returned, int) else 0
         return _print_error("stopped", code) if code == STOPPED else code

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import zoo
+from support.options import grouped
 
 import mimesh
 from mimesh.core.mesh import Mesh
@@ -16,7 +17,7 @@ pytestmark = pytest.mark.slow
 def test_frames_are_shown_as_they_come(watch):
     cube = zoo.cube()
     axes = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
-    session = mimesh.prepare(cube, Mesh(cube.vertices * 3, cube.faces, name="driving"), "copy", **axes)
+    session = mimesh.prepare(cube, Mesh(cube.vertices * 3, cube.faces, name="driving"), "copy", **grouped(**axes))
     vertices, flat = session.driving.vertices, session.driving.vertices * [1.0, 0.3, 1.0]
     page = LivePage(session)
     try:

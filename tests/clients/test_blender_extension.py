@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from client_programs import run_in_blender
 from people import person, walk
+from support.options import grouped
 
 import mimesh
 from mimesh.pipeline.corrections import shown_bones
@@ -51,7 +52,7 @@ def run_mimesh(outcome, name, faces, **options):
     frames = case["driving"].astype(np.float32)
     driving = mimesh.Mesh(frames[0].astype(np.float64), scene[faces].astype(np.int64), name="driving")
     identity = mimesh.Mesh(scene["identity"], scene["faces"].astype(np.int64), name="identity")
-    return case["result"], mimesh.animate(identity, mimesh.Clip(driving, frames, 24.0), **AXES | options)
+    return case["result"], mimesh.animate(identity, mimesh.Clip(driving, frames, 24.0), **grouped(**AXES | options))
 
 
 def skinned_frames(result):

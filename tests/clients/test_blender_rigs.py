@@ -13,6 +13,7 @@ from animals import animal, bones, random_turns
 from client_programs import run_in_blender
 from foreign_names import renamed
 from motion_files import write_bvh
+from support.options import grouped
 
 import mimesh
 from mimesh.bodies import load_body
@@ -62,7 +63,7 @@ def deviation(folder, case, expected, place=None):
 
 
 def moved(folder, identity, driving="driving.glb", **options):
-    return mimesh.animate(folder / f"{identity}.glb", folder / driving, **options).clip.vertices
+    return mimesh.animate(folder / f"{identity}.glb", folder / driving, **grouped(**options)).clip.vertices
 
 
 @pytest.mark.parametrize("name", CHARACTERS)
@@ -161,7 +162,9 @@ def test_an_animal_moves_on_its_own_armature_by_the_bones_of_another(folder, fac
     expected = moved(folder, "animal_own", "animal_driving.glb", rig="mimesh")
     assert deviation(folder, "animal_keys", expected) < 1e-2
     on_surface = dataclasses.replace(mimesh.load_clip(folder / "animal_driving.glb"), skeleton=None)
-    surface = mimesh.animate(folder / "animal_own.glb", on_surface, rig="mimesh", body="quadruped").clip.vertices
+    surface = mimesh.animate(
+        folder / "animal_own.glb", on_surface, hints=mimesh.Hints(rig="mimesh", body="quadruped")
+    ).clip.vertices
     assert deviation(folder, "animal_keys", surface) > 3e-2
     assert not any("found on its surface" in note for note in facts["animals"]["notes"])
 
@@ -170,7 +173,7 @@ def test_bones_of_the_driving_are_used_for_other_results(folder):
     # The network that finds the identity's joints sees slightly other numbers.
     assert deviation(folder, "keys", moved(folder, "own_mixamo", rig="mimesh")) < 2e-3
     on_surface = dataclasses.replace(mimesh.load_clip(folder / "driving.glb"), skeleton=None)
-    surface = mimesh.animate(folder / "own_mixamo.glb", on_surface, rig="mimesh").clip.vertices
+    surface = mimesh.animate(folder / "own_mixamo.glb", on_surface, hints=mimesh.Hints(rig="mimesh")).clip.vertices
     assert deviation(folder, "keys", surface) > 1e-2
 
 

@@ -55,7 +55,7 @@ def moved(request, tmp_path):
     weights = {name: rng.random(12) for name in ("aa", "blink", "happy", "mySmirk")}
     rest = bone_positions(rig, "+z" if version else "-z")
     drive, _, _ = vrma(tmp_path / "drive.vrma", rest, frames=12, expressions=weights)
-    return path, drive, mimesh.animate(path, drive, ground=False), nodes, node
+    return path, drive, mimesh.animate(path, drive, motion=mimesh.MotionOptions(ground=False)), nodes, node
 
 
 def check_bones(played, result, nodes):
@@ -105,7 +105,7 @@ def test_an_animation_of_another_character_plays_on_a_vrm(tmp_path):
     avatar, rig, nodes = vrm(tmp_path / "a.vrm")
     hero = character(tmp_path / "hero.glb", faces=600)
     drive, _, _ = vrma(tmp_path / "drive.vrma", bone_positions(rig), frames=12)
-    result = mimesh.animate(hero, drive, ground=False)
+    result = mimesh.animate(hero, drive, motion=mimesh.MotionOptions(ground=False))
     played = play(avatar, result.save(tmp_path / "hero.vrma"))
     assert played["warnings"] == []
     joints = dict(zip(rig.names, rig.rig.joints, strict=True))

@@ -12,6 +12,7 @@ from typing import get_args
 
 import pytest
 from matrix import matrix
+from mimesh.pipeline.options import RIGS, ROOTS
 from threadpoolctl import threadpool_info
 
 from mimesh.bodies.engine_names import SCHEMES, RestPose
@@ -21,7 +22,6 @@ from mimesh.core.errors import did_you_mean
 from mimesh.methods.find import MODELS, PAIRING_CHOICES
 from mimesh.methods.onnx_runtime import THREADS
 from mimesh.pipeline.look import BODIES
-from mimesh.pipeline.options import RIGS, ROOTS
 
 COPIED = "transfer hero.obj pose.obj -m copy --no-preview "
 """A transfer that needs no network."""

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from people import person, walk
 from scipy.spatial.transform import Rotation
+from support.options import grouped
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.errors import InputError
 from mimesh.core.joint_tracks import JointTrack, root_path
+from mimesh.core.options import MotionOptions
 from mimesh.pipeline import animate
 
 BODY = load_body()
@@ -55,7 +57,7 @@ def test_smoothing_keeps_constant_and_linear_tracks_and_reduces_noise():
 def test_options_of_animate_change_path_contacts_and_noise():
     identity, clip = person(0), dataclasses.replace(walk(faces=600), fps=2.0)  # slow enough to plant feet
     options = ({"root": "scale", "ground": True}, {"ground": False}, {"root": "keep"}, {"root": "drop"})
-    planted, sliding, kept, dropped = (animate(identity, clip, **chosen) for chosen in options)
+    planted, sliding, kept, dropped = (animate(identity, clip, **grouped(**chosen)) for chosen in options)
     way = [np.ptp(moved.vertices.mean(axis=1)[:, 2]) for moved in (planted.clip, kept.clip, dropped.clip, clip)]
     assert way[2] < 0.3 * way[0]
     assert abs(way[1] / way[3] - 1) < 0.1
@@ -63,7 +65,7 @@ def test_options_of_animate_change_path_contacts_and_noise():
     assert planted.report["foot_skate"] < 1.5 * planted.report["foot_skate_driving"]
     noise = np.random.default_rng(0).normal(scale=0.01, size=clip.vertices.shape)
     noisy = dataclasses.replace(clip, fps=10.0, vertices=clip.vertices[:1] + noise)
-    acceleration = [animate(identity, noisy, smooth=s).report["acceleration"] for s in (0.0, 0.2)]
+    acceleration = [animate(identity, noisy, motion=MotionOptions(smooth=s)).report["acceleration"] for s in (0.0, 0.2)]
     assert acceleration[1]["result"] < 0.2 * acceleration[0]["driving"] < 0.2 * acceleration[0]["result"]
 
 
@@ -78,10 +80,10 @@ def test_options_of_animate_change_path_contacts_and_noise():
 )
 def test_invalid_options_are_refused(options, message):
     with pytest.raises(InputError, match=message):
-        animate(person(0), walk(faces=600), **options)
+        animate(person(0), walk(faces=600), **grouped(**options))
 
 
 @pytest.mark.parametrize("ground", [True, False])
 def test_planting_feet_is_nothing_that_a_model_without_joints_refuses(ground):
     clip = walk(faces=600)
-    assert animate(person(0, faces=600), clip, model="copy", ground=ground).skeleton is None
+    assert animate(person(0, faces=600), clip, model="copy", motion=MotionOptions(ground=ground)).skeleton is None

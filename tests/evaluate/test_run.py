@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matrix import matrix
 from networks import write_network, write_sequence_network
+from support.options import grouped
 
 from mimesh.core.errors import InputError, RefusedMeshError
 from mimesh.core.normalization import Normalization, bbox_centre, radius
@@ -64,7 +65,7 @@ def test_network_without_a_size_gets_that_of_the_truth(tmp_path):
     pair = HUMAN_NPT.pair("val", "unseen", 0)
     sized = run_on_pair(pair, network).vertices
     axes = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
-    free = transfer(pair.identity, pair.driving, network, **axes, refine=False)
+    free = transfer(pair.identity, pair.driving, network, **grouped(**axes, refine=False))
     assert np.allclose(resized(free.vertices, sized), resized(sized, sized), atol=1e-4)
     same = str(write_network(tmp_path / "identity.onnx", target_scale="identity"))
     sizes = [np.ptp(points, axis=0).max() for points in (sized, run_on_pair(pair, same).vertices)]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from networks import write_mime_network, write_network, write_sequence_network
 from people import person, walk
+from support.options import grouped
 
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
@@ -61,7 +62,7 @@ class Trial:
         return dict(reference=self.reference, markers=self.markers) if model == "deformation-transfer" else {}
 
     def move(self, model: str, identity: Mesh = IDENTITY) -> np.ndarray:
-        return transfer(identity, self.driving, model, **self.options(model), ensemble=2, seed=5).vertices
+        return transfer(identity, self.driving, model, **grouped(**self.options(model), ensemble=2, seed=5)).vertices
 
 
 @functools.cache

@@ -11,6 +11,7 @@ from mimesh import animate
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import Normalization
+from mimesh.core.options import Hints
 from mimesh.methods.extremities import find_ends, match_ends
 from mimesh.pipeline.look import normalised
 
@@ -75,7 +76,9 @@ def test_an_animal_moves_by_another_mesh_from_the_ends_of_its_limbs():
     identity, order = shuffled(one.mesh)
     frames = np.stack([two.posed(turn) for turn in turns])
     driving = Clip(Mesh(frames[0], two.mesh.faces, name="two"), frames, 30.0)
-    result = animate(identity, driving, body="other", up="+y", front="+z", driving_up="+y", driving_front="+z")
+    result = animate(
+        identity, driving, hints=Hints(body="other", up="+y", front="+z", driving_up="+y", driving_front="+z")
+    )
     assert result.report["reference"]["frame"] == 0
     truth = np.stack([one.posed(turn)[order] for turn in turns])
 
@@ -91,6 +94,6 @@ def test_too_few_ends_are_refused():
     bird, beast = Boxes.of(BIRD).mesh, animal().mesh
     clip = Clip(beast, np.stack([beast.vertices] * 2), 30.0)
     with pytest.raises(InputError, match="limbs whose ends correspond"):
-        animate(bird, clip, body="other")
+        animate(bird, clip, hints=Hints(body="other"))
     with pytest.raises(InputError, match=r"give reference=... and markers"):
-        animate(bird, Clip.still(beast), body="other")
+        animate(bird, Clip.still(beast), hints=Hints(body="other"))

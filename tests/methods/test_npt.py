@@ -15,6 +15,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.geometry import edges
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.normalization import bbox_centre, radius
+from mimesh.core.options import ModelOptions
 from mimesh.core.surface_points import padded_vertices
 from mimesh.evaluate.measure import placed_shapes
 from mimesh.evaluate.run import evaluate_command
@@ -77,15 +78,15 @@ def test_ensemble_is_the_mean_of_its_pairings(network):
 def test_seed_and_ensemble_change_the_result(network):
     identity, driving = person(0), person(1, 0)
     base = transfer(identity, driving, network).vertices
-    assert not np.array_equal(base, transfer(identity, driving, network, seed=1).vertices)
-    assert not np.array_equal(base, transfer(identity, driving, network, ensemble=4).vertices)
+    assert not np.array_equal(base, transfer(identity, driving, network, options=ModelOptions(seed=1)).vertices)
+    assert not np.array_equal(base, transfer(identity, driving, network, options=ModelOptions(ensemble=4)).vertices)
 
 
 def test_result_of_unknown_scale_is_rescaled_to_the_identity(tmp_path):
     truth = str(write_network(tmp_path / "truth.onnx", target_scale="truth"))
     identity = person(0)
     lengths = PatchDistances.of(identity.vertices, edges(identity.faces))
-    result = transfer(identity, person(1, 0), truth, refine=False).vertices
+    result = transfer(identity, person(1, 0), truth, options=ModelOptions(refine=False)).vertices
     assert np.isclose(lengths.total(result), lengths.total(identity.vertices), rtol=0.02)
 
 
@@ -150,7 +151,9 @@ def test_a_network_of_metres_gets_both_meshes_in_metres(tmp_path, write):
     method = find_model(str(write(tmp_path / "metres.onnx", target_scale="metres")))
     recorder = Recorder(method.session)
     tall = person(0).with_vertices(1.25 * person(0).vertices + [3.0, 2.0, 1.0])
-    result = transfer(tall, person(1, 0), dataclasses.replace(method, session=recorder), refine=False)
+    result = transfer(
+        tall, person(1, 0), dataclasses.replace(method, session=recorder), options=ModelOptions(refine=False)
+    )
     for name, mesh in (("identity", tall), ("driving", person(1, 0))):
         given = recorder.given[0][name].reshape(-1, 3)[: len(mesh.vertices)]
         assert np.allclose(

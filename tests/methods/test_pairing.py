@@ -9,12 +9,14 @@ import pytest
 from matrix import matrix
 from networks import write_network, write_sequence_network
 from people import boxes_person, person, split_everywhere, walk
+from support.options import grouped
 from zoo import point_cloud
 
 from mimesh.core.canonical_order import canonical_order
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import Normalization
+from mimesh.core.options import ModelOptions
 from mimesh.methods import find
 from mimesh.methods.find import find_model
 from mimesh.pipeline import animate, prepare, transfer
@@ -44,14 +46,14 @@ def zoo(tmp_path, monkeypatch):
 
 
 def moved(identity: Mesh, driving: Mesh, model: str, **options) -> np.ndarray:
-    return transfer(identity, driving, model, **AXES, **options).vertices
+    return transfer(identity, driving, model, **grouped(**AXES, **options)).vertices
 
 
 def test_permuting_both_meshes_permutes_the_result_and_permuting_one_changes_it(ordered):
     identity, driving = person(0), person(1, 0)
     expected = moved(identity, driving, ordered)
     order = np.random.default_rng(0).permutation(len(identity.vertices))
-    both = transfer(permute_vertices(identity, order), permute_vertices(driving, order), ordered, **AXES)
+    both = transfer(permute_vertices(identity, order), permute_vertices(driving, order), ordered, **grouped(**AXES))
     assert np.array_equal(both.vertices, expected[order])
     assert NOTE in both.notes
     points = Mesh(driving.vertices[order], np.zeros((0, 3), int))
@@ -80,10 +82,10 @@ def test_seams_stay_closed(ordered):
 
 def test_frames_of_a_clip_are_paired_by_index(ordered):
     clip, identity = walk(frames=4), person(0)
-    expected = animate(identity, clip, ordered, **AXES).clip.vertices
+    expected = animate(identity, clip, ordered, **grouped(**AXES)).clip.vertices
     order = np.random.default_rng(1).permutation(len(identity.vertices))
     shuffled = Clip(permute_vertices(clip.mesh, order), clip.vertices[:, order], clip.fps)
-    result = animate(permute_vertices(identity, order), shuffled, ordered, **AXES).clip.vertices
+    result = animate(permute_vertices(identity, order), shuffled, ordered, **grouped(**AXES)).clip.vertices
     assert np.array_equal(result, expected[:, order])
 
 
@@ -95,7 +97,7 @@ def test_meshes_that_do_not_correspond_are_refused(ordered, driving):
 
 def test_points_are_paired_by_index_if_there_are_as_many(ordered):
     points = Mesh(person(1, 0).vertices, np.zeros((0, 3), int))
-    result = transfer(person(0), points, ordered, **AXES)
+    result = transfer(person(0), points, ordered, **grouped(**AXES))
     assert np.array_equal(result.vertices, moved(person(0), person(1, 0), ordered))
     assert NOTE not in result.notes
     with pytest.raises(InputError, match=f"found {len(point_cloud().vertices)} vertices"):
@@ -111,24 +113,24 @@ def test_a_pooled_pose_has_no_pairs(tmp_path):
 
 def test_auto_takes_the_ordered_network_for_shapes_of_one_mesh(zoo):
     identity, driving, other = person(0, faces=600), person(1, 0, faces=600), person(1, 0, faces=400)
-    random = transfer(identity, driving, "npt", **AXES)  # there are no ordered weights: said by nobody
+    random = transfer(identity, driving, "npt", **grouped(**AXES))  # there are no ordered weights: said by nobody
     assert NOTE not in random.notes
     shutil.copy(write_network(zoo.with_name("other.onnx"), pairing="order"), zoo)
-    ordered = transfer(identity, driving, "npt", **AXES)
+    ordered = transfer(identity, driving, "npt", **grouped(**AXES))
     assert NOTE in ordered.notes
     assert np.array_equal(ordered.vertices, moved(identity, driving, "npt", pairing="order"))
     assert not np.array_equal(ordered.vertices, random.vertices)
     assert np.array_equal(moved(identity, driving, "npt", pairing="random"), random.vertices)
-    assert NOTE not in transfer(identity, other, "npt", **AXES).notes
+    assert NOTE not in transfer(identity, other, "npt", **grouped(**AXES)).notes
     clouds = [Mesh(mesh.vertices, np.zeros((0, 3), int)) for mesh in (identity, driving)]
-    assert NOTE not in transfer(*clouds, "npt", **AXES).notes
-    assert NOTE in animate(identity, Clip.still(driving), "npt", **AXES).notes
-    assert prepare(identity, driving, "npt", **AXES).pose(driving.vertices).shape == identity.vertices.shape
+    assert NOTE not in transfer(*clouds, "npt", **grouped(**AXES)).notes
+    assert NOTE in animate(identity, Clip.still(driving), "npt", **grouped(**AXES)).notes
+    assert prepare(identity, driving, "npt", **grouped(**AXES)).pose(driving.vertices).shape == identity.vertices.shape
 
 
 def test_order_without_ordered_weights_says_how_to_make_them(zoo):
     with pytest.raises(InputError, match=r"npt-ordered-mixed.onnx, found no file.*data.pairing=order"):
-        transfer(person(0), person(1, 0), "npt", pairing="order")
+        transfer(person(0), person(1, 0), "npt", options=ModelOptions(pairing="order"))
 
 
 def test_networks_of_another_pairing_are_refused(ordered, tmp_path):
@@ -139,7 +141,7 @@ def test_networks_of_another_pairing_are_refused(ordered, tmp_path):
         with pytest.raises(
             InputError, match=f"pairing.*{pairing}.*trained with data.pairing={trained}, found .*{Path(model).name}"
         ):
-            transfer(person(0), person(1, 0), model, pairing=pairing)
+            transfer(person(0), person(1, 0), model, options=ModelOptions(pairing=pairing))
     with pytest.raises(InputError, match="expected auto, random, order or body"):
         find_model("npt", pairing="index")
 
@@ -178,14 +180,16 @@ def test_body_pairs_do_not_depend_on_order_seams_and_axes(by_body):
     z_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     turned = dataclasses.replace(driving, vertices=driving.vertices @ z_up.T)
     axes = AXES | {"driving_up": "+z", "driving_front": "-y"}
-    result = transfer(split_everywhere(identity), split_everywhere(turned), by_body, **axes, pairing="body").vertices
+    result = transfer(
+        split_everywhere(identity), split_everywhere(turned), by_body, **grouped(**axes, pairing="body")
+    ).vertices
     assert np.allclose(result, expected[identity.faces.ravel()], atol=1e-4)
 
 
 @pytest.mark.slow
 def test_body_pairs_of_a_clip_are_those_of_its_first_frame(by_body):
     clip, identity = walk(frames=3, faces=400), person(0, faces=600)
-    result = animate(identity, clip, by_body, **AXES, pairing="body")
+    result = animate(identity, clip, by_body, **grouped(**AXES, pairing="body"))
     assert BODY_NOTE in result.notes
     first = moved(identity, dataclasses.replace(clip.mesh, vertices=clip.vertices[0]), by_body, pairing="body")
     assert np.allclose(result.clip.vertices[0], first, atol=1e-4)
@@ -194,16 +198,16 @@ def test_body_pairs_of_a_clip_are_those_of_its_first_frame(by_body):
 
 def test_body_pairs_are_for_shapes_that_the_body_can_have(by_body):
     with pytest.raises(InputError, match=r"boxes: expected a shape that the shipped human.*pairing=.random."):
-        transfer(boxes_person(0.5), person(1, 0), by_body, **AXES, pairing="body")
+        transfer(boxes_person(0.5), person(1, 0), by_body, **grouped(**AXES, pairing="body"))
 
 
 def test_body_pairs_take_the_ordered_weights_and_only_on_request(zoo):
     identity, other = person(0), person(1, 0, faces=600)
     with pytest.raises(InputError, match=r"pairing=.body.: expected weights in .*npt-ordered"):
-        transfer(identity, other, "npt", pairing="body")
+        transfer(identity, other, "npt", options=ModelOptions(pairing="body"))
     shutil.copy(write_network(zoo.with_name("other.onnx"), pairing="order"), zoo)
-    assert BODY_NOTE in transfer(identity, other, "npt", **AXES, pairing="body").notes
-    assert BODY_NOTE not in transfer(identity, other, "npt", **AXES).notes
+    assert BODY_NOTE in transfer(identity, other, "npt", **grouped(**AXES, pairing="body")).notes
+    assert BODY_NOTE not in transfer(identity, other, "npt", **grouped(**AXES)).notes
 
 
 def test_networks_of_one_mesh_are_not_paired_by_the_body(tmp_path):

@@ -4,6 +4,8 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
+from mimesh.pipeline.options import Hints
+from support.options import grouped
 
 import mimesh
 from mimesh.bodies import load_body
@@ -21,7 +23,6 @@ from mimesh.mime.hands import DIFFERENT_ABOVE, SAME_BELOW, settled_bends
 from mimesh.mime.prediction import NetworkPoints
 from mimesh.pipeline.file_rigs import NO_RIGS
 from mimesh.pipeline.joint_route import joint_route
-from mimesh.pipeline.options import Hints
 from mimesh.pipeline.placed import KEYFRAMES, surface_motion
 
 pytestmark = pytest.mark.usefixtures("kept")
@@ -58,7 +59,7 @@ def tip_error(vertices: np.ndarray, truth: np.ndarray) -> float:
 
 @cache
 def moved(identity: int, driving: int, gesture: str | None = None, model: str = "mime"):
-    return mimesh.transfer(mesh(identity), mesh(driving, gesture), model, **AXES)
+    return mimesh.transfer(mesh(identity), mesh(driving, gesture), model, **grouped(**AXES))
 
 
 @pytest.mark.slow
@@ -87,7 +88,7 @@ def test_hands_may_point_anywhere():
         rotmat[BODY.joint(f"{side}Arm")] = rotvec_to_rotmat(np.array([0.0, -0.4 * sign, -1.0 * sign]))
         rotmat[BODY.joint(f"{side}ForeArm")] = rotvec_to_rotmat(np.array([0.0, -0.8 * sign, 0.0]))
     driving = Mesh(BODY.posed(person(2), rotmat), BODY.faces, name="turned")
-    result = mimesh.transfer(mesh(1), driving, **AXES)
+    result = mimesh.transfer(mesh(1), driving, **grouped(**AXES))
     assert tip_error(result.vertices, BODY.posed(person(1), rotmat)) < 25
 
 
@@ -96,9 +97,9 @@ def test_mirrored_meshes_give_the_mirrored_fingers():
     left_only = np.tile(np.eye(3), (55, 1, 1))
     left_only[25:40] = pose("fist")[25:40]
     driving = Mesh(BODY.posed(person(2), left_only), BODY.faces, name="left fist")
-    result = mimesh.transfer(mesh(1), driving, **AXES).vertices
+    result = mimesh.transfer(mesh(1), driving, **grouped(**AXES)).vertices
     flipped = [Mesh(m.vertices * MIRROR, m.faces[:, ::-1], name=m.name) for m in (mesh(1), driving)]
-    mirrored = mimesh.transfer(*flipped, **AXES).vertices * MIRROR
+    mirrored = mimesh.transfer(*flipped, **grouped(**AXES)).vertices * MIRROR
     assert np.linalg.norm(result - mirrored, axis=1).mean() * PERSON_HEIGHT_MM / np.ptp(result[:, 1]) < 6
 
 
@@ -111,9 +112,9 @@ def test_stumps_change_nothing_to_the_last_bit():
     rank = np.cumsum(kept) - 1
     faces = whole.faces[kept[whole.faces].all(axis=1)]
     stumps = Mesh(whole.vertices[kept], rank[faces], name="stumps")
-    moved = mimesh.transfer(stumps, mesh(2, "fist"), **AXES)
+    moved = mimesh.transfer(stumps, mesh(2, "fist"), **grouped(**AXES))
     assert moved.report["fingers"] == []
-    rigid = mimesh.transfer(stumps, mesh(2, "fist"), "mime-rigid-fingers", **AXES)
+    rigid = mimesh.transfer(stumps, mesh(2, "fist"), "mime-rigid-fingers", **grouped(**AXES))
     assert np.array_equal(moved.vertices, rigid.vertices)
 
 
@@ -125,7 +126,7 @@ def test_fingers_with_holes_follow_their_hand():
     near = np.linalg.norm(driving.vertices - driving.vertices[tip], axis=1) < 0.03
     pierced = Mesh(driving.vertices, driving.faces[~near[driving.faces].any(axis=1)], name="pierced")
     assert moved(1, 2, "fist").report["fingers"] == ["left", "right"]
-    assert mimesh.transfer(mesh(1), pierced, **AXES).report["fingers"] == ["right"]
+    assert mimesh.transfer(mesh(1), pierced, **grouped(**AXES)).report["fingers"] == ["right"]
 
 
 @pytest.mark.slow
@@ -140,7 +141,7 @@ def test_fingers_are_followed_through_a_clip():
         frames.append(BODY.posed(person(2), rotmat))
         truth.append(BODY.posed(person(1), rotmat))
     clip = Clip(Mesh(frames[0], BODY.faces, name="closing"), np.stack(frames), 30.0)
-    result = mimesh.animate(mesh(1), clip, **AXES)
+    result = mimesh.animate(mesh(1), clip, **grouped(**AXES))
     errors = [tip_error(moved, true) for moved, true in zip(result.clip.vertices, truth, strict=True)]
     assert max(errors) < 15
     assert np.abs(result.clip.vertices[0] - result.clip.vertices[-1]).max() < 1e-3
@@ -196,13 +197,15 @@ def test_corrected_joints_stay_where_they_are_put_and_the_others_can_be_passed_b
     assert plain.driving_joints is not None
     known = [{name: found[name] + [0.0, 0.02, 0.01] for name in ("LeftHand", "RightForeArm", "LeftFingerBase")}
              for found in (plain.joints, plain.driving_joints)]  # fmt: skip
-    result = mimesh.transfer(identity, driving, **AXES, joints=known[0], driving_joints=known[1])
+    result = mimesh.transfer(identity, driving, **grouped(**AXES, joints=known[0], driving_joints=known[1]))
     assert result.report["fingers"] == ["left", "right"]
     for found, positions in ((result.joints, known[0]), (result.driving_joints, known[1])):
         assert found is not None
         for name, position in positions.items():
             np.testing.assert_allclose(found[name], position, atol=1e-6)
-    again = mimesh.transfer(identity, driving, **AXES, joints=plain.joints, driving_joints=plain.driving_joints)
+    again = mimesh.transfer(
+        identity, driving, **grouped(**AXES, joints=plain.joints, driving_joints=plain.driving_joints)
+    )
     assert again.report["fingers"] == ["left", "right"]
     assert np.abs(again.vertices - plain.vertices).max() < 0.05
 
@@ -218,7 +221,7 @@ def test_planted_feet_are_those_without_fingers():
             rotmat[BODY.joint(f"{side}UpLeg")] = rotvec_to_rotmat(np.array([0.3 * sign * np.sin(t / 2), 0.0, 0.0]))
         frames.append(BODY.posed(person(2), rotmat))
     clip = Clip(Mesh(frames[0], BODY.faces, name="walk"), np.stack(frames), 15.0)
-    moved, rigid = (mimesh.animate(mesh(1), clip, model, **AXES) for model in ("mime", "mime-rigid-fingers"))
+    moved, rigid = (mimesh.animate(mesh(1), clip, model, **grouped(**AXES)) for model in ("mime", "mime-rigid-fingers"))
     assert moved.report["fingers"] == ["left", "right"]
     feet = BODY.weights[:, [BODY.joint(f"{side}{part}") for side in ("Left", "Right") for part in ("Foot", "ToeBase")]]
     on_foot = feet.sum(axis=1) > 0.9

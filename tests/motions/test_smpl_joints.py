@@ -108,7 +108,9 @@ def test_an_identity_with_the_rig_of_its_model_moves_as_the_model_does(files):
     model, take, _ = files
     clip = load_recorded_clip(take, model)[0]
     rig = smpl_rig(load_smpl_model(model))
-    moved = mimesh.animate(load_mesh(model), clip, root="keep", ground=False, rig=rig)
+    moved = mimesh.animate(
+        load_mesh(model), clip, motion=mimesh.MotionOptions(root="keep", ground=False), hints=mimesh.Hints(rig=rig)
+    )
     assert distance(moved.clip.vertices, clip.vertices) < 1e-4
 
 

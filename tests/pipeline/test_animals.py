@@ -75,7 +75,7 @@ def test_the_result_is_the_identity_in_the_pose_of_the_driving(pair, tmp_path):
     motion = dance(set(identity.order) & set(driving.order))
     one = identity.write(tmp_path / "identity.glb")
     two = driving.write(tmp_path / "driving.glb", {"dance": motion}, spell=str)
-    result = mimesh.animate(str(one), str(two), ground=False)
+    result = mimesh.animate(str(one), str(two), motion=mimesh.MotionOptions(ground=False))
     assert result.report["rig"] == "own"
     assert result.notes == ()
     assert errors(result, identity, motion).max() < 1e-5
@@ -96,7 +96,7 @@ def test_legs_of_fewer_bones_follow_those_of_more(count, mean, most, tmp_path):
     motion = dance(identity.order)
     one = identity.write(tmp_path / "identity.glb")
     two = driving.write(tmp_path / "driving.glb", {"dance": motion}, spell=str)
-    found = errors(mimesh.animate(str(one), str(two), ground=False), identity, motion)
+    found = errors(mimesh.animate(str(one), str(two), motion=mimesh.MotionOptions(ground=False)), identity, motion)
     assert found.mean() < mean
     assert found.max() < most
 
@@ -107,7 +107,7 @@ def test_bones_of_legs_and_neck_have_the_directions_of_the_driving(tmp_path):
     motion = dance(driving.order)
     one = identity.write(tmp_path / "identity.glb", spell=str)
     two = driving.write(tmp_path / "driving.glb", {"dance": motion}, spell=str)
-    skeleton = mimesh.animate(str(one), str(two), ground=False).skeleton
+    skeleton = mimesh.animate(str(one), str(two), motion=mimesh.MotionOptions(ground=False)).skeleton
     assert skeleton is not None
     places = skeleton.joint_positions()
     ours = {name: places[:, k] for k, name in enumerate(skeleton.names)}
@@ -140,7 +140,10 @@ def test_legs_and_tail_turn_from_how_they_are_at_rest(tmp_path):
     motion = [({}, np.zeros(3)), ({"LeftThigh": swing, "RightUpperArm": swing, "Tail1": swing}, np.zeros(3))]
     one = identity.write(tmp_path / "identity.glb", spell=str)
     two = driving.write(tmp_path / "driving.glb", {"walk": motion}, spell=str)
-    assert errors(mimesh.animate(str(one), str(two), ground=False), identity, motion).max() < 1e-5
+    assert (
+        errors(mimesh.animate(str(one), str(two), motion=mimesh.MotionOptions(ground=False)), identity, motion).max()
+        < 1e-5
+    )
 
 
 @pytest.mark.slow
@@ -238,11 +241,11 @@ def test_a_person_and_an_animal_are_refused_with_both_names(tmp_path):
 def test_animals_taken_for_people_have_no_rig_of_a_person(tmp_path):
     one = animal(0).write(tmp_path / "cow.glb")
     two = animal(1).write(tmp_path / "goat.glb", {"dance": dance(bones())}, spell=str)
-    result = mimesh.animate(str(one), str(two), body="human")
+    result = mimesh.animate(str(one), str(two), hints=mimesh.Hints(body="human"))
     assert "rig" not in result.report
     assert any("the rig of cow is not used" in note for note in result.notes)
     assert any("the joints of goat are not used" in note for note in result.notes)
-    chosen = mimesh.animate(str(one), str(two), body="quadruped")
+    chosen = mimesh.animate(str(one), str(two), hints=mimesh.Hints(body="quadruped"))
     assert chosen.report["rig"] == "own"
 
 
@@ -256,7 +259,7 @@ def test_wrong_bodies_are_refused(tmp_path, capsys):
     assert run(["animate", str(one), str(two), "--body", "octopus"]) == 2
     assert "--body: expected one of auto, human, quadruped, other, found 'octopus'" in capsys.readouterr().err
     with pytest.raises(InputError, match=r"^body: expected human with the model own, found quadruped"):
-        mimesh.animate(str(one), str(two), str(own), body="quadruped")
+        mimesh.animate(str(one), str(two), str(own), hints=mimesh.Hints(body="quadruped"))
 
 
 # Without rigs: the body is chosen by the shape, and joints are predicted.
@@ -270,7 +273,7 @@ def surfaces(i: int) -> Pair:
 def test_animals_without_rigs_are_taken_for_animals_and_moved():
     """Nearer to the truth than the identity as it is, in the driving's pose and not on its head."""
     pair = surfaces(0)
-    result = mimesh.transfer(pair.identity, pair.driving, up="+y", driving_up="+y")
+    result = mimesh.transfer(pair.identity, pair.driving, hints=mimesh.Hints(up="+y", driving_up="+y"))
     assert pmd_aligned(result.mesh.vertices, pair.truth) < 0.5 * pmd_aligned(pair.identity.vertices, pair.truth)
 
 
@@ -278,7 +281,7 @@ def test_animals_without_rigs_are_taken_for_animals_and_moved():
 def test_animals_without_axes_are_found_upright():
     pair = surfaces(0)
     lying = dataclasses.replace(pair.identity, vertices=pair.identity.vertices[:, [0, 2, 1]] * [1, -1, 1], up=None)
-    result = mimesh.transfer(lying, pair.driving, driving_up="+y")
+    result = mimesh.transfer(lying, pair.driving, hints=mimesh.Hints(driving_up="+y"))
     assert result.report["identity"]["up"] == "+z"
 
 
@@ -286,7 +289,7 @@ def test_animals_without_axes_are_found_upright():
 def test_a_person_and_an_animal_without_rigs_are_refused():
     person = PROTOCOLS["human-npt"].pair("val", "seen", 0).identity
     with pytest.raises(InputError, match=r"taken for a person.*four-legged animal"):
-        mimesh.transfer(person, surfaces(0).driving, up="+y", driving_up="+y")
+        mimesh.transfer(person, surfaces(0).driving, hints=mimesh.Hints(up="+y", driving_up="+y"))
 
 
 def test_an_animal_in_a_bvh_is_refused_with_the_format_that_works(tmp_path, capsys):
@@ -305,10 +308,10 @@ def test_an_animal_in_a_bvh_is_refused_with_the_format_that_works(tmp_path, caps
 @pytest.mark.slow
 def test_the_facing_of_an_animal_without_a_rig_is_noted_only_where_up_is_not_known():
     driving, cat = small_clip(gait_clip("dog", "walk", seconds=0.2, fps=10.0)), small(shipped_animal("cat"))
-    known = mimesh.animate(dataclasses.replace(cat, up="+y"), driving, driving_up="+y")
+    known = mimesh.animate(dataclasses.replace(cat, up="+y"), driving, hints=mimesh.Hints(driving_up="+y"))
     assert known.report["body"] == "quadruped"
     assert not any("facing" in note or "looks like" in note for note in known.notes)
     assert (known.report["identity"]["up"], known.report["identity"]["front"]) == ("+y", "+z")
     bare = dataclasses.replace(cat, up=None)
-    found = mimesh.animate(bare, driving, body="quadruped", driving_up="+y")
+    found = mimesh.animate(bare, driving, hints=mimesh.Hints(body="quadruped", driving_up="+y"))
     assert any("the facing of cat is uncertain" in note for note in found.notes)

@@ -18,6 +18,7 @@ from mimesh.bodies import load_body
 from mimesh.bodies.joint_names import person_joints
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.options import FrameRange, Hints, MotionOptions
 from mimesh.core.person_motion import KnownJoints
 from mimesh.io import load_clip, load_mesh
 from mimesh.io.gltf.animation import sample_nodes
@@ -66,7 +67,7 @@ def test_bones_of_an_identity_move_as_those_of_its_file(kind, model, driving, tm
     path = rigs.of_kind(tmp_path / "own.glb", kind, moving=False, name=renamed("unreal"))[0]
     expected = animate(str(path), str(driving), model)
     mesh, bones, binding, _ = bones_of(path)
-    result = animate(mesh, load_clip(driving), model, rig=rig_of_bones(mesh, bones, binding, "+z"))
+    result = animate(mesh, load_clip(driving), model, hints=Hints(rig=rig_of_bones(mesh, bones, binding, "+z")))
     assert deviation(result.clip.vertices @ Z_UP[:3, :3], expected.clip.vertices) < EXACT
     assert result.report["rig"] == "own"
     assert result.own is None
@@ -87,15 +88,21 @@ def test_bones_of_a_driving_mesh_are_used(path, model, driving):
     clip, joints = joints_of(driving)
     result = animate(str(path), dataclasses.replace(clip, skeleton=joints), model)
     assert deviation(result.clip.vertices, expected.clip.vertices) < EXACT
-    part = animate(str(path), dataclasses.replace(clip, skeleton=joints), model, start=2, step=2)
-    assert deviation(part.clip.vertices, animate(str(path), str(driving), model, start=2, step=2).clip.vertices) < EXACT
+    part = animate(str(path), dataclasses.replace(clip, skeleton=joints), model, frames=FrameRange(start=2, step=2))
+    assert (
+        deviation(
+            part.clip.vertices,
+            animate(str(path), str(driving), model, frames=FrameRange(start=2, step=2)).clip.vertices,
+        )
+        < EXACT
+    )
 
 
 def test_a_driving_whose_bones_are_unknown_is_read_on_its_surface(path, model, driving):
     clip, joints = joints_of(driving)
     unnamed = dataclasses.replace(joints.bones, joint_names=tuple(f"b{j}" for j in range(len(joints.bones.parents))))
     joints = dataclasses.replace(joints, bones=unnamed)
-    result = animate(str(path), dataclasses.replace(clip, skeleton=joints), model, driving_up="+z")
+    result = animate(str(path), dataclasses.replace(clip, skeleton=joints), model, hints=Hints(driving_up="+z"))
     assert any("joints of bones are not used, they are found on its surface" in note for note in result.notes)
 
 
@@ -123,7 +130,7 @@ def test_a_skeleton_without_a_mesh_moves_as_its_motion_file(scale, path, model, 
     assert clip.skeleton.person().leg == pytest.approx(scale * load_clip(capture).skeleton.person().leg, rel=0.2)
     result = animate(str(path), clip, model)
     assert deviation(result.clip.vertices, expected.clip.vertices) < EXACT
-    kept = animate(str(path), clip, model, root="keep", ground=False).skeleton.root
+    kept = animate(str(path), clip, model, motion=MotionOptions(root="keep", ground=False)).skeleton.root
     # The first frame faces where the identity does, so paths are compared by their distances on the ground.
     distances = [np.linalg.norm(p - p[0], axis=1) for p in (kept[:, [0, 2]], world[:, 0, :2, 3])]
     np.testing.assert_allclose(distances[0], distances[1], atol=1e-4 * scale)
@@ -176,7 +183,7 @@ def test_rigs_that_cannot_be_used_are_explained(path, driving, tmp_path):
     rig = rig_of_bones(mesh, bones, binding, "+z")
     network = str(write_network(tmp_path / "npt.onnx"))
     with pytest.raises(InputError, match=r"expected a model with joints \(mime\)"):
-        animate(mesh, load_clip(driving), network, rig=rig)
+        animate(mesh, load_clip(driving), network, hints=Hints(rig=rig))
 
 
 def animal_bones(made: Animal, axes: np.ndarray = Z_UP) -> tuple[Mesh, Bones, Binding]:
@@ -200,7 +207,7 @@ def test_bones_of_animals_move_as_those_of_their_files(tmp_path):
     expected = animate(str(own), str(other))
     rig = rig_of_bones(*animal_bones(identity), "+z")
     assert rig.body_name == "quadruped"
-    result = animate(rig.character.mesh, load_clip(other), rig=rig)
+    result = animate(rig.character.mesh, load_clip(other), hints=Hints(rig=rig))
     assert (result.report["rig"], result.report["body"]) == ("own", "quadruped")
     assert deviation(result.clip.vertices @ Z_UP[:3, :3], expected.clip.vertices) < EXACT
     # The driving's bones as arrays, too.
@@ -210,7 +217,7 @@ def test_bones_of_animals_move_as_those_of_their_files(tmp_path):
     world = Z_UP @ moves @ np.linalg.inv(Z_UP) @ rest
     posed = np.stack([driving.posed(*frame) for frame in motion]) @ Z_UP[:3, :3].T
     clip = Clip(mesh, posed, 30.0, skeleton=BoneJoints(mesh, joints, binding, world, "+z"))
-    both = animate(rig.character.mesh, clip, rig=rig)
+    both = animate(rig.character.mesh, clip, hints=Hints(rig=rig))
     assert both.notes == ()
     assert deviation(both.clip.vertices, result.clip.vertices) < EXACT
 

@@ -61,7 +61,7 @@ def test_axes_range_and_unit_of_the_clip_change_nothing_else(captured, clip):
     """z up, in centimetres, every second frame."""
     lying = 100 * np.stack([clip.vertices[..., 0], -clip.vertices[..., 2], clip.vertices[..., 1]], axis=-1)
     turned = Clip(Mesh(lying[0].astype(float), clip.mesh.faces, "lying"), lying, clip.fps)
-    found = mimesh.capture(turned, up="+z", front="-y", step=2)
+    found = mimesh.capture(turned, hints=mimesh.Hints(up="+z", front="-y"), frames=mimesh.FrameRange(step=2))
     assert found.fps == clip.fps / 2
     assert np.median(angles_between(found.rotation, captured.rotation[::2])) < 3
     np.testing.assert_allclose(found.root, 100 * captured.root[::2], atol=3)
@@ -90,14 +90,14 @@ def test_smoothing_and_corrections_are_those_of_animate(captured, clip):
     smooth = mimesh.capture(clip, smooth=0.2)
     assert np.abs(np.diff(smooth.root, 2, axis=0)).mean() < np.abs(np.diff(captured.root, 2, axis=0)).mean()
     with pytest.raises(InputError, match="joints: expected names of joints, found 'Elbow'"):
-        mimesh.capture(clip, joints={"Elbow": [0, 0, 0]})
+        mimesh.capture(clip, hints=mimesh.Hints(joints={"Elbow": [0, 0, 0]}))
 
 
 def test_what_is_no_body_is_refused():
     with pytest.raises(RefusedMeshError, match=r"^ring: expected a person or a four-legged animal"):
         mimesh.capture(Clip.still(ring()))
     with pytest.raises(InputError, match="body: expected human, quadruped or auto, found other"):
-        mimesh.capture(Clip.still(ring()), body="other")
+        mimesh.capture(Clip.still(ring()), hints=mimesh.Hints(body="other"))
 
 
 @pytest.mark.slow
@@ -107,7 +107,7 @@ def test_a_capture_moves_the_same_body_as_the_clip_did(tmp_path):
     bare = dataclasses.replace(clip, mesh=Mesh(clip.mesh.vertices, BODY.faces, "walk"), skeleton=None, headings=None)
     path = mimesh.capture(bare).save(tmp_path / "walk.bvh")
     rest = Mesh(BODY.posed(shape, np.tile(np.eye(3), (len(BODY.parents), 1, 1))), BODY.faces, "rest")
-    moved = mimesh.animate(rest, path, ground=False).clip.vertices
+    moved = mimesh.animate(rest, path, motion=mimesh.MotionOptions(ground=False)).clip.vertices
     millimetres = []
     for mine, truth in zip(moved, np.asarray(clip.vertices, float), strict=True):
         centres = mine.mean(axis=0), truth.mean(axis=0)

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from mimesh import animate, transfer
 from mimesh.cli import run
 from mimesh.core.errors import InputError
+from mimesh.core.options import Hints, MotionOptions
 from mimesh.io import load_clip, load_mesh
 from mimesh.io.gltf.own_animation import OwnAnimation, write_own_animations
 
@@ -41,7 +42,7 @@ def test_a_creature_gets_its_own_motion_back_from_a_renamed_copy(name, tmp_path)
              for name, place in zip(mine.names, mine.rig.joints, strict=True)}  # fmt: skip
     turns = [{names[name]: turn for name, turn in frame.items()} for frame in frames]
     other = copy.write(tmp_path / "copy.glb", turns, WAY)
-    result = animate(load_mesh(path), load_clip(other), body="other")
+    result = animate(load_mesh(path), load_clip(other), hints=Hints(body="other"))
     assert result.report["rig"] == "own"
     assert error(result.clip.vertices, load_clip(path).vertices) < 1e-5
     assert error(result.clip.vertices, np.repeat(mine.mesh.vertices[None], 4, axis=0)) > 0.1
@@ -57,11 +58,13 @@ def test_a_bird_moves_as_a_larger_one_that_faces_elsewhere(tmp_path):
     one = small.write(tmp_path / "small.glb")
     two = large.write(tmp_path / "large.glb", turned, 3 * WAY @ turn.T)
     truth = np.stack([small.posed(small.world(turns), way) for turns, way in zip(frames, WAY, strict=True)])
-    result = animate(load_mesh(one), load_clip(two), body="other")
+    result = animate(load_mesh(one), load_clip(two), hints=Hints(body="other"))
     scale = np.linalg.norm(np.ptp(small.mesh.vertices, axis=0)) / np.linalg.norm(np.ptp(large.mesh.vertices, axis=0))
     assert error(result.clip.vertices, truth) < 3 * abs(3 * scale - 1) + 1e-4
     for root, way in (("drop", 0.0), ("keep", 1.0)):
-        moved = animate(load_mesh(one), load_clip(two), body="other", root=root).clip.vertices
+        moved = animate(
+            load_mesh(one), load_clip(two), hints=Hints(body="other"), motion=MotionOptions(root=root)
+        ).clip.vertices
         shift = moved - result.clip.vertices
         across = WAY @ turn.T * 3 * [1, 0, 1]
         expected = (way - scale) * across @ turn
@@ -78,7 +81,7 @@ def test_a_snake_bends_as_one_of_fewer_joints(tmp_path):
             creatures[count].write(tmp_path / "a.glb"),
             creatures[joints].write(tmp_path / "b.glb", bent),
         )
-        result = animate(load_mesh(identity), load_clip(driving), body="other")
+        result = animate(load_mesh(identity), load_clip(driving), hints=Hints(body="other"))
         names = [str(node.get("name")) for node in result.own.source.document.gltf["nodes"]]
         turned = result.own.node_matrices(range(len(names)))[1, :, :3, :3]
         tail = [k for k, name in enumerate(names) if name[:4] in ("Tail", "Rear")]
@@ -93,7 +96,9 @@ def test_limbs_bend_across_themselves_wherever_they_point(tmp_path):
     one, two = Boxes.of(hanging), Boxes.of(BIRD)
     wag = [{}, {"Tail1": np.array([0, 0.6, 0])}]
     result = animate(
-        load_mesh(one.write(tmp_path / "a.glb")), load_clip(two.write(tmp_path / "b.glb", wag)), body="other"
+        load_mesh(one.write(tmp_path / "a.glb")),
+        load_clip(two.write(tmp_path / "b.glb", wag)),
+        hints=Hints(body="other"),
     )
     moved = result.clip.vertices[1] - result.clip.vertices[0]
     tip = one.rig.weights[:, one.names.index("Tail2")] == 1
@@ -133,7 +138,9 @@ def test_feet_on_the_root_stay_at_legs_of_another_length(tmp_path):
             quaternions = Rotation.from_matrix(world[:, j]).as_quat()
             tracks[names.index(name), "rotation"] = quaternions
     write_own_animations([OwnAnimation(source, "walk", tracks, 30.0, 2, {})], path)
-    result = animate(load_mesh(mine.write(tmp_path / "mine.glb")), load_clip(path, animation="walk"), body="other")
+    result = animate(
+        load_mesh(mine.write(tmp_path / "mine.glb")), load_clip(path, animation="walk"), hints=Hints(body="other")
+    )
     nodes = [node.get("name") for node in result.own.source.document.gltf["nodes"]]
     places = result.own.node_matrices(range(len(nodes)))[..., :3, 3]
     for name in mine.names:
@@ -153,7 +160,9 @@ def test_stretching_is_kept(tmp_path):
     squash = np.array([[1.0, 1.0, 1.0], [1.3, 0.6, 1.3]])
     write_own_animations([OwnAnimation(source, "squash", {(node, "scale"): squash}, 30.0, 2, {})], path)
     one = Boxes.of({"Root": ("", (0, 0, 0), (0, 0, 0)), "Blob": ("Root", (0, 0, 0), (0, 1.2, 0))}, thick=0.5)
-    result = animate(load_mesh(one.write(tmp_path / "one.glb")), load_clip(path, animation="squash"), body="other")
+    result = animate(
+        load_mesh(one.write(tmp_path / "one.glb")), load_clip(path, animation="squash"), hints=Hints(body="other")
+    )
     np.testing.assert_allclose(result.clip.vertices[1], result.clip.vertices[0] * squash[1], atol=1e-5)
 
 
@@ -169,14 +178,14 @@ def test_a_pose_is_transferred_and_the_rig_kept(tmp_path):
     clip = load_clip(path)
     still = dataclasses.replace(clip, vertices=clip.vertices[:1])
     out = tmp_path / "out.glb"
-    result = animate(load_mesh(one), still, body="other")
+    result = animate(load_mesh(one), still, hints=Hints(body="other"))
     result.save_skinned(out)
     written = json.loads(out.read_bytes()[20 : 20 + int.from_bytes(out.read_bytes()[12:16], "little")])
     before = json.loads(one.read_bytes()[20 : 20 + int.from_bytes(one.read_bytes()[12:16], "little")])
     assert [node.get("name") for node in written["nodes"]] == [node.get("name") for node in before["nodes"]]
     assert written["skins"][0]["joints"] == before["skins"][0]["joints"]
     assert error(result.clip.vertices, truth.posed(truth.world(poses[0]), np.zeros(3))[None]) < 0.02
-    posed = transfer(load_mesh(one), load_mesh(path), body="other")
+    posed = transfer(load_mesh(one), load_mesh(path), hints=Hints(body="other"))
     assert posed.report["match"]["confidence"] > 0.8
 
 
@@ -219,11 +228,11 @@ def test_a_person_with_a_creature_is_refused(tmp_path):
 def test_smoothing_needs_a_person(tmp_path):
     one, two = (Boxes.of(BIRD).write(tmp_path / f"{name}.glb", flapping(tuple(BIRD))) for name in "ab")
     with pytest.raises(InputError, match=r"^smooth:"):
-        animate(str(one), str(two), body="other", smooth=0.1)
+        animate(str(one), str(two), hints=Hints(body="other"), motion=MotionOptions(smooth=0.1))
 
 
 def test_an_animation_of_the_same_skeleton_is_still_copied(tmp_path):
     one, two = (Boxes.of(BIRD).write(tmp_path / f"{name}.glb", flapping(tuple(BIRD))) for name in "ab")
     assert animate(str(one), str(two)).report["copied"] is True
-    moved = animate(str(one), str(two), root="drop")  # that is no copy
+    moved = animate(str(one), str(two), motion=MotionOptions(root="drop"))  # that is no copy
     assert moved.report["copied"] is False

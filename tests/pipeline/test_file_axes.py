@@ -11,6 +11,7 @@ from people import boxes_person, person, walk
 from mimesh import animate, transfer
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import ROTATIONS, Normalization
+from mimesh.core.options import Hints
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.methods.find import find_model
 from mimesh.pipeline.look import reorient
@@ -85,7 +86,7 @@ def test_results_of_files_stand_upright_and_the_report_says_why(tmp_path):
     report = transfer(mesh, mesh, "copy").report
     for which in ("identity", "driving"):
         assert (report[which]["up"], report[which]["up_from"]) == ("+y", "file")
-    given = transfer(mesh, mesh, "copy", up="-y", driving_up="-y").report
+    given = transfer(mesh, mesh, "copy", hints=Hints(up="-y", driving_up="-y")).report
     for which in ("identity", "driving"):
         assert (given[which]["up"], given[which]["up_from"]) == ("-y", "given")
     assert "up +y (by the file)" in inspect_file(tmp_path / "a.glb").text()
@@ -99,10 +100,10 @@ def test_a_shape_that_contradicts_its_file_gets_a_note(tmp_path):
     assert result.report["identity"]["up"] == "+y"
     expected = 'the file of scan defines up +y, its shape looks like up +z; give up="+z" if the file is wrong'
     assert expected in result.notes
-    given = transfer(mesh, person(0), "copy", up="+z")
+    given = transfer(mesh, person(0), "copy", hints=Hints(up="+z"))
     assert given.report["identity"]["up"] == "+z"
     assert not any("defines" in note for note in given.notes)
-    assert not any("defines" in note for note in transfer(person(0), mesh, "copy", driving_up="+z").notes)
+    assert not any("defines" in note for note in transfer(person(0), mesh, "copy", hints=Hints(driving_up="+z")).notes)
     assert 'give driving_up="+z" if' in " ".join(transfer(person(0), mesh, "copy").notes)
 
 

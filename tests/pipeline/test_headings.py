@@ -5,6 +5,7 @@ import pytest
 from animals import small
 from matrix import matrix
 from people import person
+from support.options import grouped
 
 import mimesh
 from mimesh.bodies.animals import animal
@@ -54,7 +55,7 @@ def test_joints_and_movement_over_the_ground_turn_with_the_driving():
     angle = turn(np.radians(25))
     turned = Clip(headed(DRIVING, 25), clip.vertices @ angle.T, 30.0)
     options = {"model": "mime", "ground": False, "skinned": True}
-    plain, result = (mimesh.animate(IDENTITY, driving, **options) for driving in (clip, turned))
+    plain, result = (mimesh.animate(IDENTITY, driving, **grouped(**options)) for driving in (clip, turned))
     assert largest_move(result.clip.vertices, plain.clip.vertices @ angle.T) < LARGEST
     skeleton, expected = result.skeleton, plain.skeleton
     np.testing.assert_allclose(skeleton.rig.joints, expected.rig.joints, atol=1e-3)
@@ -65,6 +66,8 @@ def test_joints_and_movement_over_the_ground_turn_with_the_driving():
 @pytest.mark.slow
 def test_animals_too():
     identity, driving = small(animal("cat")), small(animal("horse"))
-    plain = mimesh.transfer(identity, driving, body="quadruped").mesh.vertices
-    result = mimesh.transfer(headed(identity, -30), headed(driving, 20), body="quadruped").mesh.vertices
+    plain = mimesh.transfer(identity, driving, hints=mimesh.Hints(body="quadruped")).mesh.vertices
+    result = mimesh.transfer(
+        headed(identity, -30), headed(driving, 20), hints=mimesh.Hints(body="quadruped")
+    ).mesh.vertices
     assert largest_move(result, plain @ turn(np.radians(20)).T) < LARGEST

@@ -12,6 +12,7 @@ from matrix import matrix
 from networks import write_network, write_sequence_network
 from people import person, walk
 from rigs import of_kind
+from support.options import grouped
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import mimesh
@@ -55,7 +56,10 @@ def session(driving, model) -> LiveSession:
 
 @pytest.mark.slow
 def test_a_person_moves_as_in_a_clip_and_the_first_frame_is_enough(driving):
-    session, result = mimesh.prepare(person(0), driving), mimesh.animate(person(0), driving, ground=False)
+    session, result = (
+        mimesh.prepare(person(0), driving),
+        mimesh.animate(person(0), driving, motion=mimesh.MotionOptions(ground=False)),
+    )
     assert differences(session, driving, result.clip) < CLOSE
     assert session.report["driving"] == result.report["driving"]
     alone = mimesh.prepare(person(0), dataclasses.replace(driving.mesh, vertices=driving.vertices[0]))
@@ -68,7 +72,7 @@ def test_a_person_moves_as_in_a_clip_and_the_first_frame_is_enough(driving):
 def test_displacement_is_that_of_a_clip(driving, model, root):
     """The person walks 0.8 m. A tiny network finds wrong joints, in both cases the same."""
     other = in_other_axes(driving)
-    result = mimesh.animate(person(0), other, model, root=root, ground=False).clip
+    result = mimesh.animate(person(0), other, model, motion=mimesh.MotionOptions(root=root, ground=False)).clip
     assert differences(mimesh.prepare(person(0), other, model, root=root), other, result) < CLOSE
     travelled = np.linalg.norm((result.vertices[-1] - result.vertices[0]).mean(axis=0))
     assert {"scale": 0.4 < travelled < 2, "keep": travelled > 20, "drop": travelled < 0.4}[root], travelled
@@ -77,8 +81,10 @@ def test_displacement_is_that_of_a_clip(driving, model, root):
 @pytest.mark.slow
 def test_an_animal_moves_as_in_a_clip():
     clip, identity = small_clip(gait_clip("dog", "trot", seconds=0.2, fps=10.0)), small(animal("cow"))
-    result = mimesh.animate(identity, clip, body="quadruped", ground=False)
-    session = mimesh.prepare(identity, clip, body="quadruped")
+    result = mimesh.animate(
+        identity, clip, hints=mimesh.Hints(body="quadruped"), motion=mimesh.MotionOptions(ground=False)
+    )
+    session = mimesh.prepare(identity, clip, hints=mimesh.Hints(body="quadruped"))
     assert session.report["body"] == result.report["body"] == "quadruped"
     assert session.report["driving"]["confidence"] == result.report["driving"]["confidence"]
     assert differences(session, clip, result.clip) < CLOSE
@@ -86,7 +92,7 @@ def test_an_animal_moves_as_in_a_clip():
 
 def test_an_identity_with_a_rig_moves_on_its_own_bones(driving, model, tmp_path):
     path = of_kind(tmp_path / "a.glb", "T-pose", moving=False)[0]
-    result = mimesh.animate(path, driving, model, ground=False)
+    result = mimesh.animate(path, driving, model, motion=mimesh.MotionOptions(ground=False))
     assert result.report["rig"] == "own"
     assert differences(mimesh.prepare(path, driving, model), driving, result.clip) < CLOSE
 
@@ -97,9 +103,9 @@ def test_another_shape_of_one_mesh_moves_by_its_vertices():
     faces = strip_faces()
     clip = Clip(Mesh(frames[0], faces, name="strip"), frames, 30.0)
     identity = Mesh(bent_strip(0.0) * [1.5, 1.0, 1.0], faces, name="wide")
-    session = mimesh.prepare(identity, clip, body="other")
+    session = mimesh.prepare(identity, clip, hints=mimesh.Hints(body="other"))
     assert any("vertex by vertex" in note for note in session.notes)
-    assert differences(session, clip, mimesh.animate(identity, clip, body="other").clip) < CLOSE
+    assert differences(session, clip, mimesh.animate(identity, clip, hints=mimesh.Hints(body="other")).clip) < CLOSE
 
 
 def bent_strip(bend: float) -> np.ndarray:
@@ -121,8 +127,8 @@ def test_models_without_joints_move_as_in_a_clip(driving, model, tmp_path):
     options = {"reference": person(1)} if model == "deformation-transfer" else {}
     if model == "npt":
         model = str(write_network(tmp_path / "small.onnx"))
-    result = mimesh.animate(identity, clip, model, **options).clip
-    session = mimesh.prepare(identity, clip, model, **options)
+    result = mimesh.animate(identity, clip, model, **grouped(**options)).clip
+    session = mimesh.prepare(identity, clip, model, **grouped(**options))
     later = session.pose(clip.vertices[2])
     size = np.ptp(identity.vertices, axis=0).max()
     assert np.abs(later - result.vertices[2]).max() < CLOSE * size
@@ -243,7 +249,7 @@ def test_a_model_that_fails_in_a_frame_goes_on(driving):
 )
 def test_unusable_options_are_refused(driving, options, message):
     with pytest.raises(InputError, match=message):
-        mimesh.prepare(person(0), driving, **options)
+        mimesh.prepare(person(0), driving, **grouped(**options))
 
 
 def test_threads_of_linear_algebra_are_limited_during_a_frame_only(driving):

@@ -12,6 +12,7 @@ from foreign_names import renamed
 from mimesh import pipeline
 from mimesh.cli import run
 from mimesh.core.errors import InputError
+from mimesh.core.options import Hints
 from mimesh.io import load_clip
 from mimesh.io.gltf.document import open_document
 from mimesh.pipeline import animate
@@ -47,7 +48,7 @@ def test_results_of_several_identities_are_refused(suffix, model, driving, tmp_p
 
 def test_a_result_on_the_rig_and_one_on_the_surface_are_refused(model, driving, tmp_path):
     identity = rigs.character(tmp_path / "a.glb", name=renamed("unreal"))
-    results = [animate(str(identity), str(driving), model, rig=rig) for rig in ("own", "mimesh")]
+    results = [animate(str(identity), str(driving), model, hints=Hints(rig=rig)) for rig in ("own", "mimesh")]
     for given, names in ((results, ["first", "second"]), (results[::-1], ["second", "first"])):
         message = r"^second: .* of the identity's own bones, as that of first, .*rig=\"mimesh\""
         with pytest.raises(InputError, match=message):

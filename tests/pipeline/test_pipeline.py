@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from networks import write_mime_network, write_network
 from people import person, walk
+from support.options import grouped
 from zoo import cube
 
 from mimesh.core.errors import InputError
 from mimesh.core.frame_buffer import LazyFrames
 from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.options import FrameRange, Hints, ModelOptions
 from mimesh.io import load_mesh, save_mesh
 from mimesh.pipeline import animate, transfer
 from mimesh.pipeline.report import against_neighbours, flipped_share, quality
@@ -50,11 +52,17 @@ def test_transfer_is_animate_with_one_frame():
 def test_range_of_frames_is_taken_at_the_same_speed():
     identity, clip = person(0), walk(frames=6)
     calls = []
-    result = animate(identity, clip, "copy", start=1, step=2, progress=lambda done, total: calls.append((done, total)))
+    result = animate(
+        identity,
+        clip,
+        "copy",
+        frames=FrameRange(start=1, step=2),
+        progress=lambda done, total: calls.append((done, total)),
+    )
     assert len(result.clip) == 3
     assert result.fps == clip.fps / 2
     assert calls == [(1, 3), (2, 3), (3, 3)]
-    assert animate(identity, clip, "copy", stop=2, fps=50.0).fps == 50.0
+    assert animate(identity, clip, "copy", frames=FrameRange(stop=2, fps=50.0)).fps == 50.0
 
 
 def test_a_file_of_joints_is_written_without_making_all_frames(tmp_path, monkeypatch):
@@ -92,7 +100,7 @@ def counted_calls(function, calls):
 )
 def test_wrong_ranges_are_refused(options, message):
     with pytest.raises(InputError, match=message):
-        animate(person(0), walk(), "copy", **options)
+        animate(person(0), walk(), "copy", **grouped(**options))
 
 
 def test_arrays_with_nan_are_refused():
@@ -105,9 +113,9 @@ def test_arrays_with_nan_are_refused():
 
 
 def test_uncertain_facing_is_noted_and_a_given_one_is_not():
-    unsure = transfer(cube(), cube(), "copy", front=None)
+    unsure = transfer(cube(), cube(), "copy", hints=Hints(front=None))
     assert [note.split(";")[1] for note in unsure.notes] == [" give front=...", " give driving_front=..."]
-    sure = transfer(cube(), cube(), "copy", up="y", front="z", driving_up="y", driving_front="z")
+    sure = transfer(cube(), cube(), "copy", hints=Hints(up="y", front="z", driving_up="y", driving_front="z"))
     assert sure.notes == ()
     assert np.allclose(sure.vertices, cube().vertices)
     axes = {"up": "+y", "front": "+z", "up_from": "given"}
@@ -186,7 +194,7 @@ def test_unusable_markers_are_refused(markers, found):
     )
     mesh = person(0)
     with pytest.raises(InputError) as error:
-        transfer(mesh, mesh, "deformation-transfer", reference=mesh, markers=markers)
+        transfer(mesh, mesh, "deformation-transfer", options=ModelOptions(reference=mesh, markers=markers))
     assert str(error.value) == message
 
 
@@ -194,7 +202,12 @@ def test_unusable_markers_are_refused(markers, found):
 def test_markers_out_of_range_are_refused_in_one_line(row):
     mesh = person(0)
     with pytest.raises(InputError, match=r"expected vertices of person0 in 0\.\.") as error:
-        transfer(mesh, mesh, "deformation-transfer", reference=mesh, markers=[[1, 1], [2, 2], [3, 3], row])
+        transfer(
+            mesh,
+            mesh,
+            "deformation-transfer",
+            options=ModelOptions(reference=mesh, markers=[[1, 1], [2, 2], [3, 3], row]),
+        )
     assert "\n" not in str(error.value)
 
 
@@ -203,7 +216,9 @@ def test_markers_may_be_a_list_of_pairs():
     marks = np.unique(np.concatenate([identity.vertices.argmax(axis=0), identity.vertices.argmin(axis=0)]))
     pairs = np.stack([marks, marks], axis=1)
     results = [
-        transfer(identity, driving, "deformation-transfer", reference=reference, markers=markers).vertices
+        transfer(
+            identity, driving, "deformation-transfer", options=ModelOptions(reference=reference, markers=markers)
+        ).vertices
         for markers in (pairs.astype(np.uint16), pairs.tolist())
     ]
     assert np.array_equal(*results)
@@ -215,8 +230,8 @@ def test_heading_of_the_clip_against_its_reference_does_not_matter():
     aside = np.stack([clip.vertices[..., 2], clip.vertices[..., 1], -clip.vertices[..., 0]], axis=-1)
     turned = Clip(dataclasses.replace(clip.mesh, vertices=aside[0]), aside)
     axes = {"up": "+y", "front": "+z", "driving_up": "+y", "reference": reference}
-    expected = animate(identity, clip, "deformation-transfer", driving_front="+z", **axes).clip.vertices
-    result = animate(identity, turned, "deformation-transfer", driving_front="+x", **axes).clip.vertices
+    expected = animate(identity, clip, "deformation-transfer", **grouped(driving_front="+z", **axes)).clip.vertices
+    result = animate(identity, turned, "deformation-transfer", **grouped(driving_front="+x", **axes)).clip.vertices
     assert np.abs(result - expected).max() < 1e-5
     steps = (result[1:] - result[:-1]).mean(axis=1)
     assert (steps[:, 2] > 3 * np.abs(steps[:, 0])).all()
@@ -225,8 +240,12 @@ def test_heading_of_the_clip_against_its_reference_does_not_matter():
 def test_refinement_is_the_models_default_or_the_users_choice(tmp_path):
     """By default `copy` is not refined."""
     rough = dataclasses.replace(person(0), vertices=person(0).vertices + 0.01 * np.sin(1e4 * person(0).vertices))
-    plain, refined = (transfer(person(0), rough, "copy", refine=refine) for refine in (None, True))
-    assert np.array_equal(plain.vertices, transfer(person(0), rough, "copy", refine=False).vertices)
+    plain, refined = (
+        transfer(person(0), rough, "copy", options=ModelOptions(refine=refine)) for refine in (None, True)
+    )
+    assert np.array_equal(
+        plain.vertices, transfer(person(0), rough, "copy", options=ModelOptions(refine=False)).vertices
+    )
     assert refined.report["edge_stretch_p99"] < plain.report["edge_stretch_p99"]
     assert refined.seconds["refine"] > 0
     assert all(value >= 0 for value in refined.seconds.values())
@@ -236,7 +255,9 @@ def test_a_vertex_network_is_refined_unless_the_user_says_no(tmp_path):
     pytest.importorskip("onnx")
     network, axes = str(write_network(tmp_path / "npt.onnx")), {"up": "+y", "front": "+z", "body": "human"}
     default, unrefined, refined = (
-        transfer(person(0), person(1, 0), network, refine=refine, driving_up="+y", driving_front="+z", **axes).vertices
+        transfer(
+            person(0), person(1, 0), network, **grouped(refine=refine, driving_up="+y", driving_front="+z", **axes)
+        ).vertices
         for refine in (None, False, True)
     )
     assert np.array_equal(default, refined)
@@ -248,7 +269,7 @@ def test_collapsed_first_frame_is_refused():
     vertices = clip.vertices.copy()
     vertices[2] = 0.0
     with pytest.raises(InputError, match="walk"):
-        animate(person(0), dataclasses.replace(clip, vertices=vertices), "copy", start=2)
+        animate(person(0), dataclasses.replace(clip, vertices=vertices), "copy", frames=FrameRange(start=2))
 
 
 @pytest.mark.slow
@@ -256,7 +277,7 @@ def test_a_tetrahedron_gives_a_finite_result():
     """The smallest mesh that is moved."""
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     tetrahedron = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), faces, name="tetrahedron")
-    assert np.isfinite(transfer(tetrahedron, person(0), body="human").vertices).all()
+    assert np.isfinite(transfer(tetrahedron, person(0), hints=Hints(body="human")).vertices).all()
 
 
 def test_meshes_of_arrays_are_called_by_what_they_are_for():

@@ -12,6 +12,7 @@ from networks import write_mime_network
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies.joint_names import FINGERS, finger_joints
+from mimesh.core.options import MotionOptions
 from mimesh.pipeline import animate
 
 ALL = (*finger_joints("Left"), *finger_joints("Right"))
@@ -49,7 +50,9 @@ def test_finger_bones_point_where_the_drivings_do(angle, tmp_path):
         short.joints[person.names.index(name)] += 0.2 * (person.joints[hand] - person.joints[person.names.index(name)])
     rest = resting(short, angle)
     path = rigs.character(tmp_path / "a.glb", person=short, rest=rest, name=unreal, frames=3)
-    result = animate(str(path), str(driving), str(write_mime_network(tmp_path / "mime.onnx")), ground=False)
+    result = animate(
+        str(path), str(driving), str(write_mime_network(tmp_path / "mime.onnx")), motion=MotionOptions(ground=False)
+    )
     assert result.skeleton is not None
     names, positions = result.skeleton.names, result.skeleton.joint_positions()
     for start, end in BONES:

@@ -81,14 +81,14 @@ def test_the_rig_of_a_file_is_kept_with_all_else_or_replaced(tmp_path):
     assert {"root", "pelvis", "thigh_l"} <= renamed
     with pytest.raises(InputError, match="rest: expected `rest="):
         kept.save(tmp_path / "t.glb", rest="T")
-    replaced = mimesh.rig(path, rig="mimesh")
+    replaced = mimesh.rig(path, hints=mimesh.Hints(rig="mimesh"))
     assert replaced.source == "found"
     assert len(open_document(replaced.save(tmp_path / "new.glb")).gltf["skins"]) == 1
 
 
 def test_corrected_joints_stay_where_they_are_put(rigged):
     elbow = rigged.joints["LeftForeArm"] + [0.0, 0.03, 0.0]
-    corrected = mimesh.rig(rigged.mesh, joints={"LeftForeArm": elbow})
+    corrected = mimesh.rig(rigged.mesh, hints=mimesh.Hints(joints={"LeftForeArm": elbow}))
     assert corrected.source == "corrected"
     np.testing.assert_allclose(corrected.joints["LeftForeArm"], elbow, atol=1e-6)
 
@@ -96,10 +96,10 @@ def test_corrected_joints_stay_where_they_are_put(rigged):
 def test_what_is_no_body_is_refused_unless_the_user_insists():
     with pytest.raises(RefusedMeshError, match=r"^ring: expected a person or a four-legged animal, found a shape"):
         mimesh.rig(ring())
-    insisted = mimesh.rig(ring(), body="human")
+    insisted = mimesh.rig(ring(), hints=mimesh.Hints(body="human"))
     assert any("ring does not look like a person" in note for note in insisted.notes)
     with pytest.raises(InputError, match="body: expected human, quadruped or auto, found other"):
-        mimesh.rig(ring(), body="other")
+        mimesh.rig(ring(), hints=mimesh.Hints(body="other"))
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.engine_names import SCHEMES as ENGINE_NAMES
+from mimesh.core.options import MotionOptions
 from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.draft import Draft
@@ -153,7 +154,7 @@ def test_a_clip_without_a_mesh_drives_a_rig(model, tmp_path):
     """The person has the size of the clip's skeleton; the motion's path scales with the legs."""
     path, *_ = rigs.of_kind(tmp_path / "move.glb", "T-pose", change=without_mesh, armature=np.eye(4))
     identity = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"))
-    result = animate(str(identity), str(path), model, ground=False)
+    result = animate(str(identity), str(path), model, motion=MotionOptions(ground=False))
     assert result.own is not None
     transforms, expected = result.skeleton.transforms(), rigs.exercise(rigs.figure())
     names = rigs.figure().names

@@ -13,6 +13,7 @@ from mimesh import animate
 from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.options import Hints, MotionOptions
 from mimesh.io import load_clip, load_mesh, save_mesh
 
 GRID = 14
@@ -57,7 +58,7 @@ def centred(vertices: np.ndarray) -> np.ndarray:
 def test_the_other_shape_bends_as_much():
     """Measured: 0.009 for a tube of length 2; the still identity is 0.59 away."""
     identity = tube(thick=0.1, length=2.0)
-    result = animate(identity, clip_of([tube(bend=bend) for bend in BENDS]), body="other")
+    result = animate(identity, clip_of([tube(bend=bend) for bend in BENDS]), hints=Hints(body="other"))
     assert result.report["reference"]["frame"] == 1
     truth = np.stack([tube(thick=0.1, length=2.0, bend=bend).vertices for bend in BENDS])
     error = np.linalg.norm(centred(result.clip.vertices) - centred(truth), axis=-1).max()
@@ -69,7 +70,7 @@ def test_the_other_shape_bends_as_much():
 
 def test_the_same_shape_gives_the_clip_back():
     driving = clip_of([tube(bend=bend) for bend in BENDS])
-    result = animate(tube(), driving, body="other")
+    result = animate(tube(), driving, hints=Hints(body="other"))
     assert np.abs(centred(result.clip.vertices) - centred(driving.vertices)).max() < 1e-4
 
 
@@ -81,9 +82,7 @@ def test_other_axes_of_the_driving():
         animate(
             tube(thick=0.1),
             clip_of([Mesh(mesh.vertices @ turn.T, mesh.faces) for mesh in meshes]),
-            body="other",
-            up="+y",
-            front="+z",
+            hints=Hints(body="other", up="+y", front="+z"),
         ).clip.vertices
         for turn in (np.eye(3), z_up, aside)
     )
@@ -130,11 +129,11 @@ def test_a_person_is_still_taken_for_one(tmp_path):
 def test_what_cannot_be_driven_is_refused(tmp_path, capsys):
     bird, worm = Boxes.of(BIRD).mesh, Boxes.of(snake(4)).mesh
     with pytest.raises(InputError, match="rigs in both files, two shapes of one mesh, or limbs"):
-        animate(bird, clip_of([worm, worm]), body="other")
+        animate(bird, clip_of([worm, worm]), hints=Hints(body="other"))
     with pytest.raises(InputError, match=r"give it with reference=..."):
-        animate(tube(), clip_of([tube(bend=0.5)]), body="other")
+        animate(tube(), clip_of([tube(bend=0.5)]), hints=Hints(body="other"))
     with pytest.raises(InputError, match=r"^smooth:"):
-        animate(tube(), clip_of([tube(), tube(bend=0.5)]), body="other", smooth=0.1)
+        animate(tube(), clip_of([tube(), tube(bend=0.5)]), hints=Hints(body="other"), motion=MotionOptions(smooth=0.1))
     save_mesh(bird, tmp_path / "bird.obj")
     save_mesh(worm, tmp_path / "worm.obj")
     command = ["transfer", str(tmp_path / "bird.obj"), str(tmp_path / "worm.obj"), "--body", "other"]

@@ -24,7 +24,7 @@ pytest.importorskip("onnx")
 def results(tmp_path_factory):
     network = str(write_mime_network(tmp_path_factory.mktemp("networks") / "mime.onnx"))
     clips = (walk(faces=600), dataclasses.replace(walk(2, frames=6, faces=600), fps=12.0))
-    return [mimesh.animate(person(0), clip, network, skinned=True) for clip in clips]
+    return [mimesh.animate(person(0), clip, network, motion=mimesh.MotionOptions(skinned=True)) for clip in clips]
 
 
 def test_each_result_becomes_an_animation(results, tmp_path):

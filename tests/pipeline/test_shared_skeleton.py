@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rigs
+from support.options import grouped
 
 from mimesh.cli import run
 from mimesh.core.errors import InputError
+from mimesh.core.options import MotionOptions
 from mimesh.pipeline import animate
 
 
@@ -27,13 +29,15 @@ def test_a_copied_clip_has_a_picture_and_a_page(options, walker, model, tmp_path
 
 
 def test_the_report_of_a_copied_clip_has_the_keys_of_others(walker, model):
-    copied, moved = (animate(walker, walker, model, root=root) for root in ("scale", "drop"))
+    copied, moved = (animate(walker, walker, model, motion=MotionOptions(root=root)) for root in ("scale", "drop"))
     assert set(moved.report) - set(copied.report) <= {"influence_deviation", "body"}
     assert copied.report["identity"]["front"] == moved.report["identity"]["front"]
 
 
 def test_options_that_change_the_motion_use_the_joints_of_the_file(walker, model):
-    copied, dropped = (animate(walker, walker, model, root=root, ground=False) for root in ("scale", "drop"))
+    copied, dropped = (
+        animate(walker, walker, model, motion=MotionOptions(root=root, ground=False)) for root in ("scale", "drop")
+    )
     assert dropped.own is not None
     assert dropped.notes == ()
     across = (copied.clip.vertices - dropped.clip.vertices) - (copied.clip.vertices - dropped.clip.vertices)[0]
@@ -45,4 +49,4 @@ def test_options_that_change_the_motion_use_the_joints_of_the_file(walker, model
 @pytest.mark.parametrize("options", [{"smooth": -1.0}, {"up": "q"}, {"root": "high"}])
 def test_options_are_checked_where_a_clip_is_copied(options, walker, model):
     with pytest.raises(InputError):
-        animate(walker, walker, model, **options)
+        animate(walker, walker, model, **grouped(**options))

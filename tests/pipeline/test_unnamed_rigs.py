@@ -13,6 +13,7 @@ from networks import write_mime_network
 from scipy.spatial.transform import Rotation
 
 from mimesh.core.errors import InputError
+from mimesh.core.options import Hints
 from mimesh.pipeline import animate
 from mimesh.tools.inspect import inspect_file
 
@@ -66,7 +67,7 @@ def test_what_is_no_person_is_refused_or_left_to_the_surface(driving, tmp_path):
     path = str(rigs.character(tmp_path / "a.glb", name=nameless, person=flat))
     with pytest.raises(InputError, match='if a is a person, too, rig="mimesh" body="human"'):
         animate(path, driving)
-    assert animate(path, driving, rig="mimesh", body="human").own is None
+    assert animate(path, driving, hints=Hints(rig="mimesh", body="human")).own is None
 
 
 @pytest.mark.slow

@@ -45,7 +45,7 @@ def mesh_node(path):
 def test_an_animation_turns_the_bones_of_a_vrm_exactly(version, tmp_path):
     path, rig, nodes = vrm(tmp_path / "a.vrm", version)
     drive, world, hips = vrma(tmp_path / "a.vrma", bone_positions(rig, "+z" if version else "-z"))
-    result = mimesh.animate(path, drive, ground=False)
+    result = mimesh.animate(path, drive, motion=mimesh.MotionOptions(ground=False))
     found, turn = turned(result, [nodes[bone] for bone in world]), TURN[version]
     assert len(world) == 52
     assert np.abs(found - turn @ np.stack(list(world.values()), axis=1) @ turn.T).max() < 1e-5
@@ -57,8 +57,8 @@ def test_an_animation_turns_the_bones_of_a_vrm_exactly(version, tmp_path):
 def test_a_written_animation_is_the_motion_of_the_vrm(version, tmp_path):
     path, rig, nodes = vrm(tmp_path / "a.vrm", version)
     drive, world, _ = vrma(tmp_path / "a.vrma", bone_positions(rig, "+z" if version else "-z"), frames=40, spread=0.1)
-    first = mimesh.animate(path, drive, ground=False)
-    again = mimesh.animate(path, first.save(tmp_path / "b.vrma"), ground=False)
+    first = mimesh.animate(path, drive, motion=mimesh.MotionOptions(ground=False))
+    again = mimesh.animate(path, first.save(tmp_path / "b.vrma"), motion=mimesh.MotionOptions(ground=False))
     of_bones = [nodes[bone] for bone in world]
     assert np.abs(turned(first, of_bones) - turned(again, of_bones)).max() < 1e-4
     assert np.abs(first.clip.vertices - again.clip.vertices).max() < 1e-4
@@ -75,7 +75,7 @@ def test_a_written_animation_is_the_motion_of_the_vrm(version, tmp_path):
 def test_keys_of_a_written_animation_are_thinned(tmp_path):
     path, rig, _ = vrm(tmp_path / "a.vrm")
     drive, _, _ = vrma(tmp_path / "a.vrma", bone_positions(rig), frames=8, spread=0.0)
-    mimesh.animate(path, drive, ground=False).save(tmp_path / "b.vrma")
+    mimesh.animate(path, drive, motion=mimesh.MotionOptions(ground=False)).save(tmp_path / "b.vrma")
     gltf = open_document(tmp_path / "b.vrma").gltf
     counts = [gltf["accessors"][sampler["input"]]["count"] for sampler in gltf["animations"][0]["samplers"]]
     assert counts[0] == 8  # the hips
@@ -103,7 +103,7 @@ def test_other_rigs_are_written_from_a_t_pose(facing, tmp_path):
     path = character(tmp_path / "hero.glb", rest=rest, turn=np.diag([facing, 1.0, facing]), faces=600)
     _, rig, _ = vrm(tmp_path / "a.vrm")
     drive, _, _ = vrma(tmp_path / "a.vrma", bone_positions(rig))
-    result = mimesh.animate(path, drive, ground=False)
+    result = mimesh.animate(path, drive, motion=mimesh.MotionOptions(ground=False))
     motion = _bone_motion(result, "x", None, tmp_path / "x.vrma")
     joints, parents = motion.joints, motion.parents
     for name, direction in T_DIRECTIONS.items():
@@ -119,7 +119,7 @@ def test_other_rigs_are_written_from_a_t_pose(facing, tmp_path):
         assert np.allclose(bones, expected, atol=1e-4 * np.linalg.norm(expected[0])), name
     # And so they do on a VRM that gets the file.
     avatar, _, _ = vrm(tmp_path / "b.vrm")
-    played = mimesh.animate(avatar, result.save(tmp_path / "c.vrma"), ground=False)
+    played = mimesh.animate(avatar, result.save(tmp_path / "c.vrma"), motion=mimesh.MotionOptions(ground=False))
     at = {joint: played.own.node_matrices([node])[:, 0, :3, 3] for joint, node in played.own.joints.items()}
     for name, bones in limbs(motion).items():
         found = at[name] - at[joints[parents[joints.index(name)]]]
@@ -216,7 +216,7 @@ def test_targets_follow_those_of_their_name(named, still, copied, tmp_path):
     """The driving has other targets in another order, in other spellings."""
     path, _, _ = vrm(tmp_path / "a.vrm", targets=ARKIT)
     drive, _, _ = vrm(tmp_path / "b.vrm", targets=OTHERS, weights=WEIGHTS, named=named, still=still)
-    result = mimesh.animate(path, drive, ground=False)
+    result = mimesh.animate(path, drive, motion=mimesh.MotionOptions(ground=False))
     assert result.report.get("copied", False) is copied
     node = mesh_node(path)
     expected = np.stack([np.zeros(5), WEIGHTS[:, 2], WEIGHTS[:, 0]], axis=1)
@@ -225,7 +225,9 @@ def test_targets_follow_those_of_their_name(named, still, copied, tmp_path):
     result.save_skinned(tmp_path / "c.glb")
     size = np.ptp(result.clip.mesh.vertices, axis=0).max()
     assert np.abs(load_clip(tmp_path / "c.glb").vertices - result.clip.vertices).max() < 1e-5 * size
-    plain = mimesh.animate(path, vrm(tmp_path / "d.vrm", named=named, weights=None)[0], ground=False)
+    plain = mimesh.animate(
+        path, vrm(tmp_path / "d.vrm", named=named, weights=None)[0], motion=mimesh.MotionOptions(ground=False)
+    )
     assert np.abs(result.clip.vertices[2] - plain.clip.vertices[0]).max() > 1e-3
 
 
@@ -245,7 +247,7 @@ def test_expressions_move_the_targets_of_a_vrm(tmp_path):
         "angry": np.ones(6),
     }
     drive, _, _ = vrma(tmp_path / "a.vrma", bone_positions(rig), expressions=weights)
-    track = mimesh.animate(path, drive, ground=False).own.tracks[node, "weights"]
+    track = mimesh.animate(path, drive, motion=mimesh.MotionOptions(ground=False)).own.tracks[node, "weights"]
     assert np.allclose(track[:, 0], [0, 0.25, 0.5, 0.375, 0, 0], atol=1e-6)
     assert np.allclose(track[:, 1], [0, 0, 0.5, 0, 0, 0.5], atol=1e-6)
     assert np.allclose(track[:, 2], [0, 0.1, 0.1, 0.225, 0.5, 0], atol=1e-6)

@@ -9,6 +9,7 @@ import pytest
 from animals import small
 from matrix import matrix
 from people import person
+from support.options import grouped
 from zoo import ring
 
 from mimesh.bodies.animals import animal
@@ -78,12 +79,12 @@ def test_a_thing_beside_a_person_is_never_moved_without_a_word(files, tmp_path, 
 @pytest.mark.parametrize("model", ["npt-maxpool", "aniformer"])
 def test_networks_of_people_say_that_an_animal_is_none(model):
     axes = {"up": "+y", "driving_up": "+y"}
-    notes = transfer(MESHES["cow"], MESHES["cow"], model, **axes).notes
+    notes = transfer(MESHES["cow"], MESHES["cow"], model, **grouped(**axes)).notes
     weights = INDEX_PAIRED.get(model, model)  # a cow and itself have the same triangles
     said = f"cow looks like a four-legged animal, as far as can be told, and the weights of {weights} were trained on "
     assert sum(said in note for note in notes) == 2
     for mesh, options in ((MESHES["cow"], {"body": "human"}), (MESHES["man"], {})):
-        assert "trained on people" not in " ".join(transfer(mesh, mesh, model, **axes, **options).notes)
+        assert "trained on people" not in " ".join(transfer(mesh, mesh, model, **grouped(**axes, **options)).notes)
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from people import person as person_mesh
+from support.options import grouped
 
 from mimesh.bodies import load_body
 from mimesh.core.mesh import Mesh
@@ -55,7 +56,7 @@ def chair():
 
 
 def notes(mesh):
-    return " ".join(transfer(mesh, person_mesh(1, pose=1, faces=600), **AXES).notes)
+    return " ".join(transfer(mesh, person_mesh(1, pose=1, faces=600), **grouped(**AXES)).notes)
 
 
 def test_whole_person_has_no_note():
@@ -169,7 +170,7 @@ def test_missing_forearms_are_noted_and_holes_are_not():
     noise = PROTOCOLS["noise"]
     for kind, expected in (("holes", ()), ("cropped", ("certainty",))):
         trial = noise.pair("val", kind, 0)
-        notes = " ".join(transfer(trial.identity, trial.driving, **AXES).notes)
+        notes = " ".join(transfer(trial.identity, trial.driving, **grouped(**AXES)).notes)
         assert all(words in notes for words in expected)
         assert bool(expected) == ("certainty" in notes)
 
@@ -178,7 +179,7 @@ def test_missing_forearms_are_noted_and_holes_are_not():
 def test_sparse_point_cloud_of_a_person_has_no_note():
     points = np.random.default_rng(0).permutation(BODY.vertices)[:300]
     notes = " ".join(
-        transfer(person_mesh(0, faces=600), Mesh(points, np.zeros((0, 3), int), name="cloud"), **AXES).notes
+        transfer(person_mesh(0, faces=600), Mesh(points, np.zeros((0, 3), int), name="cloud"), **grouped(**AXES)).notes
     )
     assert "certainty" not in notes
 

@@ -9,6 +9,7 @@ from waiting import wait_until
 from mimesh import animate, load_clip, save_mesh
 from mimesh.bodies.animals import ANIMALS
 from mimesh.core.mesh import cut_clip
+from mimesh.core.options import Hints, MotionOptions
 from mimesh.motions.animal_clips import ANIMAL_MOTIONS
 from mimesh.studio import make_session, operations
 from mimesh.studio.operations import demo_clip
@@ -140,7 +141,7 @@ def test_creatures_are_moved_and_exported_as_by_animate(session, client, files, 
     assert written.skeleton.has_joints
     client.post("/api/options", json={"root": "drop", "body": "other"})
     assert moved(client)["outcome"]["error"] == ""
-    expected = animate(*birds, root="drop", body="other")
+    expected = animate(*birds, motion=MotionOptions(root="drop"), hints=Hints(body="other"))
     np.testing.assert_allclose(vertices(session), expected.clip.vertices, atol=1e-6)
     client.post("/api/options", json={"smooth": 0.1})
     assert moved(client)["outcome"]["error"].startswith("smoothing: expected the rig of a person")

@@ -9,6 +9,7 @@ from waiting import finished
 
 from mimesh import InputError, animate, save_clip, save_mesh
 from mimesh.core.joint_corrections import JointCorrections
+from mimesh.core.options import Hints
 from mimesh.io.joint_file import load_corrections, save_corrections
 from mimesh.pipeline.corrections import shown_bones
 from mimesh.studio import make_session
@@ -51,7 +52,9 @@ def test_corrections_give_the_result_of_animate_and_can_be_taken_back(start, fil
     elbow = found["meshes"][str(session.driving.number)]["joints"]["LeftForeArm"]
     session.set_joints(session.driving.number, {"LeftForeArm": elbow})
     expected = animate(
-        files / "hero.obj", files / "walk.npz", joints={"LeftLeg": knee}, driving_joints={"LeftForeArm": elbow}
+        files / "hero.obj",
+        files / "walk.npz",
+        hints=Hints(joints={"LeftLeg": knee}, driving_joints={"LeftForeArm": elbow}),
     )
     corrected = finished(session).outcome.result
     np.testing.assert_array_equal(corrected.clip.vertices, expected.clip.vertices)

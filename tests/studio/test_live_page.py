@@ -12,6 +12,7 @@ import httpx2
 import numpy as np
 import pytest
 import zoo
+from support.options import grouped
 
 import mimesh
 from mimesh import InputError
@@ -26,7 +27,7 @@ def session():
     cube = zoo.cube()
     driving = Mesh(2 * cube.vertices, cube.faces, name="<driving>")
     axes = {f"{which}{axis}": value for which in ("", "driving_") for axis, value in (("up", "+y"), ("front", "+z"))}
-    return mimesh.prepare(cube, driving, "copy", **axes)
+    return mimesh.prepare(cube, driving, "copy", **grouped(**axes))
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matrix import matrix
 from people import person, walk
+from support.options import grouped
 from waiting import finished, wait_until
 
 from mimesh import InputError, animate, save_clip, save_mesh, transfer
@@ -61,7 +62,7 @@ def test_results_are_those_of_animate(mime_session, files, model):
     np.testing.assert_allclose(pose, expected.clip.vertices[2], atol=1e-5)
     options = {"root": "drop", "refine": True, "smooth": 0.2}
     mime_session.set_options(options)
-    expected = animate(files / "hero.obj", files / "walk.npz", model, **options)
+    expected = animate(files / "hero.obj", files / "walk.npz", model, **grouped(**options))
     result = finished(mime_session).outcome.result
     np.testing.assert_allclose(result.clip.vertices, expected.clip.vertices, atol=1e-6)
 

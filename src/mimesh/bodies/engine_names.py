@@ -19,12 +19,10 @@ Joints of ours without a name in a scheme: LHipJoint, RHipJoint, the finger stub
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, get_args
 
-from ..core.errors import InputError
+from ..core.options import Layout
 from .joint_names import FINGERS
 
-RestPose = Literal["file", "T", "A"]
 """Pose that a skeleton is bound in: that of the file, arms horizontal, or arms lowered (`engine_rig.A_ANGLE`)."""
 TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
 LIMBS = ("Shoulder", "Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot", "ToeBase")
@@ -146,16 +144,7 @@ SCHEMES = {
 """Schemes by their name in `--names`."""
 
 
-def check_layout(names: str, rest: str, fps: float | None = None) -> Scheme:
-    """Check that a scheme, a rest pose and a frame rate exist; return the scheme.
-
-    Raises:
-        InputError: one of them does not; the message names the option of the command line.
-    """
-    if names not in SCHEMES:
-        raise InputError(f"--names: expected one of {', '.join(SCHEMES)}, found {names!r}; choose one of them")
-    if rest not in get_args(RestPose):
-        raise InputError(f"--rest: expected one of {', '.join(get_args(RestPose))}, found {rest!r}; choose one of them")
-    if fps is not None and not 0 < fps < float("inf"):
-        raise InputError(f"--output-fps: expected a positive frame rate, found {fps:g}; give for example 30")
-    return SCHEMES[names]
+def root_name(layout: Layout) -> str | None:
+    """Name the bone above the hips, if there is to be one."""
+    scheme = SCHEMES[layout.names]
+    return scheme.root if layout.root_bone or scheme.has_root else None

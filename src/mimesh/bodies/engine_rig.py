@@ -8,7 +8,7 @@ ignores extra bones still finds every named bone in its place.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -16,11 +16,12 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.animated_rig import AnimatedRig
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.normalization import ORIENTATIONS, ROTATIONS
+from ..core.options import Layout
 from ..core.rig import Rig, descendants
 from ..core.skinning import blend_matrices, place_joints, skin_points
-from .engine_names import REQUIRED, SCHEMES, Scheme, check_layout
+from .engine_names import REQUIRED, SCHEMES, Scheme
 from .joint_names import FINGERS
 
 A_ANGLE = 50.0
@@ -32,42 +33,6 @@ deviate no more from its reference pose (`fix_silhouette/threshold`)."""
 LEAST_DETERMINANT = 0.25
 """Least determinant of a vertex's blended rotations from which on they are inverted. Two equal weights have it where
 their joints differ by 120 degrees."""
-
-
-@dataclass(frozen=True)
-class Layout:
-    """How the joints of a file are arranged for an engine.
-
-    Example:
-        >>> mimesh.Layout("unreal", root_bone=True, fps=30.0).names
-        'unreal'
-    """
-
-    names: str = "own"
-    """A scheme of SCHEMES."""
-    root_bone: bool = False
-    """Add a bone on the ground that carries the displacement over it; the hips keep the rest."""
-    rest: str = "file"
-    """Pose that the mesh is bound in, one of RestPose."""
-    fps: float | None = None
-    """Frames a second of the file, sampled from the motion's; None keeps its rate."""
-
-    @property
-    def root(self) -> str | None:
-        """Name of the bone above the hips, if there is to be one."""
-        scheme = SCHEMES[self.names]
-        return scheme.root if self.root_bone or scheme.has_root else None
-
-    def check(self) -> None:
-        """Check the values.
-
-        Raises:
-            InputError: one does not exist.
-
-        Example:
-            >>> mimesh.Layout("mixamo").check()
-        """
-        check_layout(self.names, self.rest, self.fps)
 
 
 def engine_rig(
@@ -94,7 +59,7 @@ def engine_rig(
     Raises:
         InputError: no such scheme or rest pose, or the rig lacks joints that every scheme has.
     """
-    scheme = check_layout(names, rest)
+    scheme = SCHEMES[Layout(names, root_bone, rest).names]
     _check_joints(skeleton, names, rest)
     if not scheme.bones and not root_bone and rest == "file":
         return skeleton
@@ -108,9 +73,9 @@ def _check_joints(skeleton: AnimatedRig, names: str, rest: str) -> None:
     """Check that a rig has the joints that a scheme or a rest pose needs."""
     missing = [joint for joint in REQUIRED if joint not in skeleton.names]
     if missing and (SCHEMES[names].bones or rest != "file"):
-        option = f"--names {names}" if SCHEMES[names].bones else f"--rest {rest}"
+        asked = option("names", names) if SCHEMES[names].bones else option("rest", rest)
         raise InputError(
-            f"{option}: expected joints for a whole person, found none for {', '.join(missing)}; leave the option out"
+            f"{asked}: expected joints for a whole person, found none for {', '.join(missing)}; leave the option out"
         )
 
 

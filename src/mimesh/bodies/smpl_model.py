@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.mesh import Mesh
 from ..core.npz_archive import open_archive, read_array, read_array_header
 from ..core.pickled_arrays import read_object_array, read_pickled_arrays
@@ -179,7 +179,7 @@ def _check_names(names: Collection[str], path: Path) -> None:
         found = ", ".join(repr(name)[1:-1] for name in list(names)[:12]) or "none"  # names may be anything
         remedy = "check that the file is a body model"
         if {"pose", "trans"} & set(names):
-            remedy = "a file of poses needs a model: mimesh convert IN OUT --body-model SMPL.pkl"
+            remedy = f"a file of poses needs a model: mimesh convert IN OUT {option('body_model')} SMPL.pkl"
         raise InputError(f"{path}: expected the arrays {', '.join(missing)}, found {found[:200]}; {remedy}")
 
 

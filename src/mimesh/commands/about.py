@@ -8,15 +8,16 @@ from typing import Annotated, Any
 import typer
 
 from ..core.printable import say
-from .terminal import Json, Open, Quiet, Stop, open_page, print_json, print_next, progress
+from .options import OutputOptions, Without, with_options
+from .terminal import Json, Stop, open_page, print_json, print_next, progress
 
 
+@with_options
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")] = Path("mimesh-demo"),
     body: Annotated[str, typer.Option(help="human, or quadruped: a cow takes over a horse's gallop.")] = "human",
-    open_it: Open = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    *,
+    printed: Annotated[OutputOptions, Without("output", "preview", "no_clobber", "large", "no_limits")],
 ) -> None:
     """Let a shipped person take over a captured motion.
 
@@ -24,13 +25,13 @@ def demo(
     """
     from ..tools.demo import run_demo
 
-    with progress("frames", quiet or json) as advance:
+    with progress("frames", printed.silent) as advance:
         facts = run_demo(output, advance, body)
-    if open_it:
+    if printed.open:
         open_page(facts["player"])
-    if json:
+    if printed.json:
         print_json(facts)
-    elif not quiet:
+    elif not printed.quiet:
         seconds = facts["seconds"]["drive"]
         say(f"{facts['motion']}: {facts['frames']} frames moved by {facts['model']} in {seconds:.1f} s")
         say(*facts["files"])

@@ -7,16 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..core.options import FrameRange, Hints, MotionOptions
 from ..core.printable import say
-from .move import Axis, JointFiles, Joints, NoJoints
+from .move import with_joint_files
+from .options import ClipOptions, JointOptions, OutputOptions, Without, with_options
 from .terminal import (
-    Json,
-    Large,
     Model,
-    NoClobber,
-    NoLimits,
-    Output,
-    Quiet,
     Seed,
     given_path,
     output_path,
@@ -25,37 +21,26 @@ from .terminal import (
     progress,
     refuse_existing,
     refuse_inputs,
+    single,
 )
 
 if TYPE_CHECKING:
     from ..pipeline.capturing import CapturedClip
 
 
+@with_options
 def capture(
     clip: Annotated[
         Path, typer.Argument(metavar="CLIP", parser=given_path, help="A folder of meshes, GLB, ABC, USD, PC2, NPZ ...")
     ],
-    output: Output = None,
-    fps: Annotated[float | None, typer.Option(help="Frame rate of CLIP, where its files do not say.")] = None,
-    animation: Annotated[str | None, typer.Option(help="Animation of a glTF file: name or number.")] = None,
-    start: Annotated[int, typer.Option(help="First frame to take, counted from 0.")] = 0,
-    stop: Annotated[int | None, typer.Option(help="Frame to stop before.")] = None,
-    step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
-    smooth: Annotated[float, typer.Option(metavar="SECONDS", help="Average the motion of joints over time.")] = 0.0,
-    up: Axis = None,
-    front: Axis = None,
-    body: Annotated[
-        str, typer.Option(help="What CLIP shows: human, quadruped (four-legged animals), or auto: by its shape.")
-    ] = "auto",
-    joints: Joints = None,
-    no_joints: NoJoints = False,
+    *,
     model: Model = "mime",
+    output: Annotated[OutputOptions, Without("open", "preview")],
+    taken: Annotated[ClipOptions, Without("body_model")],
+    motion: Annotated[MotionOptions, Without("root", "ground", "skinned")],
+    hints: Annotated[Hints, Without("driving_up", "driving_front", "driving_joints")],
+    joints: Annotated[JointOptions, Without("save_joints", "save_driving_joints")],
     seed: Seed = 0,
-    no_clobber: NoClobber = False,
-    large: Large = False,
-    no_limits: NoLimits = False,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> dict[str, Any]:
     """Read the motion of joints out of the surfaces of CLIP: scans, caches, another character.
 
@@ -67,24 +52,24 @@ def capture(
     from ..pipeline.capturing import capture as capture_joints
     from .clips import check_suffix
 
-    target = output_path(output, lambda: clip.with_name(f"{clip.stem if clip.is_file() else clip.name}.bvh"))
+    target = output_path(output.output, lambda: clip.with_name(f"{clip.stem if clip.is_file() else clip.name}.bvh"))
     refuse_inputs(target, clip)
     check_suffix(target, JOINT_FILES)
-    refuse_existing(no_clobber, target)
-    corrected = JointFiles.found(clip, clip, joints, None, no_joints, model)
-    with progress(f"reading {clip.name}", quiet or json) as advance:
-        whole = load_driving(clip, fps=fps, animation=animation, progress=advance)
-    with progress("finding joints", quiet or json) as advance:
+    refuse_existing(output.no_clobber, target)
+    hints, corrected = with_joint_files(hints, clip, None, joints, model)
+    with progress(f"reading {clip.name}", output.silent) as advance:
+        whole = load_driving(clip, fps=taken.fps, animation=single("--animation", taken.animation), progress=advance)
+    frames = FrameRange(taken.start, taken.stop, taken.step)
+    with progress("finding joints", output.silent) as advance:
         captured = capture_joints(
-            whole, up=up, front=front, body=body, joints=corrected.identity, start=start, stop=stop, step=step,
-            smooth=smooth, seed=seed, model=model, progress=advance,
-        )  # fmt: skip
+            whole, model, hints=hints, frames=frames, smooth=motion.smooth, seed=seed, progress=advance
+        )
     replaced = target.is_file()
     captured.save(target)
-    facts = _facts(captured, target, replaced, corrected.described())
-    if json:
+    facts = _facts(captured, target, replaced, corrected)
+    if output.json:
         print_json(facts)
-    elif not quiet:
+    elif not output.quiet:
         _print_summary(facts)
     return facts
 

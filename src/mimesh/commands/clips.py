@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..core.options import Hints, Layout, MotionOptions
+from .options import ShapeOptions
 from .terminal import output_beside, tell_size
 
 if TYPE_CHECKING:
-    from ..bodies.engine_rig import Layout
     from ..core.mesh import Clip, Mesh
-    from ..pipeline.options import Hints, MotionOptions
     from ..pipeline.result import ClipResult
 
 JOINT_SUFFIXES = (".glb", ".gltf", ".fbx")
@@ -26,9 +26,7 @@ def clip_output(identity: Path, driving: Sequence[Path]) -> Path:
     return beside if len(driving) == 1 else identity.with_name(f"{identity.stem}-clips.glb")
 
 
-def check_clip_output(
-    output: Path, clips: int, skinned: bool, morphs: bool, blendshapes: int | None, layout: Layout
-) -> bool | None:
+def check_clip_output(output: Path, clips: int, skinned: bool, shapes: ShapeOptions, layout: Layout) -> bool | None:
     """Check that the format of the output can hold what is asked for, of so many clips.
 
     Returns:
@@ -37,7 +35,6 @@ def check_clip_output(
     Raises:
         InputError: options that exclude each other, or a format that cannot hold the clip, joints or several clips.
     """
-    from ..bodies.engine_rig import Layout
     from ..core.errors import InputError
     from ..io import clip_suffixes, refuse_vrm
     from ..io.formats import FRAME_SUFFIXES
@@ -46,6 +43,7 @@ def check_clip_output(
     from ..tools.convert import BONES_ONLY
 
     refuse_vrm(output)
+    morphs, blendshapes = shapes.morphs, shapes.blendshapes
     options = {"--skinned": skinned, "--morphs": morphs, "--blendshapes": blendshapes is not None}
     given = [option for option, present in options.items() if present]
     if len(given) > 1:
@@ -65,7 +63,6 @@ def check_clip_output(
             f"them name it without a suffix: -o {output.with_suffix('')}"
         )
     check_suffix(output, held if given else (*clip_suffixes(), *MOVIES, BONES_ONLY, ""))
-    layout.check()
     if layout != Layout() and (frames or output.suffix.lower() not in jointed):
         raise InputError(
             "--names, --root-bone, --rest, --output-fps: expected joints in a .glb, .gltf or .fbx, found "
@@ -85,12 +82,13 @@ def check_rig_layout(
     """Check that the identity's own rig can get a layout if it is used, before anything is moved."""
     from ..methods.find import moves_joints
     from ..pipeline.file_rigs import read_rigs
+    from ..pipeline.known import Known
     from ..pipeline.skinned import check_own_layout
 
     bones = layout.names != "own" or layout.root_bone or layout.rest != "file"
-    if not bones or hints.rig != "own" or not moves_joints(model):
+    if not bones or hints.rig != "own" or hints.joints is not None or not moves_joints(model):
         return
-    rigs = read_rigs(identity, clip, hints, copy=True)
+    rigs = read_rigs(identity, clip, Known(body=hints.body), copy=True)
     if rigs.identity is not None:
         check_own_layout(rigs.identity.person, layout, identity.name)
     elif rigs.copied is not None and not options.changes_motion:

@@ -2,15 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from ..core.options import declared
 from ..core.printable import say
+from .options import with_options
 from .terminal import Json, print_json, print_next, progress, require
 
 
+@dataclass(frozen=True)
+class TrainingFiles:
+    """What the user brings to a training."""
+
+    characters: Path | None = declared(
+        None, "Folder of rigged .glb, .gltf, .vrm, .fbx or of a pool to train on.", metavar="DIR"
+    )
+    clips: Path | None = declared(None, "Folder of .glb, .fbx, .bvh or AMASS motions to train mime on.", metavar="DIR")
+    leave_out: list[str] | None = declared(None, "Pack (sub-folder) of --characters that is not used.", metavar="PACK")
+    meshes: Path | None = declared(
+        None,
+        "Folder of registered meshes (npt) or clips (aniformer), or an .hdf5 of clips, to train on.",
+        metavar="DIR",
+    )
+    pattern: str = declared("", "How the files of --meshes are named, such as '{person}-{pose}.ply'.")
+
+
+@with_options
 def train(
     model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, hands, npt, aniformer or limp.")],
     config: Annotated[
@@ -27,26 +48,8 @@ def train(
         Path | None,
         typer.Option(help="Checkpoint or exported .onnx whose network a new training begins with.", metavar="FILE"),
     ] = None,
-    characters: Annotated[
-        Path | None,
-        typer.Option(help="Folder of rigged .glb, .gltf, .vrm, .fbx or of a pool to train on.", metavar="DIR"),
-    ] = None,
-    clips: Annotated[
-        Path | None, typer.Option(help="Folder of .glb, .fbx, .bvh or AMASS motions to train mime on.", metavar="DIR")
-    ] = None,
-    leave_out: Annotated[
-        list[str] | None, typer.Option(help="Pack (sub-folder) of --characters that is not used.", metavar="PACK")
-    ] = None,
-    meshes: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of registered meshes (npt) or clips (aniformer), or an .hdf5 of clips, to train on.",
-            metavar="DIR",
-        ),
-    ] = None,
-    pattern: Annotated[
-        str, typer.Option(help="How the files of --meshes are named, such as '{person}-{pose}.ply'.")
-    ] = "",
+    *,
+    brought: TrainingFiles,
     json: Json = False,
 ) -> None:
     """Train a network on data made as it goes, or on your own.
@@ -66,12 +69,12 @@ def train(
         max_minutes,
         change or [],
         weights,
-        characters,
-        clips,
-        leave_out or [],
+        brought.characters,
+        brought.clips,
+        brought.leave_out or [],
         lambda title: progress(title, json),
-        meshes,
-        pattern,
+        brought.meshes,
+        brought.pattern,
     )
     if not is_first_process():
         return

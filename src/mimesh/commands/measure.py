@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..core.errors import InputError
+from ..core.options import declared
 from ..core.printable import say
+from .options import with_options
 from .terminal import Json, Quiet, print_json, print_next, progress, require, say_tables
 
 PROTOCOLS = (
@@ -40,22 +43,33 @@ Data = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class MeasureOptions:
+    """How models are measured."""
+
+    ensemble: int = declared(1, "Average over this many random pairings (NPT).", min=1)
+    refine: bool = declared(False, "Smooth results along the identity's surface.", name="--refine")
+    mirror: bool = declared(False, "Measure on the mirror images of all pairs.", name="--mirror")
+    torch: bool = declared(
+        False,
+        "Run networks of npt and aniformer by PyTorch: on a GPU, or in bf16 on processors made for it.",
+        name="--torch",
+    )
+    height: float | None = declared(
+        None, "Lists: a person's height at rest in the files' unit, for millimetres.", metavar="H"
+    )
+    fps: float | None = declared(None, "Lists: frames per second of the clips.")
+
+
+@with_options
 def evaluate(
     protocol: TestSet,
     model: Annotated[str, typer.Option("--model", "-m", help="Models to compare, with commas between.")] = "mime,copy",
     output: Figures = None,
     split: Split = "test",
     pairs: Pairs = 0,
-    ensemble: Annotated[int, typer.Option(help="Average over this many random pairings (NPT).", min=1)] = 1,
-    refine: Annotated[bool, typer.Option("--refine", help="Smooth results along the identity's surface.")] = False,
-    mirror: Annotated[bool, typer.Option("--mirror", help="Measure on the mirror images of all pairs.")] = False,
-    torch: Annotated[
-        bool,
-        typer.Option(
-            "--torch",
-            help="Run networks of npt and aniformer by PyTorch: on a GPU, or in bf16 on processors made for it.",
-        ),
-    ] = False,
+    *,
+    measuring: MeasureOptions,
     dump: Annotated[Path | None, typer.Option(help="Folder for pictures of the worst pairs.", metavar="DIR")] = None,
     data: Annotated[
         Path | None,
@@ -65,11 +79,6 @@ def evaluate(
             metavar="DIR",
         ),
     ] = None,
-    height: Annotated[
-        float | None,
-        typer.Option(help="Lists: a person's height at rest in the files' unit, for millimetres.", metavar="H"),
-    ] = None,
-    fps: Annotated[float | None, typer.Option(help="Lists: frames per second of the clips.")] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -81,15 +90,17 @@ def evaluate(
     from ..evaluate.markdown import markdown
     from ..evaluate.run import evaluate_command
 
-    options: tuple = (refine, height, fps, mirror)
-    if torch:
+    options: tuple = (measuring.refine, measuring.height, measuring.fps, measuring.mirror)
+    if measuring.torch:
         require("train", "torch", "yaml", "safetensors", "onnx")
         from ..learn.torch_session import in_torch, precision
 
         options += (in_torch, f"torch, {precision()}")
     methods = [name.strip() for name in model.split(",") if name.strip()]
     with progress("pairs", quiet or json) as advance:
-        figures = evaluate_command(protocol, methods, output, split, pairs, ensemble, advance, dump, data, *options)
+        figures = evaluate_command(
+            protocol, methods, output, split, pairs, measuring.ensemble, advance, dump, data, *options
+        )
     if json:
         print_json(figures)
     elif not quiet:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..core.options import FrameRange, Hints, Layout, ModelOptions, MotionOptions
 from ..core.printable import say
 from .clips import (
     check_clip_output,
@@ -20,21 +22,10 @@ from .clips import (
     save_clips,
 )
 from .common import LOGGER
+from .options import ClipOptions, JointOptions, OutputOptions, ShapeOptions, Without, with_options
 from .terminal import (
-    Animations,
-    BlendShapes,
-    BodyModel,
-    Json,
-    Large,
     Model,
-    NoClobber,
-    NoLimits,
-    Open,
-    Output,
-    Quiet,
-    Seed,
     given_path,
-    one_of,
     open_page,
     output_beside,
     output_path,
@@ -56,125 +47,19 @@ MOST_NAMED = 6
 Identity = Annotated[
     Path, typer.Argument(metavar="IDENTITY", parser=given_path, help="The mesh to move: GLB, USD, OBJ, PLY ...")
 ]
-Axis = Annotated[str | None, typer.Option(metavar="AXIS", help="x, y, z, -x, -y or -z, instead of the one found.")]
-Ensemble = Annotated[int, typer.Option(help="Average over this many random pairings (npt, aniformer).")]
-Pairing = Annotated[
-    str,
-    typer.Option(
-        help="Pair vertices at random, by order (two shapes of one mesh), by the body that is fitted to both, or auto: "
-        "by order where both have the same triangles (npt, aniformer).",
-        autocompletion=one_of("pairing"),
-    ),
-]
-Refine = Annotated[
-    bool | None,
-    typer.Option("--refine/--no-refine", help="Smooth the result along IDENTITY's surface; by default npt, aniformer."),
-]
-Reference = Annotated[
-    Path | None, typer.Option(help="The driving mesh in IDENTITY's pose (deformation-transfer).", metavar="MESH")
-]
-Markers = Annotated[
-    Path | None,
-    typer.Option(help="Lines 'identity driving' of corresponding vertices (deformation-transfer).", metavar="FILE"),
-]
-Root = Annotated[
-    str,
-    typer.Option(
-        help="How far the result goes: scale (as its legs make it); keep (as DRIVING), drop (in place; both mime).",
-        autocompletion=one_of("root"),
-    ),
-]
-Ground = Annotated[
-    bool,
-    typer.Option("--ground/--no-ground", help="Plant soles where DRIVING's stand, by root path and legs (mime)."),
-]
-Smooth = Annotated[float, typer.Option(metavar="SECONDS", help="Average the motion of joints over time (mime).")]
-Rig = Annotated[
-    str,
-    typer.Option(
-        help="own: move IDENTITY on the bones of its file, if it has any; mimesh: find joints (both mime).",
-        autocompletion=one_of("rig"),
-    ),
-]
-Body = Annotated[
-    str,
-    typer.Option(
-        help="What both are: human, quadruped (four-legged animals), other, or auto: by rig or shape (mime).",
-        autocompletion=one_of("body"),
-    ),
-]
-Joints = Annotated[
-    Path | None,
-    typer.Option(help="Joints of IDENTITY picked by hand; by default IDENTITY's .joints.json (mime).", metavar="FILE"),
-]
-DrivingJoints = Annotated[
-    Path | None, typer.Option(help="The same of DRIVING, beside which it is found, too (mime).", metavar="FILE")
-]
-NoJoints = Annotated[bool, typer.Option("--no-joints", help="Ignore the .joints.json beside IDENTITY and DRIVING.")]
-SaveJoints = Annotated[
-    Path | None, typer.Option(help="Write the joints found on IDENTITY, to be edited (mime).", metavar="FILE")
-]
-SaveDrivingJoints = Annotated[
-    Path | None, typer.Option(help="Write those found on DRIVING's first frame (mime).", metavar="FILE")
-]
-Names = Annotated[
-    str,
-    typer.Option(
-        metavar="SCHEME",
-        help="Bone names and hierarchy: mixamo, unreal, vrm, godot or rigify; own keeps the names.",
-        autocompletion=one_of("names"),
-    ),
-]
-RootBone = Annotated[
-    bool,
-    typer.Option(
-        "--root-bone", help="Put the way over the ground on a bone above all others; own rigs get one, or use theirs."
-    ),
-]
-Rest = Annotated[
-    str,
-    typer.Option(
-        metavar="POSE",
-        help="Pose the skeleton is bound in: file, T or A (not with own rigs).",
-        autocompletion=one_of("rest"),
-    ),
-]
-OutputFps = Annotated[
-    float | None, typer.Option(help="Frame rate of the joints written, sampled from DRIVING's: 30, 60.")
-]
-Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write a picture and a page beside the output.")]
 
 
+@with_options
 def transfer(
     identity: Identity,
     driving: Annotated[Path, typer.Argument(metavar="DRIVING", parser=given_path, help="The mesh in the wanted pose.")],
-    output: Output = None,
+    *,
     model: Model = "mime",
-    body_model: BodyModel = None,
-    up: Axis = None,
-    front: Axis = None,
-    driving_up: Axis = None,
-    driving_front: Axis = None,
-    ensemble: Ensemble = 1,
-    pairing: Pairing = "auto",
-    refine: Refine = None,
-    reference: Reference = None,
-    markers: Markers = None,
-    rig: Rig = "own",
-    body: Body = "auto",
-    joints: Joints = None,
-    driving_joints: DrivingJoints = None,
-    no_joints: NoJoints = False,
-    save_joints: SaveJoints = None,
-    save_driving_joints: SaveDrivingJoints = None,
-    preview: Preview = True,
-    open_it: Open = False,
-    seed: Seed = 0,
-    no_clobber: NoClobber = False,
-    large: Large = False,
-    no_limits: NoLimits = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    output: OutputOptions,
+    hints: Hints,
+    options: ModelOptions,
+    joints: JointOptions,
+    taken: Annotated[ClipOptions, Without("start", "stop", "step", "fps", "animation")],
 ) -> dict[str, Any]:
     """Give the mesh IDENTITY the pose of DRIVING.
 
@@ -188,46 +73,29 @@ def transfer(
     from ..tools.convert import taken_pose_note
 
     suffix = usual_suffix(identity)
-    _refuse_motion(identity, output)
-    target = output_path(output, lambda: output_beside(identity, driving, suffix))
-    check_outputs(target, preview, open_it, identity, driving, reference, markers, body_model, usual=suffix)
-    check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, target)
-    refuse_existing(no_clobber, target, *_previews(target, preview, usual=suffix), save_joints, save_driving_joints)
-    corrected = JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
-    with progress("reading", quiet or json):
-        (mesh, (posed, notes)), seconds = _timed(lambda: (load_mesh(identity), _posed_mesh(driving, body_model)))
+    _refuse_motion(identity, output.output)
+    target = output_path(output.output, lambda: output_beside(identity, driving, suffix))
+    inputs = identity, driving, *_files(options), taken.body_model
+    check_outputs(target, output, *inputs, usual=suffix)
+    check_joint_outputs(joints, model, identity, driving, target)
+    refuse_existing(output.no_clobber, target, *_previews(target, output.preview, usual=suffix), *saved_joints(joints))
+    hints, corrected = with_joint_files(hints, identity, driving, joints, model)
+    with progress("reading", output.silent):
+        (mesh, (posed, notes)), seconds = _timed(lambda: (load_mesh(identity), _posed_mesh(driving, taken.body_model)))
     check_suffix(target, (*MESH_WRITERS, mesh.source.suffix if mesh.source else ""))
-    with progress("transfer", quiet or json):
-        result = run_transfer(
-            mesh,
-            posed,
-            model,
-            up=up,
-            front=front,
-            driving_up=driving_up,
-            driving_front=driving_front,
-            ensemble=ensemble,
-            pairing=pairing,
-            refine=refine,
-            seed=seed,
-            reference=reference,
-            markers=markers,
-            rig=rig,
-            body=body,
-            joints=corrected.identity,
-            driving_joints=corrected.driving,
-        )
+    with progress("transfer", output.silent):
+        result = run_transfer(mesh, posed, model, hints=hints, options=options)
     result.seconds["load"] += seconds
     replaced = target.is_file()
     with together():
         result.save(target)
-        save_joint_files(result, identity, driving, save_joints, save_driving_joints)
-        shown = _write_preview(result, target, preview, usual=suffix)
-    if open_it:
+        save_joint_files(result, identity, driving, joints)
+        shown = _write_preview(result, target, output.preview, usual=suffix)
+    if output.open:
         open_page(shown["page"])
-    _log(result, model, body)
+    _log(result, model, hints.body)
     notes += taken_pose_note(mesh, identity)
-    return print_facts(result_facts(result, target, replaced, shown, notes, corrected.described()), json, quiet)
+    return print_facts(result_facts(result, target, replaced, shown, notes, corrected), output)
 
 
 def usual_suffix(identity: Path) -> str:
@@ -259,59 +127,23 @@ def _posed_mesh(path: Path, body_model: Path | None) -> tuple[Mesh, tuple[str, .
     return mesh, taken_pose_note(mesh, path)
 
 
+@with_options
 def animate(
     identity: Identity,
     driving: Annotated[
         list[Path],
         typer.Argument(metavar="DRIVING...", parser=given_path, help="Clips (GLB, USD, PC2 ...), folders, BVH files."),
     ],
-    output: Output = None,
+    *,
     model: Model = "mime",
-    fps: Annotated[float | None, typer.Option(help="Frame rate of DRIVING, where its files do not say.")] = None,
-    animation: Animations = None,
-    body_model: BodyModel = None,
-    start: Annotated[int, typer.Option(help="First frame to take, counted from 0.")] = 0,
-    stop: Annotated[int | None, typer.Option(help="Frame to stop before.")] = None,
-    step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
-    up: Axis = None,
-    front: Axis = None,
-    driving_up: Axis = None,
-    driving_front: Axis = None,
-    ensemble: Ensemble = 1,
-    pairing: Pairing = "auto",
-    refine: Refine = None,
-    reference: Reference = None,
-    markers: Markers = None,
-    root: Root = "scale",
-    ground: Ground = True,
-    smooth: Smooth = 0.0,
-    rig: Rig = "own",
-    body: Body = "auto",
-    joints: Joints = None,
-    driving_joints: DrivingJoints = None,
-    no_joints: NoJoints = False,
-    save_joints: SaveJoints = None,
-    save_driving_joints: SaveDrivingJoints = None,
-    skinned: Annotated[
-        bool,
-        typer.Option("--skinned", help="Write joints (.glb, .gltf, .fbx; the default of mime) also of a single pose."),
-    ] = False,
-    morphs: Annotated[
-        bool, typer.Option("--morphs", help="Write a morph target for each frame, not joints (.glb, .gltf).")
-    ] = False,
-    names: Names = "own",
-    root_bone: RootBone = False,
-    rest: Rest = "file",
-    output_fps: OutputFps = None,
-    blendshapes: BlendShapes = None,
-    preview: Preview = True,
-    open_it: Open = False,
-    seed: Seed = 0,
-    no_clobber: NoClobber = False,
-    large: Large = False,
-    no_limits: NoLimits = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    output: OutputOptions,
+    hints: Hints,
+    options: ModelOptions,
+    motion: MotionOptions,
+    taken: ClipOptions,
+    layout: Layout,
+    shapes: ShapeOptions,
+    joints: JointOptions,
 ) -> dict[str, Any]:
     """Make IDENTITY move as the clip DRIVING does.
 
@@ -319,94 +151,103 @@ def animate(
     without a suffix is a folder of meshes. Several DRIVING, or several animations of one (--animation Walk --animation
     Run, or --animation all), become one .glb with an animation for each.
     """
-    from ..bodies.engine_rig import Layout
-    from ..io import load_mesh
     from ..io.atomic import together
-    from ..methods.find import moves_joints
-    from ..pipeline import animate as run_animate
-    from ..pipeline.options import Hints, MotionOptions
-    from ..tools.convert import choose_clips, hierarchy_note, read_driving, resampled_note
+    from ..tools.convert import choose_clips
 
-    _refuse_motion(identity, output)
-    target = output_path(output, lambda: clip_output(identity, driving), frames=True)
-    layout = Layout(names, root_bone, rest, output_fps)
-    clips = choose_clips(driving, animation)
+    _refuse_motion(identity, output.output)
+    target = output_path(output.output, lambda: clip_output(identity, driving), frames=True)
+    clips = choose_clips(driving, taken.animation)
     # The preview of a single clip has the name of the output alone.
     titles = [clip.name if len(clips) > 1 else None for clip in clips]
+    inputs = identity, *driving, *_files(options), taken.body_model
     for title in titles:
-        check_outputs(target, preview, open_it, identity, *driving, reference, markers, body_model, clip=title)
-    check_joint_outputs((save_joints, save_driving_joints), model, identity, *driving, target)
-    check_single(len(clips), {"--driving-joints": driving_joints, "--save-driving-joints": save_driving_joints})
-    pages = [page for title in titles for page in _previews(target, preview, title)]
-    refuse_existing(no_clobber, target, *pages, save_joints, save_driving_joints)
-    as_joints = check_clip_output(target, len(clips), skinned, morphs, blendshapes, layout)
-    results, notes, corrections = [], [], []
+        check_outputs(target, output, *inputs, clip=title)
+    check_joint_outputs(joints, model, identity, *driving, target)
+    of_driving = {"--driving-joints": hints.driving_joints, "--save-driving-joints": joints.save_driving_joints}
+    check_single(len(clips), of_driving)
+    pages = [page for title in titles for page in _previews(target, output.preview, title)]
+    refuse_existing(output.no_clobber, target, *pages, *saved_joints(joints))
+    as_joints = check_clip_output(target, len(clips), bool(motion.skinned), shapes, layout)
+    motion = dataclasses.replace(motion, skinned=as_joints)
+    moved = []
     for chosen, title in zip(clips, titles, strict=True):
-        path = chosen.path
-        corrected = JointFiles.found(identity, path, joints, driving_joints, no_joints, model)
-        whole = corrected.driving is not None  # these joints may be in a frame that is not taken
-        with progress(f"reading {path.name}", quiet or json) as advance:
-            (mesh, (clip, of_clip)), seconds = _timed(
-                lambda chosen=chosen, advance=advance, whole=whole: (
-                    load_mesh(identity),
-                    read_driving(chosen, body_model, fps, slice(start, stop, step), advance, whole),
-                )
-            )
-        if as_joints is False or not moves_joints(model):
-            taken = len(range(len(clip))[start:stop:step]) if whole else len(clip)
-            check_frames_size(mesh, taken, target, blendshapes, quiet or json)
-        used = rig if corrected.identity is None else "mimesh"
-        check_rig_layout(mesh, clip, model, Hints(rig=used, body=body), MotionOptions(root, ground, smooth), layout)
-        with progress(f"frames of {title}" if title else "frames", quiet or json) as advance:
-            result = run_animate(
-                mesh,
-                clip,
-                model,
-                up=up,
-                front=front,
-                driving_up=driving_up,
-                driving_front=driving_front,
-                ensemble=ensemble,
-                pairing=pairing,
-                refine=refine,
-                seed=seed,
-                reference=reference,
-                markers=markers,
-                start=start if whole else 0,
-                stop=stop if whole else None,
-                step=step if whole else 1,
-                root=root,
-                ground=ground,
-                smooth=smooth,
-                skinned=as_joints,
-                rig=rig,
-                body=body,
-                progress=advance,
-                joints=corrected.identity,
-                driving_joints=corrected.driving,
-            )
-        result.seconds["load"] += seconds
-        hierarchy = hierarchy_note(result.own, names, mesh.name)
-        notes.append(of_clip + resampled_note(len(result.frames), result.fps, output_fps) + hierarchy)
-        results.append(result)
-        corrections.append(corrected.described())
+        with_files, described = with_joint_files(hints, identity, chosen.path, joints, model)
+        job = ClipJob(identity, chosen, title, target, model, with_files, options, motion, taken, layout, shapes)
+        moved.append((*job.run(output.silent), described))
+    results = [result for result, _, _ in moved]
     replaced = target.exists()
     with together():
-        with progress("writing", quiet or json) as advance:
-            save_clips(results, target, [clip.name for clip in clips], as_joints, blendshapes, layout, advance)
+        with progress("writing", output.silent) as advance:
+            names = [clip.name for clip in clips]
+            save_clips(results, target, names, as_joints, shapes.blendshapes, layout, advance)
         for result, chosen in zip(results, clips, strict=True):
-            save_joint_files(result, identity, chosen.path, save_joints, save_driving_joints, start)
-        shown = [_write_preview(result, target, preview, title) for result, title in zip(results, titles, strict=True)]
-    if open_it:
+            save_joint_files(result, identity, chosen.path, joints, taken.start)
+        shown = [
+            _write_preview(result, target, output.preview, title) for result, title in zip(results, titles, strict=True)
+        ]
+    if output.open:
         for page in shown:
             open_page(page["page"])
     for result in results:
-        _log(result, model, body)
+        _log(result, model, hints.body)
     facts = [
-        result_facts(result, target, replaced, paths, about, corrected, output_fps)
-        for result, paths, about, corrected in zip(results, shown, notes, corrections, strict=True)
+        result_facts(result, target, replaced, paths, notes, described, layout.fps)
+        for (result, notes, described), paths in zip(moved, shown, strict=True)
     ]
-    return print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), json, quiet)
+    return print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), output)
+
+
+@dataclass(frozen=True)
+class ClipJob:
+    """One clip of `mimesh animate`, with all options of the command."""
+
+    identity: Path
+    clip: DrivingClip
+    title: str | None
+    """Name of the clip where there are several."""
+    target: Path
+    model: str
+    hints: Hints
+    options: ModelOptions
+    motion: MotionOptions
+    taken: ClipOptions
+    layout: Layout
+    shapes: ShapeOptions
+
+    def run(self, silent: bool) -> tuple[ClipResult, tuple[str, ...]]:
+        """Read the identity and the clip, and move the one by the other; return the result and notes on both files."""
+        from ..io import load_mesh
+        from ..methods.find import moves_joints
+        from ..pipeline import animate as run_animate
+        from ..tools.convert import hierarchy_note, read_driving, resampled_note
+
+        # Corrected joints may be in a frame that is not taken.
+        whole, taken = self.hints.driving_joints is not None, self.taken
+        with progress(f"reading {self.clip.path.name}", silent) as advance:
+            (mesh, (clip, of_clip)), seconds = _timed(
+                lambda: (
+                    load_mesh(self.identity),
+                    read_driving(self.clip, taken.body_model, taken.fps, taken.slice, advance, whole),
+                )
+            )
+        if self.motion.skinned is False or not moves_joints(self.model):
+            frames = len(range(len(clip))[taken.slice]) if whole else len(clip)
+            check_frames_size(mesh, frames, self.target, self.shapes.blendshapes, silent)
+        check_rig_layout(mesh, clip, self.model, self.hints, self.motion, self.layout)
+        with progress(f"frames of {self.title}" if self.title else "frames", silent) as advance:
+            result = run_animate(
+                mesh,
+                clip,
+                self.model,
+                hints=self.hints,
+                options=self.options,
+                motion=self.motion,
+                frames=FrameRange(taken.start, taken.stop, taken.step) if whole else FrameRange(),
+                progress=advance,
+            )
+        result.seconds["load"] += seconds
+        hierarchy = hierarchy_note(result.own, self.layout.names, mesh.name)
+        return result, of_clip + resampled_note(len(result.frames), result.fps, self.layout.fps) + hierarchy
 
 
 def _log(result: Result | ClipResult, model: str, body: str) -> None:
@@ -454,14 +295,14 @@ def _previews(output: Path, preview: bool, clip: str | None = None, usual: str =
 
 
 def check_outputs(
-    output: Path, preview: bool, open_it: bool, *inputs: Path | None, clip: str | None = None, usual: str = ".glb"
+    target: Path, output: OutputOptions, *inputs: Path | None, clip: str | None = None, usual: str = ".glb"
 ) -> None:
     """Check that no output overwrites an input, and that a page to be opened is written."""
     from ..core.errors import InputError
 
-    for written in (output, *_previews(output, preview, clip, usual)):
+    for written in (target, *_previews(target, output.preview, clip, usual)):
         refuse_inputs(written, *inputs)
-    if open_it and not preview:
+    if output.open and not output.preview:
         raise InputError("--open: expected a page to open, found --no-preview; leave one of them out")
 
 
@@ -473,84 +314,75 @@ def _timed(work):
     return work(), time.perf_counter() - begin
 
 
-@dataclass(frozen=True)
-class JointFiles:
-    """Corrected joints of both inputs."""
+def with_joint_files(
+    hints: Hints, identity: Path, driving: Path | None, joints: JointOptions, model: str
+) -> tuple[Hints, tuple[str, ...]]:
+    """Read the files of corrected joints that were given, else those beside the inputs if the model has joints.
 
-    identity: JointCorrections | None
-    driving: JointCorrections | None
-    beside: tuple[str, ...] = ()
-    """Paths of those found beside the inputs."""
-
-    @classmethod
-    def found(
-        cls,
-        identity: Path,
-        driving: Path,
-        joints: Path | None,
-        driving_joints: Path | None,
-        no_joints: bool,
-        model: str,
-    ) -> JointFiles:
-        """Read the files that were given, else those beside the inputs; only models with joints use the latter."""
-        from ..io.joint_file import load_corrections, side_file
-        from ..methods.find import moves_joints
-
-        corrections, found = [], []
-        for mesh, given in ((identity, joints), (driving, driving_joints)):
-            beside = side_file(mesh)
-            usable = not no_joints and beside.is_file() and moves_joints(model)
-            path = given or (beside if usable else None)
-            found += [str(beside)] if usable and given is None else []
-            corrections.append(None if path is None else load_corrections(path))
-        return cls(corrections[0], corrections[1], tuple(found))
-
-    def described(self) -> tuple[str, ...]:
-        """Return a line for each of the files that was used."""
-        lines = []
-        for corrections in filter(None, (self.identity, self.driving)):
-            names, count = ", ".join(corrections.positions), len(corrections.positions)
-            what = f"{count} joints" if count > MOST_NAMED else names or "none"
-            beside = " (--no-joints ignores it)" if corrections.source in self.beside else ""
-            lines.append(f"{what} as in {corrections.source}{beside}")
-        return tuple(lines)
-
-
-def check_joint_outputs(paths: tuple[Path | None, Path | None], model: str, *others: Path) -> None:
-    """Check that a model has joints to write, and that they are written to .json files that are no inputs."""
-    from ..core.errors import InputError
+    Returns:
+        The hints with the corrections, and a line for each file that was used.
+    """
+    from ..io.joint_file import load_corrections, side_file
     from ..methods.find import moves_joints
 
-    for path, option in zip(paths, ("--save-joints", "--save-driving-joints"), strict=True):
+    read, lines = {}, []
+    for name, mesh in (("joints", identity), ("driving_joints", driving)):
+        path, beside = getattr(hints, name), ""
+        if path is None and mesh and not joints.no_joints and side_file(mesh).is_file() and moves_joints(model):
+            path, beside = side_file(mesh), " (--no-joints ignores it)"
+        if path is not None:
+            read[name] = load_corrections(path)
+            lines.append(f"{_named_joints(read[name])} as in {read[name].source}{beside}")
+    return dataclasses.replace(hints, **read), tuple(lines)
+
+
+def _named_joints(corrections: JointCorrections) -> str:
+    count = len(corrections.positions)
+    return f"{count} joints" if count > MOST_NAMED else ", ".join(corrections.positions) or "none"
+
+
+def _files(options: ModelOptions) -> tuple[Path | None, ...]:
+    """Return the files that options of a model name."""
+    return tuple(file for file in (options.reference, options.markers) if isinstance(file, Path))
+
+
+def saved_joints(joints: JointOptions) -> tuple[Path | None, Path | None]:
+    """Return the files of joints that are written."""
+    return joints.save_joints, joints.save_driving_joints
+
+
+def check_joint_outputs(joints: JointOptions, model: str, *others: Path) -> None:
+    """Check that a model has joints to write, and that they are written to .json files that are no inputs."""
+    from ..core.errors import InputError
+    from ..core.options import needs_joints
+    from ..methods.find import moves_joints
+
+    for path, name in zip(saved_joints(joints), ("save_joints", "save_driving_joints"), strict=True):
         if path is None:
             continue
         if not moves_joints(model):
-            raise InputError(f"{option}: expected a model with joints (mime), found {model}; choose it with -m")
+            raise needs_joints(name, model)
         refuse_inputs(path, *others)
         if path.suffix.lower() != ".json":
             raise InputError(f"{path}: expected a .json file for the joints, found '{path.suffix}'; rename it")
 
 
 def save_joint_files(
-    result: Result | ClipResult,
-    identity: Path,
-    driving: Path,
-    save_joints: Path | None,
-    save_driving_joints: Path | None,
-    frame: int = 0,
+    result: Result | ClipResult, identity: Path, driving: Path, joints: JointOptions, frame: int = 0
 ) -> None:
     """Write the joints that were found to the files that were asked for; `frame` is the first driving frame taken."""
+    clip = result.driving_clip
+    save_found(result.joints, joints.save_joints, identity, result.mesh)
+    save_found(result.driving_joints, joints.save_driving_joints, driving, None if clip is None else clip.mesh, frame)
+
+
+def save_found(joints: Any, path: Path | None, file: Path, mesh: Mesh | None, frame: int = 0) -> None:
+    """Write the joints that were found on a mesh to a file, to be edited, if there is one."""
     from ..core.joint_corrections import JointCorrections
     from ..io.joint_file import save_corrections
 
-    clip = result.driving_clip
-    outputs = (
-        (save_joints, identity, result.joints, result.mesh, 0),
-        (save_driving_joints, driving, result.driving_joints, None if clip is None else clip.mesh, frame),
-    )
-    for path, file, joints, mesh, t in outputs:
-        if path is not None and joints is not None and mesh is not None:
-            save_corrections(JointCorrections(joints, t, file.name, len(mesh.vertices)), path)
+    if path is not None and joints is not None and mesh is not None:
+        save_corrections(JointCorrections(joints, frame, file.name, len(mesh.vertices)), path)
 
 
 def result_facts(
@@ -618,11 +450,11 @@ def joined_facts(facts: Sequence[dict[str, Any]], driving: Sequence[DrivingClip]
     }
 
 
-def print_facts(facts: dict[str, Any], json: bool, quiet: bool) -> dict[str, Any]:
+def print_facts(facts: dict[str, Any], output: OutputOptions) -> dict[str, Any]:
     """Print facts about a file as JSON, or as a summary, and return them."""
-    if json:
+    if output.json:
         print_json(facts)
-    elif not quiet:
+    elif not output.quiet:
         _print_summary(facts)
     return facts
 

@@ -7,19 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..core.options import Hints, Layout
 from ..core.printable import say
-from .move import Axis, JointFiles, Joints, Names, NoJoints, Rest, SaveJoints, check_joint_outputs
+from .move import check_joint_outputs, save_found, with_joint_files
+from .options import JointOptions, OutputOptions, Without, with_options
 from .terminal import (
-    Json,
-    Large,
     Model,
-    NoClobber,
-    NoLimits,
-    Output,
-    Quiet,
     Seed,
     given_path,
-    one_of,
     output_path,
     print_json,
     print_next,
@@ -32,39 +27,16 @@ if TYPE_CHECKING:
     from ..pipeline.rigging import RiggedMesh
 
 
+@with_options
 def rig(
     file: Annotated[Path, typer.Argument(metavar="FILE", parser=given_path, help="The mesh: GLB, OBJ, PLY, FBX ...")],
-    output: Output = None,
-    names: Names = "own",
-    root_bone: Annotated[bool, typer.Option("--root-bone", help="Add a bone on the ground above the hips.")] = False,
-    rest: Rest = "file",
-    up: Axis = None,
-    front: Axis = None,
-    body: Annotated[
-        str,
-        typer.Option(help="What it is: human, quadruped (four-legged animals), or auto: by rig or shape."),
-    ] = "auto",
-    replace: Annotated[
-        str,
-        typer.Option(
-            "--rig",
-            help="own: keep the rig of FILE, if it has any; mimesh: find joints on its surface.",
-            autocompletion=one_of("rig"),
-        ),
-    ] = "own",
-    joints: Joints = None,
-    no_joints: NoJoints = False,
-    save_joints: SaveJoints = None,
+    *,
     model: Model = "mime",
-    preview: Annotated[
-        bool, typer.Option("--preview/--no-preview", help="Write a picture with the bones beside the output.")
-    ] = True,
+    output: Annotated[OutputOptions, Without("open")],
+    layout: Annotated[Layout, Without("fps")],
+    hints: Annotated[Hints, Without("driving_up", "driving_front", "driving_joints")],
+    joints: Annotated[JointOptions, Without("save_driving_joints")],
     seed: Seed = 0,
-    no_clobber: NoClobber = False,
-    large: Large = False,
-    no_limits: NoLimits = False,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> dict[str, Any]:
     """Give the mesh FILE a skeleton and skinning weights.
 
@@ -78,40 +50,28 @@ def rig(
     from ..tools.preview import names_beside, rig_picture, save_picture
     from .clips import check_suffix
 
-    target = output_path(output, lambda: file.with_name(f"{file.stem}-rigged.glb"))
-    picture = names_beside(target)[0] if preview else None
+    target = output_path(output.output, lambda: file.with_name(f"{file.stem}-rigged.glb"))
+    picture = names_beside(target)[0] if output.preview else None
     for written in filter(None, (target, picture)):
         refuse_inputs(written, file)
     check_suffix(target, BONES)
-    check_joint_outputs((save_joints, None), model, file, target)
-    refuse_existing(no_clobber, target, picture, save_joints)
-    corrected = JointFiles.found(file, file, joints, None, no_joints, model)
-    with progress("finding joints", quiet or json):
-        rigged = find_rig(
-            load_mesh(file), up=up, front=front, body=body, rig=replace, joints=corrected.identity, seed=seed,
-            model=model,
-        )  # fmt: skip
+    check_joint_outputs(joints, model, file, target)
+    refuse_existing(output.no_clobber, target, picture, joints.save_joints)
+    hints, corrected = with_joint_files(hints, file, None, joints, model)
+    with progress("finding joints", output.silent):
+        rigged = find_rig(load_mesh(file), model, hints=hints, seed=seed)
     replaced = target.is_file()
     with together():
-        rigged.save(target, names=names, root_bone=root_bone, rest=rest)
-        _save_joints(rigged, file, save_joints)
+        rigged.save(target, names=layout.names, root_bone=layout.root_bone, rest=layout.rest)
+        save_found(rigged.joints, joints.save_joints, file, rigged.mesh)
         if picture is not None:
             save_picture(rig_picture(rigged), picture)
-    facts = _facts(rigged, target, replaced, picture, corrected.described())
-    if json:
+    facts = _facts(rigged, target, replaced, picture, corrected)
+    if output.json:
         print_json(facts)
-    elif not quiet:
+    elif not output.quiet:
         _print_summary(facts)
     return facts
-
-
-def _save_joints(rigged: RiggedMesh, file: Path, path: Path | None) -> None:
-    """Write the joints that were found to a file, to be edited."""
-    from ..core.joint_corrections import JointCorrections
-    from ..io.joint_file import save_corrections
-
-    if path is not None:
-        save_corrections(JointCorrections(rigged.joints, 0, file.name, len(rigged.mesh.vertices)), path)
 
 
 def _facts(

@@ -8,15 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..core.options import ConvertOptions, FrameRange, RenderOptions
 from ..core.printable import say
+from .options import ClipOptions, OutputOptions, Without, with_options
 from .terminal import (
-    Animation,
-    BlendShapes,
-    BodyModel,
     Json,
-    Large,
     Model,
-    NoClobber,
     NoLimits,
     Quiet,
     print_json,
@@ -59,97 +56,52 @@ def look(files: Files, no_limits: NoLimits = False, json: Json = False) -> None:
     print_next("render", *files, "-o", "sheet.png")
 
 
+@with_options
 def render(
     files: Files,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="A picture (.png .jpg), a movie (.webp .gif .mp4) or a page (.html).")
     ],
-    sheet: Annotated[bool, typer.Option("--sheet", help="Each file once, in rows.")] = False,
-    strip: Annotated[bool, typer.Option("--strip", help="Frames of each clip side by side.")] = False,
-    turntable: Annotated[bool, typer.Option("--turntable", help="One mesh from all sides.")] = False,
-    truth: Annotated[
-        Path | None, typer.Option(help="Heat map of the distance to this mesh or clip, in mm if files are in metres.")
-    ] = None,
-    stretch: Annotated[
-        Path | None, typer.Option(metavar="REFERENCE", help="Heat map of how edges differ in length from this mesh's.")
-    ] = None,
-    animation: Animation = None,
-    start: Annotated[int, typer.Option(help="First frame to take, counted from 0.")] = 0,
-    stop: Annotated[int | None, typer.Option(help="Frame to stop before.")] = None,
-    step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
-    track: Annotated[bool, typer.Option("--track", help="In movies, the camera goes along.")] = False,
-    view: Annotated[str, typer.Option(help="three-quarter, front, side, left, right, back or top.")] = "three-quarter",
-    size: Annotated[int, typer.Option(help="Height of one picture in pixels.", min=32, max=4096)] = 480,
-    width: Annotated[int | None, typer.Option(help="Width of one picture in pixels.", min=32, max=4096)] = None,
-    background: Annotated[str, typer.Option(help="paper, white, dark, none (.png) or #rrggbb.")] = "paper",
-    labels: Annotated[bool, typer.Option("--labels/--no-labels", help="Captions below pictures.")] = True,
-    clay: Annotated[bool, typer.Option("--clay", help="Leave materials and textures out.")] = False,
-    up: Annotated[str, typer.Option(help="Axis away from the floor: x, y, z, -x, -y, -z.")] = "y",
-    front: Annotated[str | None, typer.Option(help="Axis that faces the front.")] = None,
-    fps: Annotated[float | None, typer.Option(help="Frame rate, where the files do not say.")] = None,
-    no_clobber: NoClobber = False,
-    no_limits: NoLimits = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    options: RenderOptions,
+    taken: Annotated[ClipOptions, Without("body_model")],
+    printed: Annotated[OutputOptions, Without("output", "preview", "open", "large")],
 ) -> None:
     """Draw meshes and clips: sheet, strip, turntable, heat map, movie or a page to play with.
 
     By default meshes become a sheet, or a movie that turns; clips become strips, or a movie that plays.
     """
-    from ..tools.draw import RenderOptions, draw
+    from ..tools.draw import check_options, draw
 
-    options = RenderOptions(
-        *(sheet, strip, turntable, truth, stretch, view, size, width, clay, up, front, track, labels, background),
-        cut=(start, stop, step),
-    )
-    options.check(output)
-    refuse_existing(no_clobber, output)
-    refuse_inputs(output, *files, truth, stretch)
-    clips = _cut(files, fps, single("--animation", animation), start, stop, step)
+    check_options(options, output)
+    refuse_existing(printed.no_clobber, output)
+    refuse_inputs(output, *files, options.truth, options.stretch)
+    clips = _cut(files, single("--animation", taken.animation), taken)
     names = [path.name for path in files]
-    with progress("frames", quiet or json) as advance:
-        kind = draw(options, names, clips, output, advance)
-    if json:
+    with progress("frames", printed.silent) as advance:
+        kind = draw(options, names, clips, output, taken, advance)
+    if printed.json:
         print_json({"output": str(output), "kind": kind, "files": [str(path) for path in files]})
-    elif not quiet:
+    elif not printed.quiet:
         say(f"{output}: {kind} of {', '.join(names)}")
         print_next("look", *files)
 
 
-def _cut(
-    files: list[Path], fps: float | None, animation: str | None, start: int, stop: int | None, step: int
-) -> list[Clip]:
+def _cut(files: list[Path], animation: str | None, taken: FrameRange) -> list[Clip]:
     """Load clips and cut all of them alike; a file of one mesh is not cut if another file moves."""
     from ..core.mesh import cut_clip
     from ..io import load_clip
 
-    clips = [load_clip(path, fps=fps, animation=animation) for path in files]
+    clips = [load_clip(path, fps=taken.fps, animation=animation) for path in files]
     still = all(len(clip) == 1 for clip in clips)
-    return [cut_clip(clip, start, stop, step) if len(clip) > 1 or still else clip for clip in clips]
+    return [cut_clip(clip, taken.start, taken.stop, taken.step) if len(clip) > 1 or still else clip for clip in clips]
 
 
+@with_options
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="A mesh, a clip, a motion or a folder of meshes.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Its suffix is the format; without one, a folder.")],
-    fps: Annotated[float | None, typer.Option(help="Of IN, where it does not say; else to sample it at.")] = None,
-    animation: Animation = None,
-    frame: Annotated[int | None, typer.Option(help="This frame alone, counted from 0.")] = None,
-    frames: Annotated[int | None, typer.Option(help="So many frames, evenly spread from first to last.", min=1)] = None,
-    start: Annotated[int, typer.Option(help="First frame to take, counted from 0.")] = 0,
-    stop: Annotated[int | None, typer.Option(help="Frame to stop before.")] = None,
-    step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
-    frames_as: Annotated[str | None, typer.Option(metavar="SUFFIX", help="In a folder: obj or ply.")] = None,
-    blendshapes: BlendShapes = None,
-    body_model: BodyModel = None,
-    betas: Annotated[
-        str | None,
-        typer.Option(help="Person who moves, with --body-model: numbers with commas, or an .npz.", metavar="B"),
-    ] = None,
-    no_clobber: NoClobber = False,
-    large: Large = False,
-    no_limits: NoLimits = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    options: ConvertOptions,
+    printed: Annotated[OutputOptions, Without("output", "preview", "open")],
 ) -> None:
     """Write a mesh or clip in another format.
 
@@ -159,29 +111,14 @@ def convert(
     from ..tools.convert import convert as convert_file
     from ..tools.convert import frames_at
 
-    refuse_existing(no_clobber, target)
-    refuse_inputs(target, source, body_model)
-    with progress("frames", quiet or json) as advance:
-        written = convert_file(
-            source,
-            target,
-            fps=fps,
-            animation=single("--animation", animation),
-            frame=frame,
-            frames=frames,
-            start=start,
-            stop=stop,
-            step=step,
-            frames_as=None if frames_as is None else "." + frames_as.lstrip("."),
-            blendshapes=blendshapes,
-            body_model=body_model,
-            betas=betas,
-            progress=advance,
-        )
+    refuse_existing(printed.no_clobber, target)
+    refuse_inputs(target, source, None if options.body_model is None else Path(options.body_model))
+    with progress("frames", printed.silent) as advance:
+        written = convert_file(source, target, options, advance)
     facts = {"output": str(target), "vertices": written.vertices, "frames": written.frames, "fps": written.fps}
-    if json:
+    if printed.json:
         print_json({**facts, "notes": list(written.notes)})
-    elif not quiet:
+    elif not printed.quiet:
         length = "" if written.fps is None else f", {frames_at(written.frames, written.fps)}"
         say(f"{target}: {written.vertices} vertices{length}")
         for note in written.notes:

@@ -22,22 +22,17 @@ LINE_SECONDS = 10.0
 """Time between two lines that tell the progress where there is no terminal."""
 SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 """What a path of a folder may end in."""
-VALUES = {
-    "root": ("scale", "keep", "drop"),
-    "rig": ("own", "mimesh"),
-    "body": ("auto", "human", "quadruped", "other"),
-    "pairing": ("auto", "random", "order", "body"),
-    "names": ("own", "mixamo", "unreal", "vrm", "godot", "rigify"),
-    "rest": ("file", "T", "A"),
-}
-"""Option -> its values. Written again here, because a shell waits while the modules that check them are loaded."""
 MODELS = ("mime", "npt", "npt-maxpool", "aniformer", "copy", "deformation-transfer", "skeleton")
 """Names of models that -m takes."""
 
 
-def one_of(option: str) -> Callable[[str], list[str]]:
-    """Return the function that completes a value of an option."""
-    return lambda incomplete: [value for value in VALUES[option] if value.startswith(incomplete)]
+def lift_limits(wanted: bool) -> bool:
+    """Lift the budgets of files until the command ends: `cli.run` gives each command a context of its own."""
+    if wanted:
+        from ..core.budgets import lift_limits as lift
+
+        lift()
+    return wanted
 
 
 def complete_model(incomplete: str) -> list[str]:
@@ -67,71 +62,14 @@ Model = Annotated[
         autocompletion=complete_model,
     ),
 ]
-Output = Annotated[
-    str | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="PATH",
-        help="Where to write; its suffix is the format. A folder (there, or ending in /) gets the usual name in it.",
-    ),
-]
-NoClobber = Annotated[bool, typer.Option("--no-clobber", "-n", help="Stop before the work if an output exists.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, and nothing else, on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
-Animation = Annotated[
-    list[str] | None,
-    typer.Option(metavar="NAME", help="Which animation of a GLB or clip of an HDF5 file: its name or number."),
-]
-Animations = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--animation",
-        metavar="NAME",
-        help="Animation of a GLB, by name or number; several times for several clips; all for all of a file.",
-    ),
-]
-BodyModel = Annotated[
-    Path | None,
-    typer.Option(
-        "--body-model", metavar="FILE", help="SMPL's, SMPL+H's ... (.pkl .npz): AMASS archives become its surface."
-    ),
-]
-Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
-
-
-def _lift_limits(wanted: bool) -> bool:
-    """Lift the budgets of files until the command ends: `cli.run` gives each command a context of its own."""
-    if wanted:
-        from ..core.budgets import lift_limits
-
-        lift_limits()
-    return wanted
-
-
 NoLimits = Annotated[
     bool,
     typer.Option(
-        "--no-limits", callback=_lift_limits, help="Read files of any size; without it, see docs/formats.md, Limits."
+        "--no-limits", callback=lift_limits, help="Read files of any size; without it, see docs/formats.md, Limits."
     ),
-]
-
-
-def _limit_outputs(large: bool) -> bool:
-    """Limit the size of outputs unless --large is given, until the command ends (see `_lift_limits`)."""
-    from ..core.output_size import limit_outputs
-
-    limit_outputs(not large)
-    return large
-
-
-Large = Annotated[
-    bool, typer.Option("--large", callback=_limit_outputs, help="Write outputs of more than 100 MB, too.")
-]
-BlendShapes = Annotated[
-    int | None,
-    typer.Option("--blendshapes", metavar="K", min=1, help="Write K morph targets, not one a frame (.glb, .gltf)."),
 ]
 
 

@@ -1,7 +1,5 @@
-"""Public functions as programs call them: arguments and arrays are checked, and messages name arguments.
+"""Public functions as programs call them: arguments and arrays are checked.
 
-Messages are written with the options of the command line (`give --driving-front`). `public` replaces them by the
-arguments of Python (`give driving_front=...`) unless the command line is the caller (`errors.command_line_words`).
 Lists, integers and tensors become arrays (`as_vertices` and others); messages say what to do with all else.
 """
 
@@ -11,47 +9,17 @@ import functools
 import inspect
 import numbers
 import os
-import re
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from .errors import InputError, did_you_mean, names_options
+from .errors import InputError, did_you_mean
 
 CLOSE = 0.75
 """Similarity (`difflib`) of the names of arguments from which on one is proposed; "smooth" and "root" have 0.6."""
 F = TypeVar("F", bound=Callable[..., Any])
-
-PHRASES = {
-    "add --no-limits (Python: with mimesh.no_limits())": "call this inside `with mimesh.no_limits():`",
-    ", or ignore the files with --no-joints": "",
-    "or ignore the file with --no-joints": "or leave joints out",
-    "-m deformation-transfer": 'model="deformation-transfer"',
-    "-m mime": 'model="mime"',
-    "mimesh convert IN OUT --body-model SMPL.pkl": 'load_recorded_clip(path, body_model="SMPL.pkl")',
-    "choose it with -m": "choose another model",
-    "; name another with -o": "; name another",
-    "--body human or quadruped": 'body="human" or "quadruped"',
-    "with --markers FILE": "with markers=...",
-    "give one: -o '": "give one: output='",
-    "--output-fps": "--fps",
-}
-"""What is said in another way in Python."""
-OPTIONS = (
-    *("up", "front", "driving-up", "driving-front", "ensemble", "seed", "pairing", "refine", "reference"),
-    *("markers", "model"),
-    *("fps", "animation", "start", "stop", "step", "root", "ground", "smooth", "skinned", "rig", "body", "joints"),
-    *("driving-joints", "names", "root-bone", "rest", "blendshapes", "body-model", "output", "workers", "summary"),
-    *("cluster", "threads"),
-)
-"""Options of the command line that are arguments in Python, with underscores."""
-VALUES = (
-    "[+-][xyz]|own|mimesh|human|quadruped|other|auto|file|random|order|body|[TA]|mixamo|unreal|vrm|godot|rigify|\\d+"
-)
-"""Values that follow an option in messages."""
-OPTION = re.compile(rf"(give |with )?(?<![\w-])--({'|'.join(OPTIONS)})(?![\w-])(?: ({VALUES})(?![\w-]))?")
 
 
 class ArgumentError(InputError, TypeError):
@@ -61,61 +29,26 @@ class ArgumentError(InputError, TypeError):
     """
 
 
-def for_caller(message: str) -> str:
-    """Name arguments of Python in a message that names options, unless the command line is the caller."""
-    if names_options():
-        return message
-    for phrase, other in PHRASES.items():
-        message = message.replace(phrase, other)
-    return OPTION.sub(_argument, message)
+def public(function: F) -> F:
+    """Make a function one that programs call: arguments are checked before it runs, and wrong ones raise InputError."""
+    signature = inspect.signature(function)
+    names = [name for name in signature.parameters if name not in ("self", "cls")]
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        check_call(function.__name__, signature, names, args, kwargs)
+        return function(*args, **kwargs)
+
+    return cast(F, call)
 
 
-def _argument(found: re.Match[str]) -> str:
-    """Return the argument that an option is in Python, with its value if there is one."""
-    before, option, value = found.groups(default="")
-    name = option.replace("-", "_")
-    if value:
-        return f"{before}{name}={value}" if value.isdigit() else f'{before}{name}="{value}"'
-    return f"{before}{name}=..." if before else name
-
-
-def public(checked: bool = True) -> Callable[[F], F]:
-    """Make a function one that programs call.
-
-    Arguments are checked before the function runs, and wrong ones raise InputError; messages name arguments of Python.
-
-    Args:
-        checked: check the kinds of arguments by the annotations; False where a call must take microseconds.
-    """
-
-    def decorate(function: F) -> F:
-        signature = inspect.signature(function)
-        names = [name for name in signature.parameters if name not in ("self", "cls")]
-
-        @functools.wraps(function)
-        def call(*args: Any, **kwargs: Any) -> Any:
-            try:
-                if checked:
-                    _check_call(function.__name__, signature, names, args, kwargs)
-                return function(*args, **kwargs)
-            except InputError as error:
-                message = for_caller(str(error))
-                if message == str(error):
-                    raise
-                raise type(error)(message).with_traceback(error.__traceback__) from error.__cause__
-
-        return cast(F, call)
-
-    return decorate
-
-
-def _check_call(
+def check_call(
     function: str, signature: inspect.Signature, names: list[str], args: tuple[Any, ...], given: dict[str, Any]
 ) -> None:
     """Raise InputError for arguments that are missing, unknown or of another kind than the annotation says."""
     for name in given:
         if name not in signature.parameters:
-            hint = did_you_mean(name, names, CLOSE) or f"; it has {', '.join(names)}"
+            hint = _in_options(name, signature) or did_you_mean(name, names, CLOSE) or f"; it has {', '.join(names)}"
             raise ArgumentError(f"{function}: expected arguments that it has, found {name}{hint}")
     try:
         bound = signature.bind(*args, **given)
@@ -126,6 +59,17 @@ def _check_call(
     for name, value in bound.arguments.items():
         if name in names:
             check_kind(name, value, str(signature.parameters[name].annotation))
+
+
+def _in_options(name: str, signature: inspect.Signature) -> str:
+    """Return the end of a message about an argument that is a field of options which the function has, or ""."""
+    from . import options
+
+    for parameter in signature.parameters.values():
+        kind = getattr(options, str(parameter.annotation), None)
+        if name in getattr(kind, "__dataclass_fields__", ()):
+            return f"; give {parameter.name}=mimesh.{parameter.annotation}({name}=...)"
+    return ""
 
 
 def check_kind(name: str, value: object, annotation: str) -> None:
@@ -173,10 +117,10 @@ def _advice(value: object, allowed: list[str]) -> str:
     return f"give {KINDS['Path' if 'Path' in allowed else allowed[0]][0]}"
 
 
-def _is(kind: str) -> Callable[[object], bool]:
-    """Return the test of a class of `core.mesh`, by its name: that module imports this one."""
+def _is(kind: str, module: str = "mesh") -> Callable[[object], bool]:
+    """Return the test of a class of a module of `core`, by its name: these modules import this one."""
     return lambda value: any(
-        (base.__module__, base.__name__) == ("mimesh.core.mesh", kind) for base in type(value).__mro__
+        (base.__module__, base.__name__) == (f"mimesh.core.{module}", kind) for base in type(value).__mro__
     )
 
 
@@ -201,6 +145,10 @@ KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
     "Progress": ("a function of (done, total)", callable),
     "Mesh": ("a Mesh", _is("Mesh")),
     "Clip": ("a Clip", _is("Clip")),
+    **{
+        kind: (f"mimesh.{kind}(...)", _is(kind, "options"))
+        for kind in ("Hints", "FrameRange", "MotionOptions", "ModelOptions", "Layout")
+    },
 }
 """Kind in annotations -> what messages call it, and whether a value is of it."""
 

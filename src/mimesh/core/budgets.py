@@ -12,7 +12,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 
-from .errors import InputError
+from .errors import InputError, on_command_line
 
 # A context variable belongs to its thread: what one caller lifts stays in place for all others.
 _lifted: ContextVar[bool] = ContextVar("mimesh budgets lifted", default=False)
@@ -39,10 +39,11 @@ class Budget:
         """
         largest = max(self.largest, int(self.per_byte * size))
         if count > largest and not _lifted.get():
+            lifting = "add --no-limits" if on_command_line() else "call this inside `with mimesh.no_limits():`"
             found = f"{count:,}" if count < LARGEST_PRINTED else "far more"
             raise InputError(
                 f"{path}: expected at most {largest:,} {self.things}, found {found}; the file is damaged, or "
-                "add --no-limits (Python: with mimesh.no_limits()) if you trust it"
+                f"{lifting} if you trust it"
             )
 
 

@@ -1,13 +1,11 @@
 """The exception for errors that a user can cause and repair."""
 
 import contextlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
 
 LONGEST_MESSAGE = 1000
 """Characters of a message: names and numbers in a damaged file may have any length."""
-# A context variable belongs to its thread: a program may run a command in one and call functions in another.
-_command_line: ContextVar[bool] = ContextVar("messages of mimesh name options", default=False)
 
 
 class InputError(ValueError):
@@ -49,19 +47,43 @@ def did_you_mean(word: str, known: Iterable[str], similarity: float = 0.6) -> st
     return f"; did you mean {by_lower[close[0]]}?" if close else ""
 
 
-@contextlib.contextmanager
-def command_line_words() -> Iterator[None]:
-    """Leave options of the command line in messages inside a `with` block, for the calling thread.
+def python_name(name: str, value: object = None) -> str:
+    """Name an argument of Python: root, root=..., root="drop"."""
+    if value is None:
+        return name
+    return f"{name}=..." if value is ... else f"{name}={value}" if str(value).isdigit() else f'{name}="{value}"'
 
-    Elsewhere public functions name arguments of Python; see `core.arguments`.
+
+def command_line_name(name: str, value: object = None) -> str:
+    """Name an option of the command line: --root, --root drop."""
+    flag = "-m" if name == "model" else "--" + name.replace("_", "-")
+    return flag if value is None or value is ... else f"{flag} {value}"
+
+
+# A context variable belongs to its thread: a program may run a command in one and call functions in another.
+_names: ContextVar[Callable[[str, object], str]] = ContextVar("names of options in messages", default=python_name)
+
+
+def option(name: str, value: object = None) -> str:
+    """Name an option in a message as the front end does that runs.
+
+    Args:
+        name: the field of `core.options`, or another argument of Python.
+        value: what to give, or ... for "some value".
     """
-    token = _command_line.set(True)
+    return _names.get()(name, value)
+
+
+@contextlib.contextmanager
+def naming_options(names: Callable[[str, object], str] = command_line_name) -> Iterator[None]:
+    """Name options in messages by a function of name and value, inside a `with` block, for the calling thread."""
+    token = _names.set(names)
     try:
         yield
     finally:
-        _command_line.reset(token)
+        _names.reset(token)
 
 
-def names_options() -> bool:
-    """Whether messages name options of the command line."""
-    return _command_line.get()
+def on_command_line() -> bool:
+    """Whether messages are for the command line."""
+    return _names.get() is command_line_name

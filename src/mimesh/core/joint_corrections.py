@@ -53,7 +53,7 @@ class JointCorrections:
         if self.vertices is not None and self.vertices != len(vertices):
             raise InputError(
                 f"{self.source}: expected corrections of {mesh} with {len(vertices)} vertices, found those of a mesh "
-                f"with {self.vertices}; correct the joints again, or ignore the file with --no-joints"
+                f"with {self.vertices}; correct the joints again, or leave the joints out"
             )
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         most = MOST_OUTSIDE * float((high - low).max())

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from .arguments import as_faces, as_floats, as_frames, as_vertices, check_kind
 from .budgets import FACES, VERTICES, check_clip_size
-from .errors import InputError
+from .errors import InputError, option
 from .frame_buffer import Frames, PosedFrames, Progress, each_frame, spread_exactly, store_frames
 from .geometry import face_areas, turn_normals
 from .person_motion import JointSource
@@ -289,7 +289,7 @@ def _check_corners(values: Float[np.ndarray, "F 3 _"] | None, kind: str, path: s
 
 def check_clip(clip: Clip, path: str | Path) -> Clip:
     """Return the clip if every frame is valid (see `check_mesh`); raise InputError otherwise."""
-    check_timing(clip, path)
+    check_timing(clip, path, f"give one with {option('fps', ...)}")
     check_clip_size(len(clip), clip.vertices.shape[1], path)
     check_frames(clip, path)
     check_mesh(dataclasses.replace(clip.mesh, vertices=np.asarray(clip.vertices[0], np.float64)), path)
@@ -312,7 +312,7 @@ def check_frames(clip: Clip, path: str | Path) -> None:
             )
 
 
-def check_timing(clip: Clip, path: str | Path, advice: str = "give one with --fps") -> None:
+def check_timing(clip: Clip, path: str | Path, advice: str) -> None:
     """Raise InputError for a clip without frames, or with an impossible frame rate and advice on that."""
     if len(clip) == 0:
         raise InputError(f"{path}: expected at least one frame, found none; export the animation again")
@@ -352,10 +352,11 @@ def check_cut(name: str, count: int, frames: slice) -> None:
         InputError: no frame is left, or the step is not positive.
     """
     if frames.step is not None and frames.step < 1:
-        raise InputError(f"--step: expected 1 or more, found {frames.step}; give a positive number")
+        raise InputError(f"{option('step')}: expected 1 or more, found {frames.step}; give a positive number")
     if not len(range(count)[frames]):
         raise InputError(
-            f"{name}: expected --start and --stop within its {count} frames, found {frames.start or 0} to "
+            f"{name}: expected {option('start')} and {option('stop', ...)} within its {count} frames, found "
+            f"{frames.start or 0} to "
             f"{'the end' if frames.stop is None else frames.stop}, which leaves none; change them"
         )
 
@@ -429,6 +430,6 @@ def check_size(frames: Iterable[Float[np.ndarray, "U 3"]], name: str) -> Iterato
         if not (vertices != vertices[0]).any():
             raise InputError(
                 f"{name}: expected some size in frame {t} of those taken, found all vertices at one point; "
-                "repair that frame, or end the clip before it with --stop"
+                f"repair that frame, or end the clip before it with {option('stop', ...)}"
             )
         yield vertices

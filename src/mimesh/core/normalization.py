@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from .errors import InputError
+from .errors import InputError, option
 from .geometry import face_areas, turned
 from .mesh import Mesh
 
@@ -72,12 +72,19 @@ class Normalization:
         Raises:
             InputError: an axis is not one of +x +y +z -x -y -z, or up and front lie on one axis.
         """
-        up, front, of_file = parse_axis(up, "--up"), parse_axis(front, "--front"), parse_axis(mesh.up, "Mesh.up")
+        up, front, of_file = (
+            parse_axis(up, option("up")),
+            parse_axis(front, option("front")),
+            parse_axis(mesh.up, "Mesh.up"),
+        )
         up_from = "shape" if up is None else "given"
         if up is None and of_file is not None and (front is None or front[1] != of_file[1]):
             up, up_from = of_file, "file"
         if up and front and up[1] == front[1]:
-            raise InputError(f"--up {up} --front {front}: expected two different axes, found one; change one of them")
+            raise InputError(
+                f"{option('up', up)} {option('front', front)}: expected two different axes, found one; change one of "
+                "them"
+            )
         candidates = [
             r for r, axes in enumerate(ORIENTATIONS) if (up in (None, axes[0])) and (front in (None, axes[1]))
         ]

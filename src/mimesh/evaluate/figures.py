@@ -18,6 +18,7 @@ from ..bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
 from ..core.errors import InputError, did_you_mean
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, permute_vertices
+from ..core.options import Hints
 from ..io import load_mesh
 from ..methods.find import check_weights, how_to_make, missing_weights
 from ..motions.gaits import SEEDS, gait_rotations
@@ -168,7 +169,7 @@ def foreign_identity_rows(models: tuple[str, ...], count: int, data: Path | None
         driving = HUMAN_NPT.pair("test", "seen", i).driving
         identity = load_mesh(path)
         for model in models:
-            result = transfer(identity, driving, model, driving_up="+y", driving_front="+z")
+            result = transfer(identity, driving, model, hints=Hints(driving_up="+y", driving_front="+z"))
             yield [Tile(path.stem, identity), Tile("driving", driving), Tile(model, result.mesh)]
 
 
@@ -177,7 +178,7 @@ def foreign_driving_rows(models: tuple[str, ...], count: int, data: Path | None)
     for i, path in enumerate(mesh_files(data)[:count]):
         identity = HUMAN_NPT.pair("test", "seen", i).identity
         driving = load_mesh(path)
-        results = [Tile(m, transfer(identity, driving, m, up="+y", front="+z").mesh) for m in models]
+        results = [Tile(m, transfer(identity, driving, m, hints=Hints(up="+y", front="+z")).mesh) for m in models]
         yield [Tile("identity", identity), Tile(path.stem, driving), *results]
 
 
@@ -250,7 +251,7 @@ def foreign_clip_rows(models: tuple[str, ...], count: int, data: Path | None) ->
         yield [EMPTY, *_frame_tiles("driving", clip.vertices, clip.mesh.faces)]
         identity = load_mesh(path)
         for model in models:
-            result = animate(identity, clip, model, driving_up="+y", driving_front="+z").clip
+            result = animate(identity, clip, model, hints=Hints(driving_up="+y", driving_front="+z")).clip
             frames = [(t, result.mesh.with_vertices(result.vertices[t])) for t in SHOWN_FRAMES]
             yield [Tile(path.stem, identity), *(Tile(f"{model}, frame {t}", mesh) for t, mesh in frames)]
 

@@ -21,6 +21,7 @@ from ..core.errors import InputError, RefusedMeshError
 from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh, check_size
 from ..core.normalization import Normalization, bbox_centre
+from ..core.options import Hints, ModelOptions, MotionOptions
 from ..methods.base import Method, ShapeMethod, SizedMethod
 from ..methods.find import find_model, weights_path
 from ..mime.model import Mime
@@ -66,7 +67,7 @@ TRAINED_ON = {
     "meshes": "registered meshes",
 }
 """Description of each kind of training data (`data.kind` of a configuration), for reports."""
-AXES: dict[str, Any] = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
+AXES = Hints(up="+y", front="+z", driving_up="+y", driving_front="+z")
 """Facing of both meshes, passed to every method: axis detection is not part of what is measured."""
 Runtime = Callable[[Mime | Method, Path], Method]
 """Returns a method whose network is run by another library; takes the method and the path of its weights."""
@@ -194,7 +195,7 @@ def run_on_pair(
         return Output(resized(required_input(pair.aligned, method), pair.truth))
     if method.startswith("deformation-transfer"):
         driving, inputs = deformation_transfer_inputs(pair, method)
-        return Output.of(transfer(pair.identity, driving, "deformation-transfer", **AXES, **inputs))
+        return Output.of(transfer(pair.identity, driving, "deformation-transfer", hints=AXES, options=inputs))
     return _run_network(pair, open_network(method, ensemble, runtime), refine)
 
 
@@ -202,8 +203,8 @@ def _run_network(pair: Pair, network: Mime | Method, refine: bool) -> Output:
     if compared_as_shapes(network, refine):
         vertices, origin = placed_shapes(network, pair.identity, Clip.still(pair.driving), pair.truth[None])
         return Output(vertices[0], origin[0])
-    options = {"refine": refine, **known_kind(network)}
-    return Output.of(transfer(pair.identity, pair.driving, network, **AXES, **options))
+    hints, options = _hints(network), ModelOptions(refine=refine)
+    return Output.of(transfer(pair.identity, pair.driving, network, hints=hints, options=options))
 
 
 def open_network(name: str, ensemble: int, runtime: Runtime | None) -> Mime | Method:
@@ -216,7 +217,7 @@ def open_network(name: str, ensemble: int, runtime: Runtime | None) -> Mime | Me
     return network if runtime is None else runtime(network, weights_path(name))
 
 
-def deformation_transfer_inputs(pair: Pair, method: str) -> tuple[Mesh, dict[str, Any]]:
+def deformation_transfer_inputs(pair: Pair, method: str) -> tuple[Mesh, ModelOptions]:
     """Return the driving mesh for a deformation transfer of EXTRA_INPUTS, and its reference mesh and markers.
 
     Raises:
@@ -227,19 +228,19 @@ def deformation_transfer_inputs(pair: Pair, method: str) -> tuple[Mesh, dict[str
             Mesh(required_input(points, method), pair.identity.faces)
             for points in (pair.aligned, pair.aligned_reference)
         )
-        return driving, {"reference": reference}
+        return driving, ModelOptions(reference=reference)
     if len(pair.driving.faces) == 0:
         raise NotApplicableError(f"{method}: expected triangles to take gradients of, found points")
     reference = dataclasses.replace(pair.driving, vertices=required_input(pair.reference, method))
     # The first 5 landmarks are the paper's 5 control points; markers that the driving mesh lacks are left out.
     markers = required_input(pair.markers, method)[: 5 if method.endswith("-5") else 13]
-    return pair.driving, {"reference": reference, "markers": markers[markers[:, 1] >= 0]}
+    return pair.driving, ModelOptions(reference=reference, markers=markers[markers[:, 1] >= 0])
 
 
-def known_kind(network: Mime | Method) -> dict[str, str]:
-    """Return the option that says what the meshes are, for networks that would look at them for a note only."""
+def _hints(network: Mime | Method) -> Hints:
+    """Return the axes of all pairs, and what the meshes are for networks that would look at them for a note only."""
     body = getattr(network, "body", None)
-    return {} if body is None or isinstance(network, Mime) else {"body": body}
+    return AXES if body is None or isinstance(network, Mime) else dataclasses.replace(AXES, body=body)
 
 
 def needs_true_size(method: Mime | Method) -> bool:
@@ -361,13 +362,14 @@ def run_on_clip(
         driving, inputs = deformation_transfer_inputs(trial, method)
         frames = trial.aligned_frames if method.endswith("-dense") else trial.clip.vertices
         clip = Clip(driving, required_input(frames, method), trial.clip.fps)
-        return Output.of(animate(trial.identity, clip, "deformation-transfer", **AXES, **inputs))
+        return Output.of(animate(trial.identity, clip, "deformation-transfer", hints=AXES, options=inputs))
     network = open_network(method, ensemble, runtime)
     if compared_as_shapes(network, refine):
         return Output(*placed_shapes(network, trial.identity, trial.clip, trial.truth_frames))
     # The truth has the driving's rotations, and its soles slide: a method is measured without planted feet.
-    options = {"refine": refine, "ground": False, **known_kind(network)}
-    return Output.of(animate(trial.identity, trial.clip, network, **AXES, **options))
+    options, motion = ModelOptions(refine=refine), MotionOptions(ground=False)
+    moved = animate(trial.identity, trial.clip, network, hints=_hints(network), options=options, motion=motion)
+    return Output.of(moved)
 
 
 def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.budgets import lift_limits, limits_are_lifted
-from ..core.errors import LONGEST_MESSAGE, InputError, one_line
+from ..core.errors import LONGEST_MESSAGE, InputError, naming_options, on_command_line, one_line
 from ..core.frame_buffer import Progress
 from ..core.system import end_with_parent, limit_process, limit_processor_time
 from .atomic import scratch_folder, temporary_folder
@@ -133,7 +133,11 @@ def child_result(
         target = folder / "result"
         call = {"function": function, "source": str(source.absolute()), "target": str(target), "arguments": arguments}
         call |= {"limits": asdict(limits), "path": [str(Path(entry).absolute()) for entry in sys.path]}
-        call |= {"lifted": lifted, "counts": None if progress is None else str(folder / COUNTS_FILE)}
+        call |= {
+            "lifted": lifted,
+            "command_line": on_command_line(),
+            "counts": None if progress is None else str(folder / COUNTS_FILE),
+        }
         call["confined_to"] = None if (outer := confining_folder()) is None else str(outer)
         code = _run(call, folder, limits, name, progress)
         message = last_line(folder / ERRORS_FILE).replace(str(folder), str(folder.parent))
@@ -166,7 +170,8 @@ def run_call(call: dict[str, Any]) -> None:
         if call["counts"] is not None:
             arguments["progress"] = _reporter(Path(call["counts"]), limits)
         folder = call["confined_to"]
-        with contextlib.nullcontext() if folder is None else confined(Path(folder)):
+        naming = naming_options() if call["command_line"] else contextlib.nullcontext()
+        with naming, contextlib.nullcontext() if folder is None else confined(Path(folder)):
             getattr(imported, function)(Path(call["source"]), Path(call["target"]), **arguments)
         code = 0
     except InputError as error:

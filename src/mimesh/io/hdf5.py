@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.budgets import check_clip_size
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress, store_frames
 from ..core.mesh import Clip, Mesh
 
@@ -74,8 +74,8 @@ def _chosen(names: Sequence[str], animation: str | None, path: Path) -> str:
         return names[find_animation(names, animation, path)]
     if len(names) > 1:
         raise InputError(
-            f"{path}: expected one of its {len(names)} clips, found none chosen; name one with --animation: "
-            + ", ".join(names)
+            f"{path}: expected one of its {len(names)} clips, found none chosen; name one with "
+            f"{option('animation', ...)}: " + ", ".join(names)
         )
     return names[0]
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.arguments import public
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip, stored_clip
 from ..core.system import refuse_pipe
@@ -24,7 +24,7 @@ from .hdf5 import clip_lengths, read_hdf5_clip
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 
-@public()
+@public
 def load_mesh(path: str | Path) -> Mesh:
     """Read one mesh from a file and validate it; a motion file (joints only) gives the default body in its first frame.
 
@@ -65,7 +65,7 @@ def load_mesh(path: str | Path) -> Mesh:
     return check_mesh(mesh, path)
 
 
-@public()
+@public
 def load_clip(
     path: str | Path,
     *,
@@ -162,7 +162,7 @@ def load_points(path: str | Path, first: Mesh, first_path: Path) -> Float[np.nda
         return read_frame(path, first, first_path, _load_frame)
 
 
-@public()
+@public
 def load_recorded_clip(
     path: str | Path,
     body_model: str | Path,
@@ -241,13 +241,17 @@ def _check_clip_options(path: Path, fps: float | None, animation: str | None) ->
     several = (*ANIMATED, *COLLECTIONS)
     if animation is not None and path.suffix.lower() not in several:
         raise InputError(
-            f"{path}: expected {' or '.join(several)} with --animation, found '{path.suffix}'; leave it out"
+            f"{path}: expected {' or '.join(several)} with {option('animation', ...)}, found '{path.suffix}'; leave "
+            "it out"
         )
     if fps is not None and not fps > 0:
-        raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give another with --fps")
+        raise InputError(
+            f"{path}: expected a positive frame rate, found {fps:g}; give another with {option('fps', ...)}"
+        )
     if fps is not None and fps > HIGHEST_FPS:
         raise InputError(
-            f"{path}: expected a frame rate of {HIGHEST_FPS:,.0f} or less, found {fps:g}; give another with --fps"
+            f"{path}: expected a frame rate of {HIGHEST_FPS:,.0f} or less, found {fps:g}; give another with "
+            f"{option('fps', ...)}"
         )
 
 

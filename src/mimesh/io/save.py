@@ -16,7 +16,7 @@ import numpy as np
 
 from ..core.animated_rig import AnimatedRig, RigAnimation
 from ..core.arguments import public
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, RewritableSource, check_frames, check_numbers, check_timing, with_printable_names
 from ..core.output_size import check_output_size, frames_size
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from .gltf.own_animation import OwnAnimation, PlayedAnimation
 
 
-@public()
+@public
 def save_mesh(mesh: Mesh, path: str | Path) -> None:
     """Write a mesh atomically; an OBJ, glTF or NPZ with the suffix of its own file as that file with other points.
 
@@ -69,7 +69,7 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
             writer(mesh, path)
 
 
-@public()
+@public
 def save_clip(
     clip: Clip,
     path: str | Path,
@@ -127,7 +127,7 @@ def _check_clip_output_size(clip: Clip, path: Path, suffix: str) -> None:
         InputError: outputs are limited, and it is too large.
     """
     joints = ", write joints (.glb of mime without --morphs)" if suffix in (*JOINTED, *CACHES, ".npz") else ""
-    advice = f"take fewer frames with --step, --start or --stop{joints}"
+    advice = f"take fewer frames with {option('step', ...)}, {option('start')} or {option('stop', ...)}{joints}"
     check_output_size(frames_size(suffix, len(clip.mesh.vertices), len(clip)), path, advice)
 
 
@@ -153,7 +153,9 @@ def _save_blend_shapes(clip: Clip, path: Path, progress: Progress | None, blends
     from .gltf import write_gltf_clip
 
     if path.suffix.lower() not in (".glb", ".gltf"):
-        raise InputError(f"{path}: expected .glb or .gltf for --blendshapes, found '{path.suffix}'; leave it out")
+        raise InputError(
+            f"{path}: expected .glb or .gltf for {option('blendshapes', ...)}, found '{path.suffix}'; leave it out"
+        )
     with writing(path), whole_file(path) as temporary:
         return write_gltf_clip(clip, temporary, progress, blendshapes)
 
@@ -241,7 +243,7 @@ def save_vrma(motions: Sequence[BoneMotion], path: str | Path) -> None:
 
     path = Path(path)
     if path.suffix.lower() != ".vrma":
-        raise InputError(f"{path}: expected .vrma for bones alone, found '{path.suffix}'; name another with -o")
+        raise InputError(f"{path}: expected .vrma for bones alone, found '{path.suffix}'; rename it")
     with writing(path), whole_file(path) as temporary:
         write_vrma(motions, temporary)
 
@@ -285,9 +287,7 @@ def check_writable(path: Path) -> None:
 def _file_of_joints(path: Path) -> Iterator[Path]:
     """Yield a temporary path for a glTF file with joints, which becomes the file `path` when the block ends."""
     if path.suffix.lower() not in JOINTED:
-        raise InputError(
-            f"{path}: expected .glb, .gltf or .fbx for joints, found '{path.suffix}'; name another with -o"
-        )
+        raise InputError(f"{path}: expected .glb, .gltf or .fbx for joints, found '{path.suffix}'; rename it")
     with writing(path), gltf_file(path) as temporary:
         yield temporary
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..commands.terminal import Json, Model, Quiet, Stop, given_path, print_json, progress
+from ..commands.options import OutputOptions, Without, with_options
+from ..commands.terminal import Model, Stop, given_path, print_json, progress
 from ..core.printable import say
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ MOST_FAILURES = 10
 """Failed jobs that are printed at the end."""
 
 
+@with_options
 def batch(
     jobs: Annotated[
         Path,
@@ -71,8 +73,8 @@ def batch(
         str | None,
         typer.Option(metavar="ADDRESS", help="Do the jobs on a Ray cluster: its address, auto, or local."),
     ] = None,
-    json: Json = False,
-    quiet: Quiet = False,
+    *,
+    printed: Annotated[OutputOptions, Without("output", "preview", "open", "no_clobber", "large", "no_limits")],
 ) -> None:
     """Animate many meshes: a table of jobs, or every mesh of a folder with every clip of another.
 
@@ -92,7 +94,7 @@ def batch(
         options[name] = value
     if cluster is not None and workers is not None:
         raise InputError("--workers: expected it without --cluster, which has workers of its own; leave one out")
-    silent, terminal = quiet or json, sys.stderr.isatty()
+    silent, terminal = printed.silent, sys.stderr.isatty()
     if not silent and not terminal:
         say("checking all jobs", error=True)
     # Without a terminal each job has a line of its own.
@@ -111,10 +113,10 @@ def batch(
             cluster=cluster,
             report=None if silent else bar or print_lines(),
         )
-    if json:
+    if printed.json:
         print_json(result.facts())
     else:
-        print_summary(result, quiet)
+        print_summary(result, printed.quiet)
     if result.failed:
         raise Stop(SOME_FAILED)
 

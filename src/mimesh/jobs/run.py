@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.arguments import public
-from ..core.errors import InputError, command_line_words
+from ..core.errors import InputError, naming_options, option
 from ..core.printable import printable
 from ..core.system import ctrl_c_held, resident_memory, usable_cores
 from ..io import load_clip
@@ -146,7 +146,7 @@ class BatchResult:
                 temporary.write_text(json.dumps(self.facts(), indent=1) + "\n", encoding="utf-8", newline="\n")
 
 
-@public()
+@public
 def batch(
     identities: str | Path | Sequence[Mapping[str, Any]],
     drivings: str | Path | None = None,
@@ -198,7 +198,7 @@ def batch(
     """
     begin = time.perf_counter()
     if workers is not None and workers < 1:
-        raise InputError(f"--workers: expected 1 or more, found {workers}; leave it out for one a core")
+        raise InputError(f"{option('workers')}: expected 1 or more, found {workers}; leave it out for one a core")
     jobs = read_jobs(identities, drivings, output, options or {}, command)
     folder = Path(summary) if summary is not None else _common_folder(jobs)
     files = {kind: folder / f"batch.{kind}" for kind in ("csv", "json", "png")}
@@ -235,7 +235,9 @@ def _common_folder(jobs: Sequence[BatchJob]) -> Path:
     try:
         common = Path(os.path.commonpath([Path(job.output).resolve().parent for job in jobs]))
     except ValueError as error:  # several drives
-        message = "--summary: expected a folder for the summary of outputs on several drives, found none; give one"
+        message = (
+            f"{option('summary')}: expected a folder for the summary of outputs on several drives, found none; give one"
+        )
         raise InputError(message) from error
     here = Path.cwd()
     return common.relative_to(here) if common.is_relative_to(here) else common
@@ -327,7 +329,7 @@ def do_task(task: BatchTask) -> dict[str, Any]:
     except InputError as error:
         failed["error"] = " ".join(str(error).split())
     except MemoryError:
-        failed["error"] = f"{job.identity}: expected enough memory, found too little; use fewer --workers"
+        failed["error"] = f"{job.identity}: expected enough memory, found too little; use fewer {option('workers')}"
     except Exception as error:
         kind = f"{type(error).__name__}: {error}".splitlines()[0]
         failed["error"] = f"{kind} (a bug of mimesh; please report it)"
@@ -339,7 +341,7 @@ def _do_job(task: BatchTask, begin: float) -> dict[str, Any]:
     """Do a job, write its record, and return its outcome."""
     path = record_path(task.job)
     path.unlink(missing_ok=True)
-    with command_line_words():
+    with naming_options():
         facts = run_command(task.job)
     reports = [clip["report"] for clip in facts.get("clips", ())] or [facts["report"]]
     found = [report[which].get("confidence") for report in reports for which in ("identity", "driving")]
@@ -431,7 +433,7 @@ class _Worker(ProcessPoolExecutor):
         self.shutdown()  # waits for the exit code
         code = process.exitcode or 0
         ending = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-        hint = "; if the system ran out of memory, use fewer --workers" if "KILL" in ending else ""
+        hint = f"; if the system ran out of memory, use fewer {option('workers')}" if "KILL" in ending else ""
         return f"expected a result, found that the worker ended ({ending}){hint}"
 
 
@@ -503,7 +505,7 @@ def _do_on_cluster(tasks: Mapping[int, BatchTask], address: str) -> Generator[tu
         ray: Any = import_module("ray")
     except ImportError:
         raise InputError(
-            "ray: expected it for --cluster, found it not installed; pip install 'mimesh[cluster]'"
+            f"ray: expected it for {option('cluster', ...)}, found it not installed; pip install 'mimesh[cluster]'"
         ) from None
     if not tasks:
         return
@@ -534,7 +536,9 @@ def _connect(ray: Any, address: str) -> None:
         ray.init(address=address, runtime_env={"env_vars": variables}, log_to_driver=False, **options)
     except (ConnectionError, ValueError, RuntimeError) as error:
         found = str(error).splitlines()[0]
-        raise InputError(f"--cluster: expected a Ray cluster at {address}, found '{found}'; start it first") from error
+        raise InputError(
+            f"{option('cluster')}: expected a Ray cluster at {address}, found '{found}'; start it first"
+        ) from error
 
 
 def chunks(tasks: Mapping[int, BatchTask]) -> list[list[int]]:

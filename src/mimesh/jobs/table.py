@@ -19,19 +19,19 @@ from typing import Any
 
 import typer
 
-from ..bodies.engine_rig import Layout
 from ..commands import move
 from ..commands.clips import check_clip_output, check_suffix
+from ..commands.options import ShapeOptions
 from ..commands.terminal import refuse_inputs
 from ..core.arguments import described
-from ..core.errors import InputError, did_you_mean
+from ..core.errors import InputError, did_you_mean, option
 from ..core.normalization import parse_axis
+from ..core.options import Hints, Layout, MotionOptions
 from ..core.system import refuse_pipe
 from ..io import mesh_suffixes
 from ..io.formats import ANIMATED, CLIP_READERS, COLLECTIONS, MESH_WRITERS
 from ..methods.find import find_model
 from ..mime.model import Mime
-from ..pipeline.options import Hints, MotionOptions
 from ..tools.convert import file_stem
 from ..tools.preview import names_beside
 
@@ -121,8 +121,8 @@ def _all_pairs(identities: Any, drivings: str, output: str | Path | None, comman
         raise InputError("batch: expected no drivings beside rows of jobs, found both; put them in the rows")
     if output is None:
         raise InputError(
-            "--output: expected a pattern for the outputs of all pairs, found none; "
-            "give one: -o 'out/{identity}/{driving}.glb'"
+            f"{option('output')}: expected a pattern for the outputs of all pairs, found none; "
+            f"give one: {option('output', 'out/{identity}/{driving}.glb')}"
         )
     moving = (*CLIP_READERS, *ANIMATED, *COLLECTIONS) if command == "animate" else mesh_suffixes()
     meshes = find_files(str(identities), mesh_suffixes(), "meshes")
@@ -340,7 +340,8 @@ def _check_job(job: BatchJob) -> None:
         refuse_inputs(path, *job.inputs().values())
     if job.command == "animate":
         layout = Layout(values["names"], values["root_bone"], values["rest"], values["output_fps"])
-        check_clip_output(output, 1, values["skinned"], values["morphs"], values["blendshapes"], layout)
+        shapes = ShapeOptions(values["morphs"], values["blendshapes"])
+        check_clip_output(output, 1, values["skinned"], shapes, layout)
     else:
         check_suffix(output, (*MESH_WRITERS, Path(job.identity).suffix.lower()))
 
@@ -351,7 +352,8 @@ def _collisions(jobs: Sequence[BatchJob], more_inputs: Sequence[Path], more_outp
     folders = {_same(Path(job.output)): job.where for job in jobs} | inputs
     taken = {_same(path): "the batch's own summary" for path in more_outputs} | inputs
     errors = [
-        f"{path}: expected a summary apart from the inputs, found {inputs[_same(path)]}; move it with --summary"
+        f"{path}: expected a summary apart from the inputs, found {inputs[_same(path)]}; move it with "
+        f"{option('summary', ...)}"
         for path in more_outputs
         if _same(path) in inputs
     ]

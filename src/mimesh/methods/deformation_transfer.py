@@ -52,7 +52,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core.canonical_order import canonical_faces, canonical_order
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.geometry import (
     closest_on_mesh,
     edges,
@@ -136,7 +136,7 @@ def _checked(reference: Mesh | None, driving: Mesh) -> Mesh:
     if reference is None:
         raise InputError(
             f"{driving.name}: expected the same subject in the identity's pose beside it for model "
-            "deformation-transfer, found none; give that mesh with --reference"
+            f"deformation-transfer, found none; give that mesh with {option('reference', ...)}"
         )
     if len(reference.vertices) != len(driving.vertices) or not np.array_equal(reference.faces, driving.faces):
         raise InputError(
@@ -147,7 +147,8 @@ def _checked(reference: Mesh | None, driving: Mesh) -> Mesh:
     size, reference_size = (_edge_length(mesh) for mesh in (driving, reference))
     if not size / MAX_SIZE_RATIO <= reference_size <= size * MAX_SIZE_RATIO:
         raise InputError(
-            f"--reference: expected the size of {driving.name}, found {reference_size / size:.3g} times the driving's "
+            f"{option('reference')}: expected the size of {driving.name}, found {reference_size / size:.3g} times "
+            "the driving's "
             "size; export both poses from one file, in one unit"
         )
     return reference
@@ -172,20 +173,22 @@ def vertex_pairs(identity: Mesh, reference: Mesh, markers: Int[np.ndarray, "M 2"
             raise InputError(
                 f"{reference.name}: expected the vertices and faces of {identity.name} ({len(identity.vertices)} and "
                 f"{len(identity.faces)}), found others ({len(reference.vertices)} and {len(reference.faces)}); "
-                "give pairs of matching vertices with --markers FILE"
+                f"give pairs of matching vertices with {option('markers', ...)}"
             )
         return np.stack([np.arange(len(identity.vertices))] * 2, axis=1)
     for column, mesh in zip(markers.T, (identity, reference), strict=True):
         wrong = column[(column < 0) | (column >= len(mesh.vertices))]
         if wrong.size:
             raise InputError(
-                f"--markers: expected vertices of {mesh.name} in 0..{len(mesh.vertices) - 1}, found {wrong[0]}; "
+                f"{option('markers')}: expected vertices of {mesh.name} in 0..{len(mesh.vertices) - 1}, found "
+                f"{wrong[0]}; "
                 "rows are (identity vertex, reference vertex), counted from 0"
             )
         distinct = len(np.unique(mesh.vertices[column], axis=0))
         if distinct < 3:
             raise InputError(
-                f"--markers: expected 3 or more places on {mesh.name}, found {distinct}; mark head, hands and feet"
+                f"{option('markers')}: expected 3 or more places on {mesh.name}, found {distinct}; mark head, hands "
+                "and feet"
             )
     return markers
 

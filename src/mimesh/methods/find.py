@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.errors import InputError, did_you_mean
+from ..core.errors import InputError, did_you_mean, option
 from ..core.mesh import Clip, Mesh
+from ..core.options import ModelOptions, check_value, values_of
 from .base import Drive, Method
-from .onnx_metadata import PAIRINGS
 
 if TYPE_CHECKING:
     from ..mime.model import Mime
@@ -66,8 +66,6 @@ REDUCED_MODELS = WITHOUT_FIT | WITHOUT_FINGERS
 """All networks that are used without a part."""
 MODELS = (*WITHOUT_NETWORK, *SHIPPED_NETWORKS)
 """Names of the methods that every installation has."""
-PAIRING_CHOICES = ("auto", *PAIRINGS, "body")
-"""Values of `--pairing`."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +156,7 @@ def check_weights(*models: str) -> None:
         folders = ", ".join(dict.fromkeys(str(weights_path(model).parent) for model in missing))
         raise InputError(
             f"{', '.join(missing)}: expected weights in {folders}, found no files; call this in the root of a "
-            "checkout, which has some of them, give others with -m, or make "
+            f"checkout, which has some of them, give others with {option('model', ...)}, or make "
             f"{how_to_make(missing)}, and give the path of the .onnx file that is written"
         )
 
@@ -184,7 +182,9 @@ def find_method(model: str, **options: Any) -> Method:
     """
     found = find_model(model, **options)
     if not isinstance(found, Method):
-        raise InputError(f"--model: expected a model that moves vertices, found {model}, which moves joints; try npt")
+        raise InputError(
+            f"{option('model')}: expected a model that moves vertices, found {model}, which moves joints; try npt"
+        )
     return found
 
 
@@ -237,9 +237,8 @@ def find_model(
     from .onnx_models import load_network
 
     if ensemble < 1:
-        raise InputError(f"--ensemble: expected 1 or more pairings, found {ensemble}; give a positive number")
-    if pairing not in PAIRING_CHOICES:
-        raise InputError(f"--pairing: expected auto, random, order or body, found {pairing!r}; choose one of them")
+        raise InputError(f"{option('ensemble')}: expected 1 or more pairings, found {ensemble}; give a positive number")
+    check_value("pairing", pairing, values_of(ModelOptions, "pairing"))
     if pairing in ("order", "body") and model in WITHOUT_NETWORK:
         raise _other_pairing(pairing, model)
     if model == "copy":
@@ -258,8 +257,9 @@ def find_model(
         path = ordered
         if not path.is_file():
             raise InputError(
-                f"--pairing {pairing}: expected weights in {path}, found no file; make some with mimesh train {model} "
-                "--set data.pairing=order and mimesh export, and choose that file, or leave --pairing out"
+                f"{option('pairing', pairing)}: expected weights in {path}, found no file; make some with mimesh "
+                f"train {model} "
+                f"--set data.pairing=order and mimesh export, and choose that file, or leave {option('pairing')} out"
             )
     if path.suffix == ".onnx":
         known = Path(model).name
@@ -278,7 +278,7 @@ def find_model(
             raise _other_pairing(pairing, model)
         return _with_other_bodies(network, seed) if model == "mime" and isinstance(network, Mime) else network
     raise InputError(
-        f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}"
+        f"{option('model')}: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}"
         + did_you_mean(model, (*MODELS, *NETWORK_OF_BODY.values()))
     )
 
@@ -296,8 +296,9 @@ def _with_body_pairs(network: Mime | Method, model: str, seed: int) -> Method:
         raise _other_pairing("body", model)
     if count := getattr(network, "vertices", 0):
         raise InputError(
-            f"--pairing body: expected a network for meshes of any vertices, found {model}, which is for {count} in "
-            "the order of its training; leave --pairing out"
+            f"{option('pairing', 'body')}: expected a network for meshes of any vertices, found {model}, which is "
+            f"for {count} in "
+            f"the order of its training; leave {option('pairing')} out"
         )
     mime = find_mime(NETWORK_OF_BODY[network.body], seed)
     return dataclasses.replace(network, pairing="body", corresponding=mime.body_pairs)
@@ -307,6 +308,7 @@ def _other_pairing(pairing: str, model: str) -> InputError:
     """Return the error of a model that does not pair vertices as it must."""
     trained = "order" if pairing == "body" else pairing
     return InputError(
-        f"--pairing {pairing}: expected a network of npt or aniformer that was trained with data.pairing={trained}, "
-        f"found {model}; leave --pairing out"
+        f"{option('pairing', pairing)}: expected a network of npt or aniformer that was trained with "
+        f"data.pairing={trained}, "
+        f"found {model}; leave {option('pairing')} out"
     )

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.canonical_order import CanonicalOrder, canonical_order
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.geometry import edges, spatial_order
 from ..core.mesh import Clip, Mesh, same_mesh
 from ..core.normalization import bbox_centre, radius
@@ -251,5 +251,5 @@ def check_same_mesh(method: str, identity: Mesh, driving: Mesh) -> None:
         found = f"{counts[1]} vertices" if counts[0] != counts[1] else "other triangles"
         raise InputError(
             f"{driving.name}: expected the {counts[0]} vertices and the triangles of {identity.name}, which {method} "
-            f"pairs by index, found {found}; give --pairing random with npt or aniformer"
+            f"pairs by index, found {found}; give {option('pairing', 'random')} with npt or aniformer"
         )

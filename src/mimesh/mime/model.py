@@ -19,7 +19,7 @@ from jaxtyping import Float
 from ..bodies.anatomy import anatomy_of
 from ..bodies.sampled_body import PosedBody
 from ..core.canonical_order import CanonicalOrder, canonical_faces, canonical_order
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.geometry import closest_on_mesh, vertex_normals
 from ..core.mesh import Clip, Mesh
 from ..core.rig import Rig, leg_length
@@ -404,7 +404,7 @@ class Mime:
         if fit.distance > RELIABLE_MISMATCH:
             raise InputError(
                 f"{mesh.name}: expected a shape that the shipped {self.body} can be fitted to, found one that differs "
-                f"by {1e3 * fit.distance:.1f} mm; give --pairing random"
+                f"by {1e3 * fit.distance:.1f} mm; give {option('pairing', 'random')}"
             )
         return PosedBody(whole_body(self.body), fit.posed.state)
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from ..bodies.sampling import rotvec_to_rotmat
 from ..bodies.smpl_model import SmplModel
 from ..core.budgets import check_clip_size
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress, spread_exactly, store_frames
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import archive_names
@@ -69,7 +69,8 @@ def recorded_clip(
     is_archive = path.suffix.lower() == ".npz" and is_amass(archive_names(path))
     if not is_archive and path.suffix.lower() != ".pkl":
         raise InputError(
-            f"{path}: expected an AMASS archive (.npz with poses) or a .pkl of poses with --body-model, found "
+            f"{path}: expected an AMASS archive (.npz with poses) or a .pkl of poses with "
+            f"{option('body_model', ...)}, found "
             f"'{path.suffix}'{' without poses' * (path.suffix.lower() == '.npz')}; leave the option out"
         )
     recording = load_recording(path) if is_archive else _read_pickle(path)
@@ -128,7 +129,7 @@ def _read_pickle(path: Path) -> BodyRecording:
     if missing:
         raise InputError(
             f"{path}: expected the arrays pose, betas and trans, found no {missing[0]}; check that the file is a "
-            "registration, and give a body model itself without --body-model"
+            f"registration, and give a body model itself without {option('body_model')}"
         )
     rotvec = poses_of(pickled.array("pose"), "pose", path)
     trans = poses_of(pickled.array("trans"), "trans", path)

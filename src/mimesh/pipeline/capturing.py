@@ -6,6 +6,7 @@ them through all others.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
@@ -14,31 +15,34 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies.joint_names import parents_first
-from ..core.arguments import for_caller, public
-from ..core.errors import InputError
+from ..core.arguments import public
+from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress, counted, each_frame
 from ..core.geometry import turned
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, cut_clip
 from ..core.normalization import Normalization, turn
+from ..core.options import FrameRange, Hints
 from ..core.rig import local_rotations
 from ..io import save_joint_motion, save_vrma
 from ..methods.find import find_mime
 from ..mime.model import Mime
 from ..rigs.retarget import JointMotion, body_parents
-from .corrections import Corrections, GivenJoints
 from .file_rigs import read_rigs
 from .joint_route import find_motion, found_alone
+from .known import Known
 from .odd_frames import far_frames_note
-from .options import Hints
 from .placed import check_identity, first_frame
-from .read import driving_axes, read_clip
+from .read import read_clip
 from .report import MeshReport, facing, facing_note
 from .result import Timer
 from .vrma import check_joints, since_t_pose
 
 JOINT_FILES = (".bvh", ".vrma")
 """Suffixes of files of joints alone."""
+
+
+NO_HINTS, ALL_FRAMES = Hints(), FrameRange()
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +78,7 @@ class CapturedClip:
     notes: tuple[str, ...] = ()
     """Lines for the user: what may be wrong, and what to do."""
 
-    @public()
+    @public
     def save(self, path: str | Path) -> Path:
         """Write the motion as .bvh, or as .vrma, which plays on any VRM character.
 
@@ -113,40 +117,29 @@ class CapturedClip:
         return path
 
 
-@public()
+@public
 def capture(
     clip: Clip | str | Path,
+    model: str = "mime",
     *,
-    up: str | None = None,
-    front: str | None = None,
-    body: str = "auto",
-    joints: GivenJoints = None,
-    fps: float | None = None,
+    hints: Hints = NO_HINTS,
+    frames: FrameRange = ALL_FRAMES,
     animation: str | int | None = None,
-    start: int = 0,
-    stop: int | None = None,
-    step: int = 1,
     smooth: float = 0.0,
     seed: int = 0,
-    model: str = "mime",
     progress: Progress | None = None,
 ) -> CapturedClip:
     """Read the motion of joints out of a clip: a sequence of meshes, a point cache, an animated character.
 
     Args:
         clip: the clip, or its path: a folder of numbered meshes, .glb, .abc, .usd, .pc2, .npz ...
-        up: axis away from the ground ("+y", "-z") in the first frame; detected by default.
-        front: axis to the front in the first frame; detected by default.
-        body: what it shows: "human", "quadruped" (four-legged animals), or "auto", found by its shape.
-        joints: positions of some joints in the first frame, where they are found wrongly; see `rig`.
-        fps: frame rate of the clip, where its file has none or a wrong one.
+        model: "mime", or the path of an .onnx file that was trained as `mime` is.
+        hints: axes, body and joints in the first frame, where they are known; with `rig` "mimesh" joints are found on
+            the surface even where the file has some.
+        frames: the frames that are taken, and the rate of the clip.
         animation: which animation of a glTF file, by name or number; the first by default.
-        start: first frame to take, counted from 0.
-        stop: frame to stop before; None takes all.
-        step: take every `step`-th frame.
         smooth: standard deviation (seconds) of a Gaussian filter over rotations and the path of the hips.
         seed: seed of all random choices.
-        model: "mime", or the path of an .onnx file that was trained as `mime` is.
         progress: is called with the frames done and the frames in all.
 
     Returns:
@@ -154,43 +147,47 @@ def capture(
 
     Raises:
         InputError: a file, an axis, the range, the body or the joints cannot be used.
-        RefusedMeshError: the clip shows neither a person nor a four-legged animal; `body` insists.
+        RefusedMeshError: the clip shows neither a person nor a four-legged animal; `hints.body` insists.
 
     Example:
         >>> captured = mimesh.capture("walk.npz")
         >>> path = captured.save("walk.bvh")
     """
     timer = Timer()
+    hints.check_single()
     with timer.step("load"):
-        whole = read_clip(clip, fps, animation, "clip")
-        corrections = Corrections.read(None, joints, whole)
-        taken = cut_clip(whole, start, stop, step)
+        whole = read_clip(clip, frames.fps, animation, "clip")
+        if hints.rig == "mimesh":
+            whole = dataclasses.replace(whole, skeleton=None)
+        taken = cut_clip(whole, frames.start, frames.stop, frames.step)
     first = first_frame(taken)
     check_identity(first)
-    hints = Hints((None, None, *driving_axes(taken, up, front)), "mimesh", body, corrections)
+    of_driving = {"driving_up": hints.up, "driving_front": hints.front, "driving_joints": hints.joints}
+    known = Known.of(Hints(rig="mimesh", body=hints.body, **of_driving), taken, whole)
     with timer.step("prepare"):
-        rigs = read_rigs(first, taken, hints)
-        subject = rigs.subjects(first, first, hints.axes)[1]
+        rigs = read_rigs(first, taken, known)
+        subject = rigs.subjects(first, first, known.axes)[1]
 
         def find(network: Mime, norm: Normalization) -> tuple[JointMotion, Normalization]:
-            return find_motion(network, taken, subject, norm, rigs, corrections)
+            return find_motion(network, taken, subject, norm, rigs, known.corrections)
 
-        seen, motion, norm = found_alone(find_mime(model, seed), subject, hints.asked_body, find)
+        seen, motion, norm = found_alone(find_mime(model, seed), subject, known.asked_body, find)
     with timer.step("drive"):
         track = motion.track
         if track is None:
-            frames = (norm.apply(vertices) for vertices in each_frame(taken.vertices))
-            track = motion.tracked(counted(frames, len(taken), progress), taken.fps, first.name)
+            normalised = (norm.apply(vertices) for vertices in each_frame(taken.vertices))
+            track = motion.tracked(counted(normalised, len(taken), progress), taken.fps, first.name)
         track = track.smoothed(smooth)
     report = facing(norm)
-    notes = facing_note(norm, first.name, "--front") + rigs.notes + taken.notes + far_frames_note(taken, first.name)
+    notes = (
+        facing_note(norm, first.name, option("front")) + rigs.notes + taken.notes + far_frames_note(taken, first.name)
+    )
     if motion.confidence is not None:
         report |= motion.confidence.facts()
         notes = motion.confidence.notes(first.name) + notes
-    elif up is None:
+    elif hints.up is None:
         report["up_from"] = "joints"
-    about = tuple(map(for_caller, notes))
-    return _captured(track, motion.joints, norm, first.name, seen.body, cast(MeshReport, report), timer, about)
+    return _captured(track, motion.joints, norm, first.name, seen.body, cast(MeshReport, report), timer, notes)
 
 
 def _captured(

@@ -13,10 +13,11 @@ from jaxtyping import Float
 
 from ..bodies import load_body
 from ..core.arguments import described
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
+from ..core.options import needs_joints
 from ..mime.model import Positions
 
 HIDDEN = {
@@ -61,7 +62,7 @@ class Corrections:
         Raises:
             InputError: a file that cannot be read, or a frame that the clip does not have.
         """
-        read = _read(identity, "--joints"), _read(driving, "--driving-joints")
+        read = _read(identity, option("joints")), _read(driving, option("driving_joints"))
         if read[1] is None:
             return cls(read[0])
         if read[1].frame >= len(clip):
@@ -96,8 +97,7 @@ class Corrections:
     def refuse_without_joints(self, model: str) -> None:
         """Raise InputError if joints are corrected of a model that has none."""
         if self.given:
-            option = "--driving-joints" if self.identity is None else "--joints"
-            raise InputError(f"{option}: expected a model with joints (mime), found {model}; choose it with -m")
+            raise needs_joints("driving_joints" if self.identity is None else "joints", model)
 
 
 def _normalised(

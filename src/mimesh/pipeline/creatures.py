@@ -9,15 +9,15 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies.rig_matching import Creature, CreatureMotion, RigMatch, match_rigs, moved_creature, named_front
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import ORIENTATIONS, ROTATIONS, parse_axis
 from ..io.gltf.animation import AnimatedValues, sample_nodes
 from ..io.gltf.own_rig import FileRig, GltfJoints, has_rig, read_file_rig
 from ..mime.model import Mime
 from .file_rigs import Rigs, read_rigs
+from .known import Axes, Known
 from .look import KINDS, OTHER, finds_joints, joint_finder, looks_like
-from .options import Axes, Hints
 from .report import MatchReport
 
 SURE, SURE_ACROSS = 0.45, 0.6
@@ -76,7 +76,7 @@ class MatchedCreatures:
 
 
 def matched_creatures(
-    identity: Mesh, clip: Clip, rigs: Rigs, mime: Mime | None, hints: Hints
+    identity: Mesh, clip: Clip, rigs: Rigs, mime: Mime | None, known: Known
 ) -> MatchedCreatures | None:
     """Match the rigs of both files with each other, if these are of other creatures; None: the model moves the mesh.
 
@@ -87,11 +87,11 @@ def matched_creatures(
     Raises:
         InputError: the rigs are of other creatures, and are not matched with certainty.
     """
-    asked = OTHER if rigs.only_copied else hints.body
+    asked = OTHER if rigs.only_copied else known.body
     if asked not in ("auto", OTHER) or (asked == "auto" and not any(rigs.unnamed)):
         return None
     try:
-        matched = match_creatures(identity, clip, hints.axes)
+        matched = match_creatures(identity, clip, known.axes)
     except InputError:
         if asked == OTHER:
             raise
@@ -100,9 +100,9 @@ def matched_creatures(
         return matched if matched is None else sure_match(matched, SURE)
     if mime is None or not finds_joints(mime):
         return None
-    of_meshes = hints.axes[:2], hints.axes[2:]
+    of_meshes = known.axes[:2], known.axes[2:]
     find = joint_finder(mime, of_meshes[0]), joint_finder(mime, of_meshes[1])
-    by_surface = read_rigs(identity, clip, hints, find=find)
+    by_surface = read_rigs(identity, clip, known, find=find)
     if None not in by_surface.bodies:
         return None
     mixed = any(body is not None for body in rigs.bodies)
@@ -123,7 +123,8 @@ def _surface_advice(shown: list[set[str]], names: tuple[str, str]) -> str:
     for k in (0, 1):
         if shown[k] and not shown[1 - k]:
             body = min(shown[k])
-            return f"; if {names[1 - k]} is {KINDS[body]}, too, --rig mimesh --body {body} finds joints on the surfaces"
+            found = f"{option('rig', 'mimesh')} {option('body', body)} finds joints on the surfaces"
+            return f"; if {names[1 - k]} is {KINDS[body]}, too, {found}"
     return ""
 
 
@@ -137,8 +138,8 @@ def match_creatures(identity: Mesh, clip: Clip, axes: Axes) -> MatchedCreatures 
     if not isinstance(joints, GltfJoints) or joints.mesh is None or not has_rig(joints.mesh) or not has_rig(identity):
         return None
     rigs = read_file_rig(identity), read_file_rig(joints.mesh)
-    up, front, note = _axes(rigs[0], *axes[:2], ("--up", "--front"))
-    driving_up, driving_front, more = _axes(rigs[1], *axes[2:], ("--driving-up", "--driving-front"))
+    up, front, note = _axes(rigs[0], *axes[:2], (option("up"), option("front")))
+    driving_up, driving_front, more = _axes(rigs[1], *axes[2:], (option("driving_up"), option("driving_front")))
     known = up, front, driving_up, driving_front
     turn, driving_turn = (ROTATIONS[ORIENTATIONS.index(pair)] for pair in (known[:2], known[2:]))
     creatures = Creature(rigs[0].character.turned(turn)), Creature(rigs[1].character.turned(driving_turn))

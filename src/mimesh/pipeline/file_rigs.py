@@ -27,8 +27,8 @@ from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
 from ..io.gltf.scene import node_parents
 from ..motions.humanoid_rig import HumanoidRig
 from .bone_rigs import BoneJoints
+from .known import Axes, Known
 from .look import OTHER, Subject
-from .options import Axes, Hints
 
 T = TypeVar("T")
 UNNAMED = "joints whose names say nothing: found by the surface that they move, where it is that of a person"
@@ -144,14 +144,14 @@ NO_RIGS = Rigs()
 def read_rigs(
     identity: Mesh,
     clip: Clip,
-    hints: Hints,
+    known: Known,
     copy: bool = False,
     find: tuple[FindJoints | None, FindJoints | None] = (None, None),
 ) -> Rigs:
     """Read the rigs of both files (see `Rigs.read`); that of a mesh whose joints the user has corrected is not used."""
-    corrections = hints.corrections
-    choice = hints.rig if corrections.identity is None else "mimesh"
-    rigs = Rigs.read(identity, clip, choice, copy and corrections.driving is None, find, hints.body)
+    corrections = known.corrections
+    choice = known.rig if corrections.identity is None else "mimesh"
+    rigs = Rigs.read(identity, clip, choice, copy and corrections.driving is None, find, known.body)
     return rigs if corrections.driving is None else dataclasses.replace(rigs, driving=None)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, TypeVar, cast
@@ -20,12 +21,13 @@ from ..bodies.anatomy import body_of_joints
 from ..bodies.character_limbs import SIDES
 from ..bodies.joint_names import finger_joints, without_fingers
 from ..core.animated_rig import INFLUENCES, AnimatedRig
-from ..core.errors import InputError, RefusedMeshError
+from ..core.errors import InputError, RefusedMeshError, option
 from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import LazyFrames, Progress, counted, each_frame, evenly_spread
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
+from ..core.options import MotionOptions
 from ..io.gltf.own_animation import OwnAnimation
 from ..methods.find import NETWORK_OF_BODY
 from ..mime.model import CapturedMotion, Mime
@@ -34,6 +36,7 @@ from ..rigs.character import Character
 from ..rigs.retarget import JointMotion, Retarget
 from .corrections import Corrections
 from .file_rigs import Rigs, face_tracks, read_rigs
+from .known import Known
 from .look import (
     OTHER,
     Look,
@@ -49,7 +52,6 @@ from .look import (
     reorient,
     second_look,
 )
-from .options import Hints, MotionOptions
 from .placed import KEYFRAMES, FoundJoints, Moved, Placed, first_frame, keyframes_of, surface_motion, surface_report
 from .refine import Refinement
 from .report import TransferReport
@@ -205,29 +207,29 @@ def report_confidence(retarget: Retarget, report: dict[str, Any], names: tuple[s
     return notes
 
 
-def joint_route(identity: Mesh, clip: Clip, mime: Mime, hints: Hints, rigs: Rigs) -> JointRoute:
+def joint_route(identity: Mesh, clip: Clip, mime: Mime, known: Known, rigs: Rigs) -> JointRoute:
     """Find the joints of both meshes, and let the identity's follow the driving's.
 
     Raises:
         InputError: an axis, the body or the corrections cannot be used, or the two are of different kinds.
     """
-    first, asked = first_frame(clip), hints.asked_body
-    subjects = rigs.subjects(identity, first, hints.axes)
+    first, asked = first_frame(clip), known.asked_body
+    subjects = rigs.subjects(identity, first, known.axes)
     network, looks = agreed(mime, asked, subjects)
     norms = looks[0].norm, looks[1].norm
     if any(rigs.unnamed) and finds_joints(network):
-        find = joint_finder(network, hints.axes[:2]), joint_finder(network, hints.axes[2:])
-        rigs = read_rigs(identity, clip, hints, find=find).with_notes((identity.name, clip.mesh.name), rigs)
-        subjects = rigs.subjects(identity, first, hints.axes)
+        find = joint_finder(network, known.axes[:2]), joint_finder(network, known.axes[2:])
+        rigs = read_rigs(identity, clip, known, find=find).with_notes((identity.name, clip.mesh.name), rigs)
+        subjects = rigs.subjects(identity, first, known.axes)
         norms = subjects[0].norm, subjects[1].norm
-    (character, mine), (motion, theirs) = _found(network, clip, subjects, norms, hints, rigs)
-    if hints.body == "auto" and not hints.corrections.given:
+    (character, mine), (motion, theirs) = _found(network, clip, subjects, norms, known, rigs)
+    if known.body == "auto" and not known.corrections.given:
         confidences = character.confidence, motion.confidence
         other = other_body(mime, network.body, subjects, confidences)
         if other is not None:
             network, looks = agreed(mime, other, subjects)
             norms = looks[0].norm, looks[1].norm
-            (character, mine), (motion, theirs) = _found(network, clip, subjects, norms, hints, rigs)
+            (character, mine), (motion, theirs) = _found(network, clip, subjects, norms, known, rigs)
     rest = normalised(identity, mine)
     if rigs.humanoid is None and isinstance(motion, CapturedMotion):
         character, motion = network.with_fingers(character, rest, motion, partial(surface_motion, clip, theirs))
@@ -240,13 +242,13 @@ def _found(
     clip: Clip,
     subjects: tuple[Subject, Subject],
     norms: tuple[Normalization, Normalization],
-    hints: Hints,
+    known: Known,
     rigs: Rigs,
 ) -> tuple[tuple[Character, Normalization], tuple[JointMotion, Normalization]]:
     """Find the joints of both meshes, each with the normalisation in which it was recognised."""
-    corrections = hints.corrections
+    corrections = known.corrections
     with ThreadPoolExecutor(1) as executor:  # the two meshes are independent
-        mine = executor.submit(find_character, mime, subjects[0], norms[0], rigs, corrections)
+        mine = executor.submit(copy_context().run, find_character, mime, subjects[0], norms[0], rigs, corrections)
         theirs = find_motion(mime, clip, subjects[1], norms[1], rigs, corrections)
         return mine.result(), theirs
 
@@ -269,7 +271,8 @@ def found_alone(
     """
     if asked == OTHER:
         raise InputError(
-            f"--body: expected {', '.join(NETWORK_OF_BODY)} or auto, found {asked}: joints are found on people and "
+            f"{option('body')}: expected {', '.join(NETWORK_OF_BODY)} or auto, found {asked}: joints are found on "
+            "people and "
             "four-legged animals alone"
         )
     seen = look(mime, subject, None if asked == "auto" else asked, quick=True)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from ..core.arguments import described, for_caller, public
+from ..core.arguments import described
 from ..core.errors import InputError
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import LARGEST, Clip, Mesh
@@ -62,7 +62,6 @@ class LiveSession:
     _limit: Callable[[], AbstractContextManager] = field(repr=False)
     """Limits the threads of linear algebra."""
 
-    @public(checked=False)
     def pose(self, driving: ArrayLike | Mesh) -> Float[np.ndarray, "V 3"]:
         """Return the identity's vertices for one driving frame.
 
@@ -153,7 +152,6 @@ def live_session(route: Route, model: str, root: str, threads: int | None) -> Li
     report, notes = _report(route)
     clip = route.clip
     driving = Mesh(np.asarray(clip.vertices[0], np.float64), clip.mesh.faces, clip.mesh.name)
-    notes = tuple(map(for_caller, notes))
     return LiveSession(route.identity, driving, model, report, notes, route, pose, shift, limit)
 
 

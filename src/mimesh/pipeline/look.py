@@ -22,7 +22,7 @@ from jaxtyping import Float
 from ..bodies import load_body
 from ..bodies.character_limbs import FindJoints, match_joints
 from ..bodies.skinned_character import SkinnedCharacter
-from ..core.errors import InputError, RefusedMeshError
+from ..core.errors import InputError, RefusedMeshError, option
 from ..core.mesh import Mesh
 from ..core.normalization import (
     ORIENTATIONS,
@@ -36,14 +36,12 @@ from ..core.rig import Rig
 from ..methods.base import Method
 from ..methods.find import INDEX_PAIRED, NETWORK_OF_BODY, SHIPPED_NETWORKS, TABLE_MODELS, find_mime
 from ..mime.model import Mime
-from ..rigs.confidence import IF_IT_IS, MAX_ENTROPY, MAX_SPREAD, Confidence
+from ..rigs.confidence import MAX_ENTROPY, MAX_SPREAD, Confidence, if_it_is
 
 UpFront = tuple[str | None, str | None]
 """Up and front of a mesh; None is detected."""
 OTHER = "other"
 """Choice of `--body` for what is neither a person nor a four-legged animal."""
-BODIES = ("auto", *NETWORK_OF_BODY, OTHER)
-"""Choices of `--body`."""
 KINDS = {"human": "a person", "quadruped": "a four-legged animal"}
 PLURAL = {"human": "people", "quadruped": "four-legged animals"}
 """What meshes with each body are called in messages."""
@@ -59,12 +57,6 @@ MIN_GAIN = 0.15
 FITS = 0.0
 """Largest `Confidence.other_kind` of a mesh that another body is found on. It is below MAX_OTHER_KIND, so that no mesh
 changes its kind for a trifle."""
-
-
-def check_body(body: str) -> None:
-    """Raise InputError if a choice is none of BODIES."""
-    if body not in BODIES:
-        raise InputError(f"--body: expected one of {', '.join(BODIES)}, found {body!r}; choose one of them")
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +92,7 @@ def agreed(mime: Mime, asked: str, subjects: tuple[Subject, Subject]) -> tuple[M
     """Decide which body both meshes have; return its network, and the looks at both.
 
     Args:
-        asked: one of BODIES. A file's joints say it for both.
+        asked: one of the values of `Hints.body`. A file's joints say it for both.
 
     Raises:
         InputError: a person and an animal, or a body that there is no network for.
@@ -203,12 +195,12 @@ def different_kinds(found: list[str | None], subjects: tuple[Subject, Subject]) 
         beside = f", as {names[other]} is {KINDS[body]}" if body else ""
         return (
             f"{names[odd]}: expected a person or a four-legged animal{beside}, found a shape that looks like "
-            f"neither, as far as can be told; {IF_IT_IS}"
+            f"neither, as far as can be told; {if_it_is()}"
         )
     first, second = (KINDS[body] for body in found if body is not None)
     return (
         f"{names[0]} is taken for {first}, and {names[1]} for {second}: expected two of a kind; give "
-        "another driving, or --body human or quadruped if one of the two is taken for the wrong one"
+        f"another driving, or {option('body', 'human')} or quadruped if one of the two is taken for the wrong one"
     )
 
 
@@ -265,7 +257,7 @@ def predicted_orientation(
     Returns the lowest entropy (nats), that in the present orientation, and the normalisation with the new axes: the
     present one if they are the same.
     """
-    up, front = parse_axis(axes[0], "--up"), parse_axis(axes[1], "--front")
+    up, front = parse_axis(axes[0], option("up")), parse_axis(axes[1], option("front"))
     up = norm.up if norm.up_from == "file" else up
     allowed = [names for names in ORIENTATIONS if up in (None, names[0]) and front in (None, names[1])]
     predictions: list[tuple[float, Normalization, Float[np.ndarray, "3 3"]]] = []
@@ -343,7 +335,8 @@ def check_known_body(model: Mime | Method, asked: str) -> None:
     own = getattr(model, "body", "human")
     if asked not in ("auto", own):
         raise InputError(
-            f"--body: expected {own} with the model {model.name}, found {asked}: it knows only {PLURAL[own]}; "
+            f"{option('body')}: expected {own} with the model {model.name}, found {asked}: it knows only "
+            f"{PLURAL[own]}; "
             "choose the model mime"
         )
 
@@ -365,10 +358,12 @@ def trained_on_people(method: Method, asked: str, subjects: tuple[Subject, Subje
         body = recognised_body(subject)[0]
         if body != "human":
             looks = f"looks like {KINDS[body]}" if body else "looks neither like a person nor like a four-legged animal"
-            helps = "-m mime moves it" if body else "people and four-legged animals are moved by -m mime"
+            mime = option("model", "mime")
+            helps = f"{mime} moves it" if body else f"people and four-legged animals are moved by {mime}"
             notes.append(
                 f"{subject.mesh.name} {looks}, as far as can be told, and the weights of {method.name} were trained on "
-                f"people: the result is probably useless; {helps}, and --body human says that it is a person"
+                f"people: the result is probably useless; {helps}, and {option('body', 'human')} says that it is a "
+                "person"
             )
     return tuple(notes)
 

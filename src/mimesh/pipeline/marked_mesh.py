@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import ORIENTATIONS, Normalization
 from ..methods.base import Method
 from ..methods.deformation_transfer import DeformationTransfer
 from ..methods.extremities import FoundMarks, find_ends, match_ends
+from .known import Axes
 from .look import normalised
-from .options import Axes
 from .report import ReferenceReport
 
 FRAMES = 12
@@ -57,7 +57,7 @@ class MarkedFrame:
         return (
             f"{self.marks.ends} ends of limbs were found on {names[0]} and on frame {self.frame} of {names[1]}, which "
             f"is taken to have its pose (confidence {self.marks.confidence:.2f}); look at the picture, or give "
-            "--markers and --reference with -m deformation-transfer"
+            f"{option('markers')} and {option('reference', ...)} with {option('model', 'deformation-transfer')}"
         )
 
 
@@ -73,7 +73,8 @@ def marked_frame(identity: Mesh, clip: Clip, axes: Axes) -> MarkedFrame:
     if len(clip) == 1:
         raise InputError(
             f"{clip.mesh.name}: expected a rig as in {identity.name}, or a clip in which one frame has about its pose, "
-            "found one pose; give --reference and --markers with -m deformation-transfer"
+            f"found one pose; give {option('reference', ...)} and {option('markers', ...)} with "
+            f"{option('model', 'deformation-transfer')}"
         )
     norm = Normalization.fit(identity, *axes[:2])
     mine = find_ends(normalised(identity, norm))
@@ -94,7 +95,8 @@ def marked_frame(identity: Mesh, clip: Clip, axes: Axes) -> MarkedFrame:
         raise InputError(
             f"{identity.name}, {clip.mesh.name}: expected rigs in both files, two shapes of one mesh, or limbs whose "
             f"ends correspond, found {found.marks.ends} ends that do, with a confidence of "
-            f"{found.marks.confidence:.2f} (needed: {SURE}); rig both, or give --markers and --reference "
-            "with -m deformation-transfer"
+            f"{found.marks.confidence:.2f} (needed: {SURE}); rig both, or give {option('markers', ...)} and "
+            f"{option('reference', ...)} "
+            f"with {option('model', 'deformation-transfer')}"
         )
     return found

@@ -12,13 +12,14 @@ from jaxtyping import Float
 from ..core.frame_buffer import LazyFrames, Progress
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
+from ..core.options import MotionOptions
 from ..io.beside import missing_images, missing_images_notes
 from ..io.gltf.edit import GltfSource
 from ..io.gltf.keys import COPY_LIMIT
 from ..io.gltf.own_animation import OwnAnimation
 from .creatures import MatchedCreatures
 from .file_rigs import Rigs
-from .options import Axes, MotionOptions
+from .known import Axes
 from .placed import Moved, first_frame, surface_report
 from .report import TransferReport, facing
 from .result import Timer

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..core.errors import option
 from ..core.frame_buffer import vertices_of_all
 from ..core.mesh import Clip
 
@@ -44,7 +45,7 @@ def first_frame_note(clip: Clip, start: int, name: str) -> tuple[str, ...]:
     size = np.ptp(frames[0], axis=0).max()
     if steps[0] < LONE_STEP * size or steps[0] < LONE_RATIO * steps[1:].max():
         return ()
-    return (f"{name}: frame 0 differs from the others (a calibration pose?): --start 1 leaves it out",)
+    return (f"{name}: frame 0 differs from the others (a calibration pose?): {option('start', '1')} leaves it out",)
 
 
 def far_frames_note(clip: Clip, name: str) -> tuple[str, ...]:

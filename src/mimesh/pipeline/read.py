@@ -7,7 +7,8 @@ from pathlib import Path
 
 from ..core.arguments import described
 from ..core.errors import InputError
-from ..core.mesh import UNNAMED, Clip, Mesh, check_clip, check_mesh
+from ..core.mesh import UNNAMED, Clip, Mesh, check_clip, check_mesh, cut_clip
+from ..core.options import FrameRange
 from ..io import load_driving, load_mesh
 
 
@@ -35,6 +36,17 @@ def read_clip(clip: Clip | str | Path, fps: float | None, animation: str | int |
             )
         return check_clip(clip if fps is None else dataclasses.replace(clip, fps=fps), clip.mesh.name)
     return load_driving(Path(clip), fps=fps, animation=animation)
+
+
+def read_driving(
+    clip: Clip | str | Path, frames: FrameRange, animation: str | int | None, whole: bool
+) -> tuple[Clip, Clip]:
+    """Read some frames of a clip; returns these, and the clip that they are of: the whole one if it is asked for."""
+    if not whole and not isinstance(clip, Clip):
+        taken = load_driving(Path(clip), fps=frames.fps, animation=animation, frames=frames.slice)
+        return taken, taken
+    read = read_clip(clip, frames.fps, animation)
+    return cut_clip(read, frames.start, frames.stop, frames.step), read
 
 
 def driving_axes(clip: Clip, up: str | None, front: str | None) -> tuple[str | None, str | None]:

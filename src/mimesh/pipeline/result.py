@@ -114,7 +114,7 @@ class _Playable(Protocol):
             dataclasses.replace(result, every=step, whole=len(driving)),
         ]
 
-    @public()
+    @public
     def player(
         self,
         path: str | Path,
@@ -238,7 +238,7 @@ class Result(_Playable):
         """The driving mesh as a clip of one frame; None where the result does not know it."""
         return None if self.driving is None else Clip.still(self.driving)
 
-    @public()
+    @public
     def save(self, path: str | Path) -> Path:
         """Write the mesh in the format of the suffix; the identity's own suffix keeps all contents of its file.
 
@@ -319,7 +319,7 @@ class ClipResult(_Playable):
         """The driving clip; None where the result does not know it."""
         return self.driving
 
-    @public()
+    @public
     def save(self, path: str | Path, *, blendshapes: int | None = None, progress: Progress | None = None) -> Path:
         """Write the clip in the format of the suffix: a file, a movie, or without a suffix a folder of meshes.
 
@@ -355,7 +355,7 @@ class ClipResult(_Playable):
             self.report["blendshapes_deviation"] = deviation
         return Path(path)
 
-    @public()
+    @public
     def save_skinned(
         self,
         path: str | Path,
@@ -391,7 +391,7 @@ class ClipResult(_Playable):
             >>> moving.report["skinned_deviation"] < 0.1  # share of the size
             True
         """
-        from ..bodies.engine_rig import Layout
+        from ..core.options import Layout
         from .skinned import save_skinned
 
         return save_skinned([self], path, layout=Layout(names, root_bone, rest, fps))

@@ -14,14 +14,15 @@ from typing import Literal, cast
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies.engine_names import SCHEMES
-from ..bodies.engine_rig import Layout, engine_rig
+from ..bodies.engine_names import SCHEMES, root_name
+from ..bodies.engine_rig import engine_rig
 from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import AnimatedRig
-from ..core.arguments import for_caller, public
-from ..core.errors import InputError
+from ..core.arguments import public
+from ..core.errors import InputError, option
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
+from ..core.options import Hints, Layout
 from ..io import save_own_rig, save_rig
 from ..io.beside import missing_images, missing_images_notes
 from ..io.gltf.own_animation import OwnAnimation
@@ -29,10 +30,9 @@ from ..io.gltf.own_rig import OwnRig
 from ..methods.find import find_mime
 from ..mime.model import Mime
 from ..rigs.character import Character
-from .corrections import Corrections, GivenJoints
 from .file_rigs import read_rigs
 from .joint_route import find_character, found_alone
-from .options import Hints
+from .known import Known
 from .placed import check_identity
 from .read import read_mesh
 from .report import MeshReport, facing, facing_note
@@ -41,6 +41,9 @@ from .skinned import check_own_layout
 
 BONES = (".glb", ".gltf", ".fbx")
 """Suffixes of files with bones. A .vrm needs an author and a licence, too."""
+
+
+NO_HINTS = Hints()
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +86,7 @@ class RiggedMesh:
         roles = self.skeleton.person or {name: j for j, name in enumerate(self.skeleton.names)}
         return without_fingers({name: self.skeleton.rig.joints[j] for name, j in roles.items()})
 
-    @public()
+    @public
     def save(self, path: str | Path, *, names: str = "own", root_bone: bool = False, rest: str = "file") -> Path:
         """Write the mesh with its bones, without an animation: .glb, .gltf, or .fbx where Blender is installed.
 
@@ -106,86 +109,70 @@ class RiggedMesh:
             >>> path = rigged.save("hero-rigged.glb", names="mixamo", rest="T")
         """
         layout = Layout(names, root_bone, rest)
-        layout.check()
         if Path(path).suffix.lower() not in BONES:
-            raise InputError(
-                f"{path}: expected .glb, .gltf or .fbx for bones, found '{Path(path).suffix}'; name another with -o"
-            )
+            raise InputError(f"{path}: expected .glb, .gltf or .fbx for bones, found '{Path(path).suffix}'; rename it")
         with self.seconds.step("write"):
             if self.own is not None:
                 check_own_layout(self.own.person, layout, self.mesh.name)
                 kept = OwnAnimation(self.own.source, self.mesh.name, {}, 30.0, 1, self.own.person)
-                save_own_rig(kept.with_layout(SCHEMES[names].bones, layout.root, root_bone), path)
+                save_own_rig(kept.with_layout(SCHEMES[names].bones, root_name(layout), root_bone), path)
             else:
                 axes = {"up": self.report["up"], "front": self.report["front"]}
                 save_rig(engine_rig(self.skeleton, names, root_bone, rest, **axes), path)
         return Path(path)
 
 
-@public()
-def rig(
-    mesh: Mesh | str | Path,
-    *,
-    up: str | None = None,
-    front: str | None = None,
-    body: str = "auto",
-    rig: str = "own",
-    joints: GivenJoints = None,
-    seed: int = 0,
-    model: str = "mime",
-) -> RiggedMesh:
+@public
+def rig(mesh: Mesh | str | Path, model: str = "mime", *, hints: Hints = NO_HINTS, seed: int = 0) -> RiggedMesh:
     """Give a mesh a skeleton and skinning weights: those of its file if it has any, else found on its surface.
 
     Args:
         mesh: the mesh, or its path: a person or a four-legged animal in any pose.
-        up: axis away from the ground ("+y", "-z"); detected by default.
-        front: axis to the front; detected by default.
-        body: what it is: "human", "quadruped" (four-legged animals), or "auto", found by its shape.
-        rig: "own" keeps the rig of the file, if it has a sound one; "mimesh" replaces it.
-        joints: positions of some joints, where they are found wrongly: joint -> (x, y, z) in the axes and unit of the
-            file, or the path of a .joints.json. The names are the keys of `RiggedMesh.joints`.
-        seed: seed of all random choices.
         model: "mime", or the path of an .onnx file that was trained as `mime` is.
+        hints: axes, body and joints of the mesh, where they are known; with `rig` "mimesh" the rig of its file is
+            replaced.
+        seed: seed of all random choices.
 
     Returns:
         The mesh with its skeleton; `save` writes it.
 
     Raises:
         InputError: a file, an axis, the body or the joints cannot be used.
-        RefusedMeshError: the mesh looks neither like a person nor like a four-legged animal; `body` insists.
+        RefusedMeshError: the mesh looks neither like a person nor like a four-legged animal; `hints.body` insists.
 
     Example:
         >>> rigged = mimesh.rig("hero.obj")
         >>> path = rigged.save("hero-rigged.glb")
     """
     timer = Timer()
+    hints.check_single()
     with timer.step("load"):
         mesh = read_mesh(mesh, "mesh")
     check_identity(mesh)
-    hints = Hints((up, front, None, None), rig, body, Corrections.read(joints, None, Clip.still(mesh)))
+    known = Known.of(hints, Clip.still(mesh))
     with timer.step("prepare"):
-        return _rigged(mesh, find_mime(model, seed), hints, timer)
+        return _rigged(mesh, find_mime(model, seed), known, timer)
 
 
-def _rigged(mesh: Mesh, mime: Mime, hints: Hints, timer: Timer) -> RiggedMesh:
+def _rigged(mesh: Mesh, mime: Mime, known: Known, timer: Timer) -> RiggedMesh:
     """Look at a mesh and find its joints."""
-    rigs = read_rigs(mesh, Clip.still(mesh), hints)
-    subject = rigs.subjects(mesh, mesh, hints.axes)[0]
+    rigs = read_rigs(mesh, Clip.still(mesh), known)
+    subject = rigs.subjects(mesh, mesh, known.axes)[0]
 
     def find(network: Mime, norm: Normalization) -> tuple[Character, Normalization]:
-        return find_character(network, subject, norm, rigs, hints.corrections)
+        return find_character(network, subject, norm, rigs, known.corrections)
 
-    seen, character, norm = found_alone(mime, subject, hints.asked_body, find)
+    seen, character, norm = found_alone(mime, subject, known.asked_body, find)
     report = facing(norm)
-    notes = facing_note(norm, mesh.name, "--front") + rigs.notes
+    notes = facing_note(norm, mesh.name, option("front")) + rigs.notes
     if rigs.humanoid is not None:
-        report["up_from"] = "joints" if hints.axes[0] is None else "given"
-        notes += (f"{mesh.name} has a rig, which is kept; --rig mimesh replaces it",)
+        report["up_from"] = "joints" if known.axes[0] is None else "given"
+        notes += (f"{mesh.name} has a rig, which is kept; {option('rig', 'mimesh')} replaces it",)
     elif character.confidence is not None:
         report |= character.confidence.facts()
         notes = character.confidence.notes(mesh.name) + notes
     notes += missing_images_notes(missing_images(mesh))
-    source = "file" if rigs.humanoid is not None else "corrected" if hints.corrections.given else "found"
+    source = "file" if rigs.humanoid is not None else "corrected" if known.corrections.given else "found"
     skeleton = _at_rest(mesh, character, norm)
     if rigs.humanoid is not None:
         skeleton = dataclasses.replace(skeleton, mesh=mesh.with_vertices(rigs.humanoid.character.mesh.vertices))
@@ -196,7 +183,7 @@ def _rigged(mesh: Mesh, mime: Mime, hints: Hints, timer: Timer) -> RiggedMesh:
         source,
         cast(MeshReport, report),
         timer,
-        tuple(map(for_caller, notes)),
+        notes,
         rigs.identity,
     )
 

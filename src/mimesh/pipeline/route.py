@@ -7,17 +7,18 @@ that moves vertices.
 
 from __future__ import annotations
 
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.mesh import Clip, Mesh, same_mesh
+from ..core.options import MotionOptions
 from ..methods.base import Method
 from ..mime.model import Mime
 from .creatures import matched_creatures
 from .file_rigs import Rigs, read_rigs
 from .joint_route import JointRoute, joint_route
+from .known import Known
 from .look import OTHER, finds_joints, looks_like
 from .marked_mesh import MarkedFrame, marked_frame
 from .node_route import NodeRoute
-from .options import Hints, MotionOptions
 from .placed import check_identity, first_frame
 from .same_mesh import ReferenceFrame, nearest_frame
 from .vertex_route import NamedMethod, VertexRoute, reference_route, vertex_route
@@ -29,7 +30,7 @@ Model = Mime | NamedMethod | Method
 
 
 def find_route(
-    identity: Mesh, clip: Clip, model: Model, hints: Hints, options: MotionOptions, live: bool = False
+    identity: Mesh, clip: Clip, model: Model, known: Known, options: MotionOptions, live: bool = False
 ) -> Route:
     """Choose the way to move a mesh, and do all work that is done once, without refinement.
 
@@ -40,43 +41,45 @@ def find_route(
         InputError: an axis, the model, its options or the corrections cannot be used.
     """
     check_identity(identity)
-    if hints.body == OTHER and hints.corrections.given:
+    if known.body == OTHER and known.corrections.given:
         raise InputError(
-            "--joints: expected people or four-legged animals, found --body other, which has no joints to correct; "
-            "leave one of the two out, or ignore the files with --no-joints"
+            f"{option('joints')}: expected people or four-legged animals, found {option('body', 'other')}, which has "
+            "no joints to correct; "
+            "leave one of the two out, or the joints out"
         )
     mime = model if isinstance(model, Mime) else None
-    rigs = read_rigs(identity, clip, hints, copy=not live and not options.changes_motion)
+    rigs = read_rigs(identity, clip, known, copy=not live and not options.changes_motion)
     matched = None
-    if not live and hints.rig == "own" and rigs.copied is None and not hints.corrections.given:
-        matched = matched_creatures(identity, clip, rigs, mime, hints)
+    if not live and known.rig == "own" and rigs.copied is None and not known.corrections.given:
+        matched = matched_creatures(identity, clip, rigs, mime, known)
     if (rigs.only_copied or matched is not None) and options.smooth > 0:
         raise InputError(
-            f"--smooth: expected the rig of a person, found another one in {identity.name}; leave this option out"
+            f"{option('smooth')}: expected the rig of a person, found another one in {identity.name}; leave this "
+            "option out"
         )
     if matched is not None:
         return NodeRoute(identity, clip, matched.axes, rigs, matched)
-    reference = None if mime is None else _reference(identity, clip, rigs, mime, hints)
+    reference = None if mime is None else _reference(identity, clip, rigs, mime, known)
     if reference is not None:
-        return reference_route(identity, clip, reference, hints, options)
+        return reference_route(identity, clip, reference, known, options)
     if rigs.copied is not None:
-        return NodeRoute(identity, clip, rigs.axes(hints.axes), rigs, None)
+        return NodeRoute(identity, clip, rigs.axes(known.axes), rigs, None)
     if isinstance(model, Mime):
-        return joint_route(identity, clip, model, hints, rigs)
-    return vertex_route(identity, clip, model, hints, options, rigs)
+        return joint_route(identity, clip, model, known, rigs)
+    return vertex_route(identity, clip, model, known, options, rigs)
 
 
-def _reference(identity: Mesh, clip: Clip, rigs: Rigs, mime: Mime, hints: Hints) -> ReferenceFrame | MarkedFrame | None:
+def _reference(identity: Mesh, clip: Clip, rigs: Rigs, mime: Mime, known: Known) -> ReferenceFrame | MarkedFrame | None:
     """Find the frame of a driving that has about the pose of an identity that is no body; None where it may be one."""
-    if rigs.copied is not None or hints.corrections.given or hints.body not in ("auto", OTHER):
+    if rigs.copied is not None or known.corrections.given or known.body not in ("auto", OTHER):
         return None
     if not finds_joints(mime):
         return None
-    if hints.body == OTHER:
+    if known.body == OTHER:
         same = same_mesh(identity, clip.mesh)
-        return nearest_frame(identity, clip) if same else marked_frame(identity, clip, hints.axes)
+        return nearest_frame(identity, clip) if same else marked_frame(identity, clip, known.axes)
     if rigs.bodies != (None, None) or len(clip) == 1 or not same_mesh(identity, clip.mesh):
         return None
-    if looks_like(mime, identity, hints.axes[:2]) or looks_like(mime, first_frame(clip), hints.axes[2:]):
+    if looks_like(mime, identity, known.axes[:2]) or looks_like(mime, first_frame(clip), known.axes[2:]):
         return None
     return nearest_frame(identity, clip)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.geometry import nearest_rotation
 from ..core.mesh import Clip, Mesh, same_mesh
 from ..core.normalization import ORIENTATIONS, ROTATIONS, Normalization
@@ -59,7 +59,7 @@ class ReferenceFrame:
         return (
             f"{names[0]} is moved as another shape of the mesh {names[1]}, vertex by vertex (deformation transfer): "
             f"frame {self.frame}, which differs by {self.distance:.0%} of the size, is taken to have its pose; "
-            "-m deformation-transfer takes another one with --reference"
+            f"{option('model', 'deformation-transfer')} takes another one with {option('reference', ...)}"
         )
 
 
@@ -86,7 +86,7 @@ def nearest_frame(identity: Mesh, clip: Clip) -> ReferenceFrame:
     if len(clip) == 1:
         raise InputError(
             f"{clip.mesh.name}: expected a clip, in which one frame has about the pose of {identity.name}, found one "
-            "pose; give it with --reference, and -m deformation-transfer"
+            f"pose; give it with {option('reference', ...)}, and {option('model', 'deformation-transfer')}"
         )
     target = identity.vertices - identity.vertices.mean(axis=0)
     radius = float(np.sqrt(np.square(target).sum()))

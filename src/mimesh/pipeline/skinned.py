@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..bodies.character_limbs import SIDES
-from ..bodies.engine_names import SCHEMES
-from ..bodies.engine_rig import Layout, engine_rig
+from ..bodies.engine_names import SCHEMES, root_name
+from ..bodies.engine_rig import engine_rig
 from ..bodies.joint_names import finger_joints
 from ..core.animated_rig import CHECKED_FRAMES, AnimatedRig, RigAnimation
 from ..core.arguments import described, public
-from ..core.errors import InputError
+from ..core.errors import InputError, option
+from ..core.options import Layout, needs_joints
 from ..core.rig import Rig, descendants
 from ..io import save_own_animations, save_rig_animations
 from .vrma import save_bone_motions
@@ -31,7 +32,7 @@ SAME_JOINT = 1e-4
 """Largest distance, over the mesh's size, between joints or vertices of two results that count as the same."""
 
 
-@public()
+@public
 def save_skinned(
     results: Sequence[ClipResult],
     path: str | Path,
@@ -65,7 +66,6 @@ def save_skinned(
     _check_results(results, path, animations)
     if not isinstance(layout, Layout):
         raise InputError(f'layout: expected a Layout, found {described(layout)}; give mimesh.Layout("unreal")')
-    layout.check()
     found = animations or [(result if result.driving is None else result.driving).mesh.name for result in results]
     own = any(result.own is not None for result in results)
     if own:
@@ -77,7 +77,7 @@ def save_skinned(
     skeletons = []
     for result in results:
         if result.skeleton is None:
-            raise InputError(f"--skinned: expected a model with joints (mime), found {result.model}; choose it with -m")
+            raise needs_joints("skinned", result.model)
         skeletons.append(result.skeleton)
     with results[0].seconds.step("write"):
         facing = results[0].report["identity"]
@@ -151,12 +151,14 @@ def check_own_layout(person: Mapping[str, int], layout: Layout, name: str) -> No
     """
     if layout.rest != "file":
         raise InputError(
-            f"--rest: expected `--rest file` for {name}, whose own rig stays as it is bound, found {layout.rest}; "
-            "set the pose in the engine (its retarget pose), or give up the rig with --rig mimesh"
+            f"{option('rest')}: expected `{option('rest', 'file')}` for {name}, whose own rig stays as it is bound, "
+            f"found {layout.rest}; "
+            f"set the pose in the engine (its retarget pose), or give up the rig with {option('rig', 'mimesh')}"
         )
-    if (SCHEMES[layout.names].bones or layout.root is not None) and "Hips" not in person:
+    if (SCHEMES[layout.names].bones or root_name(layout) is not None) and "Hips" not in person:
         raise InputError(
-            f"--names, --root-bone: expected the bones of a person in {name}, found others; leave the options out"
+            f"{option('names')}, {option('root_bone')}: expected the bones of a person in {name}, found others; "
+            "leave the options out"
         )
 
 
@@ -166,7 +168,7 @@ def _check_same_rig(results: Sequence[ClipResult], names: Sequence[str]) -> None
     if False in moved:
         raise InputError(
             f"{moved[False]}: expected a motion of the identity's own bones, as that of {moved[True]}, found one of "
-            "joints on its surface; write a file for each of the two, or choose --rig mimesh for all"
+            f"joints on its surface; write a file for each of the two, or choose {option('rig', 'mimesh')} for all"
         )
     first, *others = [result.own.source.document for result in results if result.own is not None]
     for name, document in zip(names[1:], others, strict=True):
@@ -189,7 +191,7 @@ def _save_on_own_rig(results: Sequence[ClipResult], path: Path, names: Sequence[
         assert result.own is not None
         check_own_layout(result.own.joints, layout, result.own.source.document.path.name)
         own = dataclasses.replace(result.own, name=name).with_layout(
-            SCHEMES[layout.names].bones, layout.root, layout.root_bone
+            SCHEMES[layout.names].bones, root_name(layout), layout.root_bone
         )
         animations.append(own if layout.fps is None else own.resampled(layout.fps))
     with results[0].seconds.step("write"):

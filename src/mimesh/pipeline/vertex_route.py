@@ -14,12 +14,13 @@ from jaxtyping import Float
 from ..core.frame_buffer import LazyFrames, Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
+from ..core.options import MotionOptions
 from ..methods.base import Drive, Method, SizedMethod
 from ..methods.find import find_method
 from .file_rigs import NO_RIGS, Rigs
+from .known import Known
 from .look import check_known_body, normalised, trained_on_people, turned_as_animal
 from .marked_mesh import MarkedFrame
-from .options import Hints, MotionOptions
 from .placed import Moved, Placed, first_frame, keyframes_of, surface_report
 from .refine import Refinement
 from .report import MeshReport, TransferReport, facing
@@ -112,7 +113,7 @@ class VertexRoute(Placed):
 
 
 def vertex_route(
-    identity: Mesh, clip: Clip, model: NamedMethod | Method, hints: Hints, options: MotionOptions, rigs: Rigs
+    identity: Mesh, clip: Clip, model: NamedMethod | Method, known: Known, options: MotionOptions, rigs: Rigs
 ) -> VertexRoute:
     """Normalise both meshes and prepare a method.
 
@@ -122,8 +123,8 @@ def vertex_route(
     Raises:
         InputError: an axis, the model or its options cannot be used.
     """
-    first, asked = first_frame(clip), hints.asked_body
-    subjects = rigs.subjects(identity, first, hints.axes)
+    first, asked = first_frame(clip), known.asked_body
+    subjects = rigs.subjects(identity, first, known.axes)
     norms = subjects[0].norm, subjects[1].norm
     method = model.open(norms[1]) if isinstance(model, NamedMethod) else model
     options.refuse_without_joints(method.name)
@@ -131,16 +132,16 @@ def vertex_route(
     check_known_body(method, asked)
     if getattr(method, "body", "human") == "quadruped":
         norms = turned_as_animal(subjects[0]), turned_as_animal(subjects[1])
-    hints.corrections.refuse_without_joints(method.name)
+    known.corrections.refuse_without_joints(method.name)
     return _prepared(identity, clip, method, norms, rigs, notes)
 
 
 def reference_route(
-    identity: Mesh, clip: Clip, reference: ReferenceFrame | MarkedFrame, hints: Hints, options: MotionOptions
+    identity: Mesh, clip: Clip, reference: ReferenceFrame | MarkedFrame, known: Known, options: MotionOptions
 ) -> VertexRoute:
     """Prepare deformation transfer from a frame of the driving that has about the identity's pose."""
     options.refuse_without_joints("deformation-transfer")
-    given = Normalization.fit(identity, *hints.axes[:2])
+    given = Normalization.fit(identity, *known.axes[:2])
     axes = given.up, given.front, *reference.axes(given)
     norms = Normalization.fit(identity, *axes[:2]), Normalization.fit(first_frame(clip), *axes[2:])
     note = reference.note((identity.name, clip.mesh.name))

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies.engine_rig import Layout
 from ..bodies.joint_names import with_named_neck
 from ..core.animated_rig import RigAnimation
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.geometry import nearest_rotation
 from ..core.normalization import ORIENTATIONS, ROTATIONS
+from ..core.options import Layout
 from ..io import save_vrma
 from ..io.gltf.own_animation import OwnAnimation
 from ..io.gltf.own_rig import read_own_rig
@@ -48,7 +48,8 @@ def check_bones_layout(layout: Layout, path: Path) -> None:
     """Raise InputError if a layout changes more than the frame rate: a .vrma has the bones of VRM."""
     if layout != Layout(fps=layout.fps):
         raise InputError(
-            f"--names, --root-bone, --rest: expected a .glb or .gltf with them, found {path.name}, which has the bones "
+            f"{option('names')}, {option('root_bone')}, {option('rest')}: expected a .glb or .gltf with them, found "
+            f"{path.name}, which has the bones "
             "of VRM; leave them out"
         )
 
@@ -59,7 +60,10 @@ def _bone_motion(result: ClipResult, name: str, fps: float | None, path: Path) -
         animation = result.own if fps is None else result.own.resampled(fps)
         return _own_bone_motion(result.identity, animation, name, path)
     if result.skeleton is None:
-        raise InputError(f"{path}: expected a model with joints (mime), found {result.model}; choose it with -m")
+        raise InputError(
+            f"{path}: expected a model with joints (mime), found {result.model}; choose another with "
+            f"{option('model', ...)}"
+        )
     animation = RigAnimation(name, result.skeleton, result.fps).resampled(fps)
     facing = result.report["identity"]
     turn = ROTATIONS[ORIENTATIONS.index((facing["up"], facing["front"]))]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.frame_buffer import PAGED, Progress, counted, release_pages
 from ..core.geometry import normal_turner
 from ..core.mesh import Clip, Mesh
@@ -78,7 +78,7 @@ def save_movie(frames: Iterable[Image.Image | np.ndarray], path: str | Path, fps
         known = ".webp, .gif or .mp4"
         raise InputError(f"{path}: expected a movie name ending in {known}, found {path.suffix or 'no suffix'}")
     if not fps > 0:
-        raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give one with --fps")
+        raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give one with {option('fps', ...)}")
     pictures = (_as_image(frame) for frame in frames)
     if suffix == ".mp4":
         with writing(path), whole_file(path) as temporary:

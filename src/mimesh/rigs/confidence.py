@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies.anatomy import HUMAN, QUADRUPED, Anatomy, anatomy_of_joints
+from ..core.errors import option
 from ..core.geometry import angles_between
 from ..core.rig import descendants
 
@@ -61,11 +62,18 @@ DOUBTFUL_ERROR = 0.04
 """Expected error (heights of the identity) from which on a note says that the mesh may be something else."""
 MOST_LACKING = 3
 """Limbs without a surface from which on a note says so, too: a chair taken for an animal lacks a head and two legs."""
-IF_IT_IS = (
-    "if it is a person or a four-legged animal, say which with --body, and how it stands with --up and --front (of the "
-    "driving: --driving-up, --driving-front); other things need rigs in both files, or --body other"
-)
-"""Advice for meshes that do not look like the body that was looked for."""
+
+
+def if_it_is() -> str:
+    """Return advice for meshes that do not look like the body that was looked for."""
+    return (
+        f"if it is a person or a four-legged animal, say which with {option('body', ...)}, and how it stands with "
+        f"{option('up', ...)} and {option('front', ...)} (of the driving: {option('driving_up')}, "
+        f"{option('driving_front')}); "
+        f"other things need rigs in both files, or {option('body', 'other')}"
+    )
+
+
 SMALLEST_SHARE = 1e-3
 """Share of the surface that a limb has at least in ratios: keeps them finite."""
 
@@ -242,12 +250,12 @@ class Confidence:
             return ()
         reasons = "; ".join(self._reasons() or ["predictions and surface do not fit together"])
         if self.is_other_kind:
-            return (f"{name} does not look like {self.standards.kind}, as far as can be told: {reasons}; {IF_IT_IS}",)
+            return (f"{name} does not look like {self.standards.kind}, as far as can be told: {reasons}; {if_it_is()}",)
         large = self.fitted and self.expected_error > self.standards.max_error
         error = f" (about {self.expected_error:.0%} of the height)" if large else ""
         feet = ", and feet are not planted" if self.lacks_leg else ""
         other = (large and self.expected_error > DOUBTFUL_ERROR) or len(self._without_surface()) >= MOST_LACKING
-        advice = f". It may not be {self.standards.kind}: {IF_IT_IS}" if other else ""
+        advice = f". It may not be {self.standards.kind}: {if_it_is()}" if other else ""
         note = (
             f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}{advice}"
         )

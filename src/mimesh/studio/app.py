@@ -21,9 +21,10 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
-from ..bodies.engine_rig import Layout
-from ..core.errors import InputError
+from ..core.errors import InputError, naming_options
+from ..core.options import Layout
 from ..io.joint_file import SUFFIX
+from .fields import field_name
 from .items import parse_rate
 from .jobs import Cancelled, error_line
 from .operations import describe_file
@@ -101,7 +102,8 @@ class Routes:
 
         def run() -> None:
             try:
-                future.set_result(work(*args))
+                with naming_options(field_name):
+                    future.set_result(work(*args))
             except Exception as error:
                 future.set_exception(error)
 
@@ -251,7 +253,8 @@ def _with_errors(handler: Handler) -> Callable[[Request], Awaitable[Response]]:
 
     async def answer(request: Request) -> Response:
         try:
-            answered = await handler(request)
+            with naming_options(field_name):
+                answered = await handler(request)
             return answered if isinstance(answered, Response) else JSONResponse(answered or {})
         except TooLarge as error:
             return JSONResponse({"error": error_line(error)}, 413)

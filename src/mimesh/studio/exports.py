@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..bodies.engine_rig import Layout
-from ..core.errors import InputError, command_line_words
+from ..core.errors import InputError
 from ..core.frame_buffer import Progress
+from ..core.options import Layout
 from ..io import check_writable, save_mesh
 from ..io.atomic import whole_file
 from ..io.formats import CLIP_WRITERS, FORMATS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS
@@ -80,8 +80,7 @@ def write(export: Export, results: list[tuple[str, str, ClipResult]], progress: 
     for k, (mesh, driving, result) in enumerate(results):
         stem = _unused(safe_name(f"{Path(mesh).stem}-{driving}"), used)
         report = part(progress, k, len(results)) or progress
-        with command_line_words():  # options are replaced by fields of the page, see `operations.for_page`
-            notes += _write_one(export, result, driving, files_folder / stem, report)
+        notes += _write_one(export, result, driving, files_folder / stem, report)
     export.notes = tuple(dict.fromkeys(notes))
     files = sorted(path for path in files_folder.rglob("*") if path.is_file())
     if len(files) == 1:
@@ -125,7 +124,6 @@ def _check(export: Export, results: list[tuple[str, str, ClipResult]]) -> None:
     if export.suffix not in suffixes:
         raise InputError(f"format: expected one of {' '.join(map(str, suffixes))}, found {export.suffix!r}; choose one")
     layout, file = export.layout, Path(f"{results[0][0]}{export.suffix}")
-    layout.check()
     if export.suffix == BONES_ONLY:
         check_bones_layout(layout, file)
     elif (export.skinned or layout != AS_IT_IS) and export.suffix not in JOINTED:

@@ -11,11 +11,10 @@ from typing import Any
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
+from ..core.options import Hints, MotionOptions, values_of
 from ..methods.base import Method
 from ..mime.model import Mime
-from ..pipeline.look import BODIES
 from ..pipeline.node_route import NodeRoute
-from ..pipeline.options import RIGS, ROOTS, MotionOptions
 from ..pipeline.result import ClipResult
 from ..pipeline.route import Route
 from ..pipeline.vertex_route import VertexRoute
@@ -44,11 +43,11 @@ class Options:
         if unknown:
             raise InputError(f"{min(unknown)}: expected the name of an option, found this; leave it out")
         _check_choice(values, "model", models)
-        _check_choice(values, "root", ROOTS)
+        _check_choice(values, "root", values_of(MotionOptions, "root"))
         _check_choice(values, "ground", (True, False))
         _check_choice(values, "refine", (None, True, False))
-        _check_choice(values, "body", BODIES)
-        _check_choice(values, "rig", RIGS)
+        _check_choice(values, "body", values_of(Hints, "body"))
+        _check_choice(values, "rig", values_of(Hints, "rig"))
         smooth = values["smooth"]
         if isinstance(smooth, bool) or not isinstance(smooth, int | float) or not 0 <= smooth <= 10:
             raise InputError(f"smooth: expected seconds, 0 to 10, found {smooth!r}; try 0.05")

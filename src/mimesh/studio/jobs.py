@@ -15,10 +15,11 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..core.errors import InputError
+from ..core.errors import InputError, naming_options
 from ..core.frame_buffer import Progress
 from ..core.printable import say
 from ..io.child_process import watched
+from .fields import field_name
 
 Work = Callable[[Progress], Any]
 """The function of a job; its argument is to be called with the progress."""
@@ -105,7 +106,7 @@ class Worker:
 
     def _run(self, job: Job) -> None:
         try:
-            with watched(lambda: self._check(job)):
+            with naming_options(field_name), watched(lambda: self._check(job)):
                 value = job.work(lambda done, total: self._between_frames(job))
             self._check(job)
         except (Cancelled, InputError) as error:

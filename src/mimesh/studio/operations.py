@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 from ..bodies import load_body
 from ..bodies.animals import ANIMALS, animal
 from ..bodies.characters import character
-from ..core.errors import InputError, command_line_words
+from ..core.errors import InputError
 from ..core.frame_buffer import LazyFrames, Progress
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
@@ -27,61 +28,14 @@ from ..methods.find import find_model
 from ..mime.model import Mime
 from ..motions.animal_clips import ANIMAL_MOTIONS, animal_clip
 from ..pipeline.corrections import Corrections, correctable_joints, shown_bones
+from ..pipeline.known import Known
 from ..pipeline.look import OTHER
-from ..pipeline.options import Hints
 from ..pipeline.read import driving_axes
 from ..pipeline.report import facing
 from ..pipeline.result import ClipResult, Timer
 from ..pipeline.route import Route, find_route
 from ..tools.demo import driving_clip
 from .items import Item, Options
-
-OPTION_WORDS = {
-    "--body human or quadruped": "choose the body",
-    "-m deformation-transfer": "the command mimesh animate -m deformation-transfer",
-    "-m mime": "the model mime",
-    "--rig mimesh --body human": "“Bones: found on the surface” with the body “a person”",
-    "--rig mimesh --body quadruped": "“Bones: found on the surface” with the body “a four-legged animal”",
-    "--rig mimesh": "“Bones: found on the surface”",
-    "--names, --root-bone, --rest: ": "bone names, root bone and rest pose: ",
-    "--names, --root-bone: ": "bone names and root bone: ",
-    "--rest: expected `--rest file`": "rest pose: expected that of the file",
-    "--morphs writes": "an export without bones has",
-    "--driving-front tells": "choose its front",
-    "--front tells": "choose its front",
-    "give --driving-up": "choose as up",
-    "give --up": "choose as up",
-    "give --driving-front": "choose its front",
-    "give --front": "choose its front",
-    "choose it with -m": "choose another model",
-    "--body chooses": "choose the body",
-    "give one with --fps": "give a frame rate",
-    "give another with --fps": "give another frame rate",
-    "with --fps": "with a frame rate of",
-    "name another with -o": "choose another format",
-}
-"""Replacements in messages: options of the command line by fields of the page."""
-OPTION_FIELDS = {
-    "names": "bone names",
-    "rest": "rest pose",
-    "root-bone": "root bone",
-    "skinned": "bones",
-    "rig": "bones",
-    "smooth": "smoothing",
-    "root": "root motion",
-    "body": "body",
-    "blendshapes": "blend shapes",
-    "animation": "animation",
-    "fps": "frame rate",
-    "up": "up",
-    "front": "front",
-    "driving-up": "up of the driving",
-    "driving-front": "front of the driving",
-    "joints": "corrected joints",
-    "driving-joints": "corrected joints of the driving",
-}
-"""Options of the command line that have a field on the page, where no replacement of OPTION_WORDS fits."""
-OPTION = re.compile(rf"(?<![\w-])--({'|'.join(OPTION_FIELDS)})(?![\w-])")
 
 
 def read_mesh(path: Path, folder: Path | None) -> Mesh:
@@ -133,8 +87,8 @@ def prepare_inputs(identity: Item, driving: Item, options: Options) -> Route:
     model = find_model(options.model)
     rig, body = options.kind(model)
     corrections = Corrections() if body == OTHER else applicable_corrections(model, identity, driving)
-    hints = Hints(axes, rig, body, corrections)
-    return find_route(identity.content, driving.content, model, hints, options.motion(model))
+    known = Known(axes, rig, body, corrections)
+    return find_route(identity.content, driving.content, model, known, options.motion(model))
 
 
 def compute_result(route: Route, identity: Mesh, clip: Clip, options: Options, progress: Progress) -> ClipResult:
@@ -159,19 +113,14 @@ def compute_result(route: Route, identity: Mesh, clip: Clip, options: Options, p
     )
 
 
-@contextlib.contextmanager
-def _within(folder: Path | None) -> Iterator[None]:
-    """Confine file references to a folder, None for no limit; messages name options, which `for_page` replaces."""
-    with command_line_words(), contextlib.nullcontext() if folder is None else confined(folder):
-        yield
+def _within(folder: Path | None) -> AbstractContextManager[None]:
+    """Confine file references to a folder, None for no limit."""
+    return contextlib.nullcontext() if folder is None else confined(folder)
 
 
 def for_page(text: str, folder: Path) -> str:
-    """Adapt a message to the page: files by the names they were given, fields instead of command-line options."""
-    text = re.sub(rf"{re.escape(str(folder))}[/\\](uploads|exports)[/\\]\d+[/\\]?(files[/\\])?", "", text)
-    for option, page_field in OPTION_WORDS.items():
-        text = text.replace(option, page_field)
-    return OPTION.sub(lambda found: OPTION_FIELDS[found[1]], text)
+    """Name files in a message as they were given, without the temporary folder."""
+    return re.sub(rf"{re.escape(str(folder))}[/\\](uploads|exports)[/\\]\d+[/\\]?(files[/\\])?", "", text)
 
 
 def read_side_file(path: Path | None) -> JointCorrections | None:

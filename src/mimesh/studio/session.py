@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies.engine_rig import Layout
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import parse_axis
+from ..core.options import Layout
 from ..pipeline.result import ClipResult
 from ..pipeline.route import Route
 from ..pipeline.skinned import AS_IT_IS

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any
 
 from ..bodies.animals import ANIMALS
 from ..bodies.characters import CHARACTERS
-from ..bodies.engine_names import SCHEMES, RestPose
+from ..bodies.engine_names import SCHEMES
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import AXES, UNSURE
+from ..core.options import Layout, MotionOptions, values_of
 from ..methods.find import MODELS, REDUCED_MODELS
 from ..motions.animal_clips import ANIMAL_MOTIONS
 from ..motions.clips import SEGMENTS
-from ..pipeline.options import ROOTS
 from ..pipeline.result import ClipResult
 from ..player.pack import Panel, pack_scene
 from . import operations
@@ -39,7 +39,7 @@ def describe(session: Session) -> dict[str, Any]:
             {"name": name, "joints": has_joints(name, session.skinned_models), "bodies": name == "mime"}
             for name in session.models
         ],
-        "roots": ROOTS,
+        "roots": values_of(MotionOptions, "root"),
         "axes": AXES,
         "motions": tuple(SEGMENTS),
         "animal_motions": tuple(ANIMAL_MOTIONS),
@@ -48,7 +48,7 @@ def describe(session: Session) -> dict[str, Any]:
         "formats": formats(frames != 1),
         "moving": frames != 1,
         "bone_names": {name: scheme.program for name, scheme in SCHEMES.items()},
-        "rests": get_args(RestPose),
+        "rests": values_of(Layout, "rest"),
         "exports": [_describe_export(session, export) for export in list(session.exports.values())],
         "limit": session.uploads.limit,
         "scene": scene_key(session),

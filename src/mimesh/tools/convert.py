@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from ..bodies.joint_names import ancestors
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, RewritableSource, check_cut, cut_clip, spread_clip
+from ..core.options import ConvertOptions
 from ..io import (
     check_writable,
     clip_suffixes,
@@ -38,6 +39,7 @@ from ..pipeline.odd_frames import LONE_FRAMES, first_frame_note
 from ..pipeline.skinned import distinct_names
 from ..render.movie import MOVIES, write_clip
 
+USUAL = ConvertOptions()
 ALL = "all"
 """Value of `--animation` for all animations of a file."""
 BONES_ONLY = ".vrma"
@@ -52,7 +54,7 @@ characters of the pool (train and val) is below, 0.002 to 0.013; means over all 
 NOTED_DEVIATION = 1e-3
 """Distance over the mesh's size of a skinned file's vertex from its frame, from which on a note tells it."""
 DEVIATION_CAUSES = {
-    "rest": ": the mesh is bound in another pose than the file's; --rest file is exact",
+    "rest": ": the mesh is bound in another pose than the file's; that of the file is exact",
     "fingers": ": fingers that only other clips move follow the hand",
     "weights": ": files of joints have four weights a vertex",
 }
@@ -71,21 +73,7 @@ class Converted:
 
 
 def convert(
-    source: str | Path,
-    target: str | Path,
-    *,
-    fps: float | None = None,
-    animation: str | None = None,
-    frame: int | None = None,
-    frames: int | None = None,
-    start: int = 0,
-    stop: int | None = None,
-    step: int = 1,
-    frames_as: str | None = None,
-    blendshapes: int | None = None,
-    body_model: str | Path | None = None,
-    betas: str | None = None,
-    progress: Progress | None = None,
+    source: str | Path, target: str | Path, options: ConvertOptions = USUAL, progress: Progress | None = None
 ) -> Converted:
     """Read a mesh, a clip or a folder of frames, and write it in the format of the target's suffix.
 
@@ -96,17 +84,6 @@ def convert(
     Args:
         source: a file or a folder of frames.
         target: the file to write, or without a suffix a folder of frames.
-        fps: as in `load_clip`: files with times are sampled at this rate, others are played at it.
-        animation: as in `load_clip`.
-        frame: the only frame to convert, counted from 0.
-        frames: number of frames to take, evenly spread from the first to the last.
-        start: first frame to take, counted from 0.
-        stop: frame to stop before; None takes all.
-        step: take every `step`-th frame.
-        frames_as: suffix of the frames in a folder.
-        blendshapes: see `write_clip`.
-        body_model: file of a body model, with which `source` is read as the recorded surface (`load_recorded_clip`).
-        betas: shape coefficients of the person who moves, see `parse_betas`; None: of the one recorded.
         progress: is called with the steps done and the steps in all.
 
     Raises:
@@ -120,42 +97,50 @@ def convert(
             f"mimesh animate CHARACTER {source.name} -o {target.name}"
         )
     holds_clip = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
+    frames_as = None if options.frames_as is None else "." + options.frames_as.lstrip(".")
     if frames_as is not None and suffix and not target.is_dir():
         raise InputError(f"{target}: expected a folder with --frames-as, found '{target.suffix}'; leave it out")
-    cut = {"--start": start != 0, "--stop": stop is not None, "--step": step != 1}
-    if frames is not None:
-        _refuse_options(target, cut, "--frames takes some of all frames")
-        cut["--frames"] = True
-    if betas is not None and body_model is None:
-        raise InputError(f"--betas {betas}: expected it with --body-model, found it without; name the model")
-    if frame is not None:
-        _refuse_options(target, cut | {"--blendshapes": blendshapes is not None}, "--frame takes one frame")
-    elif not holds_clip:
-        _refuse_options(target, {"--blendshapes": blendshapes is not None}, f"{suffix} files hold one mesh")
+    given = _check_options(options, target, holds_clip)
     check_writable(target)
-    options = cut | {"--fps": fps is not None, "--animation": animation is not None, "--frame": frame is not None}
-    if suffix == ".fbx" and source.suffix.lower() in JOINTED and blendshapes is None and not any(options.values()):
+    if suffix == ".fbx" and source.suffix.lower() in JOINTED and not given:
         return _whole_as_fbx(source, target)
     # From mesh to mesh nothing is loaded as a clip, so that the file's own format can keep all its contents.
-    has_rest = source.is_file() and source.suffix.lower() not in FRAMES_ONLY and body_model is None
-    if frame is None and not holds_clip and has_rest:
-        timed = {"--fps": fps is not None, "--animation": animation is not None}
-        _refuse_options(target, timed | cut, f"{suffix} files hold one mesh, at rest", " or choose a --frame")
+    has_rest = source.is_file() and source.suffix.lower() not in FRAMES_ONLY and options.body_model is None
+    if options.frame is None and not holds_clip and has_rest:
+        _refuse_options(target, given, f"{suffix} files hold one mesh, at rest", " or choose a --frame")
         mesh = load_mesh(source)
         return _write_mesh(mesh, target, notes=_at_rest_note(mesh, source, target))
     # Reading and writing are half of the progress each.
-    chosen = slice(start, stop, step) if frame is None else slice(None)
-    shape = None if betas is None else parse_betas(betas)
-    clip, notes = read_clip(source, body_model, fps, animation, part(progress, 0, 2), chosen, frames, shape)
-    clip = clip if frame is None else _single_frame(clip, frame, source)
+    chosen = options.slice if options.frame is None else slice(None)
+    shape = None if options.betas is None else parse_betas(options.betas)
+    read = options.body_model, options.fps, options.animation, part(progress, 0, 2), chosen, options.frames, shape
+    clip, notes = read_clip(source, *read)
+    clip = clip if options.frame is None else _single_frame(clip, options.frame, source)
     if (len(clip) == 1 and suffix in MESH_WRITERS) or not holds_clip:
         return _write_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip), notes)
-    deviation = write_clip(clip, target, frames_as, blendshapes, part(progress, 1, 2))
+    deviation = write_clip(clip, target, frames_as, options.blendshapes, part(progress, 1, 2))
     notes += not_kept(clip.mesh, target) + rate_note(clip.fps, target) + blend_note(deviation)
-    if frame is None and animation is None:
+    if options.frame is None and options.animation is None:
         notes += animations_note(list_animations(source), source)
     notes += missing_images_notes(missing_images(clip.mesh))
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
+
+
+def _check_options(options: ConvertOptions, target: Path, holds_clip: bool) -> list[str]:
+    """Check that options do not exclude each other, and return those that choose among frames and animations."""
+    cut = [f"--{name}" for name in ("start", "stop", "step") if getattr(options, name) != getattr(USUAL, name)]
+    if options.frames is not None:
+        _refuse_options(target, cut, "--frames takes some of all frames")
+        cut.append("--frames")
+    if options.betas is not None and options.body_model is None:
+        raise InputError(f"--betas {options.betas}: expected it with --body-model, found it without; name the model")
+    shapes = ["--blendshapes"] * (options.blendshapes is not None)
+    if options.frame is not None:
+        _refuse_options(target, cut + shapes, "--frame takes one frame")
+    elif not holds_clip:
+        _refuse_options(target, shapes, f"{target.suffix.lower()} files hold one mesh")
+    timed = [f"--{name}" for name in ("fps", "animation", "frame") if getattr(options, name) is not None]
+    return timed + cut + shapes
 
 
 def read_clip(
@@ -220,8 +205,8 @@ def choose_clips(driving: Sequence[Path], selectors: Sequence[str] | None) -> li
         pairs = list(zip(driving, chosen, strict=True))
     else:
         raise InputError(
-            f"--animation: expected one for each of {len(driving)} DRIVING, found {len(chosen)}; "
-            f"give them in the order of the files, or --animation {ALL} once"
+            f"{option('animation')}: expected one for each of {len(driving)} DRIVING, found {len(chosen)}; "
+            f"give them in the order of the files, or {option('animation', ALL)} once"
         )
     clips = [clip for path, selector in pairs for clip in _clips_of(path, selector)]
     names = distinct_names([clip.name for clip in clips])
@@ -345,7 +330,7 @@ def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[st
         return ()
     return (
         f"{name}: in the hierarchy of its rig the thighs are not children of the hips; programs that map a humanoid by "
-        "its hierarchy may refuse it; --rig mimesh writes joints of another hierarchy",
+        f"its hierarchy may refuse it; {option('rig', 'mimesh')} writes joints of another hierarchy",
     )
 
 
@@ -384,8 +369,12 @@ def size_note(path: Path) -> tuple[str, ...]:
     """Return a note on how to make a clip smaller, if its file is large."""
     if not path.is_file() or (size := path.stat().st_size) < LARGE:
         return ()
-    joints = ", and --skinned writes joints instead of frames" if path.suffix.lower() in (".glb", ".gltf") else ""
-    return (f"{path.name} has {size / 2**20:,.0f} MiB: --step takes fewer frames{joints}",)
+    joints = (
+        f", and {option('skinned', ...)} writes joints instead of frames"
+        if path.suffix.lower() in (".glb", ".gltf")
+        else ""
+    )
+    return (f"{path.name} has {size / 2**20:,.0f} MiB: {option('step')} takes fewer frames{joints}",)
 
 
 def rate_note(fps: float, path: Path) -> tuple[str, ...]:
@@ -393,14 +382,14 @@ def rate_note(fps: float, path: Path) -> tuple[str, ...]:
     suffix = path.suffix.lower()
     if (suffix and suffix not in RATELESS) or fps == DEFAULT_FPS:
         return ()
-    return (f"{suffix or 'folders of'} files have no frame rate: read {path.name} with --fps {fps:g}",)
+    return (f"{suffix or 'folders of'} files have no frame rate: read {path.name} with {option('fps', f'{fps:g}')}",)
 
 
 def taken_rate_note(clip: Clip, path: Path) -> tuple[str, ...]:
     """Return a note that the frame rate of a clip was assumed, because neither its files nor the user gave it."""
     if len(clip) == 1 or not (path.is_dir() or path.suffix.lower() in RATELESS):
         return ()
-    return (f"{path.name} has no frame rate: {clip.fps:g} frames a second are taken; --fps gives another",)
+    return (f"{path.name} has no frame rate: {clip.fps:g} frames a second are taken; {option('fps')} gives another",)
 
 
 def resampled_note(frames: int, fps: float, output_fps: float | None) -> tuple[str, ...]:
@@ -423,7 +412,7 @@ def animations_note(names: Sequence[str], path: Path, several: bool = False) -> 
     """
     if len(names) < 2:
         return ()
-    others = "--animation NAME takes another" + f", --animation {ALL} takes all of them" * several
+    others = f"{option('animation', ...)} takes another" + f", {option('animation', ALL)} takes all of them" * several
     return (f"{path.name} has {len(names)} animations: the first, {names[0]}, is taken; {others}",)
 
 
@@ -432,9 +421,8 @@ def part(progress: Progress | None, number: int, parts: int) -> Progress | None:
     return progress and (lambda done, total: progress(number * total + done, parts * total))
 
 
-def _refuse_options(target: Path, options: dict[str, bool], reason: str, alternative: str = "") -> None:
-    """Raise InputError if an option is given that would have no effect."""
-    given = [name for name, present in options.items() if present]
+def _refuse_options(target: Path, given: Sequence[str], reason: str, alternative: str = "") -> None:
+    """Raise InputError if options are given that would have no effect."""
     if given:
         raise InputError(f"{target}: expected no {given[0]} ({reason}), found it; leave it out{alternative}")
 

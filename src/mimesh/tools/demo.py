@@ -10,7 +10,7 @@ import numpy as np
 
 from ..bodies import RiggedBody, load_body
 from ..bodies.animals import animal
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..io import save_clip, save_mesh
@@ -74,7 +74,7 @@ def inputs(body: str) -> tuple[Mesh, Clip]:
     if body == "quadruped":
         fps = 2 * RATE  # a gallop has two cycles a second and more
         return animal("cow"), gait_clip("horse", "gallop", GALLOP, seconds=FRAMES / fps, fps=fps)
-    raise InputError(f"--body: expected human or quadruped, found {body!r}; choose one of them")
+    raise InputError(f"{option('body')}: expected human or quadruped, found {body!r}; choose one of them")
 
 
 def person(body: RiggedBody, shape: tuple[float, ...]) -> Mesh:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Clip, cut_clip
+from ..core.options import FrameRange, RenderOptions
 from ..io import load_clip
 from ..player.pack import Panel
 from ..player.page import write_player
@@ -28,98 +28,70 @@ PICTURES = (".png", ".jpg", ".jpeg")
 PAGE = ".html"
 NOT_FOR_PAGES = ("view", "size", "width", "clay", "labels", "background")
 """Options of pictures and movies that pages have not: on a page the viewer chooses them."""
+ALL_FRAMES = FrameRange()
 TURN, TURN_RATE = 60, 20.0
 """Frames of a full turn, and frames a second."""
 BACKGROUNDS = {"paper": BACKGROUND, "white": (1.0, 1.0, 1.0), "dark": (0.12, 0.125, 0.135), "none": None}
 
 
-@dataclass(frozen=True)
-class RenderOptions:
-    """The options of `mimesh render`."""
+def kind_of(options: RenderOptions, output: Path, clips: Sequence[Clip]) -> str:
+    """Return what to draw: contact sheet, strip, turntable, heat map, movie, turning movie, heat movie or page."""
+    if output.suffix.lower() == PAGE:
+        return "page"
+    moving = any(len(clip) > 1 for clip in clips)
+    if output.suffix.lower() in MOVIES:
+        kinds = {"--turntable": "turning movie", "--truth": "heat movie", "--stretch": "heat movie"}
+        default = "movie" if moving else "turning movie"
+    else:
+        kinds = {"--sheet": "contact sheet", "--strip": "strip", "--turntable": "turntable"}
+        kinds |= {"--truth": "heat map", "--stretch": "heat map"}
+        default = "strip" if moving else "contact sheet"
+    return next((kinds[flag] for flag in _flags(options)), default)
 
-    sheet: bool = False
-    strip: bool = False
-    turntable: bool = False
-    truth: Path | None = None
-    stretch: Path | None = None
-    view: str = "three-quarter"
-    size: int = 480
-    """Height of one picture in pixels."""
-    width: int | None = None
-    """Width of one picture in pixels; None leaves it to the kind of picture."""
-    clay: bool = False
-    up: str = "y"
-    front: str | None = None
-    track: bool = False
-    labels: bool = True
-    background: str = "paper"
-    cut: tuple[int, int | None, int] = (0, None, 1)
-    """First frame, frame to stop before, and step of the clips; a truth that moves is cut in the same way."""
 
-    def kind(self, output: Path, clips: Sequence[Clip]) -> str:
-        """Return what to draw: contact sheet, strip, turntable, heat map, movie, turning movie, heat movie or page."""
-        if output.suffix.lower() == PAGE:
-            return "page"
-        moving = any(len(clip) > 1 for clip in clips)
-        if output.suffix.lower() in MOVIES:
-            kinds = {"--turntable": "turning movie", "--truth": "heat movie", "--stretch": "heat movie"}
-            default = "movie" if moving else "turning movie"
-        else:
-            kinds = {"--sheet": "contact sheet", "--strip": "strip", "--turntable": "turntable"}
-            kinds |= {"--truth": "heat map", "--stretch": "heat map"}
-            default = "strip" if moving else "contact sheet"
-        return next((kinds[flag] for flag in self._flags()), default)
+def check_options(options: RenderOptions, output: Path) -> None:
+    """Check that the suffix can be drawn and that no options exclude each other or the suffix.
 
-    def check(self, output: Path) -> None:
-        """Check that the suffix can be drawn and that no options exclude each other or the suffix.
+    Raises:
+        InputError: they do.
+    """
+    suffix, kinds = output.suffix.lower(), _flags(options)
+    if suffix not in (*PICTURES, *MOVIES, PAGE):
+        known = ".png, .jpg, .webp, .gif, .mp4 or .html"
+        raise InputError(f"{output}: expected {known}, found '{suffix}'; rename it")
+    if len(kinds) > 1:
+        raise InputError(f"render: expected one kind of picture, found {' and '.join(kinds)}; choose one")
+    if options.track and (suffix not in MOVIES or options.turntable):
+        found = f"'{suffix}'" if suffix not in MOVIES else "--turntable"
+        raise InputError(f"{output}: expected a movie of a clip with --track, found {found}; leave it out")
+    pictures_only = {PAGE: ("--sheet", "--strip", "--turntable", "--stretch")}.get(suffix, ("--sheet", "--strip"))
+    if suffix not in PICTURES and kinds and kinds[0] in pictures_only:
+        raise InputError(f"{output}: expected a picture (.png or .jpg) for {kinds[0]}, found '{suffix}'; rename it")
+    if suffix == PAGE:
+        _check_page(options, output)
+    elif background_of(options.background) is None and suffix != ".png":
+        raise InputError(f"{output}: expected a .png for --background none, found '{suffix}'; rename it")
 
-        Raises:
-            InputError: they do.
-        """
-        suffix, kinds = output.suffix.lower(), self._flags()
-        if suffix not in (*PICTURES, *MOVIES, PAGE):
-            known = ".png, .jpg, .webp, .gif, .mp4 or .html"
-            raise InputError(f"{output}: expected {known}, found '{suffix}'; name another with -o")
-        if len(kinds) > 1:
-            raise InputError(f"render: expected one kind of picture, found {' and '.join(kinds)}; choose one")
-        if self.track and (suffix not in MOVIES or self.turntable):
-            found = f"'{suffix}'" if suffix not in MOVIES else "--turntable"
-            raise InputError(f"{output}: expected a movie of a clip with --track, found {found}; leave it out")
-        pictures_only = {PAGE: ("--sheet", "--strip", "--turntable", "--stretch")}.get(suffix, ("--sheet", "--strip"))
-        if suffix not in PICTURES and kinds and kinds[0] in pictures_only:
-            raise InputError(f"{output}: expected a picture (.png or .jpg) for {kinds[0]}, found '{suffix}'; rename it")
-        if suffix == PAGE:
-            self._check_page(output)
-        elif background_of(self.background) is None and suffix != ".png":
-            raise InputError(f"{output}: expected a .png for --background none, found '{suffix}'; rename it")
 
-    def _check_page(self, output: Path) -> None:
-        """Raise InputError for options that pages have not."""
-        for field in dataclasses.fields(self):
-            if field.name in NOT_FOR_PAGES and getattr(self, field.name) != field.default:
-                option = "--no-labels" if field.name == "labels" else f"--{field.name}"
-                raise InputError(f"{output}: expected no {option} with a page, found it; leave it out")
+def _check_page(options: RenderOptions, output: Path) -> None:
+    """Raise InputError for options that pages have not."""
+    for field in dataclasses.fields(options):
+        if field.name in NOT_FOR_PAGES and getattr(options, field.name) != field.default:
+            option = "--no-labels" if field.name == "labels" else f"--{field.name}"
+            raise InputError(f"{output}: expected no {option} with a page, found it; leave it out")
 
-    def _flags(self) -> list[str]:
-        """Return the options that are given and choose the kind of picture."""
-        flags = {"--sheet": self.sheet, "--strip": self.strip, "--turntable": self.turntable}
-        flags |= {"--truth": self.truth is not None, "--stretch": self.stretch is not None}
-        return [name for name, on in flags.items() if on]
 
-    @property
-    def look(self) -> dict:
-        """Arguments that all drawing functions have."""
-        return {
-            "view": self.view,
-            "up": self.up,
-            "front": self.front,
-            "labels": self.labels,
-            "background": background_of(self.background),
-        }
+def _flags(options: RenderOptions) -> list[str]:
+    """Return the options that are given and choose the kind of picture."""
+    flags = {"--sheet": options.sheet, "--strip": options.strip, "--turntable": options.turntable}
+    flags |= {"--truth": options.truth is not None, "--stretch": options.stretch is not None}
+    return [name for name, on in flags.items() if on]
 
-    def tile(self, aspect: float) -> tuple[int, int]:
-        """Return width and height of one picture; `aspect` is their ratio if the width is not given."""
-        return self.width or round(self.size * aspect), self.size
+
+def _look(options: RenderOptions) -> dict[str, Any]:
+    """Return arguments that all drawing functions have."""
+    look = {name: getattr(options, name) for name in ("view", "up", "front", "labels")}
+    return {**look, "background": background_of(options.background)}
 
 
 def background_of(name: str) -> sheet.Color:
@@ -138,31 +110,40 @@ def background_of(name: str) -> sheet.Color:
 
 
 def draw(
-    options: RenderOptions, names: Sequence[str], clips: Sequence[Clip], output: Path, progress: Progress | None = None
+    options: RenderOptions,
+    names: Sequence[str],
+    clips: Sequence[Clip],
+    output: Path,
+    cut: FrameRange = ALL_FRAMES,
+    progress: Progress | None = None,
 ) -> str:
     """Write a picture, movie or page of clips (a mesh is a clip of one frame), and return its kind.
 
+    `cut` are the frames of their files that the clips have: those of a truth that moves are chosen alike.
+
     Raises:
-        InputError: as `RenderOptions.check`; several files for a picture of one; or the output cannot be written.
+        InputError: as `check_options`; several files for a picture of one; or the output cannot be written.
     """
-    options.check(output)
-    kind = options.kind(output, clips)
+    check_options(options, output)
+    kind = kind_of(options, output, clips)
     if kind == "page":
-        _write_page(options, names, clips, output)
+        _write_page(options, names, clips, output, cut)
     elif kind in ("movie", "turning movie", "heat movie"):
-        frames, count, rate = _movie(kind, options, names, clips)
+        frames, count, rate = _movie(kind, options, names, clips, cut)
         movie.save_movie(counted(frames, count, progress), output, rate)
     else:
-        save_picture(_picture(kind, options, names, clips), output)
+        save_picture(_picture(kind, options, names, clips, cut), output)
     return kind
 
 
-def _write_page(options: RenderOptions, names: Sequence[str], clips: Sequence[Clip], output: Path) -> None:
+def _write_page(
+    options: RenderOptions, names: Sequence[str], clips: Sequence[Clip], output: Path, cut: FrameRange
+) -> None:
     """Write a page that plays the files side by side; with a truth it shows the errors of the last one."""
     up, front = options.up, options.front
     panels = [Panel("mesh", clip, name, up, front) for name, clip in zip(names, clips, strict=True)]
     if options.truth is not None:
-        truth = _truth(options, options.truth, clips[-1].fps * options.cut[2])
+        truth = _truth(options.truth, cut, clips[-1].fps * cut.step)
         counts = len(clips[-1].mesh.vertices), len(truth.mesh.vertices)
         if counts[0] != counts[1]:
             raise InputError(
@@ -174,51 +155,51 @@ def _write_page(options: RenderOptions, names: Sequence[str], clips: Sequence[Cl
     write_player(output, panels, title=output.stem)
 
 
-def _movie(kind, options, names, clips) -> tuple[Iterator[Image.Image], int, float]:
+def _movie(kind, options, names, clips, cut) -> tuple[Iterator[Image.Image], int, float]:
     """Return the pictures of a movie, their number, and the frame rate."""
     if kind == "turning movie":
-        look = {name: value for name, value in options.look.items() if name != "labels"}
+        look = {name: value for name, value in _look(options).items() if name != "labels"}
         mesh = _first_frame(_single(names, clips))
         return movie.turntable_frames(mesh, TURN, options.tile(1.0), clay=options.clay, **look), TURN, TURN_RATE
     rate = clips[0].fps
     if kind == "heat movie":
         clip = _single(names, clips)
-        return _heat(options, clip), len(clip), rate
+        return _heat(options, clip, cut), len(clip), rate
     labels = names if len(clips) > 1 else [""]
     named = list(zip(labels, clips, strict=True))
-    frames = movie.clip_frames(named, options.tile(1.0), clay=options.clay, track=options.track, **options.look)
+    frames = movie.clip_frames(named, options.tile(1.0), clay=options.clay, track=options.track, **_look(options))
     return frames, max(round(clip.seconds * rate) for clip in clips), rate
 
 
-def _picture(kind, options, names, clips) -> Image.Image:
+def _picture(kind, options, names, clips, cut) -> Image.Image:
     """Draw a picture that does not move."""
-    look = {**options.look, "clay": options.clay}
+    look = {**_look(options), "clay": options.clay}
     if kind == "strip":
         return sheet.stack([sheet.strip(clip, 8, options.tile(0.75), **look) for clip in clips])
     if kind == "turntable":
         return sheet.turntable(_first_frame(_single(names, clips)), 8, options.tile(1.0), **look)
     if kind == "heat map":
-        return next(_heat(options, _single(names, clips)))
+        return next(_heat(options, _single(names, clips), cut))
     items = [(name, _first_frame(clip)) for name, clip in zip(names, clips, strict=True)]
     return sheet.contact_sheet(items, tile=options.tile(5 / 6), **look)
 
 
-def _heat(options: RenderOptions, clip: Clip) -> Iterator[Image.Image]:
+def _heat(options: RenderOptions, clip: Clip, cut: FrameRange) -> Iterator[Image.Image]:
     """Draw heat maps of the frames: distance to the truth (mm), or stretch of edges (%)."""
     if options.truth is not None:
-        truth = _truth(options, options.truth)
+        truth = _truth(options.truth, cut)
         points = truth.vertices if len(truth) > 1 else truth.mesh.vertices
         measure, unit = heat.distance_to(clip, np.asarray(points)), "mm"
     else:
         assert options.stretch is not None
         measure, unit = heat.stretch_of(clip, load_clip(options.stretch).mesh.vertices), "%"
-    return heat.heat_frames(clip, measure, unit, options.tile(5 / 6), track=options.track, **options.look)
+    return heat.heat_frames(clip, measure, unit, options.tile(5 / 6), track=options.track, **_look(options))
 
 
-def _truth(options: RenderOptions, path: Path, fps: float | None = None) -> Clip:
+def _truth(path: Path, cut: FrameRange, fps: float | None = None) -> Clip:
     """Load the truth and cut it as the clips are; a truth of one frame is used for all frames."""
     truth = load_clip(path, fps=fps)
-    return cut_clip(truth, *options.cut) if len(truth) > 1 else truth
+    return cut_clip(truth, cut.start, cut.stop, cut.step) if len(truth) > 1 else truth
 
 
 def _first_frame(clip: Clip):

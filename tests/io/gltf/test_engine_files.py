@@ -15,6 +15,7 @@ from people import person, walk
 from mimesh.bodies.engine_names import SCHEMES
 from mimesh.bodies.engine_rig import engine_rig
 from mimesh.core.errors import InputError
+from mimesh.core.options import MotionOptions
 from mimesh.io import load_mesh, save_skinned
 from mimesh.io.gltf.animation import read_channels
 from mimesh.io.gltf.document import open_document
@@ -107,7 +108,7 @@ def test_sampled_rates_keep_the_duration_and_the_frames_they_share(tmp_path):
 @pytest.mark.slow
 def test_a_result_is_saved_with_engine_names(tmp_path):
     identity, driving = person(0, faces=400), walk(frames=2, faces=400)
-    limited = animate(identity, driving, skinned=True)
+    limited = animate(identity, driving, motion=MotionOptions(skinned=True))
     limited.save_skinned(tmp_path / "posed.glb", rest="A")
     assert limited.report["deviation_cause"] == "rest"
     result = animate(identity, driving)

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.core.frame_buffer import LazyFrames
 from mimesh.core.mesh import cut_clip
+from mimesh.core.options import Hints, MotionOptions
 from mimesh.io import load_clip
 from mimesh.io.gltf.animation import read_channels
 from mimesh.io.gltf.document import Document, open_document
@@ -175,7 +176,7 @@ def add_odd_animations(draft: Draft) -> None:
 def test_odd_animations_and_files_without_scenes(rig, model, driving, tmp_path):
     """Animation pointers stay with the animations of the file; weights without morph targets are no motion."""
     path = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"), change=add_odd_animations)
-    result = animate(str(path), str(driving), model, rig=rig, skinned=True)
+    result = animate(str(path), str(driving), model, hints=Hints(rig=rig), motion=MotionOptions(skinned=True))
     saved_as_computed(result, tmp_path / "out.glb", EXACT if rig == "own" else 1e-3)
     gltf = json_of(tmp_path / "out.glb")
     if rig == "own":
@@ -331,7 +332,7 @@ def test_own_clip_through_own_rig(kind, scheme, suffix, model, tmp_path):
     name = str if scheme == "ours" else renamed(scheme)
     path, *_ = rigs.of_kind(tmp_path / f"own.{suffix}", kind, name=name, change=furnish)
     clip = load_clip(path)
-    result = animate(str(path), clip, model, skinned=None)
+    result = animate(str(path), clip, model, motion=MotionOptions(skinned=None))
     assert result.own is not None
     assert distance(result.clip.vertices, clip.vertices) < EXACT
     vertices = saved_as_computed(result, tmp_path / f"out.{suffix}")

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...core.budgets import FRAMES, KEYS, POSED_JOINTS
-from ...core.errors import InputError
+from ...core.errors import InputError, option
 from ..timing import LONGEST, RATES, frame_count, lie_on, sample_rate, usual_rate
 from .check import damaged
 from .document import Document, read_floats
@@ -186,7 +186,7 @@ def find_animation(names: Sequence[str], selector: str, path: Path) -> int:
             return candidates.index(selector.casefold())
     raise InputError(
         f"{path}: expected one of its animations ({', '.join(names) or 'it has none'}), found {selector!r}; "
-        "check --animation"
+        f"check {option('animation')}"
     )
 
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32
 
-from ...core.errors import InputError
+from ...core.errors import InputError, option
 from ...core.frame_buffer import Progress, each_frame, release_pages
 from ...core.geometry import normal_turner, unit_vectors
 from ...core.mesh import Clip, Mesh
@@ -232,7 +232,7 @@ def fit_blend_shapes(clip: Clip, count: int, progress: Progress | None = None) -
         InputError: `count` is below 1, or the clip does not move.
     """
     if count < 1:
-        raise InputError(f"--blendshapes: expected 1 or more, found {count}; try 30")
+        raise InputError(f"{option('blendshapes')}: expected 1 or more, found {count}; try 30")
     frames = len(clip)
     gram = np.zeros((frames, frames))
     blocks = _vertex_blocks(clip)
@@ -242,7 +242,9 @@ def fit_blend_shapes(clip: Clip, count: int, progress: Progress | None = None) -
         _report_progress(progress, done, 2 * len(blocks))
     signed = _component_weights(gram, min(count, frames - 1))
     if not signed.size:
-        raise InputError(f"{clip.mesh.name}: expected a clip that moves for --blendshapes, found none; leave it out")
+        raise InputError(
+            f"{clip.mesh.name}: expected a clip that moves for {option('blendshapes', ...)}, found none; leave it out"
+        )
     # Shift and scale the weights to 0..1. The shift is made up for by the base: frame 0 plus `to_base` @ differences.
     low, extent = signed.min(axis=0), np.ptp(signed, axis=0)
     to_base, weights = low @ np.linalg.pinv(signed), ((signed - low) / extent).astype(np.float32)

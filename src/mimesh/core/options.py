@@ -1,0 +1,327 @@
+"""Options that the front ends share: what is known of the meshes, how they move, how a model works, what is written.
+
+Each option is declared once, here: its name, kind, default, values and help. The command line makes its options of
+these classes, batches their columns; Python takes the classes. Nothing heavy is imported, because `mimesh --help` and
+shells that complete values wait for this module.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from .errors import InputError, option
+
+if TYPE_CHECKING:
+    from ..motions.humanoid_rig import HumanoidRig
+    from .joint_corrections import JointCorrections
+    from .mesh import Mesh
+
+T = TypeVar("T")
+AXIS = "x, y, z, -x, -y or -z, instead of the one found."
+GIVEN = "by default the .joints.json beside it (mime)."
+"""Where corrected joints are looked for."""
+
+
+def declared(default: T, help: str, values: tuple[str, ...] = (), **command: Any) -> T:
+    """Declare an option: its default, its help, the texts that it may be, and how the command line differs.
+
+    Args:
+        command: `name` of the option, `kind` of its value, and other arguments of `typer.Option`.
+    """
+    return dataclasses.field(default=default, metadata={"help": help, "values": values, **command})  # type: ignore
+
+
+def options(cls: type[T]) -> type[T]:
+    """Make a dataclass one of options: arguments are checked, and wrong ones raise InputError."""
+    made, signature = cls.__init__, inspect.signature(cls.__init__)
+    names = [name for name in signature.parameters if name != "self"]
+    values = {field.name: field.metadata["values"] for field in dataclasses.fields(cls)}  # type: ignore
+
+    @functools.wraps(made)
+    def __init__(self: Any, *args: Any, **given: Any) -> None:
+        from .arguments import check_call
+
+        check_call(cls.__name__, signature, names, (self, *args), given)
+        made(self, *args, **given)
+        for name, allowed in values.items():
+            check_value(name, getattr(self, name), allowed)
+
+    cls.__init__ = __init__
+    return cls
+
+
+def check_value(name: str, value: object, allowed: tuple[str, ...]) -> None:
+    """Raise InputError for a text that an option may not be; it may be any if `allowed` is empty."""
+    if allowed and isinstance(value, str) and value not in allowed:
+        raise InputError(f"{option(name)}: expected one of {', '.join(allowed)}, found {value!r}; choose one of them")
+
+
+def values_of(cls: type, name: str) -> tuple[str, ...]:
+    """Return the texts that an option may be."""
+    return next(field.metadata["values"] for field in dataclasses.fields(cls) if field.name == name)
+
+
+@options
+@dataclass(frozen=True, eq=False)
+class Hints:
+    """What is known of the identity and of the driving, instead of what is found.
+
+    Example:
+        >>> mimesh.Hints(up="+z", body="human").body
+        'human'
+    """
+
+    up: str | None = declared(None, AXIS, metavar="AXIS")
+    """The identity's axis away from the ground ("+y", "-z"); detected from its shape by default."""
+    front: str | None = declared(None, AXIS, metavar="AXIS")
+    """The identity's axis to its front; detected by default."""
+    driving_up: str | None = declared(None, AXIS, metavar="AXIS")
+    """As `up`, of the driving."""
+    driving_front: str | None = declared(None, AXIS, metavar="AXIS")
+    """As `front`, of the driving."""
+    rig: str | HumanoidRig = declared(
+        "own", "own: keep the bones of the file, if it has any; mimesh: find joints (both mime).", ("own", "mimesh"),
+        kind=str,
+    )  # fmt: skip
+    """"own": an identity with a sound rig in its file moves on its own bones (mime only); "mimesh": joints are found on
+    its surface, and its skin is dropped. A program that has the identity's bones passes the rig that
+    `pipeline.bone_rigs.rig_of_bones` makes of them; their motion is the result's `skeleton`."""
+    body: str = declared(
+        "auto", "What it is: human, quadruped (four-legged animals), other, or auto: by rig or shape (mime).",
+        ("auto", "human", "quadruped", "other"),
+    )  # fmt: skip
+    """What both meshes are: "human", "quadruped" (four-legged animals), "other" (creatures and things whose rigs are
+    matched with each other), or "auto", found by their rigs or shapes (mime only)."""
+    joints: JointCorrections | Mapping[str, Any] | str | Path | None = declared(
+        None, f"Joints picked by hand; {GIVEN}", kind=Path | None, metavar="FILE"
+    )
+    """Positions of some of the identity's joints, where the model finds them wrongly (mime only): joint -> (x, y, z) in
+    the axes and unit of its file, or the path of a .joints.json (docs/formats.md). The names are the keys of
+    `Result.joints`."""
+    driving_joints: JointCorrections | Mapping[str, Any] | str | Path | None = declared(
+        None, f"The same of DRIVING; {GIVEN}", kind=Path | None, metavar="FILE"
+    )
+    """The same of the driving, of a clip in its first frame or in the frame that a file of them names."""
+
+    @property
+    def axes(self) -> tuple[str | None, str | None, str | None, str | None]:
+        """Up and front of the identity, up and front of the driving; None is detected."""
+        return self.up, self.front, self.driving_up, self.driving_front
+
+    def check_single(self) -> None:
+        """Raise InputError for a hint on a driving, where there is one mesh or clip."""
+        for name in ("driving_up", "driving_front", "driving_joints"):
+            if getattr(self, name) is not None:
+                raise InputError(f"{name}: expected hints on one mesh or clip, found this; leave `driving_` out")
+
+
+@options
+@dataclass(frozen=True)
+class FrameRange:
+    """Which frames of a clip are taken, and their rate.
+
+    Example:
+        >>> mimesh.FrameRange(stop=60, step=2).slice
+        slice(0, 60, 2)
+    """
+
+    start: int = declared(0, "First frame to take, counted from 0.")
+    stop: int | None = declared(None, "Frame to stop before.")
+    step: int = declared(1, "Take every so many frames.")
+    """The result then has the rate fps / step, so that its speed is the clip's."""
+    fps: float | None = declared(None, "Frame rate of the clip, where its files do not say.")
+    """Frame rate of the clip, where its file has none or a wrong one."""
+
+    @property
+    def slice(self) -> slice:
+        """The frames that are taken."""
+        return slice(self.start, self.stop, self.step)
+
+
+@options
+@dataclass(frozen=True)
+class MotionOptions:
+    """How joints move; for `mime` alone, but that any method can ground.
+
+    Example:
+        >>> mimesh.MotionOptions(root="drop").root
+        'drop'
+    """
+
+    root: str = declared(
+        "scale", "How far the result goes: scale (as its legs make it); keep (as DRIVING), drop (in place; both mime).",
+        ("scale", "keep", "drop"),
+    )  # fmt: skip
+    """Displacement over the ground: "scale", the driving's scaled by leg length; "keep", the driving's; "drop",
+    none."""
+    ground: bool = declared(
+        True, "Plant soles where DRIVING's stand, by root path and legs (mime).", name="--ground/--no-ground"
+    )
+    """Plant soles where the driving's stand, by the root path and the legs. They slide as far as the driving's do, in
+    units of the identity's size. With `root` "keep" only the legs are corrected, with "drop" only heights. Has no
+    effect on a single pose, nor with a model without joints."""
+    smooth: float = declared(0.0, "Average the motion of joints over time (mime).", metavar="SECONDS")
+    """Standard deviation (seconds) of a Gaussian filter over rotations and root positions."""
+    skinned: bool | None = declared(
+        False, "Write joints (.glb, .gltf, .fbx; the default of mime) also of a single pose.", name="--skinned",
+        kind=bool,
+    )  # fmt: skip
+    """Move each vertex by its four largest weights only, so that the frames are those of the file that `save_skinned`
+    writes, and raise an error at once if the model has no joints. How far vertices are then from where all weights
+    take them, over the mesh's size, is in the report ("influence_deviation"). None does so for clips of more than one
+    frame, if the model has joints."""
+
+    def __post_init__(self) -> None:
+        """Raise InputError if a time is not allowed."""
+        if not 0 <= self.smooth < float("inf"):
+            raise InputError(f"{option('smooth')}: expected seconds, 0 or more, found {self.smooth}; try 0.05")
+
+    @property
+    def changes_motion(self) -> bool:
+        """Whether the result differs from the driving's motion on the same skeleton."""
+        return self.root != "scale" or self.smooth > 0
+
+    def refuse_without_joints(self, model: str) -> None:
+        """Raise InputError if a value needs joints, which a model has not."""
+        for field in dataclasses.fields(self):
+            if field.name != "ground" and getattr(self, field.name) not in (field.default, None):
+                raise needs_joints(field.name, model)
+
+
+def needs_joints(name: str, model: str) -> InputError:
+    """Return the error of an option that needs a model with joints."""
+    found = f"{option(name)}: expected a model with joints (mime), found {model}"
+    return InputError(f"{found}; choose another with {option('model', ...)}")
+
+
+@options
+@dataclass(frozen=True, eq=False)
+class ModelOptions:
+    """Options of a model that is given by a name or a path; those of `npt` and others that move vertices but `seed`.
+
+    Example:
+        >>> mimesh.ModelOptions(pairing="body").pairing
+        'body'
+    """
+
+    ensemble: int = declared(1, "Average over this many random pairings (npt, aniformer).")
+    """Average over this many random pairings (index-paired networks only)."""
+    pairing: str = declared(
+        "auto",
+        "Pair vertices at random, by order (two shapes of one mesh), by the body that is fitted to both, or auto: by "
+        "order where both have the same triangles (npt, aniformer).",
+        ("auto", "random", "order", "body"),
+    )
+    """Driving vertex of each of the identity's (npt and aniformer only): "random"; "order", that of its own index, of
+    two shapes of one mesh; "body", that of the same place on the shipped body, which is fitted to both; or "auto", by
+    index where both have the same triangles and there is a network for it."""
+    refine: bool | None = declared(
+        None, "Smooth the result along IDENTITY's surface; by default npt, aniformer.", name="--refine/--no-refine"
+    )
+    """Smooth the result, keeping the identity's surface details; None leaves it to the model."""
+    reference: Mesh | str | Path | None = declared(
+        None, "The driving mesh in IDENTITY's pose (deformation-transfer).", kind=Path | None, metavar="MESH"
+    )
+    """The driving mesh in the identity's pose (deformation transfer only)."""
+    markers: Any = declared(
+        None, "Lines 'identity driving' of corresponding vertices (deformation-transfer).", kind=Path | None,
+        metavar="FILE",
+    )  # fmt: skip
+    """Pairs (identity vertex, driving vertex) that correspond, or a file of them (deformation transfer only)."""
+    seed: int = declared(0, "Seed of everything random.", min=0)
+    """Seed of all random choices of the model."""
+
+
+@options
+@dataclass(frozen=True)
+class Layout:
+    """How the joints of a file are arranged for an engine.
+
+    Example:
+        >>> mimesh.Layout("unreal", root_bone=True, fps=30.0).names
+        'unreal'
+    """
+
+    names: str = declared(
+        "own", "Bone names and hierarchy: mixamo, unreal, vrm, godot or rigify; own keeps the names.",
+        ("own", "mixamo", "unreal", "vrm", "godot", "rigify"), metavar="SCHEME",
+    )  # fmt: skip
+    """A scheme of `bodies.engine_names`; "own" keeps the names. Bones of the identity's own rig are renamed where they
+    are."""
+    root_bone: bool = declared(
+        False, "Put the way over the ground on a bone above all others; own rigs get one, or use theirs.",
+        name="--root-bone",
+    )  # fmt: skip
+    """Add a bone on the ground that carries the displacement over it; the hips keep the rest."""
+    rest: str = declared(
+        "file", "Pose the skeleton is bound in: file, T or A (not with own rigs).", ("file", "T", "A"), metavar="POSE"
+    )
+    """Pose that mesh and bones are bound in: that of the identity's "file", "T" or "A"; own rigs have the file's."""
+    fps: float | None = declared(
+        None, "Frame rate of the joints written, sampled from DRIVING's: 30, 60.", name="--output-fps"
+    )
+    """Frames a second of the file, sampled from the motion's; None keeps its rate."""
+
+    def __post_init__(self) -> None:
+        """Raise InputError if a rate is not allowed."""
+        if self.fps is not None and not 0 < self.fps < float("inf"):
+            name = option("output_fps")
+            raise InputError(f"{name}: expected a positive frame rate, found {self.fps:g}; give for example 30")
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """What `mimesh render` draws, and how."""
+
+    sheet: bool = declared(False, "Each file once, in rows.", name="--sheet")
+    strip: bool = declared(False, "Frames of each clip side by side.", name="--strip")
+    turntable: bool = declared(False, "One mesh from all sides.", name="--turntable")
+    truth: Path | None = declared(None, "Heat map of the distance to this mesh or clip, in mm if files are in metres.")
+    stretch: Path | None = declared(
+        None, "Heat map of how edges differ in length from this mesh's.", metavar="REFERENCE"
+    )
+    track: bool = declared(False, "In movies, the camera goes along.", name="--track")
+    view: str = declared("three-quarter", "three-quarter, front, side, left, right, back or top.")
+    size: int = declared(480, "Height of one picture in pixels.", min=32, max=4096)
+    width: int | None = declared(None, "Width of one picture in pixels.", min=32, max=4096)
+    """None leaves it to the kind of picture."""
+    background: str = declared("paper", "paper, white, dark, none (.png) or #rrggbb.")
+    labels: bool = declared(True, "Captions below pictures.", name="--labels/--no-labels")
+    clay: bool = declared(False, "Leave materials and textures out.", name="--clay")
+    up: str = declared("y", "Axis away from the floor: x, y, z, -x, -y, -z.")
+    front: str | None = declared(None, "Axis that faces the front.")
+
+    def tile(self, aspect: float) -> tuple[int, int]:
+        """Return width and height of one picture; `aspect` is their ratio if the width is not given."""
+        return self.width or round(self.size * aspect), self.size
+
+
+@dataclass(frozen=True)
+class ConvertOptions(FrameRange):
+    """Which clip of a file `mimesh convert` reads, which of its frames, and what it writes."""
+
+    fps: float | None = declared(None, "Of IN, where it does not say; else to sample it at.")
+    """Files with times are sampled at this rate, others are played at it."""
+    animation: str | None = declared(
+        None, "Which animation of a GLB or clip of an HDF5 file: its name or number.", metavar="NAME"
+    )
+    frame: int | None = declared(None, "This frame alone, counted from 0.")
+    frames: int | None = declared(None, "So many frames, evenly spread from first to last.", min=1)
+    frames_as: str | None = declared(None, "In a folder: obj or ply.", metavar="SUFFIX")
+    blendshapes: int | None = declared(
+        None, "Write K morph targets, not one a frame (.glb, .gltf).", metavar="K", min=1
+    )
+    body_model: str | Path | None = declared(
+        None, "SMPL's, SMPL+H's ... (.pkl .npz): AMASS archives become its surface.", kind=Path | None, metavar="FILE"
+    )
+    """File of a body model, with which a file is read as the recorded surface (`load_recorded_clip`)."""
+    betas: str | None = declared(
+        None, "Person who moves, with --body-model: numbers with commas, or an .npz.", metavar="B"
+    )
+    """Shape coefficients of the person who moves, see `parse_betas`; None: of the one recorded."""

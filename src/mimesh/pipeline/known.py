@@ -1,0 +1,45 @@
+"""What is known of an identity and a clip before they are looked at: the caller's hints, and what their files say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..core.mesh import Clip
+from ..core.options import Hints
+from ..motions.humanoid_rig import HumanoidRig
+from .corrections import NO_CORRECTIONS, Corrections
+from .read import driving_axes
+
+Axes = tuple[str | None, str | None, str | None, str | None]
+"""Up and front of the identity, up and front of the driving; None is detected."""
+NO_AXES: Axes = (None, None, None, None)
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Axes, rig, body and corrected joints of both meshes; see `Hints`."""
+
+    axes: Axes = NO_AXES
+    rig: str | HumanoidRig = "own"
+    """Only models with joints use it."""
+    body: str = "auto"
+    corrections: Corrections = NO_CORRECTIONS
+
+    @classmethod
+    def of(cls, hints: Hints, clip: Clip, whole: Clip | None = None) -> Known:
+        """Return what is known of an identity and a clip.
+
+        Args:
+            whole: the clip before frames of it were chosen, where that is another one; corrections are in its frames.
+
+        Raises:
+            InputError: a file of joints that cannot be read, or a frame that the clip does not have.
+        """
+        corrections = Corrections.read(hints.joints, hints.driving_joints, clip if whole is None else whole)
+        up, front = driving_axes(clip, hints.driving_up, hints.driving_front)
+        return cls((hints.up, hints.front, up, front), hints.rig, hints.body, corrections)
+
+    @property
+    def asked_body(self) -> str:
+        """The body that the user says, or that alone has a joint of a corrected name; else "auto"."""
+        return (self.corrections.body or self.body) if self.body == "auto" else self.body

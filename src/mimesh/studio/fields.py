@@ -1,0 +1,35 @@
+"""What the page calls the options of mimesh, in messages."""
+
+from __future__ import annotations
+
+FIELDS = {
+    "model": "the model",
+    "names": "bone names",
+    "rest": "rest pose",
+    "root_bone": "root bone",
+    "skinned": "bones",
+    "rig": "bones",
+    "smooth": "smoothing",
+    "root": "root motion",
+    "blendshapes": "blend shapes",
+    "fps": "frame rate",
+    "output_fps": "frame rate",
+    "driving_up": "up of the driving",
+    "driving_front": "front of the driving",
+    "joints": "corrected joints",
+    "driving_joints": "corrected joints of the driving",
+}
+"""Option -> the field of the page that it is, where that has another name."""
+CHOICES = {
+    "own": "of the file",
+    "mimesh": "found on the surface",
+    "human": "a person",
+    "quadruped": "a four-legged animal",
+}
+"""Value of an option -> what the field of the page calls it."""
+
+
+def field_name(name: str, value: object = None) -> str:
+    """Name an option in a message, with a value to choose, as the page does."""
+    known = FIELDS.get(name, name.replace("_", " "))
+    return known if value is None or value is ... else f"“{known}: {CHOICES.get(str(value), value)}”"
