@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 import zoo
-from support.options import grouped
+from grouped_options import grouped
 
 import mimesh
-from mimesh.core.arguments import as_faces, as_vertices, for_caller, public
-from mimesh.core.errors import command_line_words
+from mimesh.core.arguments import as_faces, as_vertices, public
+from mimesh.core.errors import naming_options, option
 
 CUBE = zoo.cube()
 V, F = CUBE.vertices, CUBE.faces
@@ -59,6 +59,9 @@ def _animate(*given: Any, **options: Any) -> Callable[[], Any]:
 
 
 MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
+    "an option by itself": (lambda: mimesh.transfer(CUBE, CUBE, up="+y"), "give hints=mimesh.Hints(up=...)"),  # type: ignore[call-arg]
+    "an unknown hint": (lambda: mimesh.Hints(frnt="+y"), "did you mean front?"),  # type: ignore[call-arg]
+    "a hint of another kind": (lambda: mimesh.Hints(up=1), "up: expected"),  # type: ignore[arg-type]
     "transposed vertices": (_mesh(V.T, F), "give vertices.T"),
     "flat vertices": (_mesh(V[:, :2], F), "expected shape (V, 3)"),
     "frames as vertices": (_mesh(CLIP.vertices, F), "mimesh.Clip(mesh, frames)"),
@@ -228,33 +231,31 @@ def test_arrays_that_can_be_used_are_not_copied():
 def test_notes_name_arguments():
     slab = CUBE.with_vertices(CUBE.vertices * [1.0, 1.0, 1.01])
     assert any("give front=..." in note for note in mimesh.transfer(slab, CUBE, "copy").notes)
-    with command_line_words():
+    with naming_options():
         assert any("give --front" in note for note in mimesh.transfer(slab, CUBE, "copy").notes)
 
 
 @pytest.mark.parametrize(
-    ("message", "expected"),
+    ("named", "python", "command_line"),
     [
-        ("--root: expected one of", "root: expected one of"),
-        ("a--up.obj and --upper", "a--up.obj and --upper"),
-        ("give --driving-up +z if the file is wrong", 'give driving_up="+z" if the file is wrong'),
-        ("--rig mimesh --body human finds", 'rig="mimesh" body="human" finds'),
-        ("-m deformation-transfer or --reference", 'model="deformation-transfer" or reference'),
-        ("give one with --reference", "give one with reference=..."),
-        ("a pose?): --start 1 leaves it out", "a pose?): start=1 leaves it out"),
-        ("animals are moved by -m mime", 'animals are moved by model="mime"'),
-        ("mimesh convert IN OUT --body-model SMPL.pkl", 'load_recorded_clip(path, body_model="SMPL.pkl")'),
-        ("add --no-limits (Python: with mimesh.no_limits()) if", "call this inside `with mimesh.no_limits():` if"),
+        (("driving_up",), "driving_up", "--driving-up"),
+        (("driving_up", "+z"), 'driving_up="+z"', "--driving-up +z"),
+        (("start", 1), "start=1", "--start 1"),
+        (("reference", ...), "reference=...", "--reference"),
+        (("model", "mime"), 'model="mime"', "-m mime"),
+        (("model",), "model", "--model"),
     ],
-)  # fmt: skip
-def test_options_in_messages_become_arguments(message, expected):
-    assert for_caller(message) == expected
-    with command_line_words():
-        assert for_caller(message) == message
+)
+def test_options_are_named_as_the_front_end_has_them(named, python, command_line):
+    assert option(*named) == python
+    with naming_options():
+        assert option(*named) == command_line
+    with naming_options(lambda name, value: f"<{name}>"):
+        assert option(*named) == f"<{named[0]}>"
 
 
 def test_kinds_that_are_not_known_are_left_to_the_function():
-    @public()
+    @public
     def twice(value: int | complex) -> complex:
         return 2 * value
 

@@ -9,12 +9,13 @@ import pytest
 from engine_rigs import ROOTS, expected_parents, posed
 from matrix import matrix
 
-from mimesh.bodies.engine_names import REQUIRED, SCHEMES, check_layout
+from mimesh.bodies.engine_names import REQUIRED, SCHEMES
 from mimesh.bodies.engine_rig import A_ANGLE, engine_rig
 from mimesh.bodies.joint_names import named_fingers, named_joints
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import unit_vectors
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
+from mimesh.core.options import Layout
 from mimesh.core.rig import Rig
 
 moving_rig = cache(engine_rigs.moving_rig)
@@ -160,18 +161,18 @@ def test_other_joints_keep_their_names():
 
 
 def test_unknown_layouts_are_refused():
-    with pytest.raises(InputError, match=r"--names: expected one of own, .*rigify, found 'maya'"):
+    with pytest.raises(InputError, match=r"names: expected one of own, .*rigify, found 'maya'"):
         engine_rig(moving_rig(0), "maya")
-    with pytest.raises(InputError, match="--rest: expected one of file, T, A, found 'sitting'"):
-        check_layout("vrm", "sitting")
-    with pytest.raises(InputError, match="--output-fps: expected a positive frame rate, found -1"):
-        check_layout("vrm", "T", -1.0)
+    with pytest.raises(InputError, match="rest: expected one of file, T, A, found 'sitting'"):
+        Layout("vrm", rest="sitting")
+    with pytest.raises(InputError, match="output_fps: expected a positive frame rate, found -1"):
+        Layout("vrm", fps=-1.0)
 
 
 def test_a_rig_that_is_no_person_is_refused():
     rig = moving_rig(0)
     renamed = replace(rig, names=tuple(f"bone{j}" for j in range(31)))
-    with pytest.raises(InputError, match=r"--names godot: expected joints for a whole person, found none for Hips"):
+    with pytest.raises(InputError, match=r"names=\"godot\": expected joints for a whole person, found none for Hips"):
         engine_rig(renamed, "godot")
     with pytest.raises(InputError, match=r"--rest T: expected joints"):
         engine_rig(renamed, rest="T")

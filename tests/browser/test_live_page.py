@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import zoo
-from support.options import grouped
+from grouped_options import grouped
 
 import mimesh
 from mimesh.core.mesh import Mesh

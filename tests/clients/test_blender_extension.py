@@ -9,8 +9,8 @@ import zipfile
 import numpy as np
 import pytest
 from client_programs import run_in_blender
+from grouped_options import grouped
 from people import person, walk
-from support.options import grouped
 
 import mimesh
 from mimesh.pipeline.corrections import shown_bones

@@ -12,8 +12,8 @@ import rigs
 from animals import animal, bones, random_turns
 from client_programs import run_in_blender
 from foreign_names import renamed
+from grouped_options import grouped
 from motion_files import write_bvh
-from support.options import grouped
 
 import mimesh
 from mimesh.bodies import load_body

@@ -12,6 +12,7 @@ from vrm_files import bone_positions, vrm, vrma
 
 import mimesh
 from mimesh.commands.move import print_facts
+from mimesh.commands.options import OutputOptions
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.gltf.document import open_document
 from mimesh.pipeline.skinned import save_skinned
@@ -88,7 +89,7 @@ def test_several_clips_become_animations_of_one_file(files, call, capsys):
     assert len(load_clip(files / "hero-clips.glb", animation="run")) == 5
     pages = [files / f"hero-clips-{name}.preview" for name in names]
     assert all(page.with_suffix(".preview.html").exists() for page in pages)
-    print_facts(facts, json=False, quiet=False)
+    print_facts(facts, OutputOptions())
     text = capsys.readouterr().out
     assert "3 clips" in text
     assert "clip: run, 5 frames at 10 per second" in text

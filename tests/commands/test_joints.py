@@ -9,7 +9,9 @@ from people import person
 
 from mimesh.bodies import load_body
 from mimesh.cli import run
-from mimesh.commands.move import JointFiles
+from mimesh.commands.move import with_joint_files
+from mimesh.commands.options import JointOptions
+from mimesh.core.options import Hints
 from mimesh.io import load_mesh, save_mesh
 
 LINE = "transfer {0}/hero.obj {0}/pose.obj -o {0}/{1}.obj --no-preview --front +z --driving-front +z {2}"
@@ -52,14 +54,13 @@ def test_a_side_file_is_used_and_said(files, side_file, call):
 
 def test_a_given_file_is_that_beside_the_mesh_which_can_be_ignored(files, side_file):
     meshes = files / "hero.obj", files / "pose.obj"
-    beside = JointFiles.found(*meshes, None, None, False, "mime")
-    given = JointFiles.found(*meshes, side_file, None, True, "mime")
-    assert beside.identity is not None
-    assert given.identity is not None
-    np.testing.assert_array_equal(beside.identity.positions["LeftLeg"], given.identity.positions["LeftLeg"])
-    assert beside.driving is given.driving is None
-    assert given.described() == (f"LeftLeg as in {side_file}",)
-    assert JointFiles.found(*meshes, None, None, True, "mime") == JointFiles(None, None)
+    beside, _ = with_joint_files(Hints(), *meshes, JointOptions(), "mime")
+    given, lines = with_joint_files(Hints(joints=side_file), *meshes, JointOptions(no_joints=True), "mime")
+    np.testing.assert_array_equal(beside.joints.positions["LeftLeg"], given.joints.positions["LeftLeg"])
+    assert beside.driving_joints is given.driving_joints is None
+    assert lines == (f"LeftLeg as in {side_file}",)
+    ignored, lines = with_joint_files(Hints(), *meshes, JointOptions(no_joints=True), "mime")
+    assert (ignored.joints, lines) == (None, ())
 
 
 def test_models_without_joints_ignore_a_side_file_and_refuse_a_given_one(files, side_file, call, refuses):

@@ -8,20 +8,19 @@ import re
 import subprocess
 import sys
 import time
-from typing import get_args
 
 import pytest
 from matrix import matrix
-from mimesh.pipeline.options import RIGS, ROOTS
 from threadpoolctl import threadpool_info
 
-from mimesh.bodies.engine_names import SCHEMES, RestPose
+from mimesh.bodies.engine_names import SCHEMES
 from mimesh.cli import COMMANDS, command_name
 from mimesh.commands import about, common, terminal
 from mimesh.core.errors import did_you_mean
-from mimesh.methods.find import MODELS, PAIRING_CHOICES
+from mimesh.core.options import Hints, Layout, ModelOptions, values_of
+from mimesh.methods.find import MODELS, NETWORK_OF_BODY
+from mimesh.methods.onnx_metadata import PAIRINGS
 from mimesh.methods.onnx_runtime import THREADS
-from mimesh.pipeline.look import BODIES
 
 COPIED = "transfer hero.obj pose.obj -m copy --no-preview "
 """A transfer that needs no network."""
@@ -72,10 +71,9 @@ def test_far_names_are_not_suggested():
 
 def test_values_that_shells_complete_are_those_that_are_checked():
     assert set(terminal.MODELS) == set(MODELS) == set(about.DESCRIPTIONS)
-    known = {"root": ROOTS, "rig": RIGS, "body": BODIES, "names": SCHEMES, "rest": get_args(RestPose)}
-    known |= {"pairing": PAIRING_CHOICES}
-    assert terminal.VALUES.keys() == known.keys()
-    assert all(set(terminal.VALUES[option]) == set(values) for option, values in known.items())
+    assert set(values_of(Layout, "names")) == set(SCHEMES)
+    assert set(values_of(ModelOptions, "pairing")) == {"auto", "body", *PAIRINGS}
+    assert set(values_of(Hints, "body")) == {"auto", "other", *NETWORK_OF_BODY}
 
 
 def test_names_of_models_and_networks_are_completed(tmp_path, monkeypatch):

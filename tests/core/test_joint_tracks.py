@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from grouped_options import grouped
 from people import person, walk
 from scipy.spatial.transform import Rotation
-from support.options import grouped
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import rotvec_to_rotmat

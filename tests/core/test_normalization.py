@@ -100,7 +100,7 @@ def test_a_shape_without_facing_is_unsure():
 
 
 @pytest.mark.parametrize(
-    ("up", "front", "message"), [("w", None, "--up"), (None, "", "--front"), ("y", "-y", "two different")]
+    ("up", "front", "message"), [("w", None, "up"), (None, "", "front"), ("y", "-y", "two different")]
 )
 def test_wrong_axes_are_refused(up, front, message):
     with pytest.raises(InputError, match=message):
@@ -108,7 +108,7 @@ def test_wrong_axes_are_refused(up, front, message):
 
 
 def test_axis_names_are_parsed():
-    assert [parse_axis(name, "--up") for name in ("y", " +Y", "-z", None)] == ["+y", "+y", "-z", None]
+    assert [parse_axis(name, "up") for name in ("y", " +Y", "-z", None)] == ["+y", "+y", "-z", None]
 
 
 def test_occupancy_rotates_with_the_points():

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grouped_options import grouped
 from matrix import matrix
 from networks import write_network, write_sequence_network
-from support.options import grouped
 
 from mimesh.core.errors import InputError, RefusedMeshError
 from mimesh.core.normalization import Normalization, bbox_centre, radius

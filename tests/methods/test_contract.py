@@ -7,9 +7,9 @@ import functools
 
 import numpy as np
 import pytest
+from grouped_options import grouped
 from networks import write_mime_network, write_network, write_sequence_network
 from people import person, walk
-from support.options import grouped
 
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS

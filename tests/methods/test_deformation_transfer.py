@@ -296,7 +296,7 @@ def test_clip_frames_equal_single_poses_and_have_root_motion():
 
 
 REFUSED = {
-    "--reference": lambda identity, reference, driving: (identity, None, driving),
+    "reference=...": lambda identity, reference, driving: (identity, None, driving),
     "export both poses from one file": lambda identity, reference, driving: (identity, trio(1500)[1], driving),
     "expected the vertices and faces of .*export both poses": lambda identity, reference, driving: (
         identity,
@@ -308,8 +308,8 @@ REFUSED = {
         moved(reference, reference.vertices * 100),
         driving,
     ),
-    "--markers FILE": lambda identity, reference, driving: (trio(1500)[0], reference, driving),
-    "others .*--markers FILE": lambda identity, reference, driving: (
+    "markers=...": lambda identity, reference, driving: (trio(1500)[0], reference, driving),
+    "others .*markers=...": lambda identity, reference, driving: (
         dataclasses.replace(identity, faces=identity.faces[::-1]),
         reference,
         driving,

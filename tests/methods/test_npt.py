@@ -130,7 +130,7 @@ def test_files_that_are_no_networks_of_ours_are_refused(tmp_path):
 def test_unknown_models_and_ensembles_below_one_are_refused():
     with pytest.raises(InputError, match=r"copy, .*npt, npt-maxpool"):
         find_model("mimic")
-    with pytest.raises(InputError, match="--ensemble"):
+    with pytest.raises(InputError, match="ensemble"):
         find_model("copy", ensemble=0)
 
 

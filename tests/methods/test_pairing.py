@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grouped_options import grouped
 from matrix import matrix
 from networks import write_network, write_sequence_network
 from people import boxes_person, person, split_everywhere, walk
-from support.options import grouped
 from zoo import point_cloud
 
 from mimesh.core.canonical_order import canonical_order
@@ -142,7 +142,7 @@ def test_networks_of_another_pairing_are_refused(ordered, tmp_path):
             InputError, match=f"pairing.*{pairing}.*trained with data.pairing={trained}, found .*{Path(model).name}"
         ):
             transfer(person(0), person(1, 0), model, options=ModelOptions(pairing=pairing))
-    with pytest.raises(InputError, match="expected auto, random, order or body"):
+    with pytest.raises(InputError, match="expected one of auto, random, order, body"):
         find_model("npt", pairing="index")
 
 
@@ -213,5 +213,5 @@ def test_body_pairs_take_the_ordered_weights_and_only_on_request(zoo):
 def test_networks_of_one_mesh_are_not_paired_by_the_body(tmp_path):
     card = {"pairing": "order", "vertices": 502}
     network = str(write_sequence_network(tmp_path / "tiny.onnx", metadata=card))
-    with pytest.raises(InputError, match=r"pairing body.*expected a network for meshes of any vertices"):
+    with pytest.raises(InputError, match=r"pairing=\"body\".*expected a network for meshes of any vertices"):
         find_model(network, pairing="body")

@@ -24,7 +24,7 @@ def test_bounding_boxes_follow_the_drivings_scaled_by_the_first_result():
 def test_frame_without_size_is_refused_with_its_number():
     frames = [SHAPE, SHAPE, 0 * SHAPE + 3]
     message = (
-        "walk: expected some size in frame 2 of those taken.*repair that frame, or end the clip before it with --stop"
+        "walk: expected some size in frame 2 of those taken.*repair that frame, or end the clip before it with stop=..."
     )
     with pytest.raises(InputError, match=message):
         list(with_root_motion(frames, iter, "walk"))

@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from grouped_options import grouped
 from scipy.spatial.transform import Rotation
-from support.options import grouped
 
 from mimesh.bodies import load_body
 from mimesh.bodies.hands import hand_joints
@@ -266,7 +266,7 @@ def test_fits_to_other_shapes_stay_near_their_prediction(monkeypatch, fits):
 def test_fit_improves_on_the_network_alone():
     trial = PROTOCOLS["human-npt"].pair("val", "unseen", 1)
     with_fit, network_alone = (
-        pmd_aligned(transfer(trial.identity, trial.driving, model, **grouped(**AXES)).vertices, trial.truth)
+        pmd_aligned(transfer(trial.identity, trial.driving, model, **grouped(AXES)).vertices, trial.truth)
         for model in ("mime", "mime-network")
     )
     assert with_fit < 0.5e-4 < network_alone

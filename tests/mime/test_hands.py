@@ -4,8 +4,7 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
-from mimesh.pipeline.options import Hints
-from support.options import grouped
+from grouped_options import grouped
 
 import mimesh
 from mimesh.bodies import load_body
@@ -23,6 +22,7 @@ from mimesh.mime.hands import DIFFERENT_ABOVE, SAME_BELOW, settled_bends
 from mimesh.mime.prediction import NetworkPoints
 from mimesh.pipeline.file_rigs import NO_RIGS
 from mimesh.pipeline.joint_route import joint_route
+from mimesh.pipeline.known import Known
 from mimesh.pipeline.placed import KEYFRAMES, surface_motion
 
 pytestmark = pytest.mark.usefixtures("kept")
@@ -246,5 +246,5 @@ def test_a_fist_between_two_keyframes_moves_the_fingers():
     for gesture, joints in ((None, 31), ("fist", 61)):
         frames[95:99] = mesh(2, gesture).vertices
         clip = Clip(mesh(2), frames.astype(np.float32), 30.0)
-        route = joint_route(mesh(1), clip, model, Hints(tuple(AXES.values())), NO_RIGS)
+        route = joint_route(mesh(1), clip, model, Known(tuple(AXES.values())), NO_RIGS)
         assert len(route.retarget.character.joints) == joints

@@ -19,7 +19,7 @@ from mimesh.motions import load_bvh, load_motion, motion_clip, resample, window
 from mimesh.motions.motion import joint_tracks
 from mimesh.motions.on_body import is_motion_file, motion_of_file
 from mimesh.motions.retarget import BONES, rests_standing
-from mimesh.pipeline import driving_axes
+from mimesh.pipeline.read import driving_axes
 from mimesh.tools.inspect import inspect_file
 
 STANDING = ("t", "a", "lowered")

@@ -14,6 +14,7 @@ from smpl_files import Ch, chumpy_modules, loop_vertices, small_arrays, smpl_arr
 
 from mimesh.cli import run
 from mimesh.core.errors import InputError
+from mimesh.core.options import ConvertOptions
 from mimesh.io import load_clip, load_mesh, load_recorded_clip, load_recorded_mesh, save_clip
 from mimesh.motions.amass import parse_betas
 from mimesh.motions.smpl_clip import fitted_pose
@@ -350,10 +351,10 @@ def test_evenly_spread_frames_of_a_take_and_of_any_clip(small, tmp_path):
     for source, options in ((path, {"body_model": small}), (tmp_path / "whole.npz", {})):
         if not options:
             save_clip(whole, source)
-        written = convert(source, tmp_path / "few.npz", frames=6, **options)
+        written = convert(source, tmp_path / "few.npz", ConvertOptions(frames=6, **options))
         assert (written.frames, written.fps) == (6, 60.0)
         np.testing.assert_array_equal(load_clip(tmp_path / "few.npz").vertices, whole.vertices[::2])
     with pytest.raises(InputError, match="expected 12 frames or more, found 11"):
-        convert(path, tmp_path / "few.npz", frames=12, body_model=small)
+        convert(path, tmp_path / "few.npz", ConvertOptions(frames=12, body_model=small))
     with pytest.raises(InputError, match="expected no --step"):
-        convert(path, tmp_path / "few.npz", frames=3, step=2, body_model=small)
+        convert(path, tmp_path / "few.npz", ConvertOptions(frames=3, step=2, body_model=small))

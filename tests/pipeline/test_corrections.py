@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 from animals import small, small_clip
+from grouped_options import grouped
 from people import decimation
-from support.options import grouped
 
 from mimesh import InputError, animate, save_mesh, transfer
 from mimesh.bodies import load_body
@@ -38,20 +38,20 @@ def posed(seed):
 
 @pytest.fixture(scope="module")
 def plain():
-    return transfer(PERSON, posed(0), **grouped(**AXES))
+    return transfer(PERSON, posed(0), **grouped(AXES))
 
 
 def test_results_have_the_joints_of_both_meshes(plain):
     assert tuple(plain.joints) == tuple(plain.driving_joints) == BODY.joint_names
     found = np.array([plain.joints[name] for name in BODY.joint_names])
     assert np.linalg.norm(found - BODY.joints, axis=1).mean() < 0.01
-    assert transfer(PERSON, posed(0), "copy", **grouped(**AXES)).joints is None
+    assert transfer(PERSON, posed(0), "copy", **grouped(AXES)).joints is None
 
 
 def test_corrected_joints_are_where_they_were_put(plain):
     knee, elbow = plain.joints["LeftLeg"] + [0.04, 0, 0.02], plain.driving_joints["RightForeArm"] + [0, 0.03, 0]
     result = transfer(
-        PERSON, posed(0), **grouped(**AXES, joints={"LeftLeg": knee}, driving_joints={"RightForeArm": list(elbow)})
+        PERSON, posed(0), **grouped(AXES, joints={"LeftLeg": knee}, driving_joints={"RightForeArm": list(elbow)})
     )
     np.testing.assert_allclose(result.joints["LeftLeg"], knee, atol=1e-9)
     np.testing.assert_allclose(result.driving_joints["RightForeArm"], elbow, atol=1e-6)
@@ -66,7 +66,7 @@ def test_corrections_are_in_the_axes_and_unit_of_the_file(plain):
     shift = np.array([5.0, 300, -20])
     knee = plain.joints["LeftLeg"] + [0.04, 0, 0.02]
     turned = dataclasses.replace(PERSON, vertices=PERSON.vertices @ turn.T + shift)
-    expected = transfer(PERSON, posed(0), **grouped(**AXES, joints={"LeftLeg": knee}))
+    expected = transfer(PERSON, posed(0), **grouped(AXES, joints={"LeftLeg": knee}))
     axes = {**AXES, "up": "+z", "front": "+x"}
     result = transfer(turned, posed(0), **grouped(**axes, joints={"LeftLeg": turn @ knee + shift}))
     np.testing.assert_allclose(result.joints["LeftLeg"], turn @ knee + shift, atol=1e-6)
@@ -76,11 +76,11 @@ def test_corrections_are_in_the_axes_and_unit_of_the_file(plain):
 @pytest.mark.slow
 def test_truly_wrong_legs_are_mended():
     """The knees of a prediction are swapped by swapping the corrections; true ones bring the result back."""
-    plain = transfer(PERSON, posed(1), **grouped(**AXES))
+    plain = transfer(PERSON, posed(1), **grouped(AXES))
     swapped = {f"{a}{part}": plain.joints[f"{b}{part}"] for part in ("Leg", "Foot") for a, b in
                (("Left", "Right"), ("Right", "Left"))}  # fmt: skip
-    wrong = transfer(PERSON, posed(1), **grouped(**AXES, joints=swapped))
-    right = transfer(PERSON, posed(1), **grouped(**AXES, joints={name: plain.joints[name] for name in swapped}))
+    wrong = transfer(PERSON, posed(1), **grouped(AXES, joints=swapped))
+    right = transfer(PERSON, posed(1), **grouped(AXES, joints={name: plain.joints[name] for name in swapped}))
     errors = [np.linalg.norm(result.vertices - plain.vertices, axis=1).mean() for result in (wrong, right)]
     assert errors[1] < 0.004 < 0.01 < errors[0]
 
@@ -89,38 +89,38 @@ def test_truly_wrong_legs_are_mended():
 def test_a_file_names_the_frame_of_the_whole_clip(tmp_path):
     frames = np.stack([posed(seed).vertices for seed in range(3)])
     clip = Clip(dataclasses.replace(PERSON, vertices=frames[0], name="clip"), frames, 30.0)
-    last = transfer(PERSON, dataclasses.replace(PERSON, vertices=frames[2]), **grouped(**AXES))
+    last = transfer(PERSON, dataclasses.replace(PERSON, vertices=frames[2]), **grouped(AXES))
     elbow = last.driving_joints["LeftForeArm"]
     path = save_corrections(
         JointCorrections({"LeftForeArm": elbow}, 2, "clip.npz", len(PERSON.vertices)), tmp_path / "clip.joints.json"
     )
-    plain = animate(PERSON, clip, **grouped(**AXES, stop=2))
-    result = animate(PERSON, clip, **grouped(**AXES, stop=2, driving_joints=path))
+    plain = animate(PERSON, clip, **grouped(AXES, stop=2))
+    result = animate(PERSON, clip, **grouped(AXES, stop=2, driving_joints=path))
     assert len(result.clip) == 2
     moved = result.clip.vertices - plain.clip.vertices
     assert np.linalg.norm(moved - moved.mean(axis=1, keepdims=True), axis=-1).mean() < 0.03, "but for the place"
     with pytest.raises(InputError, match="has 3 counted from 0, found 3"):
-        animate(PERSON, clip, **grouped(**AXES, driving_joints=JointCorrections({"Head": elbow}, 3)))
+        animate(PERSON, clip, **grouped(AXES, driving_joints=JointCorrections({"Head": elbow}, 3)))
 
 
 @pytest.mark.slow
 def test_no_corrections_change_nothing(plain):
     for joints in (None, {}):
-        again = transfer(PERSON, posed(0), **grouped(**AXES, joints=joints, driving_joints=joints))
+        again = transfer(PERSON, posed(0), **grouped(AXES, joints=joints, driving_joints=joints))
         np.testing.assert_array_equal(again.vertices, plain.vertices)
 
 
 @pytest.mark.parametrize(
-    ("model", "message"), [("copy", "^joints: expected a model with joints"), ("npt", "choose another model")]
+    ("model", "message"), [("copy", "^joints: expected a model with joints"), ("npt", "choose another with model=...")]
 )
 def test_models_without_joints_refuse_corrections(model, message):
     with pytest.raises(InputError, match=message):
-        transfer(PERSON, posed(0), model, **grouped(**AXES, joints={"Head": (0, 1.6, 0)}))
+        transfer(PERSON, posed(0), model, **grouped(AXES, joints={"Head": (0, 1.6, 0)}))
 
 
 def test_unknown_joints_are_refused():
     with pytest.raises(InputError, match="did you mean LeftLeg"):
-        transfer(PERSON, posed(0), **grouped(**AXES, driving_joints={"LeftLegs": (0, 1.6, 0)}))
+        transfer(PERSON, posed(0), **grouped(AXES, driving_joints={"LeftLegs": (0, 1.6, 0)}))
 
 
 @pytest.fixture(scope="module")
@@ -172,9 +172,9 @@ def test_names_of_corrected_joints_say_what_both_meshes_are():
 def test_joints_of_an_animal_are_refused_for_people_and_for_other_creatures():
     joints = {"LeftThigh": (0, 0.9, 0)}
     with pytest.raises(InputError, match="expected names of joints, found 'LeftThigh'"):
-        transfer(PERSON, posed(0), **grouped(**AXES, body="human", joints=joints))
+        transfer(PERSON, posed(0), **grouped(AXES, body="human", joints=joints))
     with pytest.raises(InputError, match=r'^joints: expected people or four-legged animals, found body="other"'):
-        transfer(PERSON, posed(0), **grouped(**AXES, body="other", joints=joints))
+        transfer(PERSON, posed(0), **grouped(AXES, body="other", joints=joints))
 
 
 @pytest.mark.slow

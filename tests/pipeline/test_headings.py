@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from animals import small
+from grouped_options import grouped
 from matrix import matrix
 from people import person
-from support.options import grouped
 
 import mimesh
 from mimesh.bodies.animals import animal

@@ -8,11 +8,11 @@ import tracemalloc
 import numpy as np
 import pytest
 from animals import small, small_clip
+from grouped_options import grouped
 from matrix import matrix
 from networks import write_network, write_sequence_network
 from people import person, walk
 from rigs import of_kind
-from support.options import grouped
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import mimesh
@@ -244,12 +244,12 @@ def test_a_model_that_fails_in_a_frame_goes_on(driving):
         ({"root": "up"}, "^root: expected"),
         ({"threads": 0}, "threads: expected 1 or more"),
         ({"model": "npt", "root": "drop"}, "expected a model with joints"),
-        ({"front": "+q"}, "^front: expected"),
+        ({"hints": mimesh.Hints(front="+q")}, "^front: expected"),
     ],
 )
 def test_unusable_options_are_refused(driving, options, message):
     with pytest.raises(InputError, match=message):
-        mimesh.prepare(person(0), driving, **grouped(**options))
+        mimesh.prepare(person(0), driving, **options)
 
 
 def test_threads_of_linear_algebra_are_limited_during_a_frame_only(driving):

@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from grouped_options import grouped
 from networks import write_mime_network, write_network
 from people import person, walk
-from support.options import grouped
 from zoo import cube
 
 from mimesh.core.errors import InputError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rigs
-from support.options import grouped
+from grouped_options import grouped
 
 from mimesh.cli import run
 from mimesh.core.errors import InputError

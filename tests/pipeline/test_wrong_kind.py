@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 from animals import small
+from grouped_options import grouped
 from matrix import matrix
 from people import person
-from support.options import grouped
 from zoo import ring
 
 from mimesh.bodies.animals import animal

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from grouped_options import grouped
 from people import person as person_mesh
-from support.options import grouped
 
 from mimesh.bodies import load_body
 from mimesh.core.mesh import Mesh
@@ -244,7 +244,7 @@ def test_a_body_that_fits_badly_and_belongs_to_no_limb_is_of_another_kind():
     assert not Confidence(1.0, 3.0, {}).is_other_kind, "without a fit nothing is said"
     (note,) = wrong.notes("lamp")
     assert "lamp does not look like a person, as far as can be told" in note
-    assert "--body other" in note
+    assert 'body="other"' in note
     assert wrong.facts()["expected_error"] >= OTHER_KIND_ERROR
 
 

@@ -12,7 +12,7 @@ import httpx2
 import numpy as np
 import pytest
 import zoo
-from support.options import grouped
+from grouped_options import grouped
 
 import mimesh
 from mimesh import InputError

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grouped_options import grouped
 from matrix import matrix
 from people import person, walk
-from support.options import grouped
 from waiting import finished, wait_until
 
 from mimesh import InputError, animate, save_clip, save_mesh, transfer
@@ -226,7 +226,7 @@ def test_skinned_exports_need_a_model_with_joints(session, files):
     assert outcome.current, "models without joints ignore their options"
     number = session.export(".glb", [], True, None)
     wait_until(lambda: session.exports[number].error)
-    assert "another model" in session.exports[number].error
+    assert "another with the model" in session.exports[number].error
 
 
 def test_closing_deletes_the_files(files):

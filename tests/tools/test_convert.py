@@ -11,6 +11,7 @@ from motion_files import write_bvh
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
+from mimesh.core.options import ConvertOptions
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.formats import CLIP_WRITERS, MESH_WRITERS
 from mimesh.motions import load_motion, window
@@ -55,14 +56,14 @@ def test_clips_are_kept_and_become_meshes(suffix, tmp_path):
         np.testing.assert_array_equal(loaded.mesh.faces, clip().mesh.faces)
         assert loaded.fps == 30
     for frame in (None, -1):
-        convert(source, tmp_path / "b.off", frame=frame)
+        convert(source, tmp_path / "b.off", ConvertOptions(frame=frame))
         np.testing.assert_allclose(load_mesh(tmp_path / "b.off").vertices, clip().vertices[frame or 0], atol=1e-6)
 
 
 def test_a_frame_that_is_not_there_is_refused(tmp_path):
     save_clip(clip(), tmp_path / "a.npz")
     with pytest.raises(InputError, match="expected --frame below its 4 frames, found 9"):
-        convert(tmp_path / "a.npz", tmp_path / "b.off", frame=9)
+        convert(tmp_path / "a.npz", tmp_path / "b.off", ConvertOptions(frame=9))
 
 
 @pytest.mark.parametrize("suffix", MESHES)
@@ -81,7 +82,7 @@ def test_meshes_are_kept_and_their_colours_kept_or_noted_as_lost(suffix, tmp_pat
 
 def test_range_of_frames_is_converted(tmp_path):
     save_clip(clip(), tmp_path / "a.npz")
-    assert convert(tmp_path / "a.npz", tmp_path / "b.npz", start=1, step=2).fps == 15
+    assert convert(tmp_path / "a.npz", tmp_path / "b.npz", ConvertOptions(start=1, step=2)).fps == 15
     np.testing.assert_array_equal(load_clip(tmp_path / "b.npz").vertices, clip().vertices[1::2])
 
 
@@ -103,12 +104,12 @@ def test_movies_have_all_frames(suffix, tmp_path):
 
 def test_notes_name_what_is_lost(tmp_path):
     save_clip(clip(), tmp_path / "a.npz")
-    assert "first of 4 frames" in convert(tmp_path / "a.npz", tmp_path / "b.obj", frame=None).notes[-1]
+    assert "first of 4 frames" in convert(tmp_path / "a.npz", tmp_path / "b.obj", ConvertOptions(frame=None)).notes[-1]
     with pytest.raises(InputError, match="for blendshapes"):
-        convert(tmp_path / "a.npz", tmp_path / "b.webp", blendshapes=3)
+        convert(tmp_path / "a.npz", tmp_path / "b.webp", ConvertOptions(blendshapes=3))
     with pytest.raises(InputError, match=r"expected no .*blendshapes"):
-        convert(tmp_path / "a.npz", tmp_path / "b.obj", blendshapes=3)
-    notes = convert(tmp_path / "a.npz", tmp_path / "b.glb", blendshapes=3).notes
+        convert(tmp_path / "a.npz", tmp_path / "b.obj", ConvertOptions(blendshapes=3))
+    notes = convert(tmp_path / "a.npz", tmp_path / "b.glb", ConvertOptions(blendshapes=3)).notes
     assert "no vertex is farther than" in notes[-1]
 
 
@@ -118,11 +119,11 @@ def test_options_without_effect_are_refused(tmp_path):
     mesh, frames = tmp_path / "b.obj", tmp_path / "b.npz"
     for options in ({"fps": 12.0}, {"animation": "Run"}, {"start": 1}, {"stop": 2}, {"step": 2}, {"blendshapes": 2}):
         with pytest.raises(InputError, match=f"expected no --{next(iter(options))} "):
-            convert(tmp_path / "a.glb", mesh, **options)
+            convert(tmp_path / "a.glb", mesh, ConvertOptions(**options))
     with pytest.raises(InputError, match="expected no --start"):
-        convert(tmp_path / "a.glb", mesh, frame=1, start=1)
+        convert(tmp_path / "a.glb", mesh, ConvertOptions(frame=1, start=1))
     with pytest.raises(InputError, match="expected a folder with --frames-as"):
-        convert(tmp_path / "a.glb", frames, frames_as=".obj")
+        convert(tmp_path / "a.glb", frames, ConvertOptions(frames_as=".obj"))
     assert not mesh.exists()
     assert not frames.exists()
 
@@ -130,10 +131,10 @@ def test_options_without_effect_are_refused(tmp_path):
 @pytest.mark.parametrize("name", ["b.pc2", "b.npy", "b"])
 def test_lost_frame_rate_is_noted(name, tmp_path):
     save_clip(clip(), tmp_path / "a.glb")
-    written = convert(tmp_path / "a.glb", tmp_path / name, fps=24.0)
+    written = convert(tmp_path / "a.glb", tmp_path / name, ConvertOptions(fps=24.0))
     assert f"read {name} with --fps 24" in " ".join(written.notes)
     assert load_clip(tmp_path / name, fps=24.0).fps == 24.0
-    assert "--fps" not in " ".join(convert(tmp_path / "a.glb", tmp_path / name, fps=30.0).notes)
+    assert "--fps" not in " ".join(convert(tmp_path / "a.glb", tmp_path / name, ConvertOptions(fps=30.0)).notes)
 
 
 def test_assumed_frame_rate_is_noted(tmp_path):
@@ -158,7 +159,7 @@ def test_pose_of_a_mesh_from_a_clip_is_noted(tmp_path):
     assert convert(tmp_path / "a.glb", tmp_path / "b.obj").notes == (
         "b.obj is the mesh at rest; --frame takes a pose of its animation",
     )
-    assert convert(tmp_path / "a.glb", tmp_path / "c.obj", frame=2).notes == ()
+    assert convert(tmp_path / "a.glb", tmp_path / "c.obj", ConvertOptions(frame=2)).notes == ()
 
 
 def test_unknown_suffixes_are_refused(tmp_path):

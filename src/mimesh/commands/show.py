@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -113,6 +114,8 @@ def convert(
 
     refuse_existing(printed.no_clobber, target)
     refuse_inputs(target, source, None if options.body_model is None else Path(options.body_model))
+    animation: Any = options.animation  # a list: Typer would take the last of several without a word
+    options = dataclasses.replace(options, animation=single("--animation", animation))
     with progress("frames", printed.silent) as advance:
         written = convert_file(source, target, options, advance)
     facts = {"output": str(target), "vertices": written.vertices, "frames": written.frames, "fps": written.fps}

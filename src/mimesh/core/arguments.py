@@ -36,6 +36,9 @@ def public(function: F) -> F:
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
+        for name in kwargs.keys() - signature.parameters.keys():
+            if hint := _option_of(name, signature, function.__globals__):
+                raise ArgumentError(f"{function.__name__}: expected {name} among its options; give {hint}")
         check_call(function.__name__, signature, names, args, kwargs)
         return function(*args, **kwargs)
 
@@ -48,7 +51,7 @@ def check_call(
     """Raise InputError for arguments that are missing, unknown or of another kind than the annotation says."""
     for name in given:
         if name not in signature.parameters:
-            hint = _in_options(name, signature) or did_you_mean(name, names, CLOSE) or f"; it has {', '.join(names)}"
+            hint = did_you_mean(name, names, CLOSE) or f"; it has {', '.join(names)}"
             raise ArgumentError(f"{function}: expected arguments that it has, found {name}{hint}")
     try:
         bound = signature.bind(*args, **given)
@@ -61,14 +64,12 @@ def check_call(
             check_kind(name, value, str(signature.parameters[name].annotation))
 
 
-def _in_options(name: str, signature: inspect.Signature) -> str:
-    """Return the end of a message about an argument that is a field of options which the function has, or ""."""
-    from . import options
-
+def _option_of(name: str, signature: inspect.Signature, known: dict[str, Any]) -> str:
+    """Return how to give a field of a class of options, if a function has an argument of such a class; else ""."""
     for parameter in signature.parameters.values():
-        kind = getattr(options, str(parameter.annotation), None)
+        kind = known.get(str(parameter.annotation))
         if name in getattr(kind, "__dataclass_fields__", ()):
-            return f"; give {parameter.name}=mimesh.{parameter.annotation}({name}=...)"
+            return f"{parameter.name}=mimesh.{parameter.annotation}({name}=...)"
     return ""
 
 

@@ -56,7 +56,7 @@ def python_name(name: str, value: object = None) -> str:
 
 def command_line_name(name: str, value: object = None) -> str:
     """Name an option of the command line: --root, --root drop."""
-    flag = "-m" if name == "model" else "--" + name.replace("_", "-")
+    flag = "-m" if name == "model" and value is not None else "--" + name.replace("_", "-")
     return flag if value is None or value is ... else f"{flag} {value}"
 
 

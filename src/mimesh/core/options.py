@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from .errors import InputError, option
 
 if TYPE_CHECKING:
-    from ..motions.humanoid_rig import HumanoidRig
     from .joint_corrections import JointCorrections
     from .mesh import Mesh
 
@@ -85,7 +84,7 @@ class Hints:
     """As `up`, of the driving."""
     driving_front: str | None = declared(None, AXIS, metavar="AXIS")
     """As `front`, of the driving."""
-    rig: str | HumanoidRig = declared(
+    rig: Any = declared(
         "own", "own: keep the bones of the file, if it has any; mimesh: find joints (both mime).", ("own", "mimesh"),
         kind=str,
     )  # fmt: skip
@@ -115,7 +114,14 @@ class Hints:
         return self.up, self.front, self.driving_up, self.driving_front
 
     def check_single(self) -> None:
-        """Raise InputError for a hint on a driving, where there is one mesh or clip."""
+        """Check that there is no hint on a driving, where there is one mesh or clip.
+
+        Raises:
+            InputError: there is one.
+
+        Example:
+            >>> mimesh.Hints(up="+y").check_single()
+        """
         for name in ("driving_up", "driving_front", "driving_joints"):
             if getattr(self, name) is not None:
                 raise InputError(f"{name}: expected hints on one mesh or clip, found this; leave `driving_` out")
@@ -132,11 +138,13 @@ class FrameRange:
     """
 
     start: int = declared(0, "First frame to take, counted from 0.")
+    """First frame to take, counted from 0."""
     stop: int | None = declared(None, "Frame to stop before.")
+    """Frame to stop before; None takes all."""
     step: int = declared(1, "Take every so many frames.")
-    """The result then has the rate fps / step, so that its speed is the clip's."""
+    """Take every `step`-th frame; the result then has the rate fps / step, so that its speed is the clip's."""
     fps: float | None = declared(None, "Frame rate of the clip, where its files do not say.")
-    """Frame rate of the clip, where its file has none or a wrong one."""
+    """Frame rate of the clip (frames a second), where its file has none or a wrong one."""
 
     @property
     def slice(self) -> slice:
@@ -188,7 +196,17 @@ class MotionOptions:
         return self.root != "scale" or self.smooth > 0
 
     def refuse_without_joints(self, model: str) -> None:
-        """Raise InputError if a value needs joints, which a model has not."""
+        """Check that no value needs joints, which a model has not.
+
+        Args:
+            model: its name.
+
+        Raises:
+            InputError: one does.
+
+        Example:
+            >>> mimesh.MotionOptions(ground=False).refuse_without_joints("npt")
+        """
         for field in dataclasses.fields(self):
             if field.name != "ground" and getattr(self, field.name) not in (field.default, None):
                 raise needs_joints(field.name, model)
@@ -309,7 +327,10 @@ class ConvertOptions(FrameRange):
     fps: float | None = declared(None, "Of IN, where it does not say; else to sample it at.")
     """Files with times are sampled at this rate, others are played at it."""
     animation: str | None = declared(
-        None, "Which animation of a GLB or clip of an HDF5 file: its name or number.", metavar="NAME"
+        None,
+        "Which animation of a GLB or clip of an HDF5 file: its name or number.",
+        kind=list[str] | None,
+        metavar="NAME",
     )
     frame: int | None = declared(None, "This frame alone, counted from 0.")
     frames: int | None = declared(None, "So many frames, evenly spread from first to last.", min=1)

@@ -154,7 +154,7 @@ def _save_blend_shapes(clip: Clip, path: Path, progress: Progress | None, blends
 
     if path.suffix.lower() not in (".glb", ".gltf"):
         raise InputError(
-            f"{path}: expected .glb or .gltf for {option('blendshapes', ...)}, found '{path.suffix}'; leave it out"
+            f"{path}: expected .glb or .gltf for {option('blendshapes')}, found '{path.suffix}'; leave it out"
         )
     with writing(path), whole_file(path) as temporary:
         return write_gltf_clip(clip, temporary, progress, blendshapes)

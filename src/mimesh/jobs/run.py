@@ -505,7 +505,7 @@ def _do_on_cluster(tasks: Mapping[int, BatchTask], address: str) -> Generator[tu
         ray: Any = import_module("ray")
     except ImportError:
         raise InputError(
-            f"ray: expected it for {option('cluster', ...)}, found it not installed; pip install 'mimesh[cluster]'"
+            f"ray: expected it for {option('cluster')}, found it not installed; pip install 'mimesh[cluster]'"
         ) from None
     if not tasks:
         return

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from ..bodies.joint_names import parents_first
 from ..core.arguments import public
-from ..core.errors import InputError, option
+from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted, each_frame
 from ..core.geometry import turned
 from ..core.joint_tracks import JointTrack
@@ -179,9 +179,7 @@ def capture(
             track = motion.tracked(counted(normalised, len(taken), progress), taken.fps, first.name)
         track = track.smoothed(smooth)
     report = facing(norm)
-    notes = (
-        facing_note(norm, first.name, option("front")) + rigs.notes + taken.notes + far_frames_note(taken, first.name)
-    )
+    notes = facing_note(norm, first.name, "front") + rigs.notes + taken.notes + far_frames_note(taken, first.name)
     if motion.confidence is not None:
         report |= motion.confidence.facts()
         notes = motion.confidence.notes(first.name) + notes

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.animated_rig import AnimatedRig
-from ..core.errors import InputError, option
+from ..core.errors import InputError
 from ..core.frame_buffer import LazyFrames, evenly_spread
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, turn
@@ -109,8 +109,8 @@ class Placed:
         Args:
             keeps_file: nothing in the file of the identity gets lost.
         """
-        notes = facing_note(self.norms[0], self.names[0], option("front"))
-        notes += facing_note(self.norms[1], self.names[1], option("driving_front"))
+        notes = facing_note(self.norms[0], self.names[0], "front")
+        notes += facing_note(self.norms[1], self.names[1], "driving_front")
         of_file = () if keeps_file else tuple(getattr(self.identity.source, "notes", ()))
         missing = missing_images_notes(missing_images(self.identity))
         return self.notes + notes + self.rigs.notes + of_file + missing

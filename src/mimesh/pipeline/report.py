@@ -7,6 +7,7 @@ from typing import Literal, NotRequired, TypedDict
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..core.errors import option
 from ..core.frame_buffer import LazyFrames, evenly_spread
 from ..core.geometry import edges, face_vectors
 from ..core.mesh import Clip, Mesh
@@ -203,17 +204,22 @@ def facing(norm: Normalization) -> MeshReport:
     }
 
 
-def facing_note(norm: Normalization, name: str, option: str) -> tuple[str, ...]:
-    """Return notes for the user if the file's up contradicts the shape, or axes were detected with a small margin."""
+def facing_note(norm: Normalization, name: str, front: str) -> tuple[str, ...]:
+    """Return notes for the user if the file's up contradicts the shape, or axes were detected with a small margin.
+
+    `front` is the option of the front.
+    """
     notes = ()
     if norm.shape_up is not None:
         notes += (
             f"the file of {name} defines up {norm.up}, its shape looks like up {norm.shape_up}; "
-            f"give {option.replace('front', 'up')} {norm.shape_up} if the file is wrong",
+            f"give {option(front.replace('front', 'up'), norm.shape_up)} if the file is wrong",
         )
     if not norm.unsure:
         return notes
-    return notes + (f"the facing of {name} is uncertain (taken: up {norm.up}, front {norm.front}); give {option}",)
+    return notes + (
+        f"the facing of {name} is uncertain (taken: up {norm.up}, front {norm.front}); give {option(front, ...)}",
+    )
 
 
 def accelerations(driving: Clip, moved: LazyFrames) -> dict[str, dict[str, float]]:

@@ -164,7 +164,7 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, timer: Timer) -> RiggedMesh:
 
     seen, character, norm = found_alone(mime, subject, known.asked_body, find)
     report = facing(norm)
-    notes = facing_note(norm, mesh.name, option("front")) + rigs.notes
+    notes = facing_note(norm, mesh.name, "front") + rigs.notes
     if rigs.humanoid is not None:
         report["up_from"] = "joints" if known.axes[0] is None else "given"
         notes += (f"{mesh.name} has a rig, which is kept; {option('rig', 'mimesh')} replaces it",)

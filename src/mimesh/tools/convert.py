@@ -369,12 +369,8 @@ def size_note(path: Path) -> tuple[str, ...]:
     """Return a note on how to make a clip smaller, if its file is large."""
     if not path.is_file() or (size := path.stat().st_size) < LARGE:
         return ()
-    joints = (
-        f", and {option('skinned', ...)} writes joints instead of frames"
-        if path.suffix.lower() in (".glb", ".gltf")
-        else ""
-    )
-    return (f"{path.name} has {size / 2**20:,.0f} MiB: {option('step')} takes fewer frames{joints}",)
+    joints = ", and --skinned writes joints instead of frames" if path.suffix.lower() in (".glb", ".gltf") else ""
+    return (f"{path.name} has {size / 2**20:,.0f} MiB: --step takes fewer frames{joints}",)
 
 
 def rate_note(fps: float, path: Path) -> tuple[str, ...]:
@@ -382,14 +378,14 @@ def rate_note(fps: float, path: Path) -> tuple[str, ...]:
     suffix = path.suffix.lower()
     if (suffix and suffix not in RATELESS) or fps == DEFAULT_FPS:
         return ()
-    return (f"{suffix or 'folders of'} files have no frame rate: read {path.name} with {option('fps', f'{fps:g}')}",)
+    return (f"{suffix or 'folders of'} files have no frame rate: read {path.name} with --fps {fps:g}",)
 
 
 def taken_rate_note(clip: Clip, path: Path) -> tuple[str, ...]:
     """Return a note that the frame rate of a clip was assumed, because neither its files nor the user gave it."""
     if len(clip) == 1 or not (path.is_dir() or path.suffix.lower() in RATELESS):
         return ()
-    return (f"{path.name} has no frame rate: {clip.fps:g} frames a second are taken; {option('fps')} gives another",)
+    return (f"{path.name} has no frame rate: {clip.fps:g} frames a second are taken; --fps gives another",)
 
 
 def resampled_note(frames: int, fps: float, output_fps: float | None) -> tuple[str, ...]:

@@ -243,7 +243,7 @@ def fit_blend_shapes(clip: Clip, count: int, progress: Progress | None = None) -
     signed = _component_weights(gram, min(count, frames - 1))
     if not signed.size:
         raise InputError(
-            f"{clip.mesh.name}: expected a clip that moves for {option('blendshapes', ...)}, found none; leave it out"
+            f"{clip.mesh.name}: expected a clip that moves for {option('blendshapes')}, found none; leave it out"
         )
     # Shift and scale the weights to 0..1. The shift is made up for by the base: frame 0 plus `to_base` @ differences.
     low, extent = signed.min(axis=0), np.ptp(signed, axis=0)

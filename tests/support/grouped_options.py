@@ -10,11 +10,14 @@ from mimesh.core.options import FrameRange, Hints, ModelOptions, MotionOptions
 CLASSES = {"hints": Hints, "options": ModelOptions, "motion": MotionOptions, "frames": FrameRange}
 
 
-def grouped(**options: Any) -> dict[str, Any]:
+def grouped(known: Hints | None = None, /, **options: Any) -> dict[str, Any]:
     """Return keyword arguments of `transfer`, `animate` and others: options in their classes, all else as it is."""
     arguments = {}
     for name, kind in CLASSES.items():
         fields = {field.name for field in dataclasses.fields(kind)} & options.keys()
-        if fields:
-            arguments[name] = kind(**{field: options.pop(field) for field in fields})
+        given = {field: options.pop(field) for field in fields}
+        if kind is Hints and known is not None:
+            arguments[name] = dataclasses.replace(known, **given)
+        elif given:
+            arguments[name] = kind(**given)
     return arguments | options
