@@ -174,7 +174,7 @@ def test_a_rig_that_is_no_person_is_refused():
     renamed = replace(rig, names=tuple(f"bone{j}" for j in range(31)))
     with pytest.raises(InputError, match=r"names=\"godot\": expected joints for a whole person, found none for Hips"):
         engine_rig(renamed, "godot")
-    with pytest.raises(InputError, match=r"--rest T: expected joints"):
+    with pytest.raises(InputError, match=r"rest=\"T\": expected joints"):
         engine_rig(renamed, rest="T")
 
 

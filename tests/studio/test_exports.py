@@ -13,6 +13,7 @@ from mimesh import animate, load_clip, save_clip, save_mesh
 from mimesh.bodies.engine_rig import Layout
 from mimesh.studio import make_session
 from mimesh.studio.exports import formats
+from mimesh.studio.fields import field_name
 from mimesh.studio.operations import for_page
 
 
@@ -72,14 +73,14 @@ def test_vrm_animations_of_a_mesh_with_a_rig_have_its_bones(moved, tmp_path):
 
 
 def test_messages_name_fields_of_the_page(tmp_path):
-    for text, expected in (
-        ("--names unreal: expected joints", "bone names unreal: expected joints"),
-        ("--rest T: expected joints", "rest pose T: expected joints"),
-        ("read a.pc2 with --fps 24", "read a.pc2 with a frame rate of 24"),
-        ("-m mime moves it, and --body human says", "the model mime moves it, and body human says"),
-        (f"{tmp_path}/exports/3/files/a.vrma: expected", "a.vrma: expected"),
+    for named, expected in (
+        (("names",), "bone names"),
+        (("rest", "T"), "“rest pose: T”"),
+        (("rig", "mimesh"), "“bones: found on the surface”"),
+        (("driving_up", ...), "up of the driving"),
     ):
-        assert for_page(text, tmp_path) == expected
+        assert field_name(*named) == expected
+    assert for_page(f"{tmp_path}/exports/3/files/a.vrma: expected", tmp_path) == "a.vrma: expected"
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ Lists, integers and tensors become arrays (`as_vertices` and others); messages s
 
 from __future__ import annotations
 
+import difflib
 import functools
 import inspect
 import numbers
@@ -37,8 +38,7 @@ def public(function: F) -> F:
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         for name in kwargs.keys() - signature.parameters.keys():
-            if hint := _option_of(name, signature, function.__globals__):
-                raise ArgumentError(f"{function.__name__}: expected {name} among its options; give {hint}")
+            _refuse_option(function.__name__, name, signature, function.__globals__)
         check_call(function.__name__, signature, names, args, kwargs)
         return function(*args, **kwargs)
 
@@ -64,13 +64,16 @@ def check_call(
             check_kind(name, value, str(signature.parameters[name].annotation))
 
 
-def _option_of(name: str, signature: inspect.Signature, known: dict[str, Any]) -> str:
-    """Return how to give a field of a class of options, if a function has an argument of such a class; else ""."""
-    for parameter in signature.parameters.values():
-        kind = known.get(str(parameter.annotation))
-        if name in getattr(kind, "__dataclass_fields__", ()):
-            return f"{parameter.name}=mimesh.{parameter.annotation}({name}=...)"
-    return ""
+def _refuse_option(function: str, name: str, signature: inspect.Signature, known: dict[str, Any]) -> None:
+    """Raise InputError for an argument that is, or is nearly, a field of a class of options that a function takes."""
+    fields = {
+        field: f"{parameter.name}=mimesh.{parameter.annotation}({field}=...)"
+        for parameter in signature.parameters.values()
+        for field in getattr(known.get(str(parameter.annotation)), "__dataclass_fields__", ())
+    }
+    close = difflib.get_close_matches(name.replace("-", "_"), fields, 1, CLOSE)
+    if close:
+        raise ArgumentError(f"{function}: expected {close[0]} among its options, found {name}; give {fields[close[0]]}")
 
 
 def check_kind(name: str, value: object, annotation: str) -> None:

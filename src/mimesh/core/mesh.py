@@ -355,7 +355,7 @@ def check_cut(name: str, count: int, frames: slice) -> None:
         raise InputError(f"{option('step')}: expected 1 or more, found {frames.step}; give a positive number")
     if not len(range(count)[frames]):
         raise InputError(
-            f"{name}: expected {option('start')} and {option('stop', ...)} within its {count} frames, found "
+            f"{name}: expected {option('start')} and {option('stop')} within its {count} frames, found "
             f"{frames.start or 0} to "
             f"{'the end' if frames.stop is None else frames.stop}, which leaves none; change them"
         )
