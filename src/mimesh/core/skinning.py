@@ -206,10 +206,17 @@ class SkinnedMesh:
         self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
     ) -> Float[np.ndarray, "T V 3"]:
         """Compute few vertices in many frames at once; see `posed`."""
-        positions = self.joint_positions(rotation, root)[:, :, None]
-        maps = np.concatenate([rotation.swapaxes(-1, -2), positions], axis=2).astype(np.float32)
-        blocks = [block.packed @ maps[:, block.joints].reshape(len(maps), -1, 3) for block in self.blocks]
-        return np.concatenate(blocks, axis=1).take(self.place, axis=1).astype(np.float64)
+        return self.posed_frames_at(rotation, self.joint_positions(rotation, root))
+
+    def posed_frames_at(
+        self, rotation: Float[np.ndarray, "T J 3 3"], positions: Float[np.ndarray, "T J 3"]
+    ) -> Float[np.ndarray, "T V 3"]:
+        """Compute few vertices in many frames at once; see `posed_at`."""
+        maps = np.concatenate([rotation, positions[..., None]], axis=3).swapaxes(1, 2).astype(np.float32)
+        # Three rows for each frame: one product instead of one a frame.
+        blocks = [maps[:, :, block.joints].reshape(3 * len(maps), -1) @ block.packed.T for block in self.blocks]
+        vertices = np.concatenate(blocks, axis=1).take(self.place, axis=1).astype(np.float64)
+        return vertices.reshape(len(maps), 3, -1).swapaxes(1, 2)
 
     def joint_positions(
         self, rotation: Float[np.ndarray, "*T J 3 3"], root: Float[np.ndarray, "*T 3"]

@@ -258,7 +258,7 @@ def normal_matrices(linear: Float[np.ndarray, "M 3 3"]) -> Float[np.ndarray, "M 
 
 def inner_products(a: Float[np.ndarray, "*N C"], b: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N 1"]:
     """Return the inner product of each pair of rows."""
-    return (a[..., None, :] @ b[..., :, None])[..., 0]
+    return np.einsum("...c,...c->...", a, b)[..., None]
 
 
 def normalized_quaternions(quat_xyzw: Float[np.ndarray, "*N 4"]) -> Float[np.ndarray, "*N 4"]:
