@@ -233,8 +233,11 @@ def rotate_axes(
     vertices: Float[np.ndarray, "*T V 3"], rotation: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "*T V 3"]:
     """Apply an axis rotation by permuting coordinates and signs, which is exact."""
-    source = np.abs(rotation).argmax(axis=1)
-    return vertices[..., source] * rotation.sum(axis=1) + 0.0  # no negative zeros: `weld` would separate them
+    source, signs = np.abs(rotation).argmax(axis=1), rotation.sum(axis=1)
+    rotated = np.empty(vertices.shape, np.result_type(vertices, signs))
+    for k in range(3):  # three times as fast as rows of three
+        rotated[..., k] = vertices[..., source[k]] * signs[k] + 0.0  # no negative zeros: `weld` would separate them
+    return rotated
 
 
 def _axis_rotations() -> tuple[tuple[tuple[str, str], ...], Float[np.ndarray, "24 3 3"]]:
