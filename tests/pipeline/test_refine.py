@@ -10,7 +10,7 @@ from mimesh.core.geometry import edges
 from mimesh.core.mesh import Mesh
 from mimesh.evaluate.metrics import pmd_aligned
 from mimesh.pipeline.refine import Refinement
-from mimesh.pipeline.report import edge_stretch
+from mimesh.pipeline.report import edge_lengths, edge_stretch
 
 IDENTITY, POSED = person(0), person(0, pose=2)
 
@@ -28,7 +28,8 @@ def test_noise_is_smoothed_and_the_pose_is_kept():
     refined = Refinement.of(IDENTITY)(rough)
     pairs = edges(IDENTITY.faces)
     assert pmd_aligned(refined, POSED.vertices) < 1.2 * pmd_aligned(rough, POSED.vertices)
-    before, after = (edge_stretch(POSED.vertices, v, pairs).mean() - 1 for v in (rough, refined))
+    posed = edge_lengths(POSED.vertices, pairs)
+    before, after = (edge_stretch(posed, edge_lengths(v, pairs)).mean() - 1 for v in (rough, refined))
     assert after < 0.5 * before
     clean = Refinement.of(IDENTITY)(POSED.vertices)
     assert pmd_aligned(clean, POSED.vertices) < 1e-4

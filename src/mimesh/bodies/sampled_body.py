@@ -183,7 +183,6 @@ class PosedBody:
         joints: (J, 3), p_j.
         linear: (J, 3, 3), L_j.
         lengthwise: (J, 3, 3), the part s R_j l_j A_j of L_j.
-        offset: (N, J, 3), o_ij.
     """
 
     def __init__(self, body: SampledBody, state: BodyState) -> None:
@@ -195,13 +194,14 @@ class PosedBody:
         self.lengthwise, self._crosswise = scaled_rotation @ (length * body.along), scaled_rotation @ (girth * across)
         self.linear = self.lengthwise + self._crosswise
         self.rest_joints = body.joints + body.joint_components @ state.shape
-        self.offset = (body.vertices + body.components @ state.shape)[:, None] - self.rest_joints
+        # Coordinates come first: products over rows of three take several times as long.
+        self._offset = (body.vertices + body.components @ state.shape).T[..., None] - self.rest_joints.T[:, None]
         bones = self.rest_joints[1:] - self.rest_joints[list(body.parents[1:])]
         self.joints = place_joints(state.root, bones, self.linear, body.parents)
         # Contribution of each joint to each point, w_ij (p_j + L_j o_ij).
-        moved = body.weights[..., None] * np.einsum("jab,njb->nja", self.linear, self.offset)
-        self.contributions = moved + body.weights[..., None] * self.joints
-        self.points = self.contributions.sum(axis=1)
+        self._moved = self._by_joints(self.linear)
+        self._contributions = self._moved + body.weights * self.joints.T[:, None]
+        self.points = np.ascontiguousarray(self._contributions.sum(axis=2).T)
         # Normals transform with the inverse transpose of L_j; the scale does not matter.
         normals = state.rotation @ (body.along / length + across / girth)
         self.normals = _unit(np.einsum("nab,nb->na", self._blended(normals), body.normals))
@@ -209,29 +209,14 @@ class PosedBody:
     def along(self, index: Int[np.ndarray, " M"], direction: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, "M U"]:
         """Compute direction_m . dx_index[m] / du for all unknowns u: how far points move along given directions.
 
-        These are rows of the Jacobian of point-to-plane distances. They are computed without the full Jacobian
-        (3 N x U): directions are first transformed to the frames of the joints.
+        These are rows of the Jacobian of point-to-plane distances.
         """
-        body, n = self.body, direction
-        weights, by_joints = body.weights[index], self._joint_jacobian.copy()
-        # Shape and bones. The part of the joints, sum_j w_ij (dp_j - L_j cj_jk):
-        shapes = body.components.shape[2]
-        by_joints[:, :, :shapes] -= self.linear @ body.joint_components
-        by_person = (weights[..., None] * n[:, None]).reshape(len(n), -1) @ by_joints.reshape(-1, by_joints.shape[2])
-        # plus sum_j w_ij L_j c_ik, with the blended matrix applied to the direction,
-        at_rest = np.einsum("nab,na->nb", self._blended(self.linear)[index], n)
-        by_person[:, :shapes] += (at_rest[:, None] @ body.components[index])[:, 0]
-        # plus the parts of length and girth of L_j o_ij, summed over the joints of each kind.
-        offset = self.offset[index]
-        lengthwise, both = (
-            weights * np.einsum("nja,nja->nj", _in_joint_frames(n, linear), offset)
-            for linear in (self.lengthwise, self.linear)
-        )
-        kinds = np.concatenate([lengthwise @ body.one_hot, (both - lengthwise) @ body.one_hot], axis=1)
-        by_person[:, shapes:] += kinds
+        n = direction
         size = ((self.points[index] - self.joints[0]) * n).sum(axis=1, keepdims=True)
+        by_person = (n[:, None] @ self._person_jacobian[index])[:, 0]
         # n . (t x arm) = t . (arm x n)
-        turns = _cross(self._arms[index], n[:, None]).reshape(len(n), -1)
+        (ax, ay, az), (nx, ny, nz) = self._arms[:, index], n.T[..., None]
+        turns = np.stack([ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx], axis=-1).reshape(len(n), -1)
         return np.concatenate([size, n, by_person, turns], axis=1)
 
     def of_joints(self) -> Float[np.ndarray, "R U"]:
@@ -260,10 +245,40 @@ class PosedBody:
         return np.stack(jacobians)
 
     @cached_property
-    def _arms(self) -> Float[np.ndarray, "N J 3"]:
+    def _person_jacobian(self) -> Float[np.ndarray, "N 3 D"]:
+        """Derivatives of the points by shape and bones, D = K + 2 G."""
+        body, shapes = self.body, self.state.shape.size
+        # The part of the joints, sum_j w_ij (dp_j - L_j cj_jk),
+        by_joints = self._joint_jacobian.copy()
+        by_joints[:, :, :shapes] -= self.linear @ body.joint_components
+        jacobian = (body.weights @ by_joints.reshape(len(by_joints), -1)).reshape(-1, *by_joints.shape[1:])
+        # plus sum_j w_ij L_j c_ik,
+        jacobian[:, :, :shapes] += self._blended(self.linear) @ body.components
+        # plus the parts of length and girth of L_j o_ij, summed over the joints of each kind.
+        lengthwise = self._by_joints(self.lengthwise)
+        kinds = [lengthwise @ body.one_hot, (self._moved - lengthwise) @ body.one_hot]
+        jacobian[:, :, shapes:] += np.concatenate(kinds, axis=2).swapaxes(0, 1)
+        return jacobian
+
+    @cached_property
+    def _arms(self) -> Float[np.ndarray, "3 N J"]:
         """Lever arm of each joint j at each point: sum over descendants k of w_ik (p_k + L_k o_ik - p_j)."""
-        below = self.body.below
-        return below @ self.contributions - (self.body.weights @ below.T)[..., None] * self.joints
+        below = self.body.below.T
+        return self._contributions @ below - (self.body.weights @ below) * self.joints.T[:, None]
+
+    def contributions(self, chosen: Bool[np.ndarray, " N"]) -> Float[np.ndarray, "M J 3"]:
+        """Return what each joint adds to some points, w_ij (p_j + L_j o_ij)."""
+        return np.moveaxis(self._contributions[:, chosen], 0, -1)
+
+    def offsets(self, chosen: Bool[np.ndarray, " N"]) -> Float[np.ndarray, "M J 3"]:
+        """Return the offsets of some points from each joint at rest, o_ij."""
+        return np.moveaxis(self._offset[:, chosen], 0, -1)
+
+    def _by_joints(self, matrices: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "3 N J"]:
+        """Apply a matrix of each joint to the offsets of the points from it, times their weights."""
+        rows = np.moveaxis(matrices, 0, -1)  # (3, 3, J)
+        x, y, z = self._offset
+        return np.stack([(a * x + b * y + c * z) * self.body.weights for a, b, c in rows])
 
     def _blended(self, matrices: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "N 3 3"]:
         return blend_matrices(self.body.weights, matrices)
@@ -289,17 +304,6 @@ def bone_directions(body: RiggedBody) -> tuple[Float[np.ndarray, "J 3"], Bool[np
 def kinds_of_bones(body: RiggedBody) -> Int[np.ndarray, " J"]:
     """Number the kinds of bones: joints that are mirror images of each other have one number."""
     return np.unique([without_side(name) for name in body.joint_names], return_inverse=True)[1]
-
-
-def _in_joint_frames(n: Float[np.ndarray, "M 3"], linear: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "M J 3"]:
-    """Transform directions to the frame of each joint: n^T L_j."""
-    return (n @ linear.transpose(1, 0, 2).reshape(3, -1)).reshape(len(n), -1, 3)
-
-
-def _cross(a: Float[np.ndarray, "M #J 3"], b: Float[np.ndarray, "M #J 3"]) -> Float[np.ndarray, "M J 3"]:
-    """Compute cross products, several times as fast as np.cross."""
-    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def _unit(vectors: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:

@@ -279,19 +279,21 @@ def _write_preview(
 
     `clip` is the name of the result's animation where the output has several; `usual` is the default suffix of outputs.
     """
-    from ..tools.preview import write_preview
-
     if not preview:
         return {"pictures": [], "page": None}
+    from ..tools.preview import write_preview
+
     picture, page = write_preview(result, output, clip, usual)
     return {"pictures": [str(picture)], "page": str(page)}
 
 
 def _previews(output: Path, preview: bool, clip: str | None = None, usual: str = ".glb") -> tuple[Path, ...]:
     """Return the paths of the picture and the page that are written beside an output."""
+    if not preview:
+        return ()
     from ..tools.preview import names_beside
 
-    return names_beside(output, clip, usual) if preview else ()
+    return names_beside(output, clip, usual)
 
 
 def check_outputs(

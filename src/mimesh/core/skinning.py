@@ -8,7 +8,7 @@ with rest points of their own (`bodies.skinned_character`). tests/core/test_skin
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -172,6 +172,10 @@ class SkinnedMesh:
             blocks.append(SkinBlock(joints, of_block.reshape(len(rows), -1).astype(np.float32)))
         return cls(parents, rig.bones(parents), tuple(blocks), np.argsort(np.concatenate(rows_of_blocks)))
 
+    def repeated(self, vertices: Int[np.ndarray, " P"]) -> SkinnedMesh:
+        """Give vertices in another order, which may repeat; all are computed, and repeated ones are equal."""
+        return replace(self, place=self.place[vertices])
+
     def part(self, vertices: Int[np.ndarray, " P"]) -> SkinnedMesh:
         """Select some vertices, which may repeat."""
         starts = np.cumsum([0, *(len(block.packed) for block in self.blocks)])
@@ -193,7 +197,8 @@ class SkinnedMesh:
     ) -> Float[np.ndarray, "V 3"]:
         """Compute the vertices from the world rotation and position of every joint; bones may change their lengths."""
         transforms = np.concatenate([rotation.swapaxes(-1, -2), positions[:, None]], axis=1)
-        maps, vertices, start = transforms.astype(np.float32), np.empty((len(self.place), 3)), 0
+        packed = sum(len(block.packed) for block in self.blocks)
+        maps, vertices, start = transforms.astype(np.float32), np.empty((packed, 3)), 0
         for block in self.blocks:
             of_block, end = maps[block.joints].reshape(-1, 3), start + len(block.packed)
             # Column by column: BLAS takes three times as long for one product with three columns.
@@ -206,10 +211,17 @@ class SkinnedMesh:
         self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
     ) -> Float[np.ndarray, "T V 3"]:
         """Compute few vertices in many frames at once; see `posed`."""
-        positions = self.joint_positions(rotation, root)[:, :, None]
-        maps = np.concatenate([rotation.swapaxes(-1, -2), positions], axis=2).astype(np.float32)
-        blocks = [block.packed @ maps[:, block.joints].reshape(len(maps), -1, 3) for block in self.blocks]
-        return np.concatenate(blocks, axis=1).take(self.place, axis=1).astype(np.float64)
+        return self.posed_frames_at(rotation, self.joint_positions(rotation, root))
+
+    def posed_frames_at(
+        self, rotation: Float[np.ndarray, "T J 3 3"], positions: Float[np.ndarray, "T J 3"]
+    ) -> Float[np.ndarray, "T V 3"]:
+        """Compute few vertices in many frames at once; see `posed_at`."""
+        maps = np.concatenate([rotation, positions[..., None]], axis=3).swapaxes(1, 2).astype(np.float32)
+        # Three rows for each frame: one product instead of one a frame.
+        blocks = [maps[:, :, block.joints].reshape(3 * len(maps), -1) @ block.packed.T for block in self.blocks]
+        vertices = np.concatenate(blocks, axis=1).take(self.place, axis=1).astype(np.float64)
+        return vertices.reshape(len(maps), 3, -1).swapaxes(1, 2)
 
     def joint_positions(
         self, rotation: Float[np.ndarray, "*T J 3 3"], root: Float[np.ndarray, "*T 3"]

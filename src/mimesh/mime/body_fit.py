@@ -400,8 +400,9 @@ def _with_searched_limbs(
 
 def _step(posed: PosedBody, matches: Matches, prior: Prior, expected: float) -> Float[np.ndarray, " U"]:
     """Solve the normal equations of one Gauss-Newton step, for matches at an expected distance."""
-    jacobian, weight = matches.jacobian, matches.weight * MATCH_WEIGHT / expected**2
-    hessian, gradient = (jacobian * weight[:, None]).T @ jacobian, jacobian.T @ (weight * matches.residual)
+    scale = np.sqrt(matches.weight * MATCH_WEIGHT) / expected
+    jacobian = matches.jacobian * scale[:, None]  # of a matrix with its own transpose half of the product is computed
+    hessian, gradient = jacobian.T @ jacobian, jacobian.T @ (scale * matches.residual)
     prior_hessian, prior_gradient = prior.normal_equations(posed)
     return -np.linalg.solve(hessian + prior_hessian, gradient + prior_gradient)
 
@@ -480,6 +481,7 @@ class Prior:
         self.turns = body.unknowns["turns"]
         # Derivative of the world rotations: a turn of one joint turns all of its descendants too.
         self.turn_jacobian = np.kron(body.below.T, np.eye(3))
+        self.turn_hessian = self.turn_jacobian.T @ self.turn_jacobian / ROTATION_SIGMA**2
         shape, bones = body.unknowns["shape"], body.unknowns["bones"]
         self.person = slice(shape.start, bones.stop)
         self.person_weight = np.zeros(self.turns.stop)
@@ -494,7 +496,7 @@ class Prior:
         # The antisymmetric part of a small rotation is its rotation vector (of a large one: the axis times the sine).
         difference = state.rotation @ self.rotation.swapaxes(-1, -2)
         rotation_vector = (difference - difference.swapaxes(-1, -2))[:, [2, 0, 1], [1, 2, 0]] / 2
-        hessian[self.turns, self.turns] += self.turn_jacobian.T @ self.turn_jacobian / ROTATION_SIGMA**2
+        hessian[self.turns, self.turns] += self.turn_hessian
         gradient[self.turns] += self.turn_jacobian.T @ rotation_vector.reshape(-1) / ROTATION_SIGMA**2
         if self.ranges:
             of_ranges, slope = self.ranges.normal_equations(state.rotation)
@@ -704,7 +706,7 @@ class LimbPoses:
     def of(cls, posed: PosedBody, joints: list[int]) -> LimbPoses:
         """Take the joints of a limb of a posed body."""
         mask = posed.body.weighted_to(joints)
-        own = posed.contributions[mask]
+        own = posed.contributions(mask)
         return cls(posed, joints, mask, own.sum(axis=1) - own[:, joints].sum(axis=1))
 
     def world(self, poses: Float[np.ndarray, "C K 3"]) -> Float[np.ndarray, "C K 3 3"]:
@@ -724,7 +726,7 @@ class LimbPoses:
             parent = body.parents[j]
             bone = maps[parent] @ (posed.rest_joints[j] - posed.rest_joints[parent])
             position[j] = np.broadcast_to(position.get(parent, posed.joints[parent]) + bone, (len(poses), 3))
-        weights, offset = body.weights[self.mask][:, joints], posed.offset[self.mask][:, joints]
+        weights, offset = body.weights[self.mask][:, joints], posed.offsets(self.mask)[:, joints]
         moved = np.einsum("ckab,mkb->cmka", linear, offset, optimize=True)
         placed = np.stack([position[j] for j in joints], axis=1)
         return self.held + np.einsum("mk,cmka->cma", weights, moved, optimize=True) + weights @ placed

@@ -115,7 +115,6 @@ def _rigid_pieces(
     nearest: NearestBody | None,
 ) -> Float[np.ndarray, "V J"]:
     """Give pieces of the surface that one joint moves to this joint alone."""
-    from scipy.ndimage import median
     from scipy.sparse.csgraph import connected_components
 
     count, piece = connected_components(links(pairs, len(vertices)), directed=False)
@@ -132,10 +131,10 @@ def _rigid_pieces(
         blocks = parts & (size <= BLOCK_VERTICES) & (area > BLOCK_AREA * area.sum())
         for k in np.flatnonzero(blocks):
             joint[k], rigid[k] = _block_joint(summed[k], nearest.body), True
-        far = parts & ~blocks & (median(nearest.distance, piece, np.arange(count)) > FAR)
         members = np.split(np.argsort(piece, kind="stable"), np.cumsum(size)[:-1])
-        for k in np.flatnonzero(far):
-            joint[k], rigid[k] = _attachment(members[k], mixed, nearest.distance), True
+        for k in np.flatnonzero(parts & ~blocks):
+            if np.median(nearest.distance[members[k]]) > FAR:
+                joint[k], rigid[k] = _attachment(members[k], mixed, nearest.distance), True
     if not rigid.any():
         return weights
     moved_by_one = np.flatnonzero(rigid[piece])

@@ -12,6 +12,7 @@ animal, a mesh that is not clearly a person is one (`agreed`).
 from __future__ import annotations
 
 import dataclasses
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -102,7 +103,9 @@ def agreed(mime: Mime, asked: str, subjects: tuple[Subject, Subject]) -> tuple[M
         first, second = (Look(mime.body, subject.norm, np.inf) for subject in subjects)
         return mime, (first, second)
     known = next((of.body for of in subjects if of.body is not None), None) if asked == "auto" else asked
-    looks = [look(mime, subject, known, quick=True) for subject in subjects]
+    with ThreadPoolExecutor(1) as executor:  # the two meshes are independent
+        second = executor.submit(look, mime, subjects[1], known, quick=True)
+        looks = [look(mime, subjects[0], known, quick=True), second.result()]
     if looks[0].body != looks[1].body:
         person = int(looks[1].body == "human")
         looks[person] = look(mime, subjects[person], known)  # it may be an animal in an orientation that was not tried

@@ -159,22 +159,31 @@ def quality(identity: Mesh, moved: LazyFrames) -> dict[str, float]:
     if len(identity.faces) == 0:
         return {}
     pairs = edges(identity.faces)
+    lengths = edge_lengths(identity.vertices, pairs)
     before = against_neighbours(identity.faces, identity.vertices)
     stretches, flips = [], []
     # Frame by frame: the edges of a large mesh in all frames would take gigabytes.
     most = max(2, min(MOST_FRAMES, MOST_POINTS // len(identity.vertices)))
     for vertices in moved.at(evenly_spread(len(moved), most)):
-        stretches.append(_largest_stretches(edge_stretch(identity.vertices, vertices, pairs)))
+        stretches.append(_largest_stretches(edge_stretch(lengths, edge_lengths(vertices, pairs))))
         flips.append(flipped_share(identity.faces, before, vertices))
     largest, p99 = np.max(stretches, axis=0)
     return {"edge_stretch_max": float(largest), "edge_stretch_p99": float(p99), "flipped_share": max(flips)}
 
 
-def edge_stretch(
-    before: Float[np.ndarray, "V 3"], after: Float[np.ndarray, "V 3"], pairs: Int[np.ndarray, "E 2"]
-) -> Float[np.ndarray, " S"]:
-    """Return the factor by which each edge became longer or shorter (1: unchanged), without the shortest edges."""
-    old, new = (np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1) for points in (before, after))
+def edge_lengths(vertices: Float[np.ndarray, "V 3"], pairs: Int[np.ndarray, "E 2"]) -> Float[np.ndarray, " E"]:
+    """Return the length of each edge."""
+    x, y, z = (vertices.take(pairs[:, 0], axis=0) - vertices.take(pairs[:, 1], axis=0)).T
+    return np.sqrt(x * x + y * y + z * z)
+
+
+def edge_stretch(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> Float[np.ndarray, " S"]:
+    """Return the factor by which each edge became longer or shorter (1: unchanged), without the shortest edges.
+
+    Args:
+        old: lengths of the edges before.
+        new: the same after.
+    """
     measured = old > MIN_EDGE * (old.mean() if len(old) else 0.0)
     # Twice as long and half as long are the same stretch; the bound keeps collapsed edges finite.
     ratio = np.maximum(new[measured] / old[measured], 1e-6)
@@ -247,8 +256,10 @@ def acceleration(frames: LazyFrames, fps: float) -> float:
 
 def against_neighbours(faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]) -> Bool[np.ndarray, " F"]:
     """Whether each face's normal points against the summed vectors of the faces at its corners."""
-    vectors = face_vectors(np.asarray(vertices, np.float64), faces)
-    corners, repeated = faces.ravel(), np.repeat(vectors, 3, axis=0)
-    at_vertex = np.stack([np.bincount(corners, repeated[:, k], minlength=len(vertices)) for k in range(3)], axis=1)
-    neighbours = at_vertex[faces].sum(axis=1) - 3 * vectors  # the face itself is in the sum at each of its corners
-    return (neighbours * vectors).sum(axis=1) < 0
+    along, corners = np.zeros(len(faces)), faces.ravel()
+    for vectors in np.ascontiguousarray(face_vectors(np.asarray(vertices, np.float64), faces).T):  # x, y and z
+        at_vertex = np.bincount(corners, np.repeat(vectors, 3), minlength=len(vertices))
+        first, second, third = at_vertex[faces.T]
+        # The face itself is in the sum at each of its corners.
+        along += (first + second + third - 3 * vectors) * vectors
+    return along < 0

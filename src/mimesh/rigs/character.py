@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -120,7 +121,12 @@ class Character:
 
     def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
         """Return the vertices for world rotations of the joints and a position of the root joint."""
-        return self.skinned.posed(rotation, root).take(self.group, axis=0)
+        return self._posing.posed(rotation, root)
+
+    @cached_property
+    def _posing(self) -> SkinnedMesh:
+        """The vertices, of which some share a position, as a skinned mesh."""
+        return self.skinned.repeated(self.group)
 
     def linked(self, driving: tuple[str, ...], rest: RestPose | None = None) -> LinkedJoints:
         """Find the joint of a driving that each joint follows; `rest` is the driving at rest."""

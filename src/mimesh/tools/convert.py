@@ -37,7 +37,6 @@ from ..motions.amass import parse_betas
 from ..motions.on_body import is_motion_file
 from ..pipeline.odd_frames import LONE_FRAMES, first_frame_note
 from ..pipeline.skinned import distinct_names
-from ..render.movie import MOVIES, write_clip
 
 USUAL = ConvertOptions()
 ALL = "all"
@@ -89,6 +88,8 @@ def convert(
     Raises:
         InputError: a file cannot be read or written, the frame does not exist, or options exclude each other.
     """
+    from ..render.movie import MOVIES, write_clip
+
     source, target = Path(source), Path(target)
     suffix = target.suffix.lower()
     if suffix == BONES_ONLY:

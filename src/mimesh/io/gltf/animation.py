@@ -305,8 +305,16 @@ def slerp(
     values = (1 - s) * a + s * b
     far = cosine[:, 0] <= LINEAR_COSINE
     angle, s = np.arccos(cosine[far]), s[far]
-    values[far] = (np.sin((1 - s) * angle) * a[far] + np.sin(s * angle) * b[far]) / np.sin(angle)
+    of_a, of_b = slerp_weights(angle, s)
+    values[far] = (of_a * a[far] + of_b * b[far]) / np.sin(angle)
     return values
+
+
+def slerp_weights(
+    angle: Float[np.ndarray, "*N"], s: Float[np.ndarray, "*N"]
+) -> tuple[Float[np.ndarray, "*N"], Float[np.ndarray, "*N"]]:
+    """Return the weights of two unit quaternions at an angle in their interpolation, times the sine of the angle."""
+    return np.sin((1 - s) * angle), np.sin(s * angle)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,6 +17,9 @@ from jaxtyping import Float, Int
 from ...core.geometry import nearest_rotation
 from .check import damaged
 from .document import Document, read_accessor, read_floats
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 DEFAULT_TRS = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 """Values of the properties that a node does not have (glTF 2.0, 3.5.3 Transformations); rotations are xyzw."""
@@ -170,14 +174,18 @@ class SkinBinding:
     def matrices(self, T_world_node: Float[np.ndarray, "N 4 4"]) -> Float[np.ndarray, "V 3 4"]:
         """Return each vertex's skinning matrix to the world: the weighted sum of its joints' transforms.
 
-        Linear blend skinning (glTF 2.0, 3.7.3.3 Skinned Mesh Attributes). The loop over influences needs V x 12
-        numbers at a time, a gather of all joints K times that.
+        Linear blend skinning (glTF 2.0, 3.7.3.3 Skinned Mesh Attributes).
         """
         T_world_bind = T_world_node[self.nodes] @ self.T_joint_bind
-        blend = np.zeros((len(self.joints), 3, 4))
-        for joint, weight in zip(self.joints.T, self.weights.T, strict=True):
-            blend += weight[:, None, None] * T_world_bind[joint, :3]
-        return blend
+        return (self._weights @ T_world_bind[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
+
+    @cached_property
+    def _weights(self) -> csr_array:
+        """The weights by vertex and joint. One product takes a third of the time of a loop over influences."""
+        from scipy.sparse import csr_array
+
+        count = np.arange(0, self.joints.size + 1, self.joints.shape[1])
+        return csr_array((self.weights.ravel(), self.joints.ravel(), count), (len(self.joints), len(self.nodes)))
 
 
 def read_skin_binding(document: Document, node: int, primitive: dict[str, Any]) -> SkinBinding | None:
@@ -258,7 +266,7 @@ def normal_matrices(linear: Float[np.ndarray, "M 3 3"]) -> Float[np.ndarray, "M 
 
 def inner_products(a: Float[np.ndarray, "*N C"], b: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N 1"]:
     """Return the inner product of each pair of rows."""
-    return (a[..., None, :] @ b[..., :, None])[..., 0]
+    return np.einsum("...c,...c->...", a, b)[..., None]
 
 
 def normalized_quaternions(quat_xyzw: Float[np.ndarray, "*N 4"]) -> Float[np.ndarray, "*N 4"]:
