@@ -209,7 +209,8 @@ def joint_route(identity: Mesh, clip: Clip, mime: Mime, hints: Hints, rigs: Rigs
     """Find the joints of both meshes, and let the identity's follow the driving's.
 
     Raises:
-        InputError: an axis, the body or the corrections cannot be used, or the two are of different kinds.
+        InputError: an axis, the body or the corrections cannot be used.
+        RefusedMeshError: a mesh looks like none of the bodies, or the two are of different kinds.
     """
     first, asked = first_frame(clip), hints.asked_body
     subjects = rigs.subjects(identity, first, hints.axes)
@@ -221,7 +222,7 @@ def joint_route(identity: Mesh, clip: Clip, mime: Mime, hints: Hints, rigs: Rigs
         subjects = rigs.subjects(identity, first, hints.axes)
         norms = subjects[0].norm, subjects[1].norm
     (character, mine), (motion, theirs) = _found(network, clip, subjects, norms, hints, rigs)
-    if hints.body == "auto" and not hints.corrections.given:
+    if hints.body == "auto" and len(mime.bodies) > 1 and not hints.corrections.given:
         confidences = character.confidence, motion.confidence
         other = other_body(mime, network.body, subjects, confidences)
         if other is not None:
