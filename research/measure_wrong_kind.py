@@ -24,7 +24,7 @@ import typer
 from jaxtyping import Bool, Float
 from measure_body_choice import shown
 from scipy.optimize import minimize
-from wrong_kind_meshes import things
+from wrong_kind_meshes import further_things, things
 
 from mimesh.bodies.character_pool import read_pool
 from mimesh.core.mesh import Mesh
@@ -32,7 +32,7 @@ from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
 from mimesh.methods.find import NETWORK_OF_BODY, find_mime
 from mimesh.mime.model import Mime
-from mimesh.pipeline.look import FITS, Subject, look, predicted_body
+from mimesh.pipeline.look import FITS, MAX_DOUBT, TURNED_SPREAD, Subject, look, predicted_body, same_after_half_turn
 from mimesh.rigs.confidence import MAX_OTHER_KIND, MAX_SPREAD, Confidence, Standards
 
 PER_PACK = 8
@@ -83,15 +83,15 @@ def meshes(pool: Path) -> Iterator[Shown]:
                 if not (body == "human" and split == "train" and times[character.meta.pack] > PER_PACK):
                     for mesh in shown(character, np.random.default_rng(0))[: 3 if body == "quadruped" else 2]:
                         yield Shown(body, split, character.meta.pack, mesh)
-    yield from (Shown("thing", "made", "made", mesh) for mesh in things())
+    yield from (Shown("thing", "made", "made", mesh) for mesh in [*things(), *further_things()])
 
 
 def figures(mime: Mime, mesh: Mesh) -> dict[str, Any]:
     """Say what a mesh is taken for, and the confidence of the fits: of that body, and of the other one if it is low."""
     taken = look(mime, Subject(mesh, (None, None)), None, quick=True).body
-    row: dict[str, Any] = {"taken": taken}
+    row: dict[str, Any] = {"taken": taken, "same_after_half_turn": same_after_half_turn(mesh)}
     for body in sorted(NETWORK_OF_BODY, key=lambda body: body != taken):
-        if body == taken or read(row, taken).uncertainty > 1:
+        if body == taken or row["same_after_half_turn"] or read(row, taken).uncertainty > 1:
             row[body] = dataclasses.asdict(predicted_body(mime.of_body(body), mesh, (None, None))[2])
             del row[body]["standards"]
     return row
@@ -144,11 +144,17 @@ def fitted(values: Float[np.ndarray, "N F"], wrong: Bool[np.ndarray, " N"]) -> F
 def decided(row: dict[str, Any]) -> str | None:
     """Say what a mesh is after the second look; None: of neither kind (as `second_look` does with the same fits)."""
     taken = row["taken"]
-    if not read(row, taken).is_other_kind:
-        return taken
     other = next(body for body in NETWORK_OF_BODY if body != taken)
-    found = read(row, other)
-    return other if found.other_kind < FITS and found.prediction_spread <= MAX_SPREAD else None
+    fits = {body: read(row, body) for body in (taken, other) if body in row}
+    if row["same_after_half_turn"]:
+        person = fits.get("human")
+        found = person and person.other_kind < FITS and person.prediction_spread <= TURNED_SPREAD
+        return "human" if found else None
+    if not fits[taken].is_other_kind:
+        return taken
+    if fits[other].other_kind < FITS and fits[other].prediction_spread <= MAX_SPREAD:
+        return other
+    return next((body for body, fit in fits.items() if fit.other_kind <= MAX_DOUBT), None)
 
 
 def compact(row: dict[str, Any]) -> dict[str, Any]:

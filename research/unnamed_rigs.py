@@ -15,7 +15,7 @@ from mimesh.bodies.joint_names import without_fingers
 from mimesh.core.errors import InputError
 from mimesh.io import load_mesh
 from mimesh.io.gltf.own_rig import read_own_rig
-from mimesh.methods import find_mime
+from mimesh.methods.find import find_mime
 from mimesh.pipeline.look import joint_finder
 
 LIMBS = ("Arm", "Leg", "Hand", "Foot")

@@ -305,15 +305,36 @@ def test_unknown_names_are_refused_with_the_known_ones(arguments, message):
         generate_command("human-npt", Path("unused"), "tset")
 
 
-def test_a_mesh_that_is_refused_is_a_failure_and_the_measurement_goes_on(monkeypatch):
-    """A person in an extreme pose beside a plain one may look like no person; the rest is measured."""
+@pytest.mark.parametrize("error", [RefusedMeshError, InputError])
+def test_pairs_that_are_refused_are_failures_and_the_measurement_goes_on(error, monkeypatch, tmp_path):
+    """A person in an extreme pose may look like no person; the report names the pair, and means are over the rest."""
+    message, refused = "x: expected a person, found a chair; give another", HUMAN_NPT.pair("val", "seen", 1)
 
+    def run_or_refuse(pair, method, **options):
+        if np.array_equal(pair.driving.vertices, refused.driving.vertices):
+            raise error(message)
+        return run_on_pair(pair, method, **options)
+
+    monkeypatch.setattr("mimesh.evaluate.measure.run_on_pair", run_or_refuse)
+    report = evaluate_command("human-npt", ["copy"], tmp_path / "figures.json", "val", pairs=3)
+    seen = next(row for row in report["results"] if row["split"] == "seen")
+    assert (seen["pairs"], seen["failures"], seen["failed"]) == (2, 1, message)
+    assert seen["each"]["failed"] == [None, message, None]
+    assert seen["mm"] == pytest.approx(np.mean([mm for mm in seen["each"]["mm"] if mm is not None]), abs=0.01)
+    text = markdown(report)
+    assert "| 2 of 3, 1 failed |" in text
+    assert f"Failed: `copy`, 1 of 3 pairs of seen ({message})." in text
+    assert "Means are over the other pairs" in text
+
+
+def test_a_set_of_which_every_pair_is_refused_is_reported(monkeypatch):
     def refuse(pair, method, **options):
         raise RefusedMeshError("x: expected a person, found a chair; give another")
 
-    pair = HUMAN_NPT.pair("val", "seen", 0)
     monkeypatch.setattr("mimesh.evaluate.measure.run_on_pair", refuse)
-    assert measure(pair, "copy") == {"failed": "x: expected a person, found a chair; give another"}
+    report = evaluate_command("human-npt", ["copy"], split="val", pairs=1)
+    assert {(row["pairs"], row["failures"], len(row["each"]["failed"])) for row in report["results"]} == {(0, 1, 1)}
+    assert "Failed: `copy`, 1 of 1 pairs of seen, 1 of 1 pairs of unseen (x: expected" in markdown(report)
 
 
 def test_worst_pairs_are_drawn(tmp_path):

@@ -5,20 +5,24 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from animals import small
 from grouped_options import grouped
 from matrix import matrix
 from people import person
-from zoo import ring
+from zoo import figure, point_cloud, ring, table
 
 from mimesh.bodies.animals import animal
 from mimesh.cli import run
+from mimesh.core.errors import RefusedMeshError
 from mimesh.core.mesh import Mesh
 from mimesh.io import save_mesh
 from mimesh.methods.find import INDEX_PAIRED, find_mime
 from mimesh.pipeline import transfer
-from mimesh.pipeline.look import Subject, second_look
+from mimesh.pipeline.look import MAX_DOUBT, Subject, predicted_body, same_after_half_turn, second_look
+from mimesh.pipeline.rigging import rig
+from mimesh.rigs.confidence import MAX_OTHER_KIND
 
 pytestmark = pytest.mark.usefixtures("kept")
 
@@ -65,14 +69,65 @@ def test_a_thing_moved_as_a_person_is_noted_with_a_large_error(files, tmp_path, 
     assert not any("man does not look" in note for note in found["report"]["notes"])
 
 
+THINGS = {"ring": ring(), "table": table()}
+
+
 @pytest.mark.slow
-def test_a_thing_beside_a_person_is_never_moved_without_a_word(files, tmp_path, capsys):
-    """It is refused where it is taken for an animal, else noted; the person is not blamed."""
-    code = run(["transfer", files["ring"], files["man"], "-o", str(tmp_path / "out.obj")])
-    said = "".join(capsys.readouterr())
-    assert code in (0, 2)
-    assert "ring does not look like a person" in said or "ring: expected a person or a four-legged animal" in said
-    assert "man does not" not in said
+@pytest.mark.parametrize("name", THINGS)
+@pytest.mark.parametrize("beside", ["man", "cow"])
+def test_a_thing_is_refused_in_one_line_unless_the_user_insists(name, beside):
+    """In both places, and the person or the animal beside it is not blamed."""
+    thing, other = THINGS[name], MESHES[beside]
+    for pair in ((thing, other), (other, thing)):
+        with pytest.raises(RefusedMeshError, match=f"^{name}: expected a person or a four-legged animal, as {beside}"):
+            transfer(*pair, up="+y", driving_up="+y")
+    assert transfer(thing, other, body="human", up="+y", driving_up="+y").vertices.shape == thing.vertices.shape
+    with pytest.raises(RefusedMeshError, match=f'^{name}: .*body="other"'):
+        rig(thing, up="+y")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [0.01, 1, 100])
+def test_a_figure_of_boxes_is_a_person_though_it_has_no_front(scale):
+    steve = figure().with_vertices(scale * figure().vertices)
+    assert rig(steve, up="+y").body == "human"
+    transfer(steve, MESHES["man"], up="+y", driving_up="+y")
+
+
+def test_tables_rings_and_figures_are_the_same_after_half_a_turn_and_bodies_are_not():
+    shift, turn = [3.0, -2, 5], np.eye(3)[[1, 2, 0]]
+    for mesh in (*THINGS.values(), figure()):
+        for vertices in (mesh.vertices, 1e-3 * mesh.vertices + shift, 50 * mesh.vertices @ turn):
+            assert same_after_half_turn(mesh.with_vertices(vertices)), mesh.name
+    assert not any(same_after_half_turn(mesh) for mesh in (MESHES["man"], MESHES["cow"], point_cloud()))
+
+
+@pytest.mark.parametrize(
+    ("taken", "other_kind", "found"),
+    [
+        ("human", MAX_OTHER_KIND - 0.1, "human"),
+        ("human", MAX_DOUBT - 0.1, "human"),
+        ("human", MAX_DOUBT + 0.1, None),
+        ("quadruped", MAX_DOUBT + 0.1, "human"),
+    ],
+)
+def test_a_mesh_in_doubt_is_moved_and_one_that_fits_no_body_is_refused(taken, other_kind, found, monkeypatch):
+    """A person in an extreme pose, taken for an animal, is one as long as the fit of a person leaves it in doubt."""
+    mime, man = find_mime("mime"), Subject(MESHES["man"], UP)
+    norm, body, fit = predicted_body(mime, man.mesh, UP)
+
+    def of_other_kind(value):
+        """The fit with the distance that gives a value of other_kind."""
+        distances = np.linspace(1e-4, 0.05, 2000)
+        fits = [replace(fit, fit_distance=float(distance)) for distance in distances]
+        return min(fits, key=lambda fit: abs(fit.other_kind - value))
+
+    others = {"human": 1.5, "quadruped": 5.0}
+    monkeypatch.setattr(
+        "mimesh.pipeline.look.predicted_body",
+        lambda network, mesh, axes: (norm, body, of_other_kind(others[network.body])),
+    )
+    assert second_look(mime, taken, man, of_other_kind(other_kind)) == found
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from grouped_options import grouped
 from people import person as person_mesh
+from zoo import boxes
 
 from mimesh.bodies import load_body
 from mimesh.core.mesh import Mesh
@@ -46,13 +47,8 @@ def part_of_body(chosen):
 
 def chair():
     """A seat, a back and four legs, each a box."""
-    boxes = [((0, 0.5, 0), (0.5, 0.06, 0.5)), ((0, 0.85, -0.22), (0.5, 0.7, 0.06))]
-    boxes += [((x, 0.25, z), (0.06, 0.5, 0.06)) for x in (-0.2, 0.2) for z in (-0.2, 0.2)]
-    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    box = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)]
-    box += [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
-    vertices = np.concatenate([corners * size + middle for middle, size in boxes])
-    return Mesh(vertices, np.concatenate([np.array(box) + 8 * k for k in range(len(boxes))]), name="chair")
+    legs = [((x, 0.25, z), (0.06, 0.5, 0.06)) for x in (-0.2, 0.2) for z in (-0.2, 0.2)]
+    return boxes("chair", ((0, 0.5, 0), (0.5, 0.06, 0.5)), ((0, 0.85, -0.22), (0.5, 0.7, 0.06)), *legs)
 
 
 def notes(mesh):

@@ -43,6 +43,26 @@ def ring() -> Mesh:
     return Mesh(vertices.reshape(-1, 3), np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]), name="ring")
 
 
+def boxes(name: str, *pieces: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Mesh:
+    """Make a mesh of boxes, each with its middle and its size: furniture, and figures of blocks."""
+    box = cube()
+    vertices = np.concatenate([(box.vertices - 0.5) * size + middle for middle, size in pieces])
+    return Mesh(vertices, np.concatenate([box.faces + 8 * k for k in range(len(pieces))]), name=name)
+
+
+def table() -> Mesh:
+    """A narrow table, whose four legs fit an animal."""
+    feet = [((x, 0.5, z), (0.05, 1, 0.05)) for x in (-0.35, 0.35) for z in (-0.1, 0.1)]
+    return boxes("table", ((0, 1, 0), (0.8, 0.06, 0.3)), *feet)
+
+
+def figure() -> Mesh:
+    """A person of six boxes, the same from the front and from behind."""
+    arms = [((x, 22, 0), (12, 4, 4)) for x in (-10, 10)]
+    legs = [((x, 6, 0), (3.9, 12, 4)) for x in (-2, 2)]
+    return boxes("figure", ((0, 28, 0), (8, 8, 8)), ((0, 18, 0), (8, 12, 4)), *arms, *legs)
+
+
 def two_parts() -> Mesh:
     """Make a mesh of two connected components: a tetrahedron and a cube."""
     first, second = tetrahedron(), cube()

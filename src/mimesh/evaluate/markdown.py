@@ -49,7 +49,7 @@ def markdown(report: dict[str, Any]) -> str:
         if of_method:
             tables += [f"**`{method}` by maker**: median / mean (pairs)", makers_table(of_method)]
     left_out = [f"Left out: {count} files ({reason})." for reason, count in report.get("left_out", {}).items()]
-    return "\n\n".join([title, *tables, *left_out, *not_applicable(rows)])
+    return "\n\n".join([title, *tables, *left_out, *unmeasured(rows)])
 
 
 def kind_table(rows: list[dict[str, Any]]) -> str:
@@ -109,14 +109,17 @@ def makers_table(rows: list[dict[str, Any]]) -> str:
     return markdown_table(["maker, pack", *heads], lines)
 
 
-def not_applicable(rows: list[dict[str, Any]]) -> list[str]:
-    """Format one line for each method that could not be applied to some pairs, with the reason."""
-    kinds: dict[tuple[str, str], list[str]] = {}
+def unmeasured(rows: list[dict[str, Any]]) -> list[str]:
+    """Format one line for each method with pairs that are not in its means, with the reason, or the first of them."""
+    kinds: dict[tuple[str, str, str], list[str]] = {}
     for row in rows:
-        if "why" in row:
-            share = f"{row['not_applicable']} of {row['not_applicable'] + row['pairs']} pairs of {row['split']}"
-            kinds.setdefault((row["method"], row["why"]), []).append(share)
-    return [f"Not applicable: `{method}`, {', '.join(shares)} ({why})." for (method, why), shares in kinds.items()]
+        for count, reason, said in (("not_applicable", "why", "Not applicable"), ("failures", "failed", "Failed")):
+            if reason in row:
+                share = f"{row[count]} of {_all_pairs(row)} pairs of {row['split']}"
+                kinds.setdefault((said, row["method"], row[reason]), []).append(share)
+    lines = [f"{said}: `{method}`, {', '.join(shares)} ({why})." for (said, method, why), shares in kinds.items()]
+    failed = any("failures" in row for row in rows)
+    return lines + ["Means are over the other pairs; the report has the message of each pair that failed."] * failed
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -136,7 +139,7 @@ def cell(row: dict[str, Any] | None, name: str) -> str:
     if row is None:
         return "not measured"
     if not row["pairs"]:
-        return "not applicable"
+        return "failed" if row.get("failures") else "not applicable"
     return _number(row[name]) if name in row else "-"
 
 
@@ -151,9 +154,14 @@ def _spread(errors: list[float] | None) -> str:
 
 def _pairs(row: dict[str, Any]) -> str:
     """Format the number of pairs, of how many where some were not applicable, and how many failed."""
-    missing, failed = row.get("not_applicable", 0), row.get("failures", 0)
-    text = f"{row['pairs']} of {row['pairs'] + missing + failed}" if missing or failed else str(row["pairs"])
+    failed, count = row.get("failures", 0), _all_pairs(row)
+    text = f"{row['pairs']} of {count}" if count > row["pairs"] else str(row["pairs"])
     return f"{text}, {failed} failed" if failed else text
+
+
+def _all_pairs(row: dict[str, Any]) -> int:
+    """Return the number of pairs, measured or not."""
+    return row["pairs"] + row.get("not_applicable", 0) + row.get("failures", 0)
 
 
 def wins(row: dict[str, Any], baseline: dict[str, Any]) -> str:

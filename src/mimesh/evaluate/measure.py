@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeGuard
 import numpy as np
 from jaxtyping import Float
 
-from ..core.errors import InputError, RefusedMeshError
+from ..core.errors import InputError
 from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh, check_size
 from ..core.normalization import Normalization, bbox_centre
@@ -282,7 +282,7 @@ def measure(pair: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
     """Measure a method on one pair and return its metrics.
 
     Of two characters, their limbs are compared, too, and vertices only if their truth is known; of people with fingers,
-    the fingers. {"why": reason} if the method cannot be applied, {"failed": reason} if its result is not finite.
+    the fingers. {"why": reason} if the method cannot be applied, {"failed": reason} if it fails (`timed`).
     """
     result, facts = timed(run_on_pair, pair, method, options)
     if result is None:
@@ -304,15 +304,15 @@ def timed(
 ) -> tuple[Output | None, dict[str, Any]]:
     """Run a method and return its result, and its confidence with the seconds it took.
 
-    Without a result: {"why": reason} if the method cannot be applied, {"failed": reason} if it refuses a mesh or a
-    coordinate is not finite.
+    Without a result: {"why": reason} if the method cannot be applied, {"failed": reason} if it refuses the pair or
+    a coordinate is not finite.
     """
     started = time.perf_counter()
     try:
         result = run(trial, method, **options)
     except NotApplicableError as error:
         return None, {"why": str(error)}
-    except RefusedMeshError as error:
+    except InputError as error:
         return None, {"failed": str(error)}
     seconds = time.perf_counter() - started
     if not np.isfinite(result.vertices).all():

@@ -43,6 +43,7 @@ from .measure import (
     Runtime,
     measure,
     measure_clip,
+    open_network,
     run_on_clip,
     run_on_pair,
 )
@@ -117,6 +118,8 @@ def evaluate_command(
         raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
     for method in methods:
         check_method(method)
+        if runtime and fingerprint(method):
+            open_network(method, ensemble, runtime)  # later, it would be a failure of every pair
     chosen.check(split)
     of_pool = isinstance(chosen, Characters) or (isinstance(chosen, FingerGestures) and chosen.data is not None)
     if dump is not None and of_pool and split == "test":

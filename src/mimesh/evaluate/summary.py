@@ -26,20 +26,20 @@ DIGITS = 6
 def summary(method: str, kind: str, figures: list[dict[str, Any]], body: str = "human") -> dict[str, Any]:
     """Summarise the figures of all pairs of one kind as a row of a report; `each` has those of every pair.
 
+    A pair that failed has its message there, under "failed".
+
     Args:
         body: shipped body that the test set shows; `mime` opens the network of that body.
     """
     described = NETWORK_OF_BODY[body] if method == NETWORK_OF_BODY["human"] else method
     measured = [metrics for metrics in figures if not {"why", "failed"} & metrics.keys()]
-    # A method must not improve its mean by failing: failures are counted and shown.
+    # Means are over the measured pairs. A method must not improve them by failing: failures are counted and shown.
     row: dict[str, Any] = {"method": method, "split": kind, "pairs": len(measured)}
     row |= {"given": extra_inputs(described), **training_facts(described)}
     for count, reason in (("not_applicable", "why"), ("failures", "failed")):
         reasons = [metrics[reason] for metrics in figures if reason in metrics]
         if reasons:
             row |= {count: len(reasons), reason: reasons[0]}
-    if not measured:
-        return row
     for name, digits in DISTRIBUTIONS.items():
         chosen = [metrics for metrics in measured if metrics.get(name) is not None]
         if chosen:
@@ -48,9 +48,10 @@ def summary(method: str, kind: str, figures: list[dict[str, Any]], body: str = "
         values = [metrics[name] for metrics in measured if metrics.get(name) is not None]
         if values:
             row[name] = round(float(np.mean(values)), digits)
-    if "stretch" in measured[0]:
+    if measured and "stretch" in measured[0]:
         row["stretch_max"] = round(max(metrics["stretch"] for metrics in measured), 2)
-    row["seconds_per_frame"] = round(float(np.median([metrics["seconds"] for metrics in measured])), 4)
+    if measured:
+        row["seconds_per_frame"] = round(float(np.median([metrics["seconds"] for metrics in measured])), 4)
     return row | {"each": _columns(figures)}
 
 
@@ -72,7 +73,7 @@ def _distribution(name: str, figures: list[dict[str, Any]]) -> dict[str, float]:
 
 def _columns(figures: list[dict[str, Any]]) -> dict[str, list]:
     """Return the figures of all pairs as one list for each metric; None where a pair has no such figure."""
-    names = dict.fromkeys(name for metrics in figures for name in metrics if name not in ("why", "failed"))
+    names = dict.fromkeys(name for metrics in figures for name in metrics if name != "why")
     return {name: [_rounded(metrics.get(name)) for metrics in figures] for name in names}
 
 
@@ -112,5 +113,7 @@ def win_share(row: dict[str, Any], baseline: dict[str, Any]) -> float | None:
 def _errors_by_pair(row: dict[str, Any]) -> dict[str, float]:
     """Return the PMD of each measured pair by the pair's checksum."""
     each = row.get("each", {})
-    pairs = zip(each.get("pair", ()), each.get("pmd_e4", ()), strict=True)
+    if "pmd_e4" not in each:  # nothing was measured
+        return {}
+    pairs = zip(each["pair"], each["pmd_e4"], strict=True)
     return {pair: error for pair, error in pairs if error is not None}

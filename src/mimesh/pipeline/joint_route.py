@@ -211,7 +211,8 @@ def joint_route(identity: Mesh, clip: Clip, mime: Mime, known: Known, rigs: Rigs
     """Find the joints of both meshes, and let the identity's follow the driving's.
 
     Raises:
-        InputError: an axis, the body or the corrections cannot be used, or the two are of different kinds.
+        InputError: an axis, the body or the corrections cannot be used.
+        RefusedMeshError: a mesh looks like none of the bodies, or the two are of different kinds.
     """
     first, asked = first_frame(clip), known.asked_body
     subjects = rigs.subjects(identity, first, known.axes)
@@ -223,7 +224,7 @@ def joint_route(identity: Mesh, clip: Clip, mime: Mime, known: Known, rigs: Rigs
         subjects = rigs.subjects(identity, first, known.axes)
         norms = subjects[0].norm, subjects[1].norm
     (character, mine), (motion, theirs) = _found(network, clip, subjects, norms, known, rigs)
-    if known.body == "auto" and not known.corrections.given:
+    if known.body == "auto" and len(mime.bodies) > 1 and not known.corrections.given:
         confidences = character.confidence, motion.confidence
         other = other_body(mime, network.body, subjects, confidences)
         if other is not None:

@@ -2,8 +2,8 @@
 
 Axes come from the user, the file, its joints, or the shape, in this order. The body comes from the joints of a file; of
 bare surfaces the networks of both bodies predict joints once, and the one with the more decided skinning weights is
-taken. A fit of the body says more and takes longer: it is the second look, at meshes that do not look like what they
-were taken for. A sheep that is taken for a person fits no person, and a chair fits neither.
+taken. A fit of the body says more and takes longer: it is the second look (`second_look`), which alone decides what is
+refused. A sheep that is taken for a person fits no person, and a chair fits neither.
 
 Each mesh is looked at alone. Only where the two are taken for different bodies is one looked at again: beside an
 animal, a mesh that is not clearly a person is one (`agreed`).
@@ -24,16 +24,19 @@ from ..bodies import load_body
 from ..bodies.character_limbs import FindJoints, match_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError, RefusedMeshError, option
+from ..core.geometry import face_normals
 from ..core.mesh import Mesh
 from ..core.normalization import (
     ORIENTATIONS,
     Normalization,
     axis_name,
+    bbox_centre,
     parse_axis,
     turned_to_front,
     without_heading,
 )
 from ..core.rig import Rig
+from ..core.surface_points import at_barycentric, generator, sample_surface
 from ..methods.base import Method
 from ..methods.find import INDEX_PAIRED, NETWORK_OF_BODY, SHIPPED_NETWORKS, TABLE_MODELS, find_mime
 from ..mime.model import Mime
@@ -58,6 +61,18 @@ MIN_GAIN = 0.15
 FITS = 0.0
 """Largest `Confidence.other_kind` of a mesh that another body is found on. It is below MAX_OTHER_KIND, so that no mesh
 changes its kind for a trifle."""
+MAX_DOUBT = 1.8
+"""Largest `Confidence.other_kind` of a mesh that is moved at all, with a note from MAX_OTHER_KIND on. Tuned on
+development data (docs/log/mime.md, 2026-11-27): ordinary people at the joint limits reach 1.76."""
+HALF_TURN = 0.008
+"""Mean distance (in root mean square radii) up to which a surface and itself after half a turn count as the same. Of
+things that are 0.006 is the largest, of 663 people, animals and creatures 0.013 is the smallest (docs/log/mime.md)."""
+TURNED_SPREAD = 7.0
+"""Largest spread (degrees) of the predictions for a person of whom that is true: figures of boxes have 3 to 6, ladders
+and letters 8 or more."""
+TURNED_POINTS, TURNED_NEAR = 8192, 0.06
+"""Points of the surface that turned ones are compared with, an eighth of them turned; and the distance (root mean
+square radii) up to which it counts along the normal, because samples of one surface lie some way apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,19 +162,52 @@ def look(mime: Mime, subject: Subject, known: str | None, quick: bool = False) -
 
 
 def second_look(mime: Mime, taken: str, subject: Subject, confidence: Confidence | None = None) -> str | None:
-    """Say which body a mesh has: the one that it was taken for, if that fits, else another one that does, else None.
+    """Say which body a mesh has, by fits of the bodies; None: it looks like none, and is refused.
+
+    It has the body that it was taken for if that fits, else another one that does. A mesh in doubt has the one or the
+    other, too, and the result gets a note. What half a turn leaves as it is has no front: a table is no animal, and a
+    lamp no person, however well they fit.
 
     Args:
         confidence: of the body that it was taken for, if that was fitted already.
     """
-    first = _fitted(mime, taken, subject) if confidence is None else confidence
-    if first is None or not first.is_other_kind:
+    confidence = confidence or predicted_body(mime.of_body(taken), subject.mesh, subject.axes)[2]
+    if not confidence.fitted:
         return taken
+    turned = same_after_half_turn(subject.mesh)
+    if not (confidence.is_other_kind or turned):
+        return taken
+    fits = {taken: confidence}
     for body in mime.bodies:
-        other = None if body == taken else _fitted(mime, body, subject)
-        if other is not None and other.other_kind < FITS and other.prediction_spread <= MAX_SPREAD:
+        fit = fits.get(body) or predicted_body(mime.of_body(body), subject.mesh, subject.axes)[2]
+        fits |= {body: fit} if fit.fitted else {}
+    if turned:
+        person = fits.get("human")
+        found = person is not None and person.other_kind < FITS and person.prediction_spread <= TURNED_SPREAD
+        return "human" if found else None
+    for body, fit in fits.items():
+        if body != taken and fit.other_kind < FITS and fit.prediction_spread <= MAX_SPREAD:
             return body
-    return None
+    return next((body for body, fit in fits.items() if fit.other_kind <= MAX_DOUBT), None)
+
+
+def same_after_half_turn(mesh: Mesh) -> bool:
+    """Return whether half a turn about an axis through the middle of its box leaves a surface as it is."""
+    if len(mesh.faces) == 0:
+        return False
+    from scipy.spatial import KDTree
+
+    chosen, barycentric = sample_surface(mesh.vertices, mesh.faces, TURNED_POINTS, generator(0, 0))
+    points = at_barycentric(mesh.vertices, mesh.faces, chosen, barycentric) - bbox_centre(mesh.vertices)
+    points /= np.sqrt(np.square(points).sum(axis=1).mean())
+    normals, tree = face_normals(mesh.vertices, mesh.faces)[chosen], KDTree(points)
+    for axis in range(3):
+        turned = np.where(np.arange(3) == axis, 1, -1) * points[: TURNED_POINTS // 8]
+        distance, nearest = tree.query(turned)
+        along = np.abs(((turned - points[nearest]) * normals[nearest]).sum(axis=1))
+        if np.where(distance < TURNED_NEAR, along, distance).mean() < HALF_TURN:
+            return True
+    return False
 
 
 def other_body(
@@ -170,23 +218,18 @@ def other_body(
     Args:
         mime: knows all bodies.
         taken: the body that was fitted to both.
-        confidences: of these fits.
+        confidences: of these fits; None of a mesh whose file has the joints.
 
     Raises:
-        RefusedMeshError: one mesh has the one body, the other another one.
+        RefusedMeshError: a mesh has neither body, or one has the one body and the other another one.
     """
-    doubted = [confidence is not None and confidence.is_other_kind for confidence in confidences]
-    if any(subject.body is not None for subject in subjects) or not any(doubted):
-        return None
     found = [
         second_look(mime, taken, subject, confidence) if confidence else taken
         for subject, confidence in zip(subjects, confidences, strict=True)
     ]
-    known = {body for body in found if body is not None}
-    if len(known) > 1:
+    if None in found or found[0] != found[1]:
         raise RefusedMeshError(different_kinds(found, subjects))
-    # Where one is of the kind that it was taken for and the other one of none, a note says so.
-    return next(iter(known - {taken}), None)
+    return None if found[0] == taken else found[0]
 
 
 def different_kinds(found: list[str | None], subjects: tuple[Subject, Subject]) -> str:
@@ -205,12 +248,6 @@ def different_kinds(found: list[str | None], subjects: tuple[Subject, Subject]) 
         f"{names[0]} is taken for {first}, and {names[1]} for {second}: expected two of a kind; give "
         f"another driving, or {option('body', 'human')} or quadruped if one of the two is taken for the wrong one"
     )
-
-
-def _fitted(mime: Mime, body: str, subject: Subject) -> Confidence | None:
-    """Fit a body to a mesh; None if the network does not fit one."""
-    confidence = predicted_body(mime.of_body(body), subject.mesh, subject.axes)[2]
-    return confidence if confidence.fitted else None
 
 
 def normalised(mesh: Mesh, norm: Normalization) -> Mesh:
@@ -325,7 +362,7 @@ def recognised_body(subject: Subject) -> tuple[str | None, Normalization]:
     """Say which body a mesh has by its shape alone, and its normalisation as that; None: it looks like none."""
     mime = find_mime(NETWORK_OF_BODY["human"])
     shown = look(mime, subject, None, quick=True)
-    if shown.body == "human" and shown.entropy <= MAX_ENTROPY:
+    if shown.body == "human" and shown.entropy <= MAX_ENTROPY and not same_after_half_turn(subject.mesh):
         return shown.body, shown.norm
     body = second_look(mime, shown.body, subject)
     if body not in (None, shown.body):
