@@ -1,0 +1,82 @@
+"""`mimesh.retarget`: let a mesh that has been rigged move as a clip that has been captured."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import partial
+
+import numpy as np
+
+from ..core.arguments import public
+from ..core.errors import RefusedMeshError
+from ..core.frame_buffer import Progress
+from ..core.options import MotionOptions
+from ..mime.model import CapturedMotion
+from ..rigs.retarget import Retarget
+from .capturing import CapturedClip
+from .joint_route import JointRoute
+from .look import KINDS, normalised
+from .placed import surface_motion
+from .result import ClipResult, Timer
+from .rigging import RiggedMesh
+
+UNCHANGED = MotionOptions()
+
+
+@public
+def retarget(
+    captured: CapturedClip, rigged: RiggedMesh, *, motion: MotionOptions = UNCHANGED, progress: Progress | None = None
+) -> ClipResult:
+    """Let a rigged mesh follow a captured motion: `animate` with both meshes looked at before.
+
+    One capture moves many meshes, and one rig follows many captures, without finding joints again. What both files
+    have by other names than those of a person or an animal is not copied, as `animate` does it.
+
+    Args:
+        captured: the motion, of `mimesh.capture`.
+        rigged: the mesh with its joints, of `mimesh.rig`.
+        motion: how joints move.
+        progress: is called with the frames done and the frames in all.
+
+    Returns:
+        The mesh in every frame, in its own axes, unit and order, with a report and notes.
+
+    Raises:
+        RefusedMeshError: the joints of the one are a person's, those of the other a four-legged animal's.
+        InputError: an option cannot be used.
+
+    Example:
+        >>> captured, rigged = mimesh.capture("walk.npz"), mimesh.rig("hero.obj")
+        >>> path = mimesh.retarget(captured, rigged).save_skinned("hero-walk.glb")
+    """
+    mine, theirs = rigged.found, captured.found
+    if rigged.body != captured.body:
+        raise RefusedMeshError(
+            f"{captured.name}, {rigged.mesh.name}: expected two people or two four-legged animals, found "
+            f"{KINDS[captured.body]} and {KINDS[rigged.body]}; give another of the two"
+        )
+    character, following = mine.joints, dataclasses.replace(theirs.joints, track=theirs.track)
+    rigs = dataclasses.replace(mine.rigs, driving=theirs.rigs.driving, beside={})
+    rest = normalised(rigged.mesh, mine.norm)
+    if rigs.humanoid is None and isinstance(theirs.joints, CapturedMotion):
+        surface = partial(surface_motion, theirs.clip, theirs.norm)
+        character, following = theirs.network.with_fingers(character, rest, theirs.joints, surface)
+    follow = Retarget.of(character, following, captured.name)
+    norms = mine.norm, theirs.norm
+    route = JointRoute(rigged.mesh, theirs.clip, norms, rest, rigs=rigs, mime=theirs.network, retarget=follow)
+    timer = Timer()
+    moved = route.play(timer, motion, progress, np.float32)
+    return ClipResult(
+        rigged.mesh.with_vertices(moved.frames.first()),
+        moved.frames,
+        theirs.clip.fps,
+        theirs.network.name,
+        timer,
+        moved.report,
+        captured.notes + moved.notes,
+        moved.skeleton,
+        rigged.mesh,
+        theirs.clip,
+        moved.driving_joints,
+        moved.own,
+    )
