@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from ..core.animated_rig import AnimatedRig, RigAnimation
 from ..core.arguments import public
@@ -244,6 +245,35 @@ def save_vrma(motions: Sequence[BoneMotion], path: str | Path) -> None:
         raise InputError(f"{path}: expected .vrma for bones alone, found '{path.suffix}'; name another with -o")
     with writing(path), whole_file(path) as temporary:
         write_vrma(motions, temporary)
+
+
+def save_joints(
+    name: str,
+    names: tuple[str, ...],
+    parents: tuple[int, ...],
+    rest: Float[np.ndarray, "J 3"],
+    rotation: Float[np.ndarray, "T J 3 3"],
+    root: Float[np.ndarray, "T 3"],
+    fps: float,
+    path: str | Path,
+) -> None:
+    """Write a motion of joints without a mesh as .glb, .gltf or .fbx; y is up, and no joint is rotated at rest.
+
+    Args:
+        name: that of the animation.
+        parents: index of each joint's parent; -1 for the root, which comes first.
+        rest: positions at rest.
+        rotation: world rotation of each joint since rest.
+        root: position of the root.
+
+    Raises:
+        InputError: another format, or a path that cannot be written to.
+    """
+    from .gltf.joints import write_gltf_joints
+
+    refuse_vrm(path)
+    with _file_of_joints(Path(path)) as temporary:
+        write_gltf_joints(name, names, parents, rest, rotation, root, fps, temporary)
 
 
 def refuse_vrm(path: str | Path) -> None:

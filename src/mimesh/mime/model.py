@@ -177,6 +177,7 @@ class Mime:
             leg=found.leg,
             surface=found.samples,
             soles=found.soles,
+            ankles=tuple(self.joints[leg[-1]] for leg in self.legs),
             confidence=_without_shares(found.confidence, keyframes.mesh),
             keyframes=keyframes,
             found=found,

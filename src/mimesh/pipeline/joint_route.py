@@ -22,7 +22,7 @@ from ..bodies.joint_names import finger_joints, without_fingers
 from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.errors import InputError, RefusedMeshError
 from ..core.foot_planting import PosedJoints, foot_skate
-from ..core.frame_buffer import LazyFrames, Progress, counted, each_frame, evenly_spread
+from ..core.frame_buffer import LazyFrames, Progress, evenly_spread
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -98,7 +98,7 @@ class JointRoute(Placed):
             # The weights of an identity's own file stay as they are.
             limited = limited and self.rigs.humanoid is None
             retarget = self.retarget.limited(INFLUENCES) if limited else self.retarget
-            track = self._track(retarget, progress).smoothed(options.smooth)
+            track = retarget.motion.over(clip, self.norms[1], retarget.driving_soles, progress).smoothed(options.smooth)
             across = self.norms[1].radius / self.norms[0].radius if options.root == "keep" else None
             posed = retarget.posed_joints(track, across, options.root == "drop", options.ground)
             route = dataclasses.replace(self, retarget=retarget)
@@ -120,17 +120,6 @@ class JointRoute(Placed):
         positions = self.norms[1].undo(track.positions[0])
         driving_joints = without_fingers(dict(zip(retarget.motion.joints, positions, strict=True)))
         return Moved(moved, skeleton, own, cast(TransferReport, report), notes, driving_joints)
-
-    def _track(self, retarget: Retarget, progress: Progress | None) -> JointTrack:
-        """Return the motion of the driving's joints and soles in all frames, normalised."""
-        clip, norm, known = self.clip, self.norms[1], retarget.motion.track
-        if known is None:
-            frames = (norm.apply(vertices) for vertices in each_frame(clip.vertices))
-            return retarget.track(counted(frames, len(clip), progress), clip.fps)
-        if retarget.feet is None:
-            return known
-        # Of a surface whose joints are known, only the points of the soles are read.
-        return dataclasses.replace(known, soles=norm.apply(retarget.feet.soles_in(clip.vertices, progress)))
 
     def turned(self, posed: PosedJoints, t: int) -> Float[np.ndarray, "V 3"]:
         """Make a frame, refined, with the driving's heading."""
@@ -231,7 +220,7 @@ def joint_route(identity: Mesh, clip: Clip, mime: Mime, hints: Hints, rigs: Rigs
     rest = normalised(identity, mine)
     if rigs.humanoid is None and isinstance(motion, CapturedMotion):
         character, motion = network.with_fingers(character, rest, motion, partial(surface_motion, clip, theirs))
-    retarget = Retarget.of(character, motion, clip.mesh.name)
+    retarget = Retarget.of(character, motion)
     return JointRoute(identity, clip, (mine, theirs), rest, rigs=rigs, mime=network, retarget=retarget)
 
 

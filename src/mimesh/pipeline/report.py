@@ -65,6 +65,23 @@ class MeshReport(TypedDict):
     """Share of the surface that is far from the fitted body."""
 
 
+class CaptureReport(MeshReport):
+    """What is known of a captured clip: that of its first frame, and what the joints do.
+
+    Example:
+        >>> sorted(captured.report["contacts"])
+        ['LeftFoot', 'RightFoot']
+    """
+
+    height: float
+    """Height of the highest joint above the lowest one in the T-pose, in the unit of the clip."""
+    unit: NotRequired[float]
+    """Unit of the clip in metres; absent where its file does not say."""
+    contacts: NotRequired[dict[str, list[tuple[int, int]]]]
+    """Joint of each foot -> when it is on the ground: number of the first frame taken that it is in, from 0, and of the
+    one after the last. Absent of fewer than three frames, and where no foot was found."""
+
+
 class Accelerations(TypedDict):
     """Mean acceleration of vertices, in extents of the first frame a second squared."""
 

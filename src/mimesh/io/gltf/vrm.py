@@ -24,13 +24,11 @@ from ...bodies.hands import body_with_fingers, hand_joints
 from ...bodies.joint_names import ancestors, finger_joints
 from ...core.geometry import nearest_rotation
 from ...core.person_motion import PersonMotion
-from ...core.rig import Rig
 from ...motions.bone_motion import BoneMotion, bone_joints, t_pose_frames
 from ...motions.retarget import axes_from_rest
-from .animation import AnimationChannel, add_animation, sample_joints
+from .animation import AnimationChannel, sample_joints
 from .document import Document
-from .draft import Draft
-from .keys import KEY_LIMIT, choose_keys, local_quaternions, rotation_tolerances
+from .joints import joint_animation, joints_draft
 from .scene import world_matrices
 
 ANIMATION = "VRMC_vrm_animation"
@@ -226,30 +224,18 @@ def with_posed_hands(
 
 
 def write_vrma(motions: Sequence[BoneMotion], path: Path) -> None:
-    """Write motions of one skeleton as a VRM animation in GLB format, with an animation for each.
-
-    Rotations have the keys that interpolation needs; the hips have a key in every frame, from which readers know the
-    frame rate.
-    """
+    """Write motions of one skeleton as a VRM animation in GLB format, with an animation for each."""
     first = motions[0]
-    parents = first.parents
-    nodes: list[dict[str, Any]] = []
-    for k, (bone, parent) in enumerate(zip(first.bones, parents, strict=True)):
-        step = first.rest[k] - (first.rest[parent] if parent >= 0 else 0.0)
-        children = [j for j, above in enumerate(parents) if above == k]
-        nodes.append({"name": bone, "translation": step.tolist()} | ({"children": children} if children else {}))
+    draft = joints_draft(first.bones, first.parents, first.rest)
     bones = {bone: {"node": k} for k, bone in enumerate(first.bones)}
-    draft = Draft(
-        {
-            "asset": {"version": "2.0", "generator": "mimesh"},
-            "extensionsUsed": [ANIMATION],
-            "extensions": {ANIMATION: {"specVersion": "1.0", "humanoid": {"humanBones": bones}}},
-            "scene": 0,
-            "scenes": [{"nodes": [0]}],
-            "nodes": nodes,
-        }
-    )
-    draft.gltf["animations"] = [_bone_animation(draft, motion) for motion in motions]
+    draft.gltf |= {
+        "extensionsUsed": [ANIMATION],
+        "extensions": {ANIMATION: {"specVersion": "1.0", "humanoid": {"humanBones": bones}}},
+        "animations": [
+            joint_animation(draft, each.name, each.parents, each.rest, each.rotation, each.hips, each.fps)
+            for each in motions
+        ],
+    }
     draft.save(path)
 
 
@@ -283,21 +269,3 @@ def _with_hand(played: PersonMotion, side: str, rotation_of: dict[str, Float[np.
         positions=np.concatenate([positions[:, kept], *(place[name][:, None] for name in fingers)], axis=1),
         weights=weights,
     )
-
-
-def _bone_animation(draft: Draft, motion: BoneMotion) -> dict[str, Any]:
-    """Add an animation of all bones: their rotations, and the translation of the hips."""
-    quaternions = local_quaternions(motion.rotation, motion.parents)
-    is_key = choose_keys(quaternions.swapaxes(0, 1), _tolerances(motion))
-    times = np.arange(len(motion.hips)) / motion.fps
-    channels = [AnimationChannel(0, "translation", times, motion.hips)]
-    for node, keys in enumerate(is_key):
-        channels.append(AnimationChannel(node, "rotation", times[keys], quaternions[keys, node]))
-    return add_animation(draft, motion.name, channels)
-
-
-def _tolerances(motion: BoneMotion) -> Float[np.ndarray, " J"]:
-    """Compute the error of each bone's rotation (radians) with which no joint moves farther than KEY_LIMIT heights."""
-    count = len(motion.joints)
-    rig = Rig(np.tile(np.eye(3), (count, 1, 1)), motion.rest, np.eye(count))
-    return rotation_tolerances(motion.rest, rig, motion.parents, KEY_LIMIT * float(np.ptp(motion.rest[:, 1])))
