@@ -32,7 +32,8 @@ def test_a_mesh_gets_bones_a_picture_and_the_next_step(hero, call):
 
 def test_what_cannot_be_is_refused_before_any_work(hero, refuses):
     refuses("rig hero.obj -o hero.obj", "")
-    refuses("rig hero.obj -o out.ply", "out.ply: expected an output in one of .fbx .glb .gltf, found '.ply'")
+    refuses("rig hero.obj -o out.ply", "out.ply: expected an output in one of .fbx .glb .gltf .vrm, found '.ply'")
+    refuses("rig hero.obj -o out.vrm --author A", "expected --author and --license for a .vrm, found no --license")
     refuses("rig missing.obj", "missing.obj")
     (hero / "hero-rigged.glb").write_text("mine")
     refuses("rig hero.obj --no-clobber", "hero-rigged.glb")

@@ -59,10 +59,10 @@ def capture(
 ) -> dict[str, Any]:
     """Read the motion of joints out of the surfaces of CLIP: scans, caches, another character.
 
-    By default the output is CLIP.bvh beside CLIP. A .vrma plays on any VRM character. Joints that the file has are
-    taken as they are.
+    By default the output is CLIP.bvh beside CLIP. A .glb or .fbx has the joints alone, a
+    .vrma plays on any VRM. Joints that the file has are taken as they are.
     """
-    from ..io import load_driving
+    from ..io import check_writable, load_driving
     from ..pipeline.capturing import JOINT_FILES
     from ..pipeline.capturing import capture as capture_joints
     from .clips import check_suffix
@@ -70,6 +70,7 @@ def capture(
     target = output_path(output, lambda: clip.with_name(f"{clip.stem if clip.is_file() else clip.name}.bvh"))
     refuse_inputs(target, clip)
     check_suffix(target, JOINT_FILES)
+    check_writable(target)
     refuse_existing(no_clobber, target)
     corrected = JointFiles.found(clip, clip, joints, None, no_joints, model)
     with progress(f"reading {clip.name}", quiet or json) as advance:

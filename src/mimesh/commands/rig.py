@@ -38,6 +38,12 @@ def rig(
     names: Names = "own",
     root_bone: Annotated[bool, typer.Option("--root-bone", help="Add a bone on the ground above the hips.")] = False,
     rest: Rest = "file",
+    author: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Who made FILE, several times for several (.vrm).")
+    ] = None,
+    license: Annotated[
+        str | None, typer.Option(metavar="URL", help="Its licence, such as https://vrm.dev/licenses/1.0/ (.vrm).")
+    ] = None,
     up: Axis = None,
     front: Axis = None,
     body: Annotated[
@@ -69,12 +75,14 @@ def rig(
     """Give the mesh FILE a skeleton and skinning weights.
 
     By default the output is FILE-rigged.glb beside FILE. Joints are found on people and four-legged animals in any
-    pose; --names mixamo, --rest T gives the bones and the pose that programs for motions expect.
+    pose; --names mixamo, --rest T gives the bones and the pose that programs for motions expect. A .vrm is VRM 1.0: a
+    person in the T-pose, with --author and --license.
     """
-    from ..io import load_mesh
+    from ..io import check_writable, load_mesh
     from ..io.atomic import together
     from ..pipeline.rigging import BONES
     from ..pipeline.rigging import rig as find_rig
+    from ..pipeline.vrm import vrm_meta
     from ..tools.preview import names_beside, rig_picture, save_picture
     from .clips import check_suffix
 
@@ -84,6 +92,9 @@ def rig(
         refuse_inputs(written, file)
     check_suffix(target, BONES)
     check_joint_outputs((save_joints, None), model, file, target)
+    if target.suffix.lower() == ".vrm" != file.suffix.lower():
+        vrm_meta(file.stem, author, license, target)
+    check_writable(target)
     refuse_existing(no_clobber, target, picture, save_joints)
     corrected = JointFiles.found(file, file, joints, None, no_joints, model)
     with progress("finding joints", quiet or json):
@@ -93,7 +104,7 @@ def rig(
         )  # fmt: skip
     replaced = target.is_file()
     with together():
-        rigged.save(target, names=names, root_bone=root_bone, rest=rest)
+        rigged.save(target, names=names, root_bone=root_bone, rest=rest, author=author, license=license)
         _save_joints(rigged, file, save_joints)
         if picture is not None:
             save_picture(rig_picture(rigged), picture)
@@ -119,6 +130,7 @@ def _facts(
 ) -> dict[str, Any]:
     """Return the facts about a rig and its file, with all notes."""
     from ..tools.convert import not_kept
+    from ..tools.inspect import metres_note
 
     return {
         "output": str(output),
@@ -131,7 +143,7 @@ def _facts(
         "report": {
             **rigged.report,
             "corrected": list(joints),
-            "notes": [*rigged.notes, *not_kept(rigged.mesh, output)],
+            "notes": [*rigged.notes, *not_kept(rigged.mesh, output), *metres_note(rigged.mesh, output)],
             "pictures": [] if picture is None else [str(picture)],
         },
     }

@@ -44,7 +44,7 @@ OPTIONS = (
     *("markers", "model"),
     *("fps", "animation", "start", "stop", "step", "root", "ground", "smooth", "skinned", "rig", "body", "joints"),
     *("driving-joints", "names", "root-bone", "rest", "blendshapes", "body-model", "output", "workers", "summary"),
-    *("cluster", "threads"),
+    *("cluster", "threads", "author", "license"),
 )
 """Options of the command line that are arguments in Python, with underscores."""
 VALUES = (

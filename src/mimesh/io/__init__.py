@@ -26,4 +26,5 @@ from .save import save_own_rig as save_own_rig
 from .save import save_rig as save_rig
 from .save import save_rig_animations as save_rig_animations
 from .save import save_skinned as save_skinned
+from .save import save_vrm as save_vrm
 from .save import save_vrma as save_vrma

@@ -7,6 +7,7 @@ finds on its surface.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, cast
@@ -38,9 +39,10 @@ from .read import read_mesh
 from .report import MeshReport, facing, facing_note
 from .result import Timer
 from .skinned import check_own_layout
+from .vrm import save_as_vrm
 
-BONES = (".glb", ".gltf", ".fbx")
-"""Suffixes of files with bones. A .vrm needs an author and a licence, too."""
+BONES = (".glb", ".gltf", ".fbx", ".vrm")
+"""Suffixes of files with bones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +86,20 @@ class RiggedMesh:
         return without_fingers({name: self.skeleton.rig.joints[j] for name, j in roles.items()})
 
     @public()
-    def save(self, path: str | Path, *, names: str = "own", root_bone: bool = False, rest: str = "file") -> Path:
-        """Write the mesh with its bones, without an animation: .glb, .gltf, or .fbx where Blender is installed.
+    def save(
+        self,
+        path: str | Path,
+        *,
+        names: str = "own",
+        root_bone: bool = False,
+        rest: str = "file",
+        author: str | Sequence[str] | None = None,
+        license: str | None = None,
+    ) -> Path:
+        """Write the mesh with its bones, without an animation: .glb, .gltf, .vrm, or .fbx where Blender is installed.
 
-        The rig of a file is kept as it is, with all of its contents; only its bones may get other names.
+        The rig of a file is kept as it is, with all of its contents; only its bones may get other names. A .vrm is
+        VRM 1.0: a person in the T-pose, y up, +z front, and in metres where the file names its unit.
 
         Args:
             path: the file.
@@ -95,12 +107,16 @@ class RiggedMesh:
                 them.
             root_bone: add a bone on the ground above the hips.
             rest: pose that mesh and bones are bound in: that of the "file", "T" or "A".
+            author: who made the character, or several who did; a .vrm needs it.
+            license: URL of the licence, which a .vrm needs. Any but that of the VRM Public License,
+                https://vrm.dev/licenses/1.0/, is written beside that one, as VRM demands.
 
         Returns:
             The path.
 
         Raises:
-            InputError: another format, no such names or pose, or a path that cannot be written to.
+            InputError: another format, no such names or pose, what a .vrm cannot be, or a path that cannot be written
+                to.
 
         Example:
             >>> path = rigged.save("hero-rigged.glb", names="mixamo", rest="T")
@@ -108,11 +124,12 @@ class RiggedMesh:
         layout = Layout(names, root_bone, rest)
         layout.check()
         if Path(path).suffix.lower() not in BONES:
-            raise InputError(
-                f"{path}: expected .glb, .gltf or .fbx for bones, found '{Path(path).suffix}'; name another with -o"
-            )
+            found = f"found '{Path(path).suffix}'"
+            raise InputError(f"{path}: expected one of {' '.join(BONES)} for bones, {found}; name another with -o")
         with self.seconds.step("write"):
-            if self.own is not None:
+            if Path(path).suffix.lower() == ".vrm":
+                save_as_vrm(self, layout, author, license, Path(path))
+            elif self.own is not None:
                 check_own_layout(self.own.person, layout, self.mesh.name)
                 kept = OwnAnimation(self.own.source, self.mesh.name, {}, 30.0, 1, self.own.person)
                 save_own_rig(kept.with_layout(SCHEMES[names].bones, layout.root, root_bone), path)
