@@ -13,6 +13,8 @@ from zoo import ring
 import mimesh
 from mimesh.bodies import load_body
 from mimesh.bodies.animals import animal
+from mimesh.bodies.hands import body_with_fingers
+from mimesh.bodies.joint_names import finger_joints
 from mimesh.core.errors import InputError, RefusedMeshError
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.io.gltf.document import open_document
@@ -140,6 +142,25 @@ def test_the_rig_of_a_file_is_kept_with_all_else_or_replaced(tmp_path):
     replaced = mimesh.rig(path, rig="mimesh")
     assert replaced.source == "found"
     assert len(open_document(replaced.save(tmp_path / "new.glb")).gltf["skins"]) == 1
+
+
+def test_hands_that_show_fingers_get_joints_of_them():
+    body = body_with_fingers()
+    mesh = dataclasses.replace(body.mesh(), up="+y")
+    found = mimesh.rig(mesh)
+    assert found.report["fingers"] == ["left", "right"]
+    place = dict(zip(found.skeleton.names, found.skeleton.rig.joints, strict=True))
+    for side in ("Left", "Right"):
+        apart = [np.linalg.norm(place[name] - body.joints[body.joint(name)]) for name in finger_joints(side)]
+        assert np.mean(apart) < 0.01, "metres"
+    weights = found.skeleton.rig.weights
+    np.testing.assert_allclose(weights.sum(axis=1), 1)
+    tip = mesh.vertices[:, 0].argmax()
+    assert found.skeleton.names[weights[tip].argmax()] == "LeftHandMiddle3"
+    assert not any("HandMiddle" in name for name in found.joints), "joints of fingers cannot be corrected"
+    plain = mimesh.rig(mesh, fingers=False)
+    assert plain.report["fingers"] == []
+    assert len(plain.skeleton.names) == len(found.skeleton.names) - 30
 
 
 def test_corrected_joints_stay_where_they_are_put(rigged):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from ..core.printable import say
+from .joint_facts import joint_facts, print_joint_facts
 from .move import Axis, JointFiles, Joints, NoJoints
 from .terminal import (
     Json,
@@ -20,15 +20,10 @@ from .terminal import (
     Seed,
     given_path,
     output_path,
-    print_json,
-    print_next,
     progress,
     refuse_existing,
     refuse_inputs,
 )
-
-if TYPE_CHECKING:
-    from ..pipeline.capturing import CapturedClip
 
 
 def capture(
@@ -65,6 +60,7 @@ def capture(
     from ..io import check_writable, load_driving
     from ..pipeline.capturing import JOINT_FILES
     from ..pipeline.capturing import capture as capture_joints
+    from ..tools.convert import frames_at
     from .clips import check_suffix
 
     target = output_path(output, lambda: clip.with_name(f"{clip.stem if clip.is_file() else clip.name}.bvh"))
@@ -82,41 +78,8 @@ def capture(
         )  # fmt: skip
     replaced = target.is_file()
     captured.save(target)
-    facts = _facts(captured, target, replaced, corrected.described())
-    if json:
-        print_json(facts)
-    elif not quiet:
-        _print_summary(facts)
-    return facts
-
-
-def _facts(captured: CapturedClip, output: Path, replaced: bool, joints: tuple[str, ...]) -> dict[str, Any]:
-    """Return the facts about a motion and its file, with all notes."""
-    return {
-        "output": str(output),
-        "replaced": replaced,
-        "body": captured.body,
-        "joints": len(captured.names),
-        "frames": len(captured.root),
-        "fps": captured.fps,
-        "seconds": {step: round(value, 4) for step, value in captured.seconds.items()},
-        "report": {**captured.report, "corrected": list(joints), "notes": list(captured.notes)},
-    }
-
-
-def _print_summary(facts: dict[str, Any]) -> None:
-    """Print the output, how certain the joints are, notes, and a next step."""
-    from ..pipeline.look import KINDS
-    from ..tools.convert import frames_at
-
-    report, seconds = facts["report"], sum(facts["seconds"].values())
-    kind = KINDS[facts["body"]]
-    sure = f"found, confidence {report['confidence']:.2f}" if "confidence" in report else "of the file"
-    replaced = " (replaced)" if facts["replaced"] else ""
-    length = frames_at(facts["frames"], facts["fps"])
-    say(f"{facts['output']}{replaced}: {facts['joints']} joints of {kind}, {sure}, {length}, {seconds:.1f} s")
-    for line in report["corrected"]:
-        say(f"joints: {line}")
-    for note in report["notes"]:
-        say(f"note: {note}")
-    print_next("animate", "hero.glb", facts["output"])
+    frames = len(captured.root)
+    facts = joint_facts(captured, target, replaced, len(captured.names), corrected.described())
+    facts |= {"frames": frames, "fps": captured.fps}
+    length = f", {frames_at(frames, captured.fps)}"
+    return print_joint_facts(facts, json, quiet, ("animate", "hero.glb", str(target)), length)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..core.printable import say
+from .joint_facts import joint_facts, print_joint_facts
 from .move import Axis, JointFiles, Joints, Names, NoJoints, Rest, SaveJoints, check_joint_outputs
 from .terminal import (
     Json,
@@ -21,8 +21,6 @@ from .terminal import (
     given_path,
     one_of,
     output_path,
-    print_json,
-    print_next,
     progress,
     refuse_existing,
     refuse_inputs,
@@ -61,6 +59,10 @@ def rig(
     joints: Joints = None,
     no_joints: NoJoints = False,
     save_joints: SaveJoints = None,
+    fingers: Annotated[
+        bool,
+        typer.Option("--fingers/--no-fingers", help="Add joints of fingers to hands that show them."),
+    ] = True,
     model: Model = "mime",
     preview: Annotated[
         bool, typer.Option("--preview/--no-preview", help="Write a picture with the bones beside the output.")
@@ -83,6 +85,8 @@ def rig(
     from ..pipeline.rigging import BONES
     from ..pipeline.rigging import rig as find_rig
     from ..pipeline.vrm import vrm_meta
+    from ..tools.convert import not_kept
+    from ..tools.inspect import metres_note
     from ..tools.preview import names_beside, rig_picture, save_picture
     from .clips import check_suffix
 
@@ -99,8 +103,8 @@ def rig(
     corrected = JointFiles.found(file, file, joints, None, no_joints, model)
     with progress("finding joints", quiet or json):
         rigged = find_rig(
-            load_mesh(file), up=up, front=front, body=body, rig=replace, joints=corrected.identity, seed=seed,
-            model=model,
+            load_mesh(file), up=up, front=front, body=body, rig=replace, joints=corrected.identity,
+            fingers=fingers, seed=seed, model=model,
         )  # fmt: skip
     replaced = target.is_file()
     with together():
@@ -108,12 +112,11 @@ def rig(
         _save_joints(rigged, file, save_joints)
         if picture is not None:
             save_picture(rig_picture(rigged), picture)
-    facts = _facts(rigged, target, replaced, picture, corrected.described())
-    if json:
-        print_json(facts)
-    elif not quiet:
-        _print_summary(facts)
-    return facts
+    facts = joint_facts(rigged, target, replaced, len(rigged.skeleton.names), corrected.described())
+    facts["vertices"] = len(rigged.mesh.vertices)
+    facts["report"]["notes"] += [*not_kept(rigged.mesh, target), *metres_note(rigged.mesh, target)]
+    facts["report"]["pictures"] = [] if picture is None else [str(picture)]
+    return print_joint_facts(facts, json, quiet, ("animate", str(target), "walk.bvh"))
 
 
 def _save_joints(rigged: RiggedMesh, file: Path, path: Path | None) -> None:
@@ -123,46 +126,3 @@ def _save_joints(rigged: RiggedMesh, file: Path, path: Path | None) -> None:
 
     if path is not None:
         save_corrections(JointCorrections(rigged.joints, 0, file.name, len(rigged.mesh.vertices)), path)
-
-
-def _facts(
-    rigged: RiggedMesh, output: Path, replaced: bool, picture: Path | None, joints: tuple[str, ...]
-) -> dict[str, Any]:
-    """Return the facts about a rig and its file, with all notes."""
-    from ..tools.convert import not_kept
-    from ..tools.inspect import metres_note
-
-    return {
-        "output": str(output),
-        "replaced": replaced,
-        "body": rigged.body,
-        "source": rigged.source,
-        "joints": len(rigged.skeleton.names),
-        "vertices": len(rigged.mesh.vertices),
-        "seconds": {step: round(value, 4) for step, value in rigged.seconds.items()},
-        "report": {
-            **rigged.report,
-            "corrected": list(joints),
-            "notes": [*rigged.notes, *not_kept(rigged.mesh, output), *metres_note(rigged.mesh, output)],
-            "pictures": [] if picture is None else [str(picture)],
-        },
-    }
-
-
-def _print_summary(facts: dict[str, Any]) -> None:
-    """Print the output, how certain the joints are, notes, the picture and a next step."""
-    from ..pipeline.look import KINDS
-
-    report, seconds = facts["report"], sum(facts["seconds"].values())
-    kind = KINDS[facts["body"]]
-    sure = f", confidence {report['confidence']:.2f}" if "confidence" in report else ""
-    where = {"file": "of the file", "found": "found", "corrected": "found with corrections"}[facts["source"]]
-    replaced = " (replaced)" if facts["replaced"] else ""
-    say(f"{facts['output']}{replaced}: {facts['joints']} joints of {kind}, {where}{sure}, {seconds:.1f} s")
-    for line in report["corrected"]:
-        say(f"joints: {line}")
-    for note in report["notes"]:
-        say(f"note: {note}")
-    for path in report["pictures"]:
-        say(f"picture: {path}")
-    print_next("animate", facts["output"], "walk.bvh")

@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies.anatomy import body_of_joints
-from ..bodies.character_limbs import SIDES
-from ..bodies.joint_names import finger_joints, without_fingers
+from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.errors import InputError, RefusedMeshError
 from ..core.foot_planting import PosedJoints, foot_skate
@@ -52,7 +51,7 @@ from .look import (
 from .options import Hints, MotionOptions
 from .placed import KEYFRAMES, FoundJoints, Moved, Placed, first_frame, keyframes_of, surface_motion, surface_report
 from .refine import Refinement
-from .report import TransferReport
+from .report import TransferReport, fingered_hands
 from .result import Timer
 
 Found = TypeVar("Found", Character, JointMotion)
@@ -111,9 +110,7 @@ class JointRoute(Placed):
             report = surface_report(identity, clip, moved, self.facings)
         report |= {"body": self.mime.body} | ({} if self.rigs.humanoid is None else {"rig": "own"})
         notes = report_confidence(retarget, report, self.names) + self.all_notes(own is not None)
-        report["fingers"] = [
-            side.lower() for side in SIDES if finger_joints(side)[0] in retarget.character.joints
-        ]  # of these hands; elsewhere fingers follow the hand
+        report["fingers"] = fingered_hands(retarget.character.joints)  # elsewhere they follow the hand
         report |= self._skates(retarget, track, posed, across, options)
         if limited:
             report["influence_deviation"] = self._influence_deviation(retarget, posed)

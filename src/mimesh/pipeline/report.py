@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..bodies.joint_names import finger_joints
 from ..core.frame_buffer import LazyFrames, evenly_spread
 from ..core.geometry import edges, face_vectors
 from ..core.mesh import Clip, Mesh
@@ -63,6 +65,18 @@ class MeshReport(TypedDict):
     """Share of each limb of the fitted body that is far from the surface."""
     unmatched_surface: NotRequired[float]
     """Share of the surface that is far from the fitted body."""
+
+
+class RigReport(MeshReport):
+    """What is known of a rigged mesh.
+
+    Example:
+        >>> rigged.report["fingers"]
+        []
+    """
+
+    fingers: list[Literal["left", "right"]]
+    """Hands that have joints of fingers."""
 
 
 class CaptureReport(MeshReport):
@@ -207,6 +221,12 @@ def flipped_share(
 ) -> float:
     """Return the share of triangles that face against their neighbours and did not before (`against_neighbours`)."""
     return float((against_neighbours(faces, after) & ~before).mean())
+
+
+def fingered_hands(joints: Collection[str]) -> list[Literal["left", "right"]]:
+    """Return the hands whose fingers are among some joints."""
+    hands: dict[str, Literal["left", "right"]] = {"Left": "left", "Right": "right"}
+    return [name for side, name in hands.items() if any(joint in joints for joint in finger_joints(side))]
 
 
 def facing(norm: Normalization) -> MeshReport:

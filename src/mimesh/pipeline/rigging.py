@@ -33,10 +33,11 @@ from ..rigs.character import Character
 from .corrections import Corrections, GivenJoints
 from .file_rigs import read_rigs
 from .joint_route import find_character, found_alone
+from .look import normalised
 from .options import Hints
 from .placed import check_identity
 from .read import read_mesh
-from .report import MeshReport, facing, facing_note
+from .report import RigReport, facing, facing_note, fingered_hands
 from .result import Timer
 from .skinned import check_own_layout
 from .vrm import save_as_vrm
@@ -63,8 +64,8 @@ class RiggedMesh:
     """Shipped body whose joints they are: "human" or "quadruped"."""
     source: Literal["file", "found", "corrected"]
     """Where the joints are from: the file, its surface, or its surface with joints that the user has corrected."""
-    report: MeshReport
-    """Axes of the mesh, and how certainly joints were found: its "confidence" is from 0 to 1."""
+    report: RigReport
+    """Axes of the mesh, its fingers, and how certainly joints were found: its "confidence" is from 0 to 1."""
     seconds: Timer
     """Wall time in seconds of the steps: load, prepare, write."""
     notes: tuple[str, ...] = ()
@@ -148,6 +149,7 @@ def rig(
     body: str = "auto",
     rig: str = "own",
     joints: GivenJoints = None,
+    fingers: bool = True,
     seed: int = 0,
     model: str = "mime",
 ) -> RiggedMesh:
@@ -161,6 +163,7 @@ def rig(
         rig: "own" keeps the rig of the file, if it has a sound one; "mimesh" replaces it.
         joints: positions of some joints, where they are found wrongly: joint -> (x, y, z) in the axes and unit of the
             file, or the path of a .joints.json. The names are the keys of `RiggedMesh.joints`.
+        fingers: add joints of the fingers to hands on whose surface they are found; else fingers move with the hand.
         seed: seed of all random choices.
         model: "mime", or the path of an .onnx file that was trained as `mime` is.
 
@@ -181,11 +184,11 @@ def rig(
     check_identity(mesh)
     hints = Hints((up, front, None, None), rig, body, Corrections.read(joints, None, Clip.still(mesh)))
     with timer.step("prepare"):
-        return _rigged(mesh, find_mime(model, seed), hints, timer)
+        return _rigged(mesh, find_mime(model, seed), hints, fingers, timer)
 
 
-def _rigged(mesh: Mesh, mime: Mime, hints: Hints, timer: Timer) -> RiggedMesh:
-    """Look at a mesh and find its joints."""
+def _rigged(mesh: Mesh, mime: Mime, hints: Hints, fingers: bool, timer: Timer) -> RiggedMesh:
+    """Look at a mesh and find its joints, and those of its fingers if these are wanted."""
     rigs = read_rigs(mesh, Clip.still(mesh), hints)
     subject = rigs.subjects(mesh, mesh, hints.axes)[0]
 
@@ -193,6 +196,8 @@ def _rigged(mesh: Mesh, mime: Mime, hints: Hints, timer: Timer) -> RiggedMesh:
         return find_character(network, subject, norm, rigs, hints.corrections)
 
     seen, character, norm = found_alone(mime, subject, hints.asked_body, find)
+    if fingers and rigs.humanoid is None:
+        character = mime.of_body(seen.body).with_all_fingers(character, normalised(mesh, norm))
     report = facing(norm)
     notes = facing_note(norm, mesh.name, "--front") + rigs.notes
     if rigs.humanoid is not None:
@@ -211,7 +216,7 @@ def _rigged(mesh: Mesh, mime: Mime, hints: Hints, timer: Timer) -> RiggedMesh:
         skeleton,
         seen.body,
         source,
-        cast(MeshReport, report),
+        cast(RigReport, report | {"fingers": fingered_hands(character.roles)}),
         timer,
         tuple(map(for_caller, notes)),
         rigs.identity,
