@@ -86,7 +86,7 @@ def networks() -> dict[str, float]:
     for name in ("mime", "npt", "npt-maxpool"):  # the other networks have the same layers as npt
         model = find_model(name)
         if isinstance(model, Mime):
-            retarget = Retarget.of(model.rig(body.mesh()), model.capture(Clip.still(posed)), name)
+            retarget = Retarget.of(model.rig(body.mesh()), model.capture(Clip.still(posed)))
             move = partial(retarget.frame, 0, posed.vertices)
         else:
             drive = model.prepare(body.mesh(), Clip.still(posed))

@@ -20,6 +20,7 @@ from bench import seconds
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import sample_shape
 from mimesh.core.geometry import edges
+from mimesh.core.joint_tracks import JointTrack
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.rig import Rig
 from mimesh.evaluate.provenance import commit, libraries, machine
@@ -64,13 +65,17 @@ def mime_times(identity: Mesh, clip: Clip) -> dict[str, float]:
         "prepare_pose_ms": milliseconds(lambda: (model.rig(identity), model.capture(pose))),
         "prepare_clip_ms": milliseconds(lambda: (model.rig(identity), model.capture(keyframes))),
     }
-    retarget = Retarget.of(model.rig(identity), model.capture(keyframes), clip.mesh.name)
-    track = retarget.track(iter(frames), clip.fps)
+    retarget = Retarget.of(model.rig(identity), model.capture(keyframes))
+
+    def follow() -> JointTrack:
+        return retarget.motion.tracked(iter(frames), clip.fps, clip.mesh.name, retarget.driving_soles)
+
+    track = follow()
     rig = retarget.character.vertex_rig
     transforms = np.concatenate([track.rotation @ rig.rotation.mT, track.positions[..., None]], axis=-1)
     times |= {
         "frame_ms": milliseconds(lambda: [retarget.frame(t, frame) for t, frame in enumerate(frames)]) / FRAMES,
-        "follow_ms": milliseconds(lambda: retarget.track(iter(frames), clip.fps)) / FRAMES,
+        "follow_ms": milliseconds(follow) / FRAMES,
         "plain_skinning_ms": milliseconds(
             lambda: [blend_skinning(identity.vertices, rig, frame) for frame in transforms]
         )

@@ -49,6 +49,11 @@ def three_vrm_animation() -> list[str]:
     return _three("play_vrma.mjs", "three-vrm-animation")
 
 
+def three_joints() -> list[str]:
+    """Return the command that plays joints without a mesh in three.js; file and times in seconds are to be added."""
+    return _three("play_joints.mjs", "three-vrm")
+
+
 def firefox() -> list[str]:
     """Return the command that walks through the pages in Firefox; player, studio and a folder are to be added."""
     folder, node = Path(os.environ.get("MIMESH_PUPPETEER", CLIENTS / "puppeteer")), shutil.which("node")

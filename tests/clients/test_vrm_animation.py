@@ -5,7 +5,9 @@ import subprocess
 
 import numpy as np
 import pytest
-from client_programs import three_vrm_animation, validator
+import rigs
+from client_programs import three, three_vrm_animation, validator
+from people import person
 from scipy.spatial.transform import Rotation
 from vrm_files import bone_positions, vrm, vrma
 
@@ -144,3 +146,18 @@ def test_written_animations_are_valid(moved, tmp_path):
     answer = subprocess.run([*validator(), str(tmp_path / "b.glb")], capture_output=True, text=True, check=True)
     issues = json.loads(answer.stdout)["issues"]
     assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), issues["messages"][:5]
+
+
+def test_a_rigged_character_is_a_vrm_in_three_vrm(tmp_path):
+    """Both meshes without joints and files with bones of their own: the bones are found, and a raised arm is raised."""
+    own, _, _ = rigs.of_kind(tmp_path / "own.glb", "A-pose", faces=2000)
+    for name, mesh in (("bare", person(0)), ("own", own)):
+        path = mimesh.rig(mesh).save(tmp_path / f"{name}.vrm", author="A", license="https://example.org/licence")
+        answer = subprocess.run([*three(), path], capture_output=True, text=True, check=True)
+        played = json.loads(answer.stdout)
+        assert played["warnings"] == []
+        assert {"hips", "spine", "head", "leftHand", "rightFoot"} <= set(played["vrm"]["bones"])
+        before, after = played["vrm"]["before"], played["vrm"]["after"]
+        assert after[1] > before[1] + 0.3
+        issues = json.loads(subprocess.run([*validator(), path], capture_output=True, text=True, check=True).stdout)
+        assert issues["issues"]["numErrors"] == 0

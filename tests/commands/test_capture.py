@@ -18,4 +18,4 @@ def test_a_clip_becomes_a_bvh(tmp_path, monkeypatch, call, refuses):
     assert (facts["frames"], facts["joints"], facts["replaced"]) == (3, 31, True)
     assert (tmp_path / "walk.bvh").read_text().count("\n0.") <= 3 + facts["frames"]
     refuses("capture walk.npz --no-clobber", "walk.bvh")
-    refuses("capture walk.npz -o out.glb", "out.glb: expected an output in one of .bvh .vrma, found '.glb'")
+    refuses("capture walk.npz -o out.obj", "out.obj: expected an output in one of .bvh .fbx .glb .gltf .vrma, found")

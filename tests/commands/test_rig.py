@@ -17,7 +17,7 @@ def hero(tmp_path, monkeypatch):
 
 
 def test_a_mesh_gets_bones_a_picture_and_the_next_step(hero, call):
-    ended = call("rig hero.obj --save-joints hero-found.json")
+    ended = call("rig hero.obj --no-fingers --save-joints hero-found.json")
     assert ended.code == 0
     assert ended.out.startswith("hero-rigged.glb: 31 joints of a person, found, confidence 0.")
     assert "next: mimesh animate hero-rigged.glb" in ended.out
@@ -25,14 +25,15 @@ def test_a_mesh_gets_bones_a_picture_and_the_next_step(hero, call):
     assert has_rig(load_mesh(hero / "hero-rigged.glb"))
     found = json.loads((hero / "hero-found.json").read_text())
     assert len(found["joints"]) > 20
-    moved = json.loads(call("rig hero.obj -o same.glb --joints hero-found.json --no-preview --json").out)
+    moved = json.loads(call("rig hero.obj -o same.glb --joints hero-found.json --no-fingers --no-preview --json").out)
     assert (moved["source"], moved["joints"], moved["replaced"]) == ("corrected", 31, False)
     assert moved["report"]["pictures"] == []
 
 
 def test_what_cannot_be_is_refused_before_any_work(hero, refuses):
     refuses("rig hero.obj -o hero.obj", "")
-    refuses("rig hero.obj -o out.ply", "out.ply: expected an output in one of .fbx .glb .gltf, found '.ply'")
+    refuses("rig hero.obj -o out.ply", "out.ply: expected an output in one of .fbx .glb .gltf .vrm, found '.ply'")
+    refuses("rig hero.obj -o out.vrm --author A", "expected --author and --license for a .vrm, found no --license")
     refuses("rig missing.obj", "missing.obj")
     (hero / "hero-rigged.glb").write_text("mine")
     refuses("rig hero.obj --no-clobber", "hero-rigged.glb")

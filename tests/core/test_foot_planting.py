@@ -106,7 +106,7 @@ def case(motion=None, size=0.8, path=None, noise=0.0, driving_size=1.0, shin=1.0
     leg, mine = leg_length(rig.joints, LEGS), find_soles(vertices, identity_rig, LEGS, BODY.parents)
     feet = Feet.of(LEGS, leg, mine, skinned, find_soles(rest, rig, LEGS, BODY.parents), everyone)
     assert feet is not None
-    soles = np.stack([feet.driving_soles(frame) for frame in frames])
+    soles = np.stack([feet.driving.in_frame(frame) for frame in frames])
     track = JointTrack(rotation, positions, motion.fps, soles)
     return Case(track, skinned, feet, leg_length(identity_rig.joints, LEGS) / leg)
 
@@ -148,7 +148,7 @@ def test_a_surface_without_feet_has_no_soles():
 def test_contacts_of_a_walk_are_those_of_its_gait():
     """A foot stands for 0.6 of each cycle: from the heel's strike to the toes' leaving."""
     found = walking()
-    contacts = find_contacts(found.track, found.feet)
+    contacts = find_contacts(found.track, found.feet.driving_leg)
     share = contacts.planted.any(axis=2).mean(axis=0)
     assert ((share > 0.5) & (share < 0.8)).all()
     # The heel stands first and leaves first.
@@ -172,7 +172,7 @@ def test_soles_do_not_sink_or_float_or_jump():
     """No point of the feet is accelerated by more than 1.15 times the largest acceleration of before."""
     found = walking()
     raw, corrected = found.posed(), found.planted()
-    contacts = find_contacts(found.track, found.feet)
+    contacts = find_contacts(found.track, found.feet.driving_leg)
     driving = found.stride * found.track.soles[..., 1].min(axis=2)
     spread, largest, turns = [], [], []
     for posed in (raw, corrected):
@@ -218,7 +218,7 @@ def test_a_cycle_in_place_does_not_drift():
     motion = walk(1.0)
     ramp = -np.linspace(0, 1, len(motion.root))[:, None] * (motion.root[-1] - motion.root[0])
     found = case(motion, path=ramp)
-    contacts = find_contacts(found.track, found.feet)
+    contacts = find_contacts(found.track, found.feet.driving_leg)
     assert np.linalg.norm(contacts.ground_step) * motion.fps == pytest.approx(
         np.linalg.norm(motion.root[-1] - motion.root[0]) / (len(motion.root) - 1) * motion.fps, rel=0.1
     )
@@ -292,3 +292,14 @@ def test_a_trend_of_heights_does_not_go_on_where_no_foot_stands():
     assert root[39] - root[20] > 0.15
     assert np.ptp(root[:20]) < 0.01
     assert np.ptp(root[40:]) < 0.01
+
+
+def test_contacts_have_no_gaps_and_intervals_that_are_too_short():
+    contacts = find_contacts(walking().track, walking().feet.driving_leg)
+    standing = np.zeros((60, 1, 1))
+    for start, stop in ((5, 20), (22, 30), (40, 42), (50, 60)):  # between frames: a gap of one frame, a blink, the end
+        standing[start:stop] = 1.0
+    contacts = dataclasses.replace(contacts, standing=standing)
+    assert contacts.intervals(60) == [[(5, 31), (40, 43), (50, 61)]]
+    assert contacts.intervals(100) == [[(5, 31), (50, 61)]]
+    assert dataclasses.replace(contacts, standing=0 * standing).intervals(60) == [[]]

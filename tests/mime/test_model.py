@@ -35,7 +35,7 @@ def moved(method, frames, mesh=DRIVING):
 
 
 def moved_from(method, keyframes, frames, identity=IDENTITY):
-    retarget = Retarget.of(method.rig(identity), method.capture(keyframes), "driving")
+    retarget = Retarget.of(method.rig(identity), method.capture(keyframes))
     return [retarget.frame(t, vertices) for t, vertices in enumerate(frames)]
 
 

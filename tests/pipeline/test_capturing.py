@@ -15,6 +15,8 @@ from mimesh.bodies.sampling import sample_shape
 from mimesh.core.errors import InputError, RefusedMeshError
 from mimesh.core.geometry import angles_between, nearest_rotation
 from mimesh.core.mesh import Clip, Mesh
+from mimesh.io.gltf.document import open_document
+from mimesh.io.gltf.motion import read_skeleton
 from mimesh.motions import motion_clip, walk_motion
 from mimesh.motions.bvh import load_bvh
 
@@ -53,8 +55,59 @@ def test_a_file_of_joints_has_the_motion(captured, tmp_path):
     np.testing.assert_allclose(np.stack(world, axis=1), captured.rotation[:, order], atol=1e-4)
     np.testing.assert_allclose(read.root, captured.root, atol=1e-4)
     assert captured.save(tmp_path / "walk.vrma").stat().st_size > 1000
-    with pytest.raises(InputError, match=r"expected \.bvh or \.vrma for joints, found '\.glb'"):
-        captured.save(tmp_path / "walk.glb")
+    with pytest.raises(InputError, match=r"expected one of \.bvh \.fbx \.glb \.gltf \.vrma for joints, found '\.obj'"):
+        captured.save(tmp_path / "walk.obj")
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_a_gltf_file_of_joints_has_the_skeleton_and_the_motion(captured, suffix, tmp_path):
+    document = open_document(captured.save(tmp_path / f"walk{suffix}"))
+    read = read_skeleton(document)
+    assert "meshes" not in document.gltf
+    order = [captured.names.index(name) for name in read.joint_names]
+    assert read.fps == captured.fps
+    assert [read.joint_names[p] for p in read.parents[1:]] == [captured.names[captured.parents[j]] for j in order[1:]]
+    world = [read.rotmat[:, 0]]
+    for j, parent in enumerate(read.parents[1:], 1):
+        world.append(world[parent] @ read.rotmat[:, j])
+    np.testing.assert_allclose(np.stack(world, axis=1), captured.rotation[:, order], atol=2e-3)
+    np.testing.assert_allclose(read.root, captured.root, atol=1e-6)
+
+
+def test_the_unit_of_a_file_becomes_metres(captured, tmp_path):
+    centimetres = dataclasses.replace(
+        captured, rest=100 * captured.rest, root=100 * captured.root, report=captured.report | {"unit": 0.01}
+    )
+    for suffix in (".glb", ".vrma"):
+        read = [read_skeleton(open_document(one.save(tmp_path / f"a{suffix}"))) for one in (captured, centimetres)]
+        np.testing.assert_allclose(read[1].root, read[0].root, atol=1e-6)
+        np.testing.assert_allclose(read[1].offsets, read[0].offsets, atol=1e-6)
+
+
+def test_feet_are_on_the_ground_by_turns():
+    """Of a walk each foot stands for most of a step, and one of the two always."""
+    seconds, fps = 2.0, 30
+    clip = motion_clip(BODY, sample_shape(BODY, 0, 0), walk_motion(BODY, 0, 0, seconds=seconds, fps=fps))
+    bare = dataclasses.replace(clip, mesh=Mesh(clip.mesh.vertices, BODY.faces, "walk"), skeleton=None, headings=None)
+    report = mimesh.capture(bare).report
+    contacts = report["contacts"]
+    assert list(contacts) == ["LeftFoot", "RightFoot"]
+    stands = np.zeros((2, len(clip)), bool)
+    for foot, intervals in enumerate(contacts.values()):
+        assert 1 <= len(intervals) <= 4
+        for start, stop in intervals:
+            assert 0 <= start < stop <= len(clip)
+            stands[foot, start:stop] = True
+    assert (stands.any(axis=0)).mean() > 0.9
+    assert 0.4 < stands.mean() < 0.85
+    assert 1.2 < report["height"] < 2.2
+    assert "unit" not in report
+    assert "contacts" not in mimesh.capture(bare, stop=2).report
+
+
+def test_the_unit_is_that_of_the_file(tmp_path):
+    mimesh.save_clip(walk(frames=2), tmp_path / "walk.glb")
+    assert mimesh.capture(tmp_path / "walk.glb").report["unit"] == 1.0
 
 
 def test_axes_range_and_unit_of_the_clip_change_nothing_else(captured, clip):

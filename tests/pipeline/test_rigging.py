@@ -13,11 +13,17 @@ from zoo import ring
 import mimesh
 from mimesh.bodies import load_body
 from mimesh.bodies.animals import animal
+from mimesh.bodies.hands import body_with_fingers
+from mimesh.bodies.joint_names import finger_joints
 from mimesh.core.errors import InputError, RefusedMeshError
+from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.own_rig import has_rig
+from mimesh.io.gltf.scene import world_matrices
+from mimesh.io.gltf.vrm import PUBLIC_LICENSE, read_origin, vrm_bones
 
 BODY = load_body()
+CC0 = "https://creativecommons.org/publicdomain/zero/1.0/"
 
 
 @pytest.fixture(scope="module")
@@ -63,9 +69,61 @@ def test_bones_are_called_and_bound_as_a_program_expects(rigged, tmp_path):
     assert np.ptp(arms[:, 0]) > 0.9 * np.ptp(arms[:, 1]), "arms are horizontal"
     with pytest.raises(InputError, match="names: expected one of"):
         rigged.save(tmp_path / "other.glb", names="maya")
-    for name in ("rigged.obj", "rigged.vrm"):
-        with pytest.raises(InputError, match=r"expected \.glb, \.gltf or \.fbx"):
-            rigged.save(tmp_path / name)
+    with pytest.raises(InputError, match=r"expected one of \.glb \.gltf \.fbx \.vrm for bones, found '\.obj'"):
+        rigged.save(tmp_path / "rigged.obj")
+
+
+@pytest.mark.parametrize(("up", "front"), [("+y", "+z"), ("+z", "-y")])
+def test_a_vrm_is_a_person_in_the_t_pose_in_the_axes_of_vrm(up, front, tmp_path):
+    mesh = person(0)
+    turn = ROTATIONS[ORIENTATIONS.index((up, front))]
+    rigged = mimesh.rig(mesh.with_vertices(mesh.vertices @ turn), up=up, front=front)
+    path = rigged.save(tmp_path / "hero.vrm", names="mixamo", author=["A", "B"], license=CC0)
+    document = open_document(path)
+    meta = document.gltf["extensions"]["VRMC_vrm"]["meta"]
+    assert (meta["authors"], meta["licenseUrl"]) == (["A", "B"], "https://vrm.dev/licenses/1.0/")
+    assert read_origin(document) == ("A, B", CC0)
+    bones = vrm_bones(document)
+    assert {"Hips", "Spine", "Head", "LeftHand", "RightFoot"} <= bones.keys()
+    place = {name: world_matrices(document)[node][:3, 3] for name, node in bones.items()}
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        arm = place[f"{side}Hand"] - place[f"{side}Arm"]
+        np.testing.assert_allclose(arm / np.linalg.norm(arm), [sign, 0, 0], atol=1e-6)
+    vertices = mimesh.load_mesh(path).vertices
+    assert np.ptp(vertices[:, 0]) > 0.9 * np.ptp(vertices[:, 1])
+    assert np.ptp(vertices[:, 1]) == pytest.approx(np.ptp(BODY.vertices[:, 1]), rel=0.1)
+    assert mimesh.rig(path).source == "file"
+
+
+def test_a_vrm_keeps_the_file_with_its_own_bones_in_the_t_pose(tmp_path):
+    path, _, _ = rigs.of_kind(tmp_path / "own.glb", "A-pose")
+    kept = mimesh.rig(path)
+    document = open_document(kept.save(tmp_path / "own.vrm", author="A", license=PUBLIC_LICENSE))
+    assert "animations" not in document.gltf
+    assert "otherLicenseUrl" not in document.gltf["extensions"]["VRMC_vrm"]["meta"]
+    assert len(document.gltf["skins"]) == len(open_document(path).gltf["skins"])
+    place = {name: world_matrices(document)[node][:3, 3] for name, node in vrm_bones(document).items()}
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        arm, leg = place[f"{side}Hand"] - place[f"{side}Arm"], place[f"{side}Foot"] - place[f"{side}Leg"]
+        np.testing.assert_allclose(arm / np.linalg.norm(arm), [sign, 0, 0], atol=1e-5)
+        assert -leg[1] > 0.95 * np.linalg.norm(leg)
+    # A VRM stays the one that it is, with its own meta.
+    again = open_document(mimesh.rig(tmp_path / "own.vrm").save(tmp_path / "again.vrm"))
+    assert again.gltf["extensions"] == document.gltf["extensions"]
+
+
+def test_what_a_vrm_cannot_be_is_refused(rigged, tmp_path):
+    path = tmp_path / "hero.vrm"
+    with pytest.raises(InputError, match=r"expected author and license for a \.vrm, found no author"):
+        rigged.save(path)
+    with pytest.raises(InputError, match="license: expected a URL, found 'MIT'"):
+        rigged.save(path, author="A", license="MIT")
+    with pytest.raises(InputError, match="expected a T-pose without a root bone"):
+        rigged.save(path, author="A", license=CC0, rest="A")
+    animal_rig = dataclasses.replace(rigged, body="quadruped")
+    with pytest.raises(InputError, match=r"expected a person for a \.vrm, found a four-legged animal"):
+        animal_rig.save(path, author="A", license=CC0)
+    assert not path.exists()
 
 
 def test_the_rig_of_a_file_is_kept_with_all_else_or_replaced(tmp_path):
@@ -84,6 +142,25 @@ def test_the_rig_of_a_file_is_kept_with_all_else_or_replaced(tmp_path):
     replaced = mimesh.rig(path, hints=mimesh.Hints(rig="mimesh"))
     assert replaced.source == "found"
     assert len(open_document(replaced.save(tmp_path / "new.glb")).gltf["skins"]) == 1
+
+
+def test_hands_that_show_fingers_get_joints_of_them():
+    body = body_with_fingers()
+    mesh = dataclasses.replace(body.mesh(), up="+y")
+    found = mimesh.rig(mesh)
+    assert found.report["fingers"] == ["left", "right"]
+    place = dict(zip(found.skeleton.names, found.skeleton.rig.joints, strict=True))
+    for side in ("Left", "Right"):
+        apart = [np.linalg.norm(place[name] - body.joints[body.joint(name)]) for name in finger_joints(side)]
+        assert np.mean(apart) < 0.01, "metres"
+    weights = found.skeleton.rig.weights
+    np.testing.assert_allclose(weights.sum(axis=1), 1)
+    tip = mesh.vertices[:, 0].argmax()
+    assert found.skeleton.names[weights[tip].argmax()] == "LeftHandMiddle3"
+    assert not any("HandMiddle" in name for name in found.joints), "joints of fingers cannot be corrected"
+    plain = mimesh.rig(mesh, fingers=False)
+    assert plain.report["fingers"] == []
+    assert len(plain.skeleton.names) == len(found.skeleton.names) - 30
 
 
 def test_corrected_joints_stay_where_they_are_put(rigged):

@@ -69,6 +69,21 @@ def engine_rig(
     return _with_root(bound, scheme.root, axes[:, 1], root_bone) if root_bone or scheme.has_root else bound
 
 
+def t_posed(skeleton: AnimatedRig, up: str, front: str) -> AnimatedRig:
+    """Return the rig of a person's file with one frame, the T-pose of its own joints; the hips stay.
+
+    Joints that are known to be no person's turn with the joint above them.
+    """
+    axes = ROTATIONS[ORIENTATIONS.index((up, front))].T
+    known = {j: name for name, j in (skeleton.person or {}).items()}
+    names = tuple(known.get(j, f"joint {j}") for j in range(len(skeleton.names)))
+    turn = _rest_turns(replace(skeleton, names=names), "T", axes)
+    for j, parent in enumerate(skeleton.parents):
+        if j not in known and parent >= 0:
+            turn[j] = turn[parent]
+    return replace(skeleton, rotation=(turn @ skeleton.rig.rotation)[None], root=skeleton.rig.joints[:1])
+
+
 def _check_joints(skeleton: AnimatedRig, names: str, rest: str) -> None:
     """Check that a rig has the joints that a scheme or a rest pose needs."""
     missing = [joint for joint in REQUIRED if joint not in skeleton.names]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from ..core.options import FrameRange, Hints, MotionOptions
-from ..core.printable import say
+from .joint_facts import joint_facts, print_joint_facts
 from .move import with_joint_files
 from .options import ClipOptions, JointOptions, OutputOptions, Without, with_options
 from .terminal import (
@@ -16,16 +16,11 @@ from .terminal import (
     Seed,
     given_path,
     output_path,
-    print_json,
-    print_next,
     progress,
     refuse_existing,
     refuse_inputs,
     single,
 )
-
-if TYPE_CHECKING:
-    from ..pipeline.capturing import CapturedClip
 
 
 @with_options
@@ -44,17 +39,19 @@ def capture(
 ) -> dict[str, Any]:
     """Read the motion of joints out of the surfaces of CLIP: scans, caches, another character.
 
-    By default the output is CLIP.bvh beside CLIP. A .vrma plays on any VRM character. Joints that the file has are
-    taken as they are.
+    By default the output is CLIP.bvh beside CLIP. A .glb or .fbx has the joints alone, a
+    .vrma plays on any VRM. Joints that the file has are taken as they are.
     """
-    from ..io import load_driving
+    from ..io import check_writable, load_driving
     from ..pipeline.capturing import JOINT_FILES
     from ..pipeline.capturing import capture as capture_joints
+    from ..tools.convert import frames_at
     from .clips import check_suffix
 
     target = output_path(output.output, lambda: clip.with_name(f"{clip.stem if clip.is_file() else clip.name}.bvh"))
     refuse_inputs(target, clip)
     check_suffix(target, JOINT_FILES)
+    check_writable(target)
     refuse_existing(output.no_clobber, target)
     hints, corrected = with_joint_files(hints, clip, None, joints, model)
     with progress(f"reading {clip.name}", output.silent) as advance:
@@ -66,41 +63,8 @@ def capture(
         )
     replaced = target.is_file()
     captured.save(target)
-    facts = _facts(captured, target, replaced, corrected)
-    if output.json:
-        print_json(facts)
-    elif not output.quiet:
-        _print_summary(facts)
-    return facts
-
-
-def _facts(captured: CapturedClip, output: Path, replaced: bool, joints: tuple[str, ...]) -> dict[str, Any]:
-    """Return the facts about a motion and its file, with all notes."""
-    return {
-        "output": str(output),
-        "replaced": replaced,
-        "body": captured.body,
-        "joints": len(captured.names),
-        "frames": len(captured.root),
-        "fps": captured.fps,
-        "seconds": {step: round(value, 4) for step, value in captured.seconds.items()},
-        "report": {**captured.report, "corrected": list(joints), "notes": list(captured.notes)},
-    }
-
-
-def _print_summary(facts: dict[str, Any]) -> None:
-    """Print the output, how certain the joints are, notes, and a next step."""
-    from ..pipeline.look import KINDS
-    from ..tools.convert import frames_at
-
-    report, seconds = facts["report"], sum(facts["seconds"].values())
-    kind = KINDS[facts["body"]]
-    sure = f"found, confidence {report['confidence']:.2f}" if "confidence" in report else "of the file"
-    replaced = " (replaced)" if facts["replaced"] else ""
-    length = frames_at(facts["frames"], facts["fps"])
-    say(f"{facts['output']}{replaced}: {facts['joints']} joints of {kind}, {sure}, {length}, {seconds:.1f} s")
-    for line in report["corrected"]:
-        say(f"joints: {line}")
-    for note in report["notes"]:
-        say(f"note: {note}")
-    print_next("animate", "hero.glb", facts["output"])
+    count = len(captured.root)
+    facts = joint_facts(captured, target, replaced, len(captured.names), corrected)
+    facts |= {"frames": count, "fps": captured.fps}
+    length = f", {frames_at(count, captured.fps)}"
+    return print_joint_facts(facts, output, ("animate", "hero.glb", str(target)), length)

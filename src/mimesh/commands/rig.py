@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..core.options import Hints, Layout
-from ..core.printable import say
+from ..core.options import Hints, Layout, declared
+from .joint_facts import joint_facts, print_joint_facts
 from .move import check_joint_outputs, save_found, with_joint_files
 from .options import JointOptions, OutputOptions, Without, with_options
 from .terminal import (
@@ -16,15 +17,22 @@ from .terminal import (
     Seed,
     given_path,
     output_path,
-    print_json,
-    print_next,
     progress,
     refuse_existing,
     refuse_inputs,
 )
 
 if TYPE_CHECKING:
-    from ..pipeline.rigging import RiggedMesh
+    pass
+
+
+@dataclass(frozen=True)
+class RigOptions:
+    """What a rig has, and who made the mesh."""
+
+    author: list[str] | None = declared(None, "Who made FILE, several times for several (.vrm).", metavar="NAME")
+    license: str | None = declared(None, "Its licence, such as https://vrm.dev/licenses/1.0/ (.vrm).", metavar="URL")
+    fingers: bool = declared(True, "Add joints of fingers to hands that show them.", name="--fingers/--no-fingers")
 
 
 @with_options
@@ -34,6 +42,7 @@ def rig(
     model: Model = "mime",
     output: Annotated[OutputOptions, Without("open")],
     layout: Annotated[Layout, Without("fps")],
+    options: RigOptions,
     hints: Annotated[Hints, Without("driving_up", "driving_front", "driving_joints")],
     joints: Annotated[JointOptions, Without("save_driving_joints")],
     seed: Seed = 0,
@@ -41,12 +50,16 @@ def rig(
     """Give the mesh FILE a skeleton and skinning weights.
 
     By default the output is FILE-rigged.glb beside FILE. Joints are found on people and four-legged animals in any
-    pose; --names mixamo, --rest T gives the bones and the pose that programs for motions expect.
+    pose; --names mixamo, --rest T gives the bones and the pose that programs for motions expect. A .vrm is VRM 1.0: a
+    person in the T-pose, with --author and --license.
     """
-    from ..io import load_mesh
+    from ..io import check_writable, load_mesh
     from ..io.atomic import together
     from ..pipeline.rigging import BONES
     from ..pipeline.rigging import rig as find_rig
+    from ..pipeline.vrm import vrm_meta
+    from ..tools.convert import not_kept
+    from ..tools.inspect import metres_note
     from ..tools.preview import names_beside, rig_picture, save_picture
     from .clips import check_suffix
 
@@ -56,61 +69,22 @@ def rig(
         refuse_inputs(written, file)
     check_suffix(target, BONES)
     check_joint_outputs(joints, model, file, target)
+    if target.suffix.lower() == ".vrm" != file.suffix.lower():
+        vrm_meta(file.stem, options.author, options.license, target)
+    check_writable(target)
     refuse_existing(output.no_clobber, target, picture, joints.save_joints)
     hints, corrected = with_joint_files(hints, file, None, joints, model)
     with progress("finding joints", output.silent):
-        rigged = find_rig(load_mesh(file), model, hints=hints, seed=seed)
+        rigged = find_rig(load_mesh(file), model, hints=hints, fingers=options.fingers, seed=seed)
     replaced = target.is_file()
+    made_by = {"author": options.author, "license": options.license}
     with together():
-        rigged.save(target, names=layout.names, root_bone=layout.root_bone, rest=layout.rest)
+        rigged.save(target, names=layout.names, root_bone=layout.root_bone, rest=layout.rest, **made_by)
         save_found(rigged.joints, joints.save_joints, file, rigged.mesh)
         if picture is not None:
             save_picture(rig_picture(rigged), picture)
-    facts = _facts(rigged, target, replaced, picture, corrected)
-    if output.json:
-        print_json(facts)
-    elif not output.quiet:
-        _print_summary(facts)
-    return facts
-
-
-def _facts(
-    rigged: RiggedMesh, output: Path, replaced: bool, picture: Path | None, joints: tuple[str, ...]
-) -> dict[str, Any]:
-    """Return the facts about a rig and its file, with all notes."""
-    from ..tools.convert import not_kept
-
-    return {
-        "output": str(output),
-        "replaced": replaced,
-        "body": rigged.body,
-        "source": rigged.source,
-        "joints": len(rigged.skeleton.names),
-        "vertices": len(rigged.mesh.vertices),
-        "seconds": {step: round(value, 4) for step, value in rigged.seconds.items()},
-        "report": {
-            **rigged.report,
-            "corrected": list(joints),
-            "notes": [*rigged.notes, *not_kept(rigged.mesh, output)],
-            "pictures": [] if picture is None else [str(picture)],
-        },
-    }
-
-
-def _print_summary(facts: dict[str, Any]) -> None:
-    """Print the output, how certain the joints are, notes, the picture and a next step."""
-    from ..pipeline.look import KINDS
-
-    report, seconds = facts["report"], sum(facts["seconds"].values())
-    kind = KINDS[facts["body"]]
-    sure = f", confidence {report['confidence']:.2f}" if "confidence" in report else ""
-    where = {"file": "of the file", "found": "found", "corrected": "found with corrections"}[facts["source"]]
-    replaced = " (replaced)" if facts["replaced"] else ""
-    say(f"{facts['output']}{replaced}: {facts['joints']} joints of {kind}, {where}{sure}, {seconds:.1f} s")
-    for line in report["corrected"]:
-        say(f"joints: {line}")
-    for note in report["notes"]:
-        say(f"note: {note}")
-    for path in report["pictures"]:
-        say(f"picture: {path}")
-    print_next("animate", facts["output"], "walk.bvh")
+    facts = joint_facts(rigged, target, replaced, len(rigged.skeleton.names), corrected)
+    facts["vertices"] = len(rigged.mesh.vertices)
+    facts["report"]["notes"] += [*not_kept(rigged.mesh, target), *metres_note(rigged.mesh, target)]
+    facts["report"]["pictures"] = [] if picture is None else [str(picture)]
+    return print_joint_facts(facts, output, ("animate", str(target), "walk.bvh"))

@@ -32,6 +32,10 @@ HIPS_HEIGHT = (0.2, 0.35)
 """Leg lengths over the ground: with the hips below the first, nobody stands: people lie, roll or swim."""
 GROUND_SHARE = 0.25
 """The ground is the height that the lowest point has, or is below, in this share of the frames in which it stands."""
+SHORTEST_CONTACT = 0.05
+"""Seconds: shorter contacts, and gaps between them, are noise. Feet of sprinters stand for 0.1 (Weyand et al. 2000)."""
+FEWEST_FRAMES = 3
+"""Frames below which contacts are not looked for."""
 TREADMILL_SPEED = 0.4
 """Leg lengths a second from which on a ground that moves is looked for."""
 
@@ -54,12 +58,30 @@ class FootContacts:
         """Whether points stand, yes or no."""
         return self.standing > 0.5
 
+    def intervals(self, fps: float) -> list[list[tuple[int, int]]]:
+        """Return for each foot when it is on the ground: first frame, and the one after the last, of each time."""
+        return [_intervals(standing, SHORTEST_CONTACT * fps) for standing in (self.planted.sum(axis=2) > 0).T]
 
-def find_contacts(track: JointTrack, feet: Feet) -> FootContacts | None:
-    """Detect contacts from the paths of a clip's contact points and of its root joint; None if it has none."""
-    if track.soles is None or len(track.soles) < 3:
+
+def _intervals(standing: Bool[np.ndarray, " S"], shortest: float) -> list[tuple[int, int]]:
+    """Return the intervals of frames in which a foot stands, without gaps and intervals below `shortest` frames."""
+    change = np.diff(np.pad(standing, 1).astype(int))
+    # A point that stands between two frames is on the ground in both.
+    begin, end = np.flatnonzero(change > 0), np.flatnonzero(change < 0) + 1
+    apart = begin[1:] - end[:-1] >= shortest
+    begin, end = begin[np.append(True, apart)[: len(begin)]], end[np.append(apart, True)[: len(end)]]
+    rows = zip(begin, end, strict=True)
+    return [(int(first), int(stop)) for first, stop in rows if stop - first >= shortest]
+
+
+def find_contacts(track: JointTrack, leg: float) -> FootContacts | None:
+    """Detect contacts from the paths of a clip's contact points and of its root joint; None if it has none.
+
+    `leg` is the length of a leg.
+    """
+    if track.soles is None or len(track.soles) < FEWEST_FRAMES:
         return None
-    soles, root = track.soles / feet.driving_leg, track.positions[:, 0] / feet.driving_leg
+    soles, root = track.soles / leg, track.positions[:, 0] / leg
     velocity = np.diff(soles, axis=0) * track.fps
     height = np.maximum(soles[1:, ..., 1], soles[:-1, ..., 1])
     ground = _ground(height, np.linalg.norm(velocity, axis=-1))
@@ -71,7 +93,7 @@ def find_contacts(track: JointTrack, feet: Feet) -> FootContacts | None:
     if not (standing > 0.5).any():
         return None
     near = falling(soles[..., 1].min(axis=2) - ground, NEAR_GROUND) * upright[:, None]
-    return FootContacts(track.soles, standing, near, moving * feet.driving_leg / track.fps)
+    return FootContacts(track.soles, standing, near, moving * leg / track.fps)
 
 
 def _ground(height: Float[np.ndarray, "S F C"], speed: Float[np.ndarray, "S F C"]) -> float:
@@ -196,7 +218,7 @@ def plant_feet(
             does.
         slides: whether to correct slides, or heights only.
     """
-    contacts = find_contacts(track, feet) if feet.can_be_planted else None
+    contacts = find_contacts(track, feet.driving_leg) if feet.can_be_planted else None
     if contacts is None:
         return posed
     leg, cyclic = feet.driving_leg * scale[1], is_cyclic(track, feet.driving_leg)
@@ -255,7 +277,7 @@ def foot_skate(
 
     The second figure is that of the driving's soles, times the scale. None if they never stand.
     """
-    contacts = None if feet is None else find_contacts(track, feet)
+    contacts = None if feet is None else find_contacts(track, feet.driving_leg)
     if feet is None or contacts is None or not contacts.planted.any():
         return None
     soles = feet.identity_soles(posed.rotation, posed.root)

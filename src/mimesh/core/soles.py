@@ -32,6 +32,40 @@ Soles = tuple[Int[np.ndarray, "C M"] | None, ...]
 
 
 @dataclass(frozen=True, eq=False)
+class SolePoints:
+    """The contact points of F feet of a surface, C of each."""
+
+    feet: int
+    surface: SurfacePoints
+    """The F * C * M points of the surface whose means they are."""
+
+    @classmethod
+    def of(cls, soles: Soles, surface: SurfacePoints) -> SolePoints | None:
+        """Select those of feet that were found; None if there is none.
+
+        Args:
+            soles: contact points as indices of the points of `surface`.
+            surface: points of a mesh.
+        """
+        found = [indices.ravel() for indices in soles if indices is not None]
+        if not found:
+            return None
+        points = np.concatenate(found)
+        return cls(len(found), SurfacePoints(surface.corners[points], surface.barycentric[points]))
+
+    def in_frame(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "F C 3"]:
+        """Return the contact points in a frame."""
+        return self.surface.points(vertices).reshape(self.feet, -1, MEAN_OF, 3).mean(axis=2)
+
+    def in_frames(self, frames: Frames, progress: Progress | None = None) -> Float[np.ndarray, "T F C 3"]:
+        """Return the contact points in all frames, of which only their vertices are read."""
+        used, corners = np.unique(self.surface.corners, return_inverse=True)
+        few = SurfacePoints(corners.reshape(-1, 3), self.surface.barycentric)
+        points = few.points(vertices_of_all(frames, used, progress))
+        return points.reshape(len(points), self.feet, -1, MEAN_OF, 3).mean(axis=3)
+
+
+@dataclass(frozen=True, eq=False)
 class Feet:
     """The F feet that driving and identity both have, with C contact points each."""
 
@@ -39,8 +73,8 @@ class Feet:
     """Of each foot hip, knee and ankle joint, or those of them that the identity has: the last one moves the foot."""
     driving_leg: float
     """Leg length of the driving."""
-    driving: SurfacePoints
-    """The F * C * M points of the driving's surface whose means are its contact points."""
+    driving: SolePoints
+    """Contact points of the driving."""
     identity: SkinnedMesh
     """The F * C * M points of the identity whose means are its contact points."""
 
@@ -71,11 +105,12 @@ class Feet:
         ]
         if not both:
             return None
-        points = np.concatenate([other.ravel() for _, _, other in both])
+        theirs = SolePoints.of(tuple(other for _, _, other in both), surface)
+        assert theirs is not None
         return cls(
             tuple(leg for leg, _, _ in both),
             driving_leg,
-            SurfacePoints(surface.corners[points], surface.barycentric[points]),
+            theirs,
             skinned.part(np.concatenate([mine.ravel() for _, mine, _ in both])),
         )
 
@@ -83,17 +118,6 @@ class Feet:
     def can_be_planted(self) -> bool:
         """Whether each leg has two bones and an ankle, as inverse kinematics needs."""
         return all(len(leg) == 3 for leg in self.legs)
-
-    def driving_soles(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "F C 3"]:
-        """Return the driving's contact points in a frame."""
-        return self.driving.points(vertices).reshape(len(self.legs), -1, MEAN_OF, 3).mean(axis=2)
-
-    def soles_in(self, frames: Frames, progress: Progress | None = None) -> Float[np.ndarray, "T F C 3"]:
-        """Return the driving's contact points in all frames, of which only their vertices are read."""
-        used, corners = np.unique(self.driving.corners, return_inverse=True)
-        few = SurfacePoints(corners.reshape(-1, 3), self.driving.barycentric)
-        points = few.points(vertices_of_all(frames, used, progress))
-        return points.reshape(len(points), len(self.legs), -1, MEAN_OF, 3).mean(axis=3)
 
     def identity_soles(
         self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]

@@ -18,6 +18,7 @@ from .save import check_writable as check_writable
 from .save import refuse_vrm as refuse_vrm
 from .save import save_as_fbx as save_as_fbx
 from .save import save_clip as save_clip
+from .save import save_joints as save_joints
 from .save import save_mesh as save_mesh
 from .save import save_own_animations as save_own_animations
 from .save import save_own_pose as save_own_pose
@@ -25,4 +26,5 @@ from .save import save_own_rig as save_own_rig
 from .save import save_rig as save_rig
 from .save import save_rig_animations as save_rig_animations
 from .save import save_skinned as save_skinned
+from .save import save_vrm as save_vrm
 from .save import save_vrma as save_vrma

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from ..core.animated_rig import AnimatedRig, RigAnimation
 from ..core.arguments import public
@@ -20,7 +21,7 @@ from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, RewritableSource, check_frames, check_numbers, check_timing, with_printable_names
 from ..core.output_size import check_output_size, frames_size
-from .atomic import together, whole_file, writing
+from .atomic import scratch_folder, together, whole_file, writing
 from .formats import CACHES, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, found_suffix, gltf_file
 from .frame_folder import write_sequence
 from .load import load_mesh
@@ -31,6 +32,7 @@ from .timing import DEFAULT_FPS
 if TYPE_CHECKING:
     from ..motions.bone_motion import BoneMotion
     from .gltf.own_animation import OwnAnimation, PlayedAnimation
+    from .gltf.vrm import VrmMeta
 
 
 @public
@@ -248,6 +250,35 @@ def save_vrma(motions: Sequence[BoneMotion], path: str | Path) -> None:
         write_vrma(motions, temporary)
 
 
+def save_joints(
+    name: str,
+    names: tuple[str, ...],
+    parents: tuple[int, ...],
+    rest: Float[np.ndarray, "J 3"],
+    rotation: Float[np.ndarray, "T J 3 3"],
+    root: Float[np.ndarray, "T 3"],
+    fps: float,
+    path: str | Path,
+) -> None:
+    """Write a motion of joints without a mesh as .glb, .gltf or .fbx; y is up, and no joint is rotated at rest.
+
+    Args:
+        name: that of the animation.
+        parents: index of each joint's parent; -1 for the root, which comes first.
+        rest: positions at rest.
+        rotation: world rotation of each joint since rest.
+        root: position of the root.
+
+    Raises:
+        InputError: another format, or a path that cannot be written to.
+    """
+    from .gltf.joints import write_gltf_joints
+
+    refuse_vrm(path)
+    with _file_of_joints(Path(path)) as temporary:
+        write_gltf_joints(name, names, parents, rest, rotation, root, fps, temporary)
+
+
 def refuse_vrm(path: str | Path) -> None:
     """Raise InputError for an animation in a .vrm: the specifications of VRM have none in it (see `gltf.vrm`)."""
     path = Path(path)
@@ -256,6 +287,39 @@ def refuse_vrm(path: str | Path) -> None:
             f"{path}: expected a format for an animation, found .vrm, which holds none by its specification; "
             f"write {path.with_suffix('.vrma').name} (the motion alone) or {path.with_suffix('.glb').name}"
         )
+
+
+def save_vrm(
+    rig: AnimatedRig | OwnAnimation,
+    bones: Mapping[str, int],
+    meta: VrmMeta,
+    turn: Float[np.ndarray, "3 3"],
+    path: str | Path,
+) -> None:
+    """Write a person in the T-pose as VRM 1.0: a skinned mesh at rest, or the own file of a mesh in its first frame.
+
+    Args:
+        bones: humanoid bone -> joint of the skinned mesh, or node of the file.
+        turn: rotation from the axes of the rig to y up, +z front.
+
+    Raises:
+        InputError: a path that cannot be written to.
+    """
+    from .gltf.document import open_document
+    from .gltf.own_animation import write_own_pose
+    from .gltf.skinned import write_gltf_skinned
+    from .gltf.vrm import write_vrm
+
+    path = Path(path)
+    with writing(path), whole_file(path) as temporary, scratch_folder() as folder:
+        glb = folder / "scene.glb"
+        if isinstance(rig, AnimatedRig):
+            write_gltf_skinned([RigAnimation("rest", rig, DEFAULT_FPS)], glb, animated=False)
+            nodes = open_document(glb).gltf["skins"][0]["joints"]
+            bones = {bone: nodes[joint] for bone, joint in bones.items()}
+        else:
+            write_own_pose(rig, glb)
+        write_vrm(glb, bones, meta, turn, temporary)
 
 
 def save_as_fbx(source: Path, path: Path) -> None:

@@ -14,7 +14,7 @@ Inputs of the ONNX file are those of the body's network (`prediction.py`), of B 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -54,6 +54,8 @@ WRIST_REACH, MAX_BORDER = 0.35, 0.01
 """A hand has holes if it has more border edges than this share of its triangles, those not counted that are nearer to
 the wrist than so many lengths of the hand. Hands of the noise protocol's pierced meshes have 1.4 to 18 %, all hands of
 the pool's `val` characters that show fingers none. A finger in which a hole is bends wrongly."""
+Bends = Float[np.ndarray, "15 3 3"]
+"""Rotation of each finger joint of a hand relative to its palm."""
 TINY = 1e-9
 """Added to weights before they are divided by their sum."""
 NEAREST, REACH = 3, 1.6
@@ -73,6 +75,10 @@ class HandFinder:
     joints: tuple[str, ...]
     """Names of the joints of the body's network."""
     seed: int = 0
+
+    def find(self, mesh: WeightedMesh) -> list[FingeredHand]:
+        """Find the hands of a mesh that show their fingers."""
+        return list(self._fingered(mesh, SIDES, by_vertex=True).values())
 
     def find_moving(
         self, identity: WeightedMesh, driving: Callable[[], WeightedMesh], motion: SurfaceMotion
@@ -183,6 +189,11 @@ class FoundFingers:
     """The shares are those of its vertices."""
     driving: FingeredHand
     """In the reference frame; the shares are those of its tracked points."""
+
+    @property
+    def settled_bends(self) -> Bends:
+        """Bends of the identity's fingers, those that the driving's nearly equal replaced by the driving's."""
+        return settled_bends(self.identity.fingers.bends, self.driving.fingers.bends)
 
 
 def _has_holes(
@@ -397,18 +408,21 @@ class FingerTracker:
 
 
 def with_fingers(
-    rig: Rig, joints: tuple[str, ...], parents: tuple[int, ...], found: list[FoundFingers]
+    rig: Rig, joints: tuple[str, ...], parents: tuple[int, ...], found: Sequence[tuple[FingeredHand, Bends]]
 ) -> tuple[Rig, tuple[str, ...], tuple[int, ...]]:
-    """Add the fingers of an identity to its rig, joints and parents; the body's joints stay where they are.
+    """Add fingers to a rig, its joints and parents; the body's joints stay where they are.
 
     Of the body's joints of a hand, only the hand and the base of all fingers keep weights: those of the palm.
+
+    Args:
+        found: hands, and the rotation of each finger joint relative to the palm at rest.
     """
     rotation, positions, weights = [rig.rotation], [rig.joints], [rig.weights.copy() if found else rig.weights]
-    for hand in found:
-        mine, fingers = hand.identity.hand, hand.identity.fingers
+    for fingered, bends in found:
+        mine, fingers = fingered.hand, fingered.fingers
         of_hand, palm = hand_joints(joints, mine.side), list(dict.fromkeys([mine.joint, mine.base]))
         weights.append(_divided_weights(weights[0], of_hand, palm, mine.vertices, fingers.shares))
-        rotation.append(fingers.palm @ settled_bends(fingers.bends, hand.driving.fingers.bends))
+        rotation.append(fingers.palm @ bends)
         positions.append(fingers.joints)
         parents += tuple(mine.base if parent == 0 else len(joints) + parent - 1 for parent in HAND_PARENTS[1:])
         joints += finger_joints(mine.side)

@@ -39,7 +39,7 @@ from .body_fit import (
     sampled_body,
     whole_body,
 )
-from .hands import HandFinder, WeightedMesh, follow_fingers, with_fingers
+from .hands import Bends, FingeredHand, HandFinder, WeightedMesh, follow_fingers, with_fingers
 from .joint_targets import JointTargets
 from .kept_results import kept
 from .part_tracking import PartTracker
@@ -177,6 +177,7 @@ class Mime:
             leg=found.leg,
             surface=found.samples,
             soles=found.soles,
+            ankles=tuple(self.joints[leg[-1]] for leg in self.legs),
             confidence=_without_shares(found.confidence, keyframes.mesh),
             keyframes=keyframes,
             found=found,
@@ -193,9 +194,7 @@ class Mime:
         """
         if self.hands is None:
             return character, motion
-        identity = WeightedMesh(
-            character.points, character.group[face_outward(mesh).faces], character.rig, character.rig.weights
-        )
+        identity = _with_weights_of(character, mesh)
 
         def reference() -> WeightedMesh:
             frames, found = motion.keyframes, motion.found
@@ -205,18 +204,15 @@ class Mime:
         hands = self.hands.find_moving(identity, reference, surface)
         if not hands:
             return character, motion
-        rig, joints, parents = with_fingers(character.rig, self.joints, self.parents, hands)
-        fingered = dataclasses.replace(
-            character,
-            joints=joints,
-            parents=parents,
-            rig=rig,
-            skinned=SkinnedMesh.of(character.points, rig, parents),
-            roles={name: j for j, name in enumerate(joints)},
-            above=names_above(joints, parents),
-        )
+        fingered = _with_hands(character, [(hand.identity, hand.settled_bends) for hand in hands])
         assert motion.follow is not None
-        return fingered, dataclasses.replace(motion, joints=joints, follow=follow_fingers(motion.follow, hands))
+        follow = follow_fingers(motion.follow, hands)
+        return fingered, dataclasses.replace(motion, joints=fingered.joints, follow=follow)
+
+    def with_all_fingers(self, character: Character, mesh: Mesh) -> Character:
+        """Add the fingers of all hands that show them to a character that was made by `rig` of `mesh`."""
+        hands = [] if self.hands is None else self.hands.find(_with_weights_of(character, mesh))
+        return _with_hands(character, [(hand, hand.fingers.bends) for hand in hands]) if hands else character
 
     def _targets(self, known: Positions) -> JointTargets:
         return JointTargets([self.joints.index(name) for name in known], np.array(list(known.values())), self.body)
@@ -407,6 +403,26 @@ class Mime:
                 f"by {1e3 * fit.distance:.1f} mm; give {option('pairing', 'random')}"
             )
         return PosedBody(whole_body(self.body), fit.posed.state)
+
+
+def _with_weights_of(character: Character, mesh: Mesh) -> WeightedMesh:
+    """Return the mesh of a character, in which its hands are looked for."""
+    faces = character.group[face_outward(mesh).faces]
+    return WeightedMesh(character.points, faces, character.rig, character.rig.weights)
+
+
+def _with_hands(character: Character, hands: Sequence[tuple[FingeredHand, Bends]]) -> Character:
+    """Add the fingers of hands to a character, with their bends at rest."""
+    rig, joints, parents = with_fingers(character.rig, character.joints, character.parents, hands)
+    return dataclasses.replace(
+        character,
+        joints=joints,
+        parents=parents,
+        rig=rig,
+        skinned=SkinnedMesh.of(character.points, rig, parents),
+        roles={name: j for j, name in enumerate(joints)},
+        above=names_above(joints, parents),
+    )
 
 
 def _nearest_weights(points: Float[np.ndarray, "N 3"], known: Float[np.ndarray, "M 3"], rig: Rig) -> Rig:

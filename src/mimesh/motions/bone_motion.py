@@ -56,15 +56,20 @@ class BoneMotion:
 
     @property
     def bones(self) -> tuple[str, ...]:
-        """Names of the bones in VRM 1.0; those of the trunk are counted from the hips up."""
-        trunk = [name for name in self.joints if name in TRUNK]
-        renamed = dict(zip(trunk, (BONE_OF_JOINT[name] for name in TRUNK), strict=False))
-        return tuple((BONE_OF_JOINT | renamed)[name] for name in self.joints)
+        """Names of the bones in VRM 1.0."""
+        return bone_names(self.joints)
 
 
 def bone_joints(names: Mapping[str, int]) -> tuple[str, ...]:
     """Select the joints that VRM has bones for, parents first."""
     return tuple(name for name in BONE_OF_JOINT if name in names)
+
+
+def bone_names(joints: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names in VRM 1.0 of the bones of joints; those of the trunk are counted from the hips up."""
+    trunk = [name for name in joints if name in TRUNK]
+    renamed = dict(zip(trunk, (BONE_OF_JOINT[name] for name in TRUNK), strict=False))
+    return tuple((BONE_OF_JOINT | renamed)[name] for name in joints)
 
 
 def bone_parents(joints: tuple[str, ...]) -> tuple[int, ...]:

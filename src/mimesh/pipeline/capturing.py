@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -17,16 +17,20 @@ from jaxtyping import Float
 from ..bodies.joint_names import parents_first
 from ..core.arguments import public
 from ..core.errors import InputError
-from ..core.frame_buffer import Progress, counted, each_frame
+from ..core.foot_planting import FEWEST_FRAMES, find_contacts
+from ..core.frame_buffer import Progress
 from ..core.geometry import turned
 from ..core.joint_tracks import JointTrack
-from ..core.mesh import Clip, cut_clip
+from ..core.mesh import Clip, Mesh, cut_clip
 from ..core.normalization import Normalization, turn
 from ..core.options import FrameRange, Hints
 from ..core.rig import local_rotations
-from ..io import save_joint_motion, save_vrma
+from ..core.soles import SolePoints
+from ..io import save_joint_motion, save_joints, save_vrma
+from ..io.gltf.edit import GltfSource
 from ..methods.find import find_mime
 from ..mime.model import Mime
+from ..motions.bone_motion import BoneMotion
 from ..rigs.retarget import JointMotion, body_parents
 from .file_rigs import read_rigs
 from .joint_route import find_motion, found_alone
@@ -34,11 +38,11 @@ from .known import Known
 from .odd_frames import far_frames_note
 from .placed import check_identity, first_frame
 from .read import read_clip
-from .report import MeshReport, facing, facing_note
+from .report import CaptureReport, facing, facing_note
 from .result import Timer
 from .vrma import check_joints, since_t_pose
 
-JOINT_FILES = (".bvh", ".vrma")
+JOINT_FILES = (".bvh", ".fbx", ".glb", ".gltf", ".vrma")
 """Suffixes of files of joints alone."""
 
 
@@ -70,9 +74,9 @@ class CapturedClip:
     """Frames a second."""
     body: str
     """Shipped body whose joints they are: "human" or "quadruped"."""
-    report: MeshReport
-    """Axes of the clip, and how certainly joints were found: its "confidence" is from 0 to 1; absent where they are
-    those of the file."""
+    report: CaptureReport
+    """Axes and unit of the clip, when feet are on the ground, and how certainly joints were found: its "confidence" is
+    from 0 to 1; absent where they are those of the file."""
     seconds: Timer = field(repr=False)
     """Wall time in seconds of the steps: load, prepare, drive, write."""
     notes: tuple[str, ...] = ()
@@ -80,9 +84,10 @@ class CapturedClip:
 
     @public
     def save(self, path: str | Path) -> Path:
-        """Write the motion as .bvh, or as .vrma, which plays on any VRM character.
+        """Write the motion as .bvh, .glb, .gltf, as .fbx where Blender is installed, or as .vrma for VRM characters.
 
-        A .bvh has the T-pose at rest, angles in degrees, and the unit of the clip; y is up.
+        All have a T-pose at rest, y up, and the way over the ground. A .bvh has angles in degrees and the unit of the
+        clip; all others have metres, if the file of the clip names its unit. A .glb has joints without a mesh.
 
         Args:
             path: the file.
@@ -97,24 +102,31 @@ class CapturedClip:
             >>> path = captured.save("walk.bvh")
         """
         path = Path(path)
-        with self.seconds.step("write"):
-            if path.suffix.lower() == ".bvh":
-                local = local_rotations(self.rotation, self.parents)
-                return save_joint_motion(self.names, self.parents, self.rest, local, self.root, self.fps, path)
-            if path.suffix.lower() != ".vrma":
-                raise InputError(
-                    f"{path}: expected .bvh or .vrma for joints, found '{path.suffix}'; for a mesh with bones use "
-                    "mimesh animate with the first frame as IDENTITY"
-                )
-            index = {name: j for j, name in enumerate(self.names)}
-            joints = check_joints(index, path)
-            chosen = [index[joint] for joint in joints]
-            still = np.tile(np.eye(3), (len(chosen), 1, 1))
-            motion = since_t_pose(
-                self.name, joints, self.rest[chosen], still, self.rotation[:, chosen], self.root, 0.0, self.fps
+        suffix = path.suffix.lower()
+        if suffix not in JOINT_FILES:
+            raise InputError(
+                f"{path}: expected one of {' '.join(JOINT_FILES)} for joints, found '{path.suffix}'; name another"
             )
-            save_vrma([motion], path)
+        # glTF and what is made of it are in metres.
+        metres = 1.0 if suffix == ".bvh" else self.report.get("unit", 1.0)
+        rest, root = metres * self.rest, metres * self.root
+        with self.seconds.step("write"):
+            if suffix == ".bvh":
+                local = local_rotations(self.rotation, self.parents)
+                return save_joint_motion(self.names, self.parents, rest, local, root, self.fps, path)
+            if suffix == ".vrma":
+                save_vrma([self._bone_motion(rest, root, path)], path)
+            else:
+                save_joints(self.name, self.names, self.parents, rest, self.rotation, root, self.fps, path)
         return path
+
+    def _bone_motion(self, rest: Float[np.ndarray, "J 3"], root: Float[np.ndarray, "T 3"], path: Path) -> BoneMotion:
+        """Return the motion of those joints that VRM has bones for."""
+        index = {name: j for j, name in enumerate(self.names)}
+        joints = check_joints(index, path)
+        chosen = [index[joint] for joint in joints]
+        still = np.tile(np.eye(3), (len(chosen), 1, 1))
+        return since_t_pose(self.name, joints, rest[chosen], still, self.rotation[:, chosen], root, 0.0, self.fps)
 
 
 @public
@@ -173,19 +185,15 @@ def capture(
 
         seen, motion, norm = found_alone(find_mime(model, seed), subject, known.asked_body, find)
     with timer.step("drive"):
-        track = motion.track
-        if track is None:
-            normalised = (norm.apply(vertices) for vertices in each_frame(taken.vertices))
-            track = motion.tracked(counted(normalised, len(taken), progress), taken.fps, first.name)
-        track = track.smoothed(smooth)
-    report = facing(norm)
+        track = motion.over(taken, norm, SolePoints.of(motion.soles, motion.surface), progress).smoothed(smooth)
+    report = facing(norm) | _unit(first) | _contacts(track, motion)
     notes = facing_note(norm, first.name, "front") + rigs.notes + taken.notes + far_frames_note(taken, first.name)
     if motion.confidence is not None:
         report |= motion.confidence.facts()
         notes = motion.confidence.notes(first.name) + notes
     elif hints.up is None:
         report["up_from"] = "joints"
-    return _captured(track, motion.joints, norm, first.name, seen.body, cast(MeshReport, report), timer, notes)
+    return _captured(track, motion.joints, norm, first.name, seen.body, report, timer, notes)
 
 
 def _captured(
@@ -194,7 +202,7 @@ def _captured(
     norm: Normalization,
     name: str,
     body: str,
-    report: MeshReport,
+    report: dict[str, Any],
     timer: Timer,
     notes: tuple[str, ...],
 ) -> CapturedClip:
@@ -218,4 +226,24 @@ def _captured(
     floor = float(upright[..., 1].min())
     rest[:, 1] -= rest[:, 1].min()
     root = upright[:, 0] - [0.0, floor, 0.0]
-    return CapturedClip(name, names, parents, rest, rotation, root, track.fps, body, report, timer, notes)
+    report["height"] = float(rest[:, 1].max())
+    facts = cast(CaptureReport, report)
+    return CapturedClip(name, names, parents, rest, rotation, root, track.fps, body, facts, timer, notes)
+
+
+def _unit(mesh: Mesh) -> dict[str, float]:
+    """Return the unit of a mesh's file in metres, as the report has it; empty where the file does not say."""
+    if isinstance(mesh.source, GltfSource):
+        return {"unit": 1.0}
+    unit = getattr(mesh.source, "meters_per_unit", None)
+    return {} if unit is None else {"unit": unit}
+
+
+def _contacts(track: JointTrack, motion: JointMotion) -> dict[str, dict[str, list[tuple[int, int]]]]:
+    """Return when feet are on the ground, as the report has it; empty where that cannot be told."""
+    if track.soles is None or len(track.soles) < FEWEST_FRAMES:
+        return {}
+    feet = [ankle for ankle, sole in zip(motion.ankles, motion.soles, strict=True) if sole is not None]
+    found = find_contacts(track, motion.leg)
+    intervals = [[] for _ in feet] if found is None else found.intervals(track.fps)
+    return {"contacts": dict(zip(feet, intervals, strict=True))}

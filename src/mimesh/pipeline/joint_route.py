@@ -18,12 +18,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies.anatomy import body_of_joints
-from ..bodies.character_limbs import SIDES
-from ..bodies.joint_names import finger_joints, without_fingers
+from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.errors import InputError, RefusedMeshError, option
 from ..core.foot_planting import PosedJoints, foot_skate
-from ..core.frame_buffer import LazyFrames, Progress, counted, each_frame, evenly_spread
+from ..core.frame_buffer import LazyFrames, Progress, evenly_spread
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -54,7 +53,7 @@ from .look import (
 )
 from .placed import KEYFRAMES, FoundJoints, Moved, Placed, first_frame, keyframes_of, surface_motion, surface_report
 from .refine import Refinement
-from .report import TransferReport
+from .report import TransferReport, fingered_hands
 from .result import Timer
 
 Found = TypeVar("Found", Character, JointMotion)
@@ -100,7 +99,7 @@ class JointRoute(Placed):
             # The weights of an identity's own file stay as they are.
             limited = limited and self.rigs.humanoid is None
             retarget = self.retarget.limited(INFLUENCES) if limited else self.retarget
-            track = self._track(retarget, progress).smoothed(options.smooth)
+            track = retarget.motion.over(clip, self.norms[1], retarget.driving_soles, progress).smoothed(options.smooth)
             across = self.norms[1].radius / self.norms[0].radius if options.root == "keep" else None
             posed = retarget.posed_joints(track, across, options.root == "drop", options.ground)
             route = dataclasses.replace(self, retarget=retarget)
@@ -113,26 +112,13 @@ class JointRoute(Placed):
             report = surface_report(identity, clip, moved, self.facings)
         report |= {"body": self.mime.body} | ({} if self.rigs.humanoid is None else {"rig": "own"})
         notes = report_confidence(retarget, report, self.names) + self.all_notes(own is not None)
-        report["fingers"] = [
-            side.lower() for side in SIDES if finger_joints(side)[0] in retarget.character.joints
-        ]  # of these hands; elsewhere fingers follow the hand
+        report["fingers"] = fingered_hands(retarget.character.joints)  # elsewhere they follow the hand
         report |= self._skates(retarget, track, posed, across, options)
         if limited:
             report["influence_deviation"] = self._influence_deviation(retarget, posed)
         positions = self.norms[1].undo(track.positions[0])
         driving_joints = without_fingers(dict(zip(retarget.motion.joints, positions, strict=True)))
         return Moved(moved, skeleton, own, cast(TransferReport, report), notes, driving_joints)
-
-    def _track(self, retarget: Retarget, progress: Progress | None) -> JointTrack:
-        """Return the motion of the driving's joints and soles in all frames, normalised."""
-        clip, norm, known = self.clip, self.norms[1], retarget.motion.track
-        if known is None:
-            frames = (norm.apply(vertices) for vertices in each_frame(clip.vertices))
-            return retarget.track(counted(frames, len(clip), progress), clip.fps)
-        if retarget.feet is None:
-            return known
-        # Of a surface whose joints are known, only the points of the soles are read.
-        return dataclasses.replace(known, soles=norm.apply(retarget.feet.soles_in(clip.vertices, progress)))
 
     def turned(self, posed: PosedJoints, t: int) -> Float[np.ndarray, "V 3"]:
         """Make a frame, refined, with the driving's heading."""
@@ -234,7 +220,7 @@ def joint_route(identity: Mesh, clip: Clip, mime: Mime, known: Known, rigs: Rigs
     rest = normalised(identity, mine)
     if rigs.humanoid is None and isinstance(motion, CapturedMotion):
         character, motion = network.with_fingers(character, rest, motion, partial(surface_motion, clip, theirs))
-    retarget = Retarget.of(character, motion, clip.mesh.name)
+    retarget = Retarget.of(character, motion)
     return JointRoute(identity, clip, (mine, theirs), rest, rigs=rigs, mime=network, retarget=retarget)
 
 

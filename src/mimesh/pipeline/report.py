@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..bodies.joint_names import finger_joints
 from ..core.errors import option
 from ..core.frame_buffer import LazyFrames, evenly_spread
 from ..core.geometry import edges, face_vectors
@@ -64,6 +66,35 @@ class MeshReport(TypedDict):
     """Share of each limb of the fitted body that is far from the surface."""
     unmatched_surface: NotRequired[float]
     """Share of the surface that is far from the fitted body."""
+
+
+class RigReport(MeshReport):
+    """What is known of a rigged mesh.
+
+    Example:
+        >>> rigged.report["fingers"]
+        []
+    """
+
+    fingers: list[Literal["left", "right"]]
+    """Hands that have joints of fingers."""
+
+
+class CaptureReport(MeshReport):
+    """What is known of a captured clip: that of its first frame, and what the joints do.
+
+    Example:
+        >>> sorted(captured.report["contacts"])
+        ['LeftFoot', 'RightFoot']
+    """
+
+    height: float
+    """Height of the highest joint above the lowest one in the T-pose, in the unit of the clip."""
+    unit: NotRequired[float]
+    """Unit of the clip in metres; absent where its file does not say."""
+    contacts: NotRequired[dict[str, list[tuple[int, int]]]]
+    """Joint of each foot -> when it is on the ground: number of the first frame taken that it is in, from 0, and of the
+    one after the last. Absent of fewer than three frames, and where no foot was found."""
 
 
 class Accelerations(TypedDict):
@@ -200,6 +231,12 @@ def flipped_share(
 ) -> float:
     """Return the share of triangles that face against their neighbours and did not before (`against_neighbours`)."""
     return float((against_neighbours(faces, after) & ~before).mean())
+
+
+def fingered_hands(joints: Collection[str]) -> list[Literal["left", "right"]]:
+    """Return the hands whose fingers are among some joints."""
+    hands: dict[str, Literal["left", "right"]] = {"Left": "left", "Right": "right"}
+    return [name for side, name in hands.items() if any(joint in joints for joint in finger_joints(side))]
 
 
 def facing(norm: Normalization) -> MeshReport:

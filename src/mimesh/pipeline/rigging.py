@@ -7,6 +7,7 @@ finds on its surface.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, cast
@@ -33,14 +34,16 @@ from ..rigs.character import Character
 from .file_rigs import read_rigs
 from .joint_route import find_character, found_alone
 from .known import Known
+from .look import normalised
 from .placed import check_identity
 from .read import read_mesh
-from .report import MeshReport, facing, facing_note
+from .report import RigReport, facing, facing_note, fingered_hands
 from .result import Timer
 from .skinned import check_own_layout
+from .vrm import save_as_vrm
 
-BONES = (".glb", ".gltf", ".fbx")
-"""Suffixes of files with bones. A .vrm needs an author and a licence, too."""
+BONES = (".glb", ".gltf", ".fbx", ".vrm")
+"""Suffixes of files with bones."""
 
 
 NO_HINTS = Hints()
@@ -64,8 +67,8 @@ class RiggedMesh:
     """Shipped body whose joints they are: "human" or "quadruped"."""
     source: Literal["file", "found", "corrected"]
     """Where the joints are from: the file, its surface, or its surface with joints that the user has corrected."""
-    report: MeshReport
-    """Axes of the mesh, and how certainly joints were found: its "confidence" is from 0 to 1."""
+    report: RigReport
+    """Axes of the mesh, its fingers, and how certainly joints were found: its "confidence" is from 0 to 1."""
     seconds: Timer
     """Wall time in seconds of the steps: load, prepare, write."""
     notes: tuple[str, ...] = ()
@@ -87,10 +90,20 @@ class RiggedMesh:
         return without_fingers({name: self.skeleton.rig.joints[j] for name, j in roles.items()})
 
     @public
-    def save(self, path: str | Path, *, names: str = "own", root_bone: bool = False, rest: str = "file") -> Path:
-        """Write the mesh with its bones, without an animation: .glb, .gltf, or .fbx where Blender is installed.
+    def save(
+        self,
+        path: str | Path,
+        *,
+        names: str = "own",
+        root_bone: bool = False,
+        rest: str = "file",
+        author: str | Sequence[str] | None = None,
+        license: str | None = None,
+    ) -> Path:
+        """Write the mesh with its bones, without an animation: .glb, .gltf, .vrm, or .fbx where Blender is installed.
 
-        The rig of a file is kept as it is, with all of its contents; only its bones may get other names.
+        The rig of a file is kept as it is, with all of its contents; only its bones may get other names. A .vrm is
+        VRM 1.0: a person in the T-pose, y up, +z front, and in metres where the file names its unit.
 
         Args:
             path: the file.
@@ -98,21 +111,28 @@ class RiggedMesh:
                 them.
             root_bone: add a bone on the ground above the hips.
             rest: pose that mesh and bones are bound in: that of the "file", "T" or "A".
+            author: who made the character, or several who did; a .vrm needs it.
+            license: URL of the licence, which a .vrm needs. Any but that of the VRM Public License,
+                https://vrm.dev/licenses/1.0/, is written beside that one, as VRM demands.
 
         Returns:
             The path.
 
         Raises:
-            InputError: another format, no such names or pose, or a path that cannot be written to.
+            InputError: another format, no such names or pose, what a .vrm cannot be, or a path that cannot be written
+                to.
 
         Example:
             >>> path = rigged.save("hero-rigged.glb", names="mixamo", rest="T")
         """
         layout = Layout(names, root_bone, rest)
         if Path(path).suffix.lower() not in BONES:
-            raise InputError(f"{path}: expected .glb, .gltf or .fbx for bones, found '{Path(path).suffix}'; rename it")
+            found = f"found '{Path(path).suffix}'"
+            raise InputError(f"{path}: expected one of {' '.join(BONES)} for bones, {found}; rename it")
         with self.seconds.step("write"):
-            if self.own is not None:
+            if Path(path).suffix.lower() == ".vrm":
+                save_as_vrm(self, layout, author, license, Path(path))
+            elif self.own is not None:
                 check_own_layout(self.own.person, layout, self.mesh.name)
                 kept = OwnAnimation(self.own.source, self.mesh.name, {}, 30.0, 1, self.own.person)
                 save_own_rig(kept.with_layout(SCHEMES[names].bones, root_name(layout), root_bone), path)
@@ -123,7 +143,9 @@ class RiggedMesh:
 
 
 @public
-def rig(mesh: Mesh | str | Path, model: str = "mime", *, hints: Hints = NO_HINTS, seed: int = 0) -> RiggedMesh:
+def rig(
+    mesh: Mesh | str | Path, model: str = "mime", *, hints: Hints = NO_HINTS, fingers: bool = True, seed: int = 0
+) -> RiggedMesh:
     """Give a mesh a skeleton and skinning weights: those of its file if it has any, else found on its surface.
 
     Args:
@@ -131,6 +153,7 @@ def rig(mesh: Mesh | str | Path, model: str = "mime", *, hints: Hints = NO_HINTS
         model: "mime", or the path of an .onnx file that was trained as `mime` is.
         hints: axes, body and joints of the mesh, where they are known; with `rig` "mimesh" the rig of its file is
             replaced.
+        fingers: add joints of the fingers to hands on whose surface they are found; else fingers move with the hand.
         seed: seed of all random choices.
 
     Returns:
@@ -151,11 +174,11 @@ def rig(mesh: Mesh | str | Path, model: str = "mime", *, hints: Hints = NO_HINTS
     check_identity(mesh)
     known = Known.of(hints, Clip.still(mesh))
     with timer.step("prepare"):
-        return _rigged(mesh, find_mime(model, seed), known, timer)
+        return _rigged(mesh, find_mime(model, seed), known, fingers, timer)
 
 
-def _rigged(mesh: Mesh, mime: Mime, known: Known, timer: Timer) -> RiggedMesh:
-    """Look at a mesh and find its joints."""
+def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -> RiggedMesh:
+    """Look at a mesh and find its joints, and those of its fingers if these are wanted."""
     rigs = read_rigs(mesh, Clip.still(mesh), known)
     subject = rigs.subjects(mesh, mesh, known.axes)[0]
 
@@ -163,6 +186,8 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, timer: Timer) -> RiggedMesh:
         return find_character(network, subject, norm, rigs, known.corrections)
 
     seen, character, norm = found_alone(mime, subject, known.asked_body, find)
+    if fingers and rigs.humanoid is None:
+        character = mime.of_body(seen.body).with_all_fingers(character, normalised(mesh, norm))
     report = facing(norm)
     notes = facing_note(norm, mesh.name, "front") + rigs.notes
     if rigs.humanoid is not None:
@@ -181,7 +206,7 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, timer: Timer) -> RiggedMesh:
         skeleton,
         seen.body,
         source,
-        cast(MeshReport, report),
+        cast(RigReport, report | {"fingers": fingered_hands(character.roles)}),
         timer,
         notes,
         rigs.identity,

@@ -17,12 +17,13 @@ from ..bodies.anatomy import anatomy_of_joints, body_of_joints
 from ..bodies.character_limbs import SIDES
 from ..bodies.joint_names import ancestors, finger_joints
 from ..core.foot_planting import PosedJoints, plant_feet
+from ..core.frame_buffer import Progress, counted, each_frame
 from ..core.joint_tracks import JointTrack, root_path
-from ..core.mesh import Mesh, check_size
+from ..core.mesh import Clip, Mesh, check_size
 from ..core.normalization import Normalization
 from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
-from ..core.soles import Feet, Soles, find_soles
+from ..core.soles import Feet, SolePoints, Soles, find_soles
 from ..core.surface_points import SurfacePoints, generator
 from .character import Character, LinkedJoints, RestPose
 from .confidence import Confidence
@@ -51,6 +52,8 @@ class JointMotion:
     """Points of the clip's surface."""
     soles: Soles
     """Contact points of the feet, as indices of these."""
+    ankles: tuple[str, ...]
+    """Joint that moves each of these feet."""
     track: JointTrack | None = None
     """The joints in all frames, where the file has them."""
     rest: RestPose | None = None
@@ -65,24 +68,40 @@ class JointMotion:
         track = JointTrack(norm.rotation @ motion.rotation, positions, fps)
         surface = SurfacePoints.of(mesh, SOLE_SAMPLES, generator(seed, 1))
         soles: Soles = ()
+        ankles: tuple[str, ...] = ()
         if motion.weights is not None:
             weights = (surface.barycentric[..., None] * motion.weights[surface.corners]).sum(axis=1)
             index = {name: k for k, name in enumerate(motion.joints)}
             chains = anatomy_of_joints(motion.joints).legs
             legs = tuple(tuple(index[name] for name in leg if name in index) for leg in chains)
+            ankles = tuple(motion.joints[leg[-1]] if leg else "" for leg in legs)
             rig = Rig(track.rotation[0], track.positions[0], weights)
             soles = find_soles(surface.points(mesh.vertices), rig, legs, body_parents(motion.joints))
-        return cls(motion.joints, None, motion.leg / norm.radius, surface, soles, track, motion.rest)
+        return cls(motion.joints, None, motion.leg / norm.radius, surface, soles, ankles, track, motion.rest)
+
+    def over(
+        self, clip: Clip, norm: Normalization, soles: SolePoints | None, progress: Progress | None = None
+    ) -> JointTrack:
+        """Return the joints and contact points in all frames of their clip, which `norm` normalises."""
+        if self.track is None:
+            frames = (norm.apply(vertices) for vertices in each_frame(clip.vertices))
+            return self.tracked(counted(frames, len(clip), progress), clip.fps, clip.mesh.name, soles)
+        # Of a surface whose joints are known, only the points of the soles are read.
+        return (
+            self.track
+            if soles is None
+            else replace(self.track, soles=norm.apply(soles.in_frames(clip.vertices, progress)))
+        )
 
     def tracked(
-        self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float, name: str, feet: Feet | None = None
+        self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float, name: str, feet: SolePoints | None = None
     ) -> JointTrack:
         """Return the joints in all frames of the clip `name`, and the contact points of its feet, if there are any."""
         poses, soles = [], []
         for t, vertices in enumerate(check_size(frames, name)):
             poses.append(self.pose(t, vertices))
             if feet is not None:
-                soles.append(feet.driving_soles(vertices))
+                soles.append(feet.in_frame(vertices))
         rotation, positions = (np.stack(arrays) for arrays in zip(*poses, strict=True))
         return JointTrack(rotation, positions, fps, np.stack(soles) if soles else None)
 
@@ -123,22 +142,21 @@ class Retarget:
     """The character's displacement over the driving's, each in its normalisation: the ratio of leg lengths."""
     feet: Feet | None
     """Contact points of the soles; None if there are none, and then nothing is planted."""
-    name: str
-    """Name of the driving, for error messages."""
 
     @classmethod
-    def of(cls, character: Character, motion: JointMotion, name: str) -> Retarget:
+    def of(cls, character: Character, motion: JointMotion) -> Retarget:
         """Let a character follow a motion: each joint the driving's of its role, steps as long as its legs."""
         links = character.linked(motion.joints, motion.rest)
-        return cls(character, motion, links, character.leg / motion.leg, _feet(character, motion), name)
+        return cls(character, motion, links, character.leg / motion.leg, _feet(character, motion))
 
     def limited(self, influences: int) -> Retarget:
         """Keep only the largest weights of each vertex."""
         return replace(self, character=self.character.limited(influences))
 
-    def track(self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float) -> JointTrack:
-        """Return the motion of the driving's joints and soles over all frames."""
-        return self.motion.tracked(frames, fps, self.name, self.feet)
+    @property
+    def driving_soles(self) -> SolePoints | None:
+        """Contact points of the driving, if both have feet."""
+        return None if self.feet is None else self.feet.driving
 
     def posed_joints(self, track: JointTrack, across: float | None, in_place: bool, ground: bool) -> PosedJoints:
         """Return the motion of the character's joints.

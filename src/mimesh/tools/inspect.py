@@ -337,6 +337,15 @@ def _inside_out(vertices: Float[np.ndarray, "W 3"], faces: Int[np.ndarray, "F 3"
     return bool((local[faces[:, 0]] * face_vectors(local, faces)).sum() < 0)
 
 
+def metres_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
+    """Return a note on a person who is no person's size in a .vrm, which is in metres."""
+    longest = float(np.ptp(mesh.vertices, axis=0).max())
+    unit = _unit_guess(longest)
+    if path.suffix.lower() != ".vrm" or unit in (None, "m"):
+        return ()
+    return (f"{path.name} is in metres, of which its person has {longest:.3g}: scale {mesh.name} first, from {unit}",)
+
+
 def _unit_guess(longest: float) -> str | None:
     """Return the unit in which the longest side is a person's height; the ranges of two units do not overlap."""
     return next((unit for unit, metres in UNITS if PERSON[0] <= longest * metres <= PERSON[1]), None)

@@ -1,4 +1,5 @@
-"""Reads the extensions of VRM in a glTF file, and reads and writes VRM animations (.vrma).
+"""Reads the extensions of VRM in a glTF file, and reads and writes VRM animations (.vrma), and writes
+characters of VRM 1.0 (.vrm).
 
 VRM 0.x is the extension VRM, VRM 1.0 is VRMC_vrm: humanoid bones, expressions, maker and licence. They are untrusted
 JSON of any shape: what does not fit is left out. Neither version stores animations in a .vrm: "glTF schema Updates,
@@ -10,7 +11,7 @@ it. Animations rotate the nodes and move the hips. Expressions and the direction
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,13 +25,12 @@ from ...bodies.hands import body_with_fingers, hand_joints
 from ...bodies.joint_names import ancestors, finger_joints
 from ...core.geometry import nearest_rotation
 from ...core.person_motion import PersonMotion
-from ...core.rig import Rig
 from ...motions.bone_motion import BoneMotion, bone_joints, t_pose_frames
 from ...motions.retarget import axes_from_rest
-from .animation import AnimationChannel, add_animation, sample_joints
-from .document import Document
-from .draft import Draft
-from .keys import KEY_LIMIT, choose_keys, local_quaternions, rotation_tolerances
+from .animation import AnimationChannel, sample_joints
+from .document import Document, open_document
+from .draft import AccessorCopier
+from .joints import joint_animation, joints_draft
 from .scene import world_matrices
 
 ANIMATION = "VRMC_vrm_animation"
@@ -61,8 +61,25 @@ OVERRIDDEN = {
     "overrideMouth": {"aa", "ih", "ou", "ee", "oh"},
 }
 """Expressions that others reduce, by the property that says how (VRM 1.0, expressions.md, Procedural override)."""
+PUBLIC_LICENSE = "https://vrm.dev/licenses/1.0/"
+"""URL of the VRM Public License, the only `licenseUrl` that VRM 1.0 accepts. By default it allows next to nothing."""
 LONGEST = 80
 """Characters of a maker or licence that are kept."""
+
+
+@dataclass(frozen=True)
+class VrmMeta:
+    """Who made a character, and what others may do with it: the part of VRM's meta that VRM 1.0 requires."""
+
+    name: str
+    authors: tuple[str, ...]
+    license: str
+    """URL of the licence."""
+
+    def json(self) -> dict[str, Any]:
+        """Return VRM's `meta`: `licenseUrl` is always the VRM Public License (meta.md), others go beside it."""
+        other = {} if self.license == PUBLIC_LICENSE else {"otherLicenseUrl": self.license}
+        return {"name": self.name, "authors": list(self.authors), "licenseUrl": PUBLIC_LICENSE, **other}
 
 
 @dataclass(frozen=True)
@@ -155,7 +172,13 @@ def read_origin(document: Document) -> tuple[str, str]:
         extras.get("author"),
         asset.get("copyright"),
     )
-    licences = (first.get("licenseUrl"), old.get("otherLicenseUrl"), old.get("licenseName"), extras.get("license"))
+    licences = (
+        first.get("otherLicenseUrl"),
+        first.get("licenseUrl"),
+        old.get("otherLicenseUrl"),
+        old.get("licenseName"),
+        extras.get("license"),
+    )
     return _first_text(makers), _first_text(licences)
 
 
@@ -226,30 +249,45 @@ def with_posed_hands(
 
 
 def write_vrma(motions: Sequence[BoneMotion], path: Path) -> None:
-    """Write motions of one skeleton as a VRM animation in GLB format, with an animation for each.
-
-    Rotations have the keys that interpolation needs; the hips have a key in every frame, from which readers know the
-    frame rate.
-    """
+    """Write motions of one skeleton as a VRM animation in GLB format, with an animation for each."""
     first = motions[0]
-    parents = first.parents
-    nodes: list[dict[str, Any]] = []
-    for k, (bone, parent) in enumerate(zip(first.bones, parents, strict=True)):
-        step = first.rest[k] - (first.rest[parent] if parent >= 0 else 0.0)
-        children = [j for j, above in enumerate(parents) if above == k]
-        nodes.append({"name": bone, "translation": step.tolist()} | ({"children": children} if children else {}))
+    draft = joints_draft(first.bones, first.parents, first.rest)
     bones = {bone: {"node": k} for k, bone in enumerate(first.bones)}
-    draft = Draft(
-        {
-            "asset": {"version": "2.0", "generator": "mimesh"},
-            "extensionsUsed": [ANIMATION],
-            "extensions": {ANIMATION: {"specVersion": "1.0", "humanoid": {"humanBones": bones}}},
-            "scene": 0,
-            "scenes": [{"nodes": [0]}],
-            "nodes": nodes,
-        }
-    )
-    draft.gltf["animations"] = [_bone_animation(draft, motion) for motion in motions]
+    draft.gltf |= {
+        "extensionsUsed": [ANIMATION],
+        "extensions": {ANIMATION: {"specVersion": "1.0", "humanoid": {"humanBones": bones}}},
+        "animations": [
+            joint_animation(draft, each.name, each.parents, each.rest, each.rotation, each.hips, each.fps)
+            for each in motions
+        ],
+    }
+    draft.save(path)
+
+
+def write_vrm(glb: Path, bones: Mapping[str, int], meta: VrmMeta, turn: Float[np.ndarray, "3 3"], path: Path) -> None:
+    """Write a glTF file of a person in the T-pose as VRM 1.0, without animations, which VRM has none of.
+
+    Args:
+        glb: the file.
+        bones: humanoid bone -> node.
+        turn: rotation from the axes of the file to y up, +z front, as VRM has them.
+        path: where to write.
+    """
+    from scipy.spatial.transform import Rotation
+
+    draft = AccessorCopier(open_document(glb), whole=True).draft
+    gltf = draft.gltf
+    gltf.pop("animations", None)
+    humanoid = {"humanBones": {bone: {"node": node} for bone, node in bones.items()}}
+    extension = {"specVersion": "1.0", "meta": meta.json(), "humanoid": humanoid}
+    gltf["extensionsUsed"] = [*gltf.get("extensionsUsed", []), "VRMC_vrm"]
+    gltf["extensions"] = {**gltf.get("extensions", {}), "VRMC_vrm": extension}
+    if not np.allclose(turn, np.eye(3)):
+        scene = gltf["scenes"][gltf.get("scene", 0)]
+        gltf["nodes"].append(
+            {"name": "axes", "rotation": Rotation.from_matrix(turn).as_quat().tolist(), "children": scene["nodes"]}
+        )
+        scene["nodes"] = [len(gltf["nodes"]) - 1]
     draft.save(path)
 
 
@@ -283,21 +321,3 @@ def _with_hand(played: PersonMotion, side: str, rotation_of: dict[str, Float[np.
         positions=np.concatenate([positions[:, kept], *(place[name][:, None] for name in fingers)], axis=1),
         weights=weights,
     )
-
-
-def _bone_animation(draft: Draft, motion: BoneMotion) -> dict[str, Any]:
-    """Add an animation of all bones: their rotations, and the translation of the hips."""
-    quaternions = local_quaternions(motion.rotation, motion.parents)
-    is_key = choose_keys(quaternions.swapaxes(0, 1), _tolerances(motion))
-    times = np.arange(len(motion.hips)) / motion.fps
-    channels = [AnimationChannel(0, "translation", times, motion.hips)]
-    for node, keys in enumerate(is_key):
-        channels.append(AnimationChannel(node, "rotation", times[keys], quaternions[keys, node]))
-    return add_animation(draft, motion.name, channels)
-
-
-def _tolerances(motion: BoneMotion) -> Float[np.ndarray, " J"]:
-    """Compute the error of each bone's rotation (radians) with which no joint moves farther than KEY_LIMIT heights."""
-    count = len(motion.joints)
-    rig = Rig(np.tile(np.eye(3), (count, 1, 1)), motion.rest, np.eye(count))
-    return rotation_tolerances(motion.rest, rig, motion.parents, KEY_LIMIT * float(np.ptp(motion.rest[:, 1])))

@@ -1,0 +1,110 @@
+"""Write rigged people as VRM 1.0 (.vrm): in the T-pose, y up, +z front and in metres, with maker and licence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies.engine_names import SCHEMES, root_name
+from ..bodies.engine_rig import Layout, engine_rig, t_posed
+from ..bodies.joint_names import with_named_neck
+from ..core.animated_rig import AnimatedRig
+from ..core.errors import InputError
+from ..core.normalization import ORIENTATIONS, ROTATIONS
+from ..core.rig import Rig
+from ..io import save_own_rig, save_vrm
+from ..io.gltf.edit import GltfSource
+from ..io.gltf.own_animation import OwnAnimation
+from ..io.gltf.vrm import PUBLIC_LICENSE, VrmMeta, vrm_version
+from ..io.usd import stage_axes
+from ..motions.bone_motion import bone_names
+from .vrma import check_joints
+
+if TYPE_CHECKING:
+    from ..io.gltf.own_rig import OwnRig
+    from .rigging import RiggedMesh
+
+
+def vrm_meta(name: str, author: str | Sequence[str] | None, license: str | None, path: Path) -> VrmMeta:
+    """Return who made a character, and its licence.
+
+    Raises:
+        InputError: one of them is missing, or the licence is no URL.
+    """
+    authors = (author,) if isinstance(author, str) else tuple(author or ())
+    missing = [option for option, given in (("--author", any(authors)), ("--license", license)) if not given]
+    if missing or not license:
+        raise InputError(
+            f"{path}: expected --author and --license for a .vrm, found no {' and no '.join(missing)}; give "
+            f"--author, and --license such as {PUBLIC_LICENSE}, or write a .glb"
+        )
+    if not license.startswith(("https://", "http://")):
+        raise InputError(f"--license: expected a URL, found {license!r}; give for example {PUBLIC_LICENSE}")
+    return VrmMeta(name, tuple(filter(None, authors)), license)
+
+
+def save_as_vrm(
+    rigged: RiggedMesh, layout: Layout, author: str | Sequence[str] | None, license: str | None, path: Path
+) -> None:
+    """Write a rigged mesh as .vrm; a file that is one already stays as it is.
+
+    Raises:
+        InputError: it is no person, another pose is asked for, maker or licence are missing, or the path cannot be
+            written to.
+    """
+    own, report = rigged.own, rigged.report
+    if rigged.body != "human":
+        raise InputError(f"{path}: expected a person for a .vrm, found a four-legged animal; write a .glb")
+    if layout.rest == "A" or (own is not None and root_name(layout) is not None):
+        raise InputError(f"{path}: expected a T-pose without a root bone, found --rest A or --root-bone; leave it out")
+    if own is not None and vrm_version(own.source.document) is not None:
+        kept = OwnAnimation(own.source, rigged.mesh.name, {}, 30.0, 1, own.person)
+        save_own_rig(kept.with_layout(SCHEMES[layout.names].bones, None, False), path)
+        return
+    meta = vrm_meta(rigged.mesh.name, author, license, path)
+    turn = ROTATIONS[ORIENTATIONS.index((report["up"], report["front"]))]
+    if own is not None:
+        posed = _own_t_pose(rigged, own, turn[1])
+        names = [str(node.get("name", "")) for node in own.source.document.gltf["nodes"]]
+        person = with_named_neck(own.person, names)
+        joints = check_joints(person, path)
+        bones = {bone: person[joint] for bone, joint in zip(bone_names(joints), joints, strict=True)}
+        save_vrm(posed.with_layout(SCHEMES[layout.names].bones, None, False), bones, meta, turn, path)
+        return
+    rig = engine_rig(_upright(rigged.skeleton, turn), layout.names, layout.root_bone, "T")
+    bone_of = SCHEMES[layout.names].bones
+    index = {name: j for j, name in enumerate(rig.names)}
+    known = {
+        joint: index[bone_of.get(joint, joint)] for joint in rigged.skeleton.names if bone_of.get(joint, joint) in index
+    }
+    joints = check_joints(known, path)
+    bones = {bone: known[joint] for bone, joint in zip(bone_names(joints), joints, strict=True)}
+    save_vrm(rig, bones, meta, np.eye(3), path)
+
+
+def _upright(skeleton: AnimatedRig, turn: Float[np.ndarray, "3 3"]) -> AnimatedRig:
+    """Turn a rig at rest to y up, +z front, and scale it to metres where its file says its unit."""
+    mesh, rig = skeleton.mesh, skeleton.rig
+    metres = stage_axes(mesh)[1]
+    moved = mesh.with_vertices(metres * (mesh.vertices @ turn.T))
+    if not isinstance(mesh.source, GltfSource):
+        moved = replace(moved, source=None)  # which would say that the file has other axes and another unit
+    new = Rig(turn @ rig.rotation, metres * (rig.joints @ turn.T), rig.weights)
+    return replace(skeleton, mesh=moved, rig=new, rotation=new.rotation[None], root=new.joints[:1])
+
+
+def _own_t_pose(rigged: RiggedMesh, own: OwnRig, up: Float[np.ndarray, " 3"]) -> OwnAnimation:
+    """Return the T-pose of the bones of a file, with the soles on the ground that they are on at rest."""
+    posed = t_posed(rigged.skeleton, rigged.report["up"], rigged.report["front"])
+
+    def animation(skeleton: AnimatedRig) -> OwnAnimation:
+        tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms())
+        return OwnAnimation(own.source, rigged.mesh.name, tracks, 30.0, 1, own.person)
+
+    ground = (rigged.skeleton.mesh.vertices @ up).min() - (next(animation(posed).vertices()) @ up).min()
+    return animation(replace(posed, root=posed.root + ground * up))
