@@ -5,6 +5,7 @@
 
 rig                     give a mesh a skeleton and skinning weights; gives a RiggedMesh
 capture                 read the motion of joints out of a clip; gives a CapturedClip
+retarget                let a RiggedMesh move as a CapturedClip; gives a ClipResult
 transfer, animate       move a mesh (Mesh or path) by a pose or a clip; give a Result or a ClipResult
 save_skinned            write several motions of one mesh into one file
 batch                   many meshes by many clips, resumable
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from .pipeline.capturing import CapturedClip, capture
     from .pipeline.live import LiveSession
     from .pipeline.result import ClipResult, Result
+    from .pipeline.retargeting import retarget
     from .pipeline.rigging import RiggedMesh, rig
     from .pipeline.skinned import save_skinned
 
@@ -58,6 +60,7 @@ __all__ = [
     "load_mesh",
     "no_limits",
     "prepare",
+    "retarget",
     "rig",
     "save_clip",
     "save_mesh",
@@ -76,6 +79,7 @@ _MODULES = {
     "pipeline.capturing": ("CapturedClip", "capture"),
     "pipeline.live": ("LiveSession",),
     "pipeline.result": ("ClipResult", "Result"),
+    "pipeline.retargeting": ("retarget",),
     "pipeline.rigging": ("RiggedMesh", "rig"),
     "pipeline.skinned": ("save_skinned",),
 }

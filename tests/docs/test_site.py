@@ -93,7 +93,7 @@ def test_every_format_is_on_the_page():
     rows = re.findall(r"^\| (\.[^|]*) \| ([^|]*) ?\| ([^|]*) ?\|", (DOCS / "formats.md").read_text(), re.MULTILINE)
     read, written = ({suffix for row in rows if row[k].strip() for suffix in row[0].split()} for k in (1, 2))
     assert read == {*MESH_READERS, *CLIP_READERS}
-    assert written - {".vrm", ".vrma"} == {*MESH_WRITERS, *CLIP_WRITERS, *MOVIES}
+    assert written - {".bvh", ".vrm", ".vrma"} == {*MESH_WRITERS, *CLIP_WRITERS, *MOVIES}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)

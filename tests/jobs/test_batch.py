@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import zoo
+from people import person, walk
 
 import mimesh
 from mimesh.cli import run
@@ -21,6 +22,7 @@ from mimesh.core.budgets import limits_are_lifted
 from mimesh.core.mesh import Clip
 from mimesh.core.output_size import LARGEST_OUTPUT, check_output_size
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+from mimesh.io.gltf.own_rig import has_rig
 from mimesh.jobs.run import BatchTask, fingerprint, recorded
 from mimesh.jobs.table import filled, find_files, option_values, read_jobs
 
@@ -250,7 +252,57 @@ def test_patterns_and_folders(files):
     assert find_files("clips/*", (".bvh",), "clips") == ["clips/run", "clips/walk"]
     assert find_files("ids", (".obj",), "meshes") == ["ids/a.obj", "ids/b.obj"]
     assert find_files("ids/a.obj", (".obj",), "meshes") == ["ids/a.obj"]
-    assert filled("{identity}-{driving}-{number:03}.glb", "x/a.b.obj", "clips/walk", 7) == "a.b-walk-007.glb"
+    both = {"identity": "x/a.b.obj", "driving": "clips/walk"}
+    assert filled("{identity}-{driving}-{number:03}.glb", both, 7) == "a.b-walk-007.glb"
+
+
+def test_meshes_are_rigged_and_clips_captured_and_not_again(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    for shape in range(2):
+        save_mesh(person(shape), Path("meshes") / f"p{shape}.obj")
+    save_clip(walk(frames=4), Path("clips") / "walk.npz")
+    rig = ["batch", "meshes", "-o", "out/{identity}.glb", "--rig", "-O", "names=mixamo", "-w", "1", "--no-sheet"]
+    capture = ["batch", "clips", "-o", "out/{driving}.bvh", "--capture", "-w", "1", "--summary", "clips-summary"]
+    assert run([*rig, "--json"]) == run([*capture, "-q"]) == 0
+    facts = json.loads(capfd.readouterr().out)
+    assert facts["counts"]["done"] == 2
+    assert all(row["confidence"] > 0.5 and row["vertices"] and not row["driving"] for row in facts["each"])
+    assert has_rig(load_mesh("out/p0.glb"))
+    assert len(load_clip("out/walk.bvh")) == 4
+    assert Path("clips-summary/batch.png").is_file()
+    assert (run(rig), run(capture)) == (0, 0)
+    out = capfd.readouterr().out
+    assert "2 jobs: 2 done before" in out
+    assert "1 jobs: 1 done before" in out
+    # A table may have all commands.
+    rows = ["rig,meshes/p0.obj,,out/p0-own.glb", "capture,,clips/walk.npz,out/walk.glb"]
+    jobs = read_jobs(table(*rows, header="command,identity,driving,output"), None, None, {}, "animate")
+    assert [(job.command, job.files, job.name) for job in jobs] == [
+        ("rig", ["meshes/p0.obj"], "p0"),
+        ("capture", ["clips/walk.npz"], "walk"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ["ids", "--rig"],
+            "expected a pattern for the outputs, found none; give one: -o 'out/{identity}.glb'",
+        ),
+        (["ids", "clips", "--rig", "-o", "{identity}.glb"], "expected one set of files for rig, found DRIVINGS, too"),
+        (["ids", "--rig", "-o", "{driving}.glb"], "expected only {identity}, {number} in the pattern of outputs"),
+        (["ids", "--rig", "-o", "{identity}.ply"], "expected an output in one of .fbx .glb .gltf .vrm, found '.ply'"),
+        (["ids", "--rig", "--capture"], "expected one command, found --rig and --capture"),
+        (["ids", "--rig", "-o", "{identity}.glb", "-O", "root=keep"], "expected an option of mimesh rig, found root"),
+        (["ids", "--rig", "-o", "{identity}.glb", "-O", "model=npt"], "expected a model with joints (mime), found npt"),
+    ],
+)
+def test_what_cannot_be_rigged_is_refused_before_any_work(files, words, message, capfd):
+    before = everything()
+    assert run(["batch", *words]) == 2
+    assert message in capfd.readouterr().err
+    assert everything() == before
 
 
 def test_what_options_set_ends_with_the_parsing():

@@ -1,1 +1,1 @@
-"""Many jobs: a table of runs of `mimesh animate` and `mimesh transfer`, done by several processes."""
+"""Many jobs: a table of runs of `mimesh animate`, `transfer`, `rig` and `capture`, done by several processes."""

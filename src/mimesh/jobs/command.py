@@ -32,7 +32,7 @@ def batch(
             metavar="JOBS",
             parser=given_path,
             help="A table (CSV: identity, driving, output, any option); or with DRIVINGS a folder or 'pattern' of "
-            "meshes.",
+            "meshes; or with --rig one of meshes, with --capture one of clips.",
         ),
     ],
     drivings: Annotated[
@@ -52,11 +52,15 @@ def batch(
             "--option",
             "-O",
             metavar="NAME=VALUE",
-            help="Option of animate or transfer for all jobs: root=keep, ground=no; several times.",
+            help="Option of the command for all jobs: root=keep, ground=no; several times.",
         ),
     ] = None,
     transfer: Annotated[
         bool, typer.Option("--transfer", help="Transfer poses: run `mimesh transfer`, not animate.")
+    ] = False,
+    rig: Annotated[bool, typer.Option("--rig", help="Rig meshes: run `mimesh rig` for each of JOBS.")] = False,
+    capture: Annotated[
+        bool, typer.Option("--capture", help="Capture clips: run `mimesh capture` for each of JOBS.")
     ] = False,
     workers: Annotated[
         int | None, typer.Option("--workers", "-w", help="Processes of one thread each; by default one a core.", min=1)
@@ -78,8 +82,9 @@ def batch(
 ) -> None:
     """Animate many meshes: a table of jobs, or every mesh of a folder with every clip of another.
 
-    Columns and --option have the names of the options of `mimesh animate` and `mimesh
-    transfer` without dashes; yes or no for switches. All jobs are checked before the
+    With --rig or --capture, each mesh or clip of one folder is a job. Columns and
+    --option have the names of the command's options without dashes; yes or no for
+    switches. All jobs are checked before the
     first starts. The same command again does only what is not finished or has changed.
     A job that fails does not stop others: the exit code is then 3.
     """
@@ -92,6 +97,9 @@ def batch(
         if not name or "=" not in text:
             raise InputError(f"--option: expected NAME=VALUE, found {text!r}; write root=keep or ground=no")
         options[name] = value
+    chosen = [name for name, on in (("transfer", transfer), ("rig", rig), ("capture", capture)) if on]
+    if len(chosen) > 1:
+        raise InputError(f"batch: expected one command, found --{' and --'.join(chosen)}; leave all but one out")
     if cluster is not None and workers is not None:
         raise InputError("--workers: expected it without --cluster, which has workers of its own; leave one out")
     silent, terminal = printed.silent, sys.stderr.isatty()
@@ -104,7 +112,7 @@ def batch(
             str(jobs),
             None if drivings is None else str(drivings),
             output,
-            command="transfer" if transfer else "animate",
+            command=chosen[0] if chosen else "animate",
             options=options,
             workers=workers,
             again=again,

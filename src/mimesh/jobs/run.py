@@ -161,7 +161,7 @@ def batch(
     cluster: str | None = None,
     report: Report | None = None,
 ) -> BatchResult:
-    """Do many jobs of `mimesh animate` or `mimesh transfer`: those of a table, or all pairs of two sets of files.
+    """Do many jobs of `mimesh animate`, `transfer`, `rig` or `capture`: of a table, of all pairs of files, or of each.
 
     All jobs are checked before the first one starts. A job that fails does not stop others. A job that was finished by
     an earlier batch is not done again unless its inputs, its options or the model's file have changed.
@@ -169,11 +169,12 @@ def batch(
     Args:
         identities: with `drivings`, a folder, a pattern with wildcards, or a file of meshes; without, a table of jobs
             (a CSV file, or dictionaries): identity, driving, output, command and options by their names (`root-bone`
-            or `root_bone`).
+            or `root_bone`). With "rig" and "capture" also a folder, a pattern or a file of meshes, or of clips; rows
+            have an identity or a driving alone.
         drivings: a folder, a pattern or a file of clips; each is combined with each identity.
         output: where to write each result, with {identity}, {driving} and {number} for the names of its inputs and the
             number of the job. Rows of a table with an output of their own do not need it.
-        command: "animate" or "transfer", for jobs whose row does not say.
+        command: "animate", "transfer", "rig" or "capture", for jobs whose row does not say.
         options: options of the command for all jobs ({"root": "keep", "ground": False}); rows replace them.
         workers: processes, with one thread each; None: one for each core that may be used.
         again: do finished jobs again.
@@ -278,7 +279,7 @@ def fingerprint(job: BatchJob) -> str:
     """Return a digest of everything that the output of a job depends on, but not of where it is written."""
     facts: dict[str, Any] = {"command": job.command, "options": sorted(job.options)}
     facts["inputs"] = {name: _contents(path) for name, path in job.inputs().items()}
-    facts["joints"] = [_contents(side_file(Path(path))) for path in (job.identity, job.driving)]
+    facts["joints"] = [_contents(side_file(Path(path))) for path in job.files]
     facts["weights"] = _contents(weights_path(option_values(job.command, job.options)["model"]))
     return hashlib.blake2b(json.dumps(facts).encode(), digest_size=16).hexdigest()
 
@@ -329,7 +330,7 @@ def do_task(task: BatchTask) -> dict[str, Any]:
     except InputError as error:
         failed["error"] = " ".join(str(error).split())
     except MemoryError:
-        failed["error"] = f"{job.identity}: expected enough memory, found too little; use fewer {option('workers')}"
+        failed["error"] = f"{job.name}: expected enough memory, found too little; use fewer {option('workers')}"
     except Exception as error:
         kind = f"{type(error).__name__}: {error}".splitlines()[0]
         failed["error"] = f"{kind} (a bug of mimesh; please report it)"
@@ -344,12 +345,13 @@ def _do_job(task: BatchTask, begin: float) -> dict[str, Any]:
     with naming_options():
         facts = run_command(task.job)
     reports = [clip["report"] for clip in facts.get("clips", ())] or [facts["report"]]
-    found = [report[which].get("confidence") for report in reports for which in ("identity", "driving")]
+    about = [report.get(which, report) for report in reports for which in ("identity", "driving")]
+    found = [mesh.get("confidence") for mesh in about]
     outcome = {
         "state": DONE,
         "seconds": round(time.perf_counter() - begin, 3),
-        "frames": facts["frames"],
-        "vertices": facts["vertices"],
+        "frames": facts.get("frames", 1),
+        "vertices": facts.get("vertices"),
         "confidence": min((confidence for confidence in found if confidence is not None), default=None),
         "steps": facts["seconds"],
         "notes": facts["report"]["notes"],
@@ -595,7 +597,7 @@ def save_sheet(
         return captioned(np.broadcast_to(color, (TILE[1], TILE[0], 3)).copy(), label)
 
     shown = shown_jobs(len(jobs))
-    save_picture(page([picture(k) for k in shown], _columns([file_stem(jobs[k].identity) for k in shown])), path)
+    save_picture(page([picture(k) for k in shown], _columns([file_stem(jobs[k].files[0]) for k in shown])), path)
 
 
 def _columns(identities: Sequence[str]) -> int:

@@ -1,6 +1,6 @@
-"""Jobs of a batch: read them from a table, or pair two sets of files, and check all before the first one starts.
+"""Jobs of a batch: of a table, of all pairs of two sets of files, or of one set; all are checked before the start.
 
-A job is one run of `mimesh animate` or `mimesh transfer`. Its options are the command's, which parses them.
+A job is one run of `mimesh animate`, `transfer`, `rig` or `capture`. Its options are the command's, which parses them.
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ from typing import Any
 import typer
 
 from ..commands import move
+from ..commands.capture import capture
 from ..commands.clips import check_clip_output, check_suffix
 from ..commands.options import ShapeOptions
+from ..commands.rig import rig
 from ..commands.terminal import refuse_inputs
 from ..core.arguments import described
 from ..core.errors import InputError, did_you_mean, option
@@ -30,14 +32,23 @@ from ..core.options import Hints, Layout, MotionOptions
 from ..core.system import refuse_pipe
 from ..io import mesh_suffixes
 from ..io.formats import ANIMATED, CLIP_READERS, COLLECTIONS, MESH_WRITERS
-from ..methods.find import find_model
+from ..methods.find import find_mime, find_model
 from ..mime.model import Mime
+from ..pipeline.capturing import JOINT_FILES
+from ..pipeline.rigging import BONES
 from ..tools.convert import file_stem
 from ..tools.preview import names_beside
 
-COMMANDS = ("animate", "transfer")
-PLACEHOLDERS = ("identity", "driving", "number")
-"""Names in the pattern of outputs: the inputs' names without folder and suffix, and the number of the job from 1."""
+INPUTS = {
+    "animate": ("identity", "driving"),
+    "transfer": ("identity", "driving"),
+    "rig": ("identity",),
+    "capture": ("driving",),
+}
+"""Command -> what it reads."""
+COMMANDS = tuple(INPUTS)
+TABLES = (".csv", ".tsv", ".txt")
+"""Suffixes of tables of jobs, where a folder or a pattern of files could be meant, too."""
 FILE_OPTIONS = ("reference", "markers", "body_model", "joints", "driving_joints")
 """Options whose values are input files."""
 AXIS_OPTIONS = ("up", "front", "driving_up", "driving_front")
@@ -53,32 +64,41 @@ Row = tuple[str, Mapping[Any, Any]]
 
 @dataclass(frozen=True)
 class BatchJob:
-    """One run of `mimesh animate` or `mimesh transfer`."""
+    """One run of a command."""
 
     where: str
     """Where it comes from, for messages: "jobs.csv:3"."""
     command: str
     """One of COMMANDS."""
     identity: str
+    """Empty for a capture."""
     driving: str
+    """Empty for a rig."""
     output: str
     options: tuple[tuple[str, str], ...] = ()
     """Names of options without dashes, and their values; yes or no for switches."""
 
     @property
     def name(self) -> str:
-        """Name of the pair in lists and pictures."""
-        return f"{file_stem(self.identity)} + {file_stem(self.driving)}"
+        """Name of the inputs in lists and pictures."""
+        return " + ".join(map(file_stem, self.files))
+
+    @property
+    def files(self) -> list[str]:
+        """Paths of the inputs: identity and driving, or the one that the command takes."""
+        return [path for path in (self.identity, self.driving) if path]
 
     def inputs(self) -> dict[str, Path]:
         """Return the files that it reads by what they are: identity, driving, and those that its options name."""
-        files = {"identity": Path(self.identity), "driving": Path(self.driving)}
+        files = {name: Path(getattr(self, name)) for name in INPUTS[self.command]}
         return files | {name: Path(path) for name, path in self.options if name.replace("-", "_") in FILE_OPTIONS}
 
     def outputs(self) -> list[Path]:
         """Return the files that it writes: the output, and its preview if one is wanted."""
-        if not option_values(self.command, self.options)["preview"]:
+        if not option_values(self.command, self.options).get("preview"):
             return [Path(self.output)]
+        if self.command == "rig":
+            return [Path(self.output), names_beside(Path(self.output))[0]]
         usual = ".glb" if self.command == "animate" else move.usual_suffix(Path(self.identity))
         return [Path(self.output), *names_beside(Path(self.output), usual=usual)]
 
@@ -99,10 +119,15 @@ def read_jobs(
         InputError: there is no job, or a row lacks a value or has too many; files are not looked for in a table.
     """
     if command not in COMMANDS:
-        raise InputError(f"batch: expected the command animate or transfer, found {command!r}; name one of them")
+        raise InputError(f"batch: expected one of {', '.join(COMMANDS)}, found {command!r}; name one of them")
     if not isinstance(options, Mapping):
         raise InputError(f'options: expected a dictionary, found {described(options)}; give for example {{"stop": 10}}')
-    if drivings is not None:
+    single = len(INPUTS[command]) == 1
+    if single and drivings is not None:
+        raise InputError(f"batch: expected one set of files for {command}, found DRIVINGS, too; leave them out")
+    if single and isinstance(identities, (str, Path)) and Path(identities).suffix.lower() not in TABLES:
+        rows = _each_file(str(identities), output, command)
+    elif drivings is not None:
         rows = _all_pairs(identities, str(drivings), output, command)
     elif isinstance(identities, (str, Path)):
         rows = _table_rows(Path(identities))
@@ -128,6 +153,16 @@ def _all_pairs(identities: Any, drivings: str, output: str | Path | None, comman
     meshes = find_files(str(identities), mesh_suffixes(), "meshes")
     clips = find_files(drivings, moving, "driving files")
     return [(f"{mesh} + {clip}", {"identity": mesh, "driving": clip}) for mesh in meshes for clip in clips]
+
+
+def _each_file(inputs: str, output: str | Path | None, command: str) -> list[Row]:
+    """Return a row for each mesh, or each clip."""
+    (name,) = INPUTS[command]
+    if output is None:
+        pattern = "-o 'out/{identity}.glb'" if command == "rig" else "-o 'out/{driving}.bvh'"
+        raise InputError(f"--output: expected a pattern for the outputs, found none; give one: {pattern}")
+    suffixes = mesh_suffixes() if command == "rig" else (*CLIP_READERS, *ANIMATED, *COLLECTIONS)
+    return [(path, {name: path}) for path in find_files(inputs, suffixes, "meshes" if command == "rig" else "clips")]
 
 
 def _table_rows(path: Path) -> list[Row]:
@@ -167,15 +202,16 @@ def _job(
     if None in row:  # what csv.DictReader makes of values beyond the last column
         raise InputError(f"{where}: expected as many values as columns, found more; quote values that have commas")
     values = _texts(row)
-    for name in ("identity", "driving", *(("output",) if pattern is None else ())):
-        if name not in values:
-            raise InputError(f"{where}: expected a value for {name}, found none; columns: {', '.join(map(str, row))}")
     command = values.pop("command", command)
     if command not in COMMANDS:
-        raise InputError(f"{where}: expected animate or transfer as command, found {command!r}; name one of them")
-    identity, driving = values.pop("identity"), values.pop("driving")
-    output = values.pop("output", None) or filled(str(pattern), identity, driving, number)
-    return BatchJob(where, command, identity, driving, output, tuple({**options, **values}.items()))
+        raise InputError(f"{where}: expected one of {', '.join(COMMANDS)}, found {command!r}; name one of them")
+    for name in (*INPUTS[command], *(("output",) if pattern is None else ())):
+        if name not in values:
+            raise InputError(f"{where}: expected a value for {name}, found none; columns: {', '.join(map(str, row))}")
+    inputs = {name: values.pop(name) for name in INPUTS[command]}
+    output = values.pop("output", None) or filled(str(pattern), inputs, number)
+    both = inputs.get("identity", ""), inputs.get("driving", "")
+    return BatchJob(where, command, *both, output, tuple({**options, **values}.items()))
 
 
 def _texts(values: Mapping[Any, Any]) -> dict[str, str]:
@@ -212,20 +248,26 @@ def find_files(text: str, suffixes: Sequence[str], what: str) -> list[str]:
     return sorted(found)
 
 
-def filled(pattern: str, identity: str, driving: str, number: int) -> str:
+def filled(pattern: str, inputs: Mapping[str, str], number: int) -> str:
     """Return the output that a pattern gives a job.
 
+    Args:
+        pattern: with names in braces: those of the inputs, and number.
+        inputs: what an input is, as in INPUTS -> its path.
+        number: that of the job, from 1.
+
     Raises:
-        InputError: the pattern has other names in braces than PLACEHOLDERS.
+        InputError: the pattern has other names in braces.
     """
+    values = {name: file_stem(path) for name, path in inputs.items()} | {"number": number}
     try:
         names = {name for _, name, _, _ in string.Formatter().parse(pattern) if name is not None}
-        if names <= set(PLACEHOLDERS):
-            return pattern.format(identity=file_stem(identity), driving=file_stem(driving), number=number)
+        if names <= values.keys():
+            return pattern.format(**values)
     except ValueError:
         names = {"a brace without its other half"}
-    known = ", ".join(f"{{{name}}}" for name in PLACEHOLDERS)
-    found = ", ".join(sorted(names - set(PLACEHOLDERS))) or "an invalid format"
+    known = ", ".join(f"{{{name}}}" for name in values)
+    found = ", ".join(sorted(names - values.keys())) or "an invalid format"
     raise InputError(f"{pattern}: expected only {known} in the pattern of outputs, found {found}; rename them")
 
 
@@ -235,6 +277,8 @@ def _parsers() -> dict[str, Any]:
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     app.command("animate")(move.animate)
     app.command("transfer")(move.transfer)
+    app.command("rig")(rig)
+    app.command("capture")(capture)
     group: Any = typer.main.get_command(app)
     return dict(group.commands)
 
@@ -248,7 +292,8 @@ def _option_words(command: str, options: tuple[tuple[str, str], ...]) -> list[st
         if flag.startswith("--") and flag.removeprefix("--") not in NOT_FOR_JOBS
     }
     words = []
-    for name, value in {"preview": "no", **dict(options)}.items():
+    usual = {"preview": "no"} if "preview" in known else {}
+    for name, value in {**usual, **dict(options)}.items():
         parameter = known.get(name)
         if parameter is None:
             raise InputError(
@@ -271,7 +316,7 @@ def option_values(command: str, options: tuple[tuple[str, str], ...]) -> dict[st
     Raises:
         InputError: an option does not exist, its value is not of its kind, or the method cannot use it.
     """
-    words = [*_option_words(command, options), "--", "identity", "driving"]
+    words = [*_option_words(command, options), "--", *INPUTS[command]]
     try:
         # What an option sets, such as --no-limits, does not outlast the parsing.
         values = dict(copy_context().run(_parsers()[command].make_context, command, words).params)
@@ -282,11 +327,15 @@ def option_values(command: str, options: tuple[tuple[str, str], ...]) -> dict[st
         message = " ".join(format_message().split()).rstrip(".")
         raise InputError(f"{message}; see mimesh {command} --help") from error
     for name in AXIS_OPTIONS:
-        parse_axis(values[name], f"--{name.replace('_', '-')}")
-    model = find_model(values["model"], **{name: values[name] for name in ("ensemble", "seed", "pairing")})
+        parse_axis(values.get(name), f"--{name.replace('_', '-')}")
+    given = {name: values[name] for name in ("ensemble", "seed", "pairing") if name in values}
+    model = find_model(values["model"], **given)
     motion = MotionOptions(**{name: values[name] for name in ("root", "ground", "smooth") if name in values})
-    Hints(rig=values["rig"], body=values["body"])
-    if not isinstance(model, Mime):
+    # In the function `rig`, --rig has another name.
+    Hints(rig=values.get("rig", "own"), body=values["body"])
+    if command in ("rig", "capture"):
+        find_mime(values["model"], values["seed"])
+    elif not isinstance(model, Mime):
         motion.refuse_without_joints(model.name)
     return values
 
@@ -300,7 +349,7 @@ def run_command(job: BatchJob) -> dict[str, Any]:
     command, words = _parsers()[job.command], _option_words(job.command, job.options)
 
     def run() -> dict[str, Any]:
-        arguments = [*words, f"--output={job.output}", "--quiet", "--", job.identity, job.driving]
+        arguments = [*words, f"--output={job.output}", "--quiet", "--", *job.files]
         with command.make_context(job.command, arguments) as context:
             return command.invoke(context)
 
@@ -330,8 +379,8 @@ def check_jobs(jobs: Sequence[BatchJob], more_inputs: Sequence[Path], more_outpu
 
 def _check_job(job: BatchJob) -> None:
     """Raise InputError if a file of a job does not exist, or an option cannot be used."""
-    if not Path(job.identity).is_file():
-        raise InputError(f"{job.identity}: expected the file of the mesh to move, found none; check the path")
+    if job.identity and not Path(job.identity).is_file():
+        raise InputError(f"{job.identity}: expected the file of the mesh, found none; check the path")
     for path in job.inputs().values():
         if not path.exists():
             raise InputError(f"{path}: expected a file, found nothing of that name; check the path")
@@ -342,6 +391,8 @@ def _check_job(job: BatchJob) -> None:
         layout = Layout(values["names"], values["root_bone"], values["rest"], values["output_fps"])
         shapes = ShapeOptions(values["morphs"], values["blendshapes"])
         check_clip_output(output, 1, values["skinned"], shapes, layout)
+    elif job.command in ("rig", "capture"):
+        check_suffix(output, BONES if job.command == "rig" else JOINT_FILES)
     else:
         check_suffix(output, (*MESH_WRITERS, Path(job.identity).suffix.lower()))
 

@@ -189,11 +189,16 @@ def find_method(model: str, **options: Any) -> Method:
 
 
 def find_mime(model: str, seed: int = 0) -> Mime:
-    """Return the model of a name or a file that is known to move joints."""
+    """Return the model of a name or a file, which must find joints.
+
+    Raises:
+        InputError: it does not, or there is no such model.
+    """
     from ..mime.model import Mime
 
     found = find_model(model, seed=seed)
-    assert isinstance(found, Mime)
+    if not isinstance(found, Mime):
+        raise InputError(f"--model: expected a model with joints (mime), found {model}; choose it with -m")
     return found
 
 

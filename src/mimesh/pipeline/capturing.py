@@ -33,7 +33,7 @@ from ..mime.model import Mime
 from ..motions.bone_motion import BoneMotion
 from ..rigs.retarget import JointMotion, body_parents
 from .file_rigs import read_rigs
-from .joint_route import find_motion, found_alone
+from .joint_route import FoundMotion, find_motion, found_alone
 from .known import Known
 from .odd_frames import far_frames_note
 from .placed import check_identity, first_frame
@@ -81,6 +81,8 @@ class CapturedClip:
     """Wall time in seconds of the steps: load, prepare, drive, write."""
     notes: tuple[str, ...] = ()
     """Lines for the user: what may be wrong, and what to do."""
+    found: FoundMotion | None = field(default=None, repr=False)
+    """What `mimesh.retarget` follows."""
 
     @public
     def save(self, path: str | Path) -> Path:
@@ -183,30 +185,26 @@ def capture(
         def find(network: Mime, norm: Normalization) -> tuple[JointMotion, Normalization]:
             return find_motion(network, taken, subject, norm, rigs, known.corrections)
 
-        seen, motion, norm = found_alone(find_mime(model, seed), subject, known.asked_body, find)
+        network = find_mime(model, seed)
+        seen, motion, norm = found_alone(network, subject, known.asked_body, find)
     with timer.step("drive"):
-        track = motion.over(taken, norm, SolePoints.of(motion.soles, motion.surface), progress).smoothed(smooth)
-    report = facing(norm) | _unit(first) | _contacts(track, motion)
+        track = motion.over(taken, norm, SolePoints.of(motion.soles, motion.surface), progress)
+    found = FoundMotion(taken, motion, track, smooth, norm, rigs, network.of_body(seen.body))
+    report = facing(norm) | _unit(first) | _contacts(track.smoothed(smooth), motion)
     notes = facing_note(norm, first.name, "front") + rigs.notes + taken.notes + far_frames_note(taken, first.name)
     if motion.confidence is not None:
         report |= motion.confidence.facts()
         notes = motion.confidence.notes(first.name) + notes
     elif hints.up is None:
         report["up_from"] = "joints"
-    return _captured(track, motion.joints, norm, first.name, seen.body, report, timer, notes)
+    return _captured(found, first.name, seen.body, report, timer, notes)
 
 
 def _captured(
-    track: JointTrack,
-    names: tuple[str, ...],
-    norm: Normalization,
-    name: str,
-    body: str,
-    report: dict[str, Any],
-    timer: Timer,
-    notes: tuple[str, ...],
+    found: FoundMotion, name: str, body: str, report: dict[str, Any], timer: Timer, notes: tuple[str, ...]
 ) -> CapturedClip:
     """Return joints that are known in the normalisation of a clip in its unit, y up."""
+    track, names, norm = found.track.smoothed(found.smooth), found.motion.joints, found.norm
     # Joints of a file come in any order.
     above = body_parents(names)
     order = parents_first(above)
@@ -228,7 +226,7 @@ def _captured(
     root = upright[:, 0] - [0.0, floor, 0.0]
     report["height"] = float(rest[:, 1].max())
     facts = cast(CaptureReport, report)
-    return CapturedClip(name, names, parents, rest, rotation, root, track.fps, body, facts, timer, notes)
+    return CapturedClip(name, names, parents, rest, rotation, root, track.fps, body, facts, timer, notes, found)
 
 
 def _unit(mesh: Mesh) -> dict[str, float]:

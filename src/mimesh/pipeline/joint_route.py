@@ -182,6 +182,35 @@ class JointRoute(Placed):
         return largest / float(np.ptp(self.rest.vertices, axis=0).max())
 
 
+@dataclass(frozen=True, eq=False)
+class FoundCharacter:
+    """A character that was found on a mesh, and what moves it."""
+
+    character: Character
+    """With the joints of all fingers that are found, if these were asked for."""
+    plain: Character
+    """Without those of fingers that were found."""
+    norm: Normalization
+    rigs: Rigs
+    """The identity's rig."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundMotion:
+    """A motion that was found in a clip, and what follows it."""
+
+    clip: Clip
+    motion: JointMotion
+    track: JointTrack
+    """The joints in all frames, without smoothing."""
+    smooth: float
+    """See `MotionOptions`."""
+    norm: Normalization
+    rigs: Rigs
+    """The driving's joints."""
+    network: Mime
+
+
 def report_confidence(retarget: Retarget, report: dict[str, Any], names: tuple[str, str]) -> tuple[str, ...]:
     """Add the confidences of joints that were found to the report, and return notes on low ones."""
     notes: tuple[str, ...] = ()

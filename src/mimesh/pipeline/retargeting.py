@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from functools import partial
 
 import numpy as np
@@ -10,11 +11,12 @@ import numpy as np
 from ..core.arguments import public
 from ..core.errors import RefusedMeshError
 from ..core.frame_buffer import Progress
+from ..core.mesh import Mesh
 from ..core.options import MotionOptions
 from ..mime.model import CapturedMotion
 from ..rigs.retarget import Retarget
 from .capturing import CapturedClip
-from .joint_route import JointRoute
+from .joint_route import FoundCharacter, FoundMotion, JointRoute
 from .look import KINDS, normalised
 from .placed import surface_motion
 from .result import ClipResult, Timer
@@ -50,20 +52,18 @@ def retarget(
         >>> path = mimesh.retarget(captured, rigged).save_skinned("hero-walk.glb")
     """
     mine, theirs = rigged.found, captured.found
+    assert mine is not None, "made by mimesh.rig"
+    assert theirs is not None, "made by mimesh.capture"
     if rigged.body != captured.body:
         raise RefusedMeshError(
             f"{captured.name}, {rigged.mesh.name}: expected two people or two four-legged animals, found "
             f"{KINDS[captured.body]} and {KINDS[rigged.body]}; give another of the two"
         )
-    character, following = mine.joints, dataclasses.replace(theirs.joints, track=theirs.track)
-    rigs = dataclasses.replace(mine.rigs, driving=theirs.rigs.driving, beside={})
+    follow = _follow(mine, theirs, rigged.mesh)
+    norms, rigs = (mine.norm, theirs.norm), dataclasses.replace(mine.rigs, driving=theirs.rigs.driving)
     rest = normalised(rigged.mesh, mine.norm)
-    if rigs.humanoid is None and isinstance(theirs.joints, CapturedMotion):
-        surface = partial(surface_motion, theirs.clip, theirs.norm)
-        character, following = theirs.network.with_fingers(character, rest, theirs.joints, surface)
-    follow = Retarget.of(character, following, captured.name)
-    norms = mine.norm, theirs.norm
     route = JointRoute(rigged.mesh, theirs.clip, norms, rest, rigs=rigs, mime=theirs.network, retarget=follow)
+    motion = dataclasses.replace(motion, smooth=math.hypot(motion.smooth, theirs.smooth))  # two Gaussian filters
     timer = Timer()
     moved = route.play(timer, motion, progress, np.float32)
     return ClipResult(
@@ -80,3 +80,13 @@ def retarget(
         moved.driving_joints,
         moved.own,
     )
+
+
+def _follow(mine: FoundCharacter, theirs: FoundMotion, mesh: Mesh) -> Retarget:
+    """Let the character follow the motion, with the fingers that both surfaces show if the driving moves them."""
+    known = dataclasses.replace(theirs.motion, track=theirs.track)
+    if mine.rigs.humanoid is not None or not isinstance(theirs.motion, CapturedMotion):
+        return Retarget.of(mine.character, known)
+    surface = partial(surface_motion, theirs.clip, theirs.norm)
+    fingered, motion = theirs.network.with_fingers(mine.plain, normalised(mesh, mine.norm), theirs.motion, surface)
+    return Retarget.of(fingered, known if fingered is mine.plain else motion)

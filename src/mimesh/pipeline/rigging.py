@@ -32,7 +32,7 @@ from ..methods.find import find_mime
 from ..mime.model import Mime
 from ..rigs.character import Character
 from .file_rigs import read_rigs
-from .joint_route import find_character, found_alone
+from .joint_route import FoundCharacter, find_character, found_alone
 from .known import Known
 from .look import normalised
 from .placed import check_identity
@@ -73,8 +73,13 @@ class RiggedMesh:
     """Wall time in seconds of the steps: load, prepare, write."""
     notes: tuple[str, ...] = ()
     """Lines for the user: what may be wrong, and what to do."""
-    own: OwnRig | None = field(default=None, repr=False)
-    """The rig of the file, where that is kept."""
+    found: FoundCharacter | None = field(default=None, repr=False)
+    """What `mimesh.retarget` moves."""
+
+    @property
+    def own(self) -> OwnRig | None:
+        """The rig of the file, where that is kept."""
+        return None if self.found is None else self.found.rigs.identity
 
     @property
     def joints(self) -> dict[str, Float[np.ndarray, " 3"]]:
@@ -185,9 +190,10 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
     def find(network: Mime, norm: Normalization) -> tuple[Character, Normalization]:
         return find_character(network, subject, norm, rigs, known.corrections)
 
-    seen, character, norm = found_alone(mime, subject, known.asked_body, find)
+    seen, plain, norm = found_alone(mime, subject, known.asked_body, find)
+    character = plain
     if fingers and rigs.humanoid is None:
-        character = mime.of_body(seen.body).with_all_fingers(character, normalised(mesh, norm))
+        character = mime.of_body(seen.body).with_all_fingers(plain, normalised(mesh, norm))
     report = facing(norm)
     notes = facing_note(norm, mesh.name, "front") + rigs.notes
     if rigs.humanoid is not None:
@@ -209,7 +215,7 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
         cast(RigReport, report | {"fingers": fingered_hands(character.roles)}),
         timer,
         notes,
-        rigs.identity,
+        FoundCharacter(character, plain, norm, rigs),
     )
 
 

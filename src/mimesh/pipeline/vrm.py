@@ -14,7 +14,7 @@ from ..bodies.engine_names import SCHEMES, root_name
 from ..bodies.engine_rig import Layout, engine_rig, t_posed
 from ..bodies.joint_names import with_named_neck
 from ..core.animated_rig import AnimatedRig
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.normalization import ORIENTATIONS, ROTATIONS
 from ..core.rig import Rig
 from ..io import save_own_rig, save_vrm
@@ -37,14 +37,16 @@ def vrm_meta(name: str, author: str | Sequence[str] | None, license: str | None,
         InputError: one of them is missing, or the licence is no URL.
     """
     authors = (author,) if isinstance(author, str) else tuple(author or ())
-    missing = [option for option, given in (("--author", any(authors)), ("--license", license)) if not given]
+    needed = {"author": any(authors), "license": license}
+    missing = [option(name) for name, given in needed.items() if not given]
     if missing or not license:
         raise InputError(
-            f"{path}: expected --author and --license for a .vrm, found no {' and no '.join(missing)}; give "
-            f"--author, and --license such as {PUBLIC_LICENSE}, or write a .glb"
+            f"{path}: expected {option('author')} and {option('license')} for a .vrm, found no "
+            f"{' and no '.join(missing)}; give {option('author', ...)}, and {option('license', PUBLIC_LICENSE)}, or "
+            "write a .glb"
         )
     if not license.startswith(("https://", "http://")):
-        raise InputError(f"--license: expected a URL, found {license!r}; give for example {PUBLIC_LICENSE}")
+        raise InputError(f"{option('license')}: expected a URL, found {license!r}; give for example {PUBLIC_LICENSE}")
     return VrmMeta(name, tuple(filter(None, authors)), license)
 
 
@@ -61,7 +63,8 @@ def save_as_vrm(
     if rigged.body != "human":
         raise InputError(f"{path}: expected a person for a .vrm, found a four-legged animal; write a .glb")
     if layout.rest == "A" or (own is not None and root_name(layout) is not None):
-        raise InputError(f"{path}: expected a T-pose without a root bone, found --rest A or --root-bone; leave it out")
+        found = f"{option('rest', 'A')} or {option('root_bone')}"
+        raise InputError(f"{path}: expected a T-pose without a root bone, found {found}; leave it out")
     if own is not None and vrm_version(own.source.document) is not None:
         kept = OwnAnimation(own.source, rigged.mesh.name, {}, 30.0, 1, own.person)
         save_own_rig(kept.with_layout(SCHEMES[layout.names].bones, None, False), path)
