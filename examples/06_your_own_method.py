@@ -56,7 +56,7 @@ class Mirrored:
 
     def follow(self, identity: mimesh.Mesh, driving: mimesh.Clip) -> Retarget:
         """Let the joints that are found on the identity follow those of the driving."""
-        return Retarget.of(self.inner.rig(identity), self.inner.capture(driving), driving.mesh.name)
+        return Retarget.of(self.inner.rig(identity), self.inner.capture(driving))
 
 
 def mirrored(mesh: mimesh.Mesh) -> mimesh.Mesh:

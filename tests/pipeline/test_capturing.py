@@ -102,7 +102,7 @@ def test_feet_are_on_the_ground_by_turns():
     assert 0.4 < stands.mean() < 0.85
     assert 1.2 < report["height"] < 2.2
     assert "unit" not in report
-    assert "contacts" not in mimesh.capture(bare, stop=2).report
+    assert "contacts" not in mimesh.capture(bare, frames=mimesh.FrameRange(stop=2)).report
 
 
 def test_the_unit_is_that_of_the_file(tmp_path):

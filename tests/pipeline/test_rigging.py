@@ -77,7 +77,7 @@ def test_bones_are_called_and_bound_as_a_program_expects(rigged, tmp_path):
 def test_a_vrm_is_a_person_in_the_t_pose_in_the_axes_of_vrm(up, front, tmp_path):
     mesh = person(0)
     turn = ROTATIONS[ORIENTATIONS.index((up, front))]
-    rigged = mimesh.rig(mesh.with_vertices(mesh.vertices @ turn), up=up, front=front)
+    rigged = mimesh.rig(mesh.with_vertices(mesh.vertices @ turn), hints=mimesh.Hints(up=up, front=front))
     path = rigged.save(tmp_path / "hero.vrm", names="mixamo", author=["A", "B"], license=CC0)
     document = open_document(path)
     meta = document.gltf["extensions"]["VRMC_vrm"]["meta"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -101,7 +101,8 @@ def _cut(files: list[Path], animation: str | None, taken: FrameRange) -> list[Cl
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="A mesh, a clip, a motion or a folder of meshes.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Its suffix is the format; without one, a folder.")],
-    options: ConvertOptions,
+    options: Annotated[ConvertOptions, Without("animation")],
+    taken: Annotated[ClipOptions, Without("start", "stop", "step", "fps", "body_model")],
     printed: Annotated[OutputOptions, Without("output", "preview", "open")],
 ) -> None:
     """Write a mesh or clip in another format.
@@ -114,8 +115,7 @@ def convert(
 
     refuse_existing(printed.no_clobber, target)
     refuse_inputs(target, source, None if options.body_model is None else Path(options.body_model))
-    animation: Any = options.animation  # a list: Typer would take the last of several without a word
-    options = dataclasses.replace(options, animation=single("--animation", animation))
+    options = dataclasses.replace(options, animation=single("--animation", taken.animation))
     with progress("frames", printed.silent) as advance:
         written = convert_file(source, target, options, advance)
     facts = {"output": str(target), "vertices": written.vertices, "frames": written.frames, "fps": written.fps}

@@ -326,12 +326,7 @@ class ConvertOptions(FrameRange):
 
     fps: float | None = declared(None, "Of IN, where it does not say; else to sample it at.")
     """Files with times are sampled at this rate, others are played at it."""
-    animation: str | None = declared(
-        None,
-        "Which animation of a GLB or clip of an HDF5 file: its name or number.",
-        kind=list[str] | None,
-        metavar="NAME",
-    )
+    animation: str | None = declared(None, "Which animation of a GLB or clip of an HDF5 file: its name or number.")
     frame: int | None = declared(None, "This frame alone, counted from 0.")
     frames: int | None = declared(None, "So many frames, evenly spread from first to last.", min=1)
     frames_as: str | None = declared(None, "In a folder: obj or ply.", metavar="SUFFIX")

@@ -118,8 +118,6 @@ def evaluate_command(
         raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
     for method in methods:
         check_method(method)
-        if runtime and fingerprint(method):
-            open_network(method, ensemble, runtime)  # later, it would be a failure of every pair
     chosen.check(split)
     of_pool = isinstance(chosen, Characters) or (isinstance(chosen, FingerGestures) and chosen.data is not None)
     if dump is not None and of_pool and split == "test":
@@ -130,6 +128,8 @@ def evaluate_command(
         raise InputError("--mirror: expected a test set of single meshes and no --dump, found another; leave one out")
     if runtime and of_more:
         raise InputError(f"--torch: expected a test set of meshes or clips, found {protocol}; leave it out")
+    for method in filter(fingerprint, methods if runtime else ()):
+        open_network(method, ensemble, runtime)  # later, it would be a failure of every pair
     options: dict[str, Any] = {"ensemble": ensemble, "refine": refine}
     config = {**data_facts(chosen, split, data), "pairs": pairs or chosen.pairs, **options}
     config |= {"mirror": True} if mirror else {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +13,7 @@ import typer
 
 from ..commands.options import OutputOptions, Without, with_options
 from ..commands.terminal import Model, Stop, given_path, print_json, progress
+from ..core.options import declared
 from ..core.printable import say
 
 if TYPE_CHECKING:
@@ -22,6 +24,23 @@ SOME_FAILED = 3
 """Exit code where some jobs failed and all others are done."""
 MOST_FAILURES = 10
 """Failed jobs that are printed at the end."""
+
+
+@dataclass(frozen=True)
+class BatchOptions:
+    """How jobs are done."""
+
+    workers: int | None = declared(
+        None, "Processes of one thread each; by default one a core.", name=("--workers", "-w"), min=1
+    )
+    again: bool = declared(False, "Do jobs again that are finished and unchanged.", name="--again")
+    summary: Path | None = declared(
+        None, "Where batch.csv, .json and .png go; by default the folder that all outputs share.", metavar="DIR"
+    )
+    sheet: bool = declared(True, "Draw batch.png, a picture of each result.", name="--sheet/--no-sheet")
+    cluster: str | None = declared(
+        None, "Do the jobs on a Ray cluster: its address, auto, or local.", metavar="ADDRESS"
+    )
 
 
 @with_options
@@ -62,22 +81,8 @@ def batch(
     capture: Annotated[
         bool, typer.Option("--capture", help="Capture clips: run `mimesh capture` for each of JOBS.")
     ] = False,
-    workers: Annotated[
-        int | None, typer.Option("--workers", "-w", help="Processes of one thread each; by default one a core.", min=1)
-    ] = None,
-    again: Annotated[bool, typer.Option("--again", help="Do jobs again that are finished and unchanged.")] = False,
-    summary: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Where batch.csv, .json and .png go; by default the folder that all outputs share."
-        ),
-    ] = None,
-    sheet: Annotated[bool, typer.Option("--sheet/--no-sheet", help="Draw batch.png, a picture of each result.")] = True,
-    cluster: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Do the jobs on a Ray cluster: its address, auto, or local."),
-    ] = None,
     *,
+    running: BatchOptions,
     printed: Annotated[OutputOptions, Without("output", "preview", "open", "no_clobber", "large", "no_limits")],
 ) -> None:
     """Animate many meshes: a table of jobs, or every mesh of a folder with every clip of another.
@@ -100,7 +105,7 @@ def batch(
     chosen = [name for name, on in (("transfer", transfer), ("rig", rig), ("capture", capture)) if on]
     if len(chosen) > 1:
         raise InputError(f"batch: expected one command, found --{' and --'.join(chosen)}; leave all but one out")
-    if cluster is not None and workers is not None:
+    if running.cluster is not None and running.workers is not None:
         raise InputError("--workers: expected it without --cluster, which has workers of its own; leave one out")
     silent, terminal = printed.silent, sys.stderr.isatty()
     if not silent and not terminal:
@@ -114,11 +119,11 @@ def batch(
             output,
             command=chosen[0] if chosen else "animate",
             options=options,
-            workers=workers,
-            again=again,
-            summary=summary,
-            sheet=sheet,
-            cluster=cluster,
+            workers=running.workers,
+            again=running.again,
+            summary=running.summary,
+            sheet=running.sheet,
+            cluster=running.cluster,
             report=None if silent else bar or print_lines(),
         )
     if printed.json:

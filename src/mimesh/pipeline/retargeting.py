@@ -66,6 +66,8 @@ def retarget(
     motion = dataclasses.replace(motion, smooth=math.hypot(motion.smooth, theirs.smooth))  # two Gaussian filters
     timer = Timer()
     moved = route.play(timer, motion, progress, np.float32)
+    for which, report in (("identity", rigged.report), ("driving", captured.report)):
+        moved.report[which]["up_from"] = report["up_from"]
     return ClipResult(
         rigged.mesh.with_vertices(moved.frames.first()),
         moved.frames,

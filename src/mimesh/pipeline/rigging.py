@@ -55,7 +55,7 @@ class RiggedMesh:
 
     Example:
         >>> rigged.body, rigged.source, len(rigged.skeleton.names)
-        ('human', 'found', 31)
+        ('human', 'found', 46)
     """
 
     mesh: Mesh
