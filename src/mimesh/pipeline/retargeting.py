@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from ..bodies.joint_names import SIDES, finger_joints
 from ..core.arguments import public
 from ..core.errors import RefusedMeshError
 from ..core.frame_buffer import Progress
@@ -85,10 +86,11 @@ def retarget(
 
 
 def _follow(mine: FoundCharacter, theirs: FoundMotion, mesh: Mesh) -> Retarget:
-    """Let the character follow the motion, with the fingers that both surfaces show if the driving moves them."""
+    """Let the character follow the motion, with the fingers of hands on which the driving's move."""
     known = dataclasses.replace(theirs.motion, track=theirs.track)
     if mine.rigs.humanoid is not None or not isinstance(theirs.motion, CapturedMotion):
-        return Retarget.of(mine.character, known)
+        fingers = any(finger_joints(side)[0] in known.joints for side in SIDES)
+        return Retarget.of(mine.character if fingers else mine.plain, known)
     surface = partial(surface_motion, theirs.clip, theirs.norm)
     fingered, motion = theirs.network.with_fingers(mine.plain, normalised(mesh, mine.norm), theirs.motion, surface)
     return Retarget.of(fingered, known if fingered is mine.plain else motion)
