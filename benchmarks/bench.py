@@ -68,7 +68,7 @@ def command() -> dict[str, float]:
 
 def picture() -> dict[str, float]:
     """Measure the seconds of one 512 x 512 picture of the shipped body."""
-    from mimesh.render.raster import render_mesh
+    from mimesh.view.raster import render_mesh
 
     mesh = load_body().mesh()
     return {"raster_s": seconds(lambda: render_mesh(mesh, (512, 512)), 5)}

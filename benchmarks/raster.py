@@ -21,10 +21,10 @@ import numpy as np
 from mimesh.bodies import load_body
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io.atomic import whole_file
-from mimesh.render import textures
-from mimesh.render.camera import Camera, fit
-from mimesh.render.raster import render
-from mimesh.render.zbuffer import visible_faces
+from mimesh.view import textures
+from mimesh.view.camera import Camera, fit
+from mimesh.view.raster import render
+from mimesh.view.zbuffer import visible_faces
 
 SIZE = (512, 512)
 REPEATS = 9

@@ -12,7 +12,7 @@ import mimesh
 from mimesh.core import geometry
 from mimesh.evaluate.metrics import box_aligned, edge_score, mean_error_mm, pmd_aligned
 from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.render import heat, sheet
+from mimesh.view import heat, sheet
 
 
 def main(argv: list[str] | None = None) -> None:

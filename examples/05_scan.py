@@ -14,7 +14,7 @@ import mimesh
 from mimesh.bodies import character, load_body
 from mimesh.evaluate.remesh import half, points
 from mimesh.motions import load_motion, motion_clip
-from mimesh.render import sheet
+from mimesh.view import sheet
 
 
 def main(argv: list[str] | None = None) -> None:

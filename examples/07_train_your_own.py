@@ -10,7 +10,7 @@ from pathlib import Path
 import mimesh
 from mimesh.bodies import character, load_body
 from mimesh.motions import load_motion, motion_clip
-from mimesh.render import sheet
+from mimesh.view import sheet
 
 SMALL = ("model.encoder=[32, 64, 128]", "model.decoder=[131, 64, 32]", "batch=8", "data.vertices=64")
 """Changes to the shipped configuration, as `mimesh train npt --set ...` takes them."""

@@ -10,8 +10,8 @@ from pathlib import Path
 import mimesh
 from mimesh.bodies.animals import animal
 from mimesh.motions.animal_clips import gait_clip
-from mimesh.render.movie import clip_frames, save_movie
-from mimesh.render.sheet import DRIVING_TINT
+from mimesh.view.movie import clip_frames, save_movie
+from mimesh.view.sheet import DRIVING_TINT
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -37,8 +37,8 @@ from retargets import (
 )
 from unnamed_rigs import match_character, summarise_matches
 
+from mimesh.__main__ import run
 from mimesh.bodies.character_pool import PoolCharacter, read_pool
-from mimesh.cli import run
 from mimesh.commands.terminal import progress
 from mimesh.core.mesh import cut_clip
 from mimesh.evaluate.limb_metrics import LimbedCharacter

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from own_rigs import is_compressed, lost_content, playback_error
 
-from mimesh.cli import run
+from mimesh.__main__ import run
 
 
 @pytest.fixture(scope="module")

@@ -21,12 +21,12 @@ from mimesh.bodies import load_body
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.core.surface_points import SurfacePoints
 from mimesh.io.atomic import whole_file
-from mimesh.render.camera import Camera, fit
-from mimesh.render.heat import heat_colors
-from mimesh.render.movie import clip_frames
-from mimesh.render.raster import render, render_mesh
-from mimesh.render.sheet import DRIVING_TINT, INK, page
 from mimesh.tools.demo import DRIVING_SHAPE, IDENTITY_SHAPE
+from mimesh.view.camera import Camera, fit
+from mimesh.view.heat import heat_colors
+from mimesh.view.movie import clip_frames
+from mimesh.view.raster import render, render_mesh
+from mimesh.view.sheet import DRIVING_TINT, INK, page
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 BODY = load_body()

@@ -33,7 +33,7 @@ ALL_KINDS = tuple((name, kind) for name, protocol in PROTOCOLS.items() for kind 
 """Protocol and kind of all pairs of meshes."""
 PAIRS = 8
 """Number of pairs of each kind."""
-ZOO = Path(__file__).parents[1] / "src" / "mimesh" / "zoo"
+ZOO = Path(__file__).parents[1] / "src" / "mimesh" / "methods" / "zoo"
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-// Bundles each page of this folder into src/mimesh/player/web, with the licence notices of its dependencies.
+// Bundles each page of this folder into src/mimesh/view/web, with the licence notices of its dependencies.
 //   npm ci && node build.mjs
 // The first line of each bundle has a fingerprint of all sources here and of the lock file. A test compares it, so that
 // the bundles cannot differ from their sources.
@@ -9,7 +9,7 @@ import { fileURLToPath } from "node:url";
 import { build } from "esbuild";
 
 const here = fileURLToPath(new URL(".", import.meta.url));
-const output = join(here, "../src/mimesh/player/web");
+const output = join(here, "../src/mimesh/view/web");
 
 /** List all sources below a folder, as paths with forward slashes, sorted. */
 function sources(folder) {

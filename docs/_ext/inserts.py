@@ -15,13 +15,13 @@ from pathlib import Path
 import typer
 from write_results import read_reports, rows_by_set
 
-from mimesh.cli import command_line
+from mimesh.__main__ import command_line
 from mimesh.commands.about import DESCRIPTIONS
 from mimesh.core import budgets
 from mimesh.evaluate.markdown import markdown_table
 from mimesh.evaluate.tables import paper_table
 from mimesh.methods.find import MODELS, SHIPPED_NETWORKS
-from mimesh.zoo import cards
+from mimesh.methods.zoo import cards
 
 DOCS = Path(__file__).parents[1]
 MARK = re.compile(r"(<!-- insert: ([a-z]+)(?: ([\w-]+))? -->)(?:\n.*?\n<!-- end of insert -->)?", re.DOTALL)

@@ -13,8 +13,8 @@ from people import person, walk
 
 from mimesh import save_clip, save_mesh
 from mimesh.core.mesh import Clip
-from mimesh.player.pack import Panel
-from mimesh.player.page import Download, write_player
+from mimesh.view.pack import Panel
+from mimesh.view.page import Download, write_player
 
 pytestmark = pytest.mark.slow
 

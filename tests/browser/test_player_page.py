@@ -10,8 +10,8 @@ import zoo
 from PIL import Image
 
 from mimesh.core.mesh import Clip, Material, Mesh, Part
-from mimesh.player.pack import Panel
-from mimesh.player.page import Download, write_player
+from mimesh.view.pack import Panel
+from mimesh.view.page import Download, write_player
 
 CONTENT = np.random.default_rng(0).bytes(3000)
 

@@ -9,8 +9,8 @@ from client_programs import firefox
 
 from mimesh import load_clip
 from mimesh.core.mesh import Clip
-from mimesh.player.pack import Panel
-from mimesh.player.page import write_player
+from mimesh.view.pack import Panel
+from mimesh.view.page import write_player
 
 pytestmark = pytest.mark.client
 

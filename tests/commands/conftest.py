@@ -7,7 +7,7 @@ from typing import NamedTuple
 import pytest
 import zoo
 
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.io import save_mesh
 
 

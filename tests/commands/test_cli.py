@@ -17,7 +17,7 @@ import pytest
 import zoo
 
 import mimesh
-from mimesh.cli import COMMANDS, command_line, command_name, run
+from mimesh.__main__ import COMMANDS, command_line, command_name, run
 from mimesh.core.mesh import Clip, Material, Part
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.methods.find import MODELS
@@ -30,7 +30,7 @@ ANIMATE = "animate hero.obj walk -m copy --fps 10 "
 
 def test_help_names_every_command_and_imports_nothing_heavy():
     script = (
-        "import sys; from mimesh.cli import run; run(['--help']);"
+        "import sys; from mimesh.__main__ import run; run(['--help']);"
         "heavy = {'numpy', 'scipy', 'PIL', 'torch', 'onnxruntime', 'rich', 'jaxtyping'} & set(sys.modules);"
         "sys.exit(f'loaded {heavy}' if heavy else 0)"
     )

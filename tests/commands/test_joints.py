@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from people import person
 
+from mimesh.__main__ import run
 from mimesh.bodies import load_body
-from mimesh.cli import run
 from mimesh.commands.move import with_joint_files
 from mimesh.commands.options import JointOptions
 from mimesh.core.options import Hints

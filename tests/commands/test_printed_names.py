@@ -16,7 +16,7 @@ import pytest
 import zoo
 
 import mimesh
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.commands.terminal import progress
 from mimesh.core.mesh import Material, Part
 from mimesh.core.printable import plain, printable

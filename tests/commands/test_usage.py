@@ -13,8 +13,8 @@ import pytest
 from matrix import matrix
 from threadpoolctl import threadpool_info
 
+from mimesh.__main__ import COMMANDS, command_name
 from mimesh.bodies.engine_names import SCHEMES
-from mimesh.cli import COMMANDS, command_name
 from mimesh.commands import about, common, terminal
 from mimesh.core.errors import did_you_mean
 from mimesh.core.options import Hints, Layout, ModelOptions, values_of
@@ -109,7 +109,7 @@ def test_completion_is_installed_only_when_asked(tmp_path):
 
     def call(option: str) -> str:
         # The shell is found among the parents of the process; a second command keeps bash there.
-        code = f'"{sys.executable}" -c "from mimesh.cli import main; main([\'{option}\'])" && true'
+        code = f'"{sys.executable}" -c "from mimesh.__main__ import main; main([\'{option}\'])" && true'
         done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, env=environment, check=True)
         return done.stdout
 
@@ -133,7 +133,7 @@ def test_verbose_tells_times_axes_and_method_on_stderr(files, call):
 
 THREADS_OF = """
 import os, sys
-from mimesh.cli import run
+from mimesh.__main__ import run
 sys.modules["torch"] = None  # takes seconds to load, and is refused as if it were missing
 run(sys.argv[1:])
 print(*[os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MIMESH_THREADS")])

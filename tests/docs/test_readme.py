@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mimesh.cli import COMMANDS, command_name
+from mimesh.__main__ import COMMANDS, command_name
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

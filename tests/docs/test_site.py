@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from mimesh.cli import COMMANDS, command_line, command_name
+from mimesh.__main__ import COMMANDS, command_line, command_name
 from mimesh.evaluate.tables import TABLES
 from mimesh.io.formats import CLIP_READERS, CLIP_WRITERS, MESH_READERS, MESH_WRITERS
 from mimesh.methods.find import MODELS
-from mimesh.render.movie import MOVIES
+from mimesh.view.movie import MOVIES
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

@@ -10,8 +10,8 @@ from motion_files import Z_UP
 from scipy.spatial.transform import Rotation
 from smpl_files import loop_vertices, small_arrays, write_model
 
+from mimesh.__main__ import run
 from mimesh.bodies.sampling import TABLE_6
-from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.evaluate.clip_protocols import ClipPair
 from mimesh.evaluate.generate import COMPONENTS, generate_command, on_body_model

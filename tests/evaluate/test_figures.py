@@ -6,8 +6,8 @@ from matrix import matrix
 from networks import write_network, write_sequence_network
 from PIL import Image
 
+from mimesh.__main__ import run
 from mimesh.bodies import load_body
-from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.evaluate.figures import (
     FIGURES,

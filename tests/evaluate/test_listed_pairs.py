@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from people import person
 
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.normalization import bbox_centre

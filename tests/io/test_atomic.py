@@ -15,7 +15,7 @@ import pytest
 import zoo
 from matrix import matrix
 
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Material, Part
 from mimesh.io import atomic, load_mesh, save_clip, save_mesh

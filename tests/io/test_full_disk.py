@@ -14,7 +14,7 @@ from mimesh.core import frame_buffer
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import save_clip
-from mimesh.render.movie import save_movie, write_clip
+from mimesh.view.movie import save_movie, write_clip
 
 ONE_FILE = (".glb", ".gltf", ".npz", ".npy", ".pc2", ".mdd", ".usda", ".usdc", ".usdz")
 

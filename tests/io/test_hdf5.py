@@ -11,8 +11,8 @@ import zoo
 from people import person
 from smpl_files import write_dfaust
 
+from mimesh.__main__ import run
 from mimesh.bodies import load_body
-from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.io import list_animations, load_clip, load_mesh, save_mesh
 

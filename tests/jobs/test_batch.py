@@ -17,7 +17,7 @@ import zoo
 from people import person, walk
 
 import mimesh
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.core.budgets import limits_are_lifted
 from mimesh.core.mesh import Clip
 from mimesh.core.output_size import LARGEST_OUTPUT, check_output_size

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import zoo
 
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.io import save_mesh
 from mimesh.jobs.run import MOST_TASKS, BatchTask, chunks
 from mimesh.jobs.table import BatchJob

@@ -9,8 +9,8 @@ import torch
 from animals import BODY
 from trainings import assert_steps_are_pure, edge_lengths
 
+from mimesh.__main__ import run
 from mimesh.bodies.sampling import sample_shape
-from mimesh.cli import run
 from mimesh.core.mesh import Mesh
 from mimesh.evaluate.measure import extra_inputs, training_facts
 from mimesh.evaluate.metrics import pmd_aligned

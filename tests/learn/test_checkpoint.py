@@ -19,7 +19,7 @@ from mimesh.learn.mime import MimeNetwork
 from mimesh.methods.onnx_runtime import import_onnxruntime
 
 ROOT = Path(__file__).parents[2]
-ZOO = ROOT / "src" / "mimesh" / "zoo"
+ZOO = ROOT / "src" / "mimesh" / "methods" / "zoo"
 CONFIG = dataclasses.replace(TINY, optimizer="muon", precision="fp32")
 
 

@@ -18,7 +18,7 @@ from mimesh.learn.export import export_command
 from mimesh.learn.mime import POINTS
 from mimesh.methods.onnx_runtime import import_onnxruntime
 
-ZOO = Path(mimesh.__file__).parent / "zoo"
+ZOO = Path(mimesh.__file__).parent / "methods" / "zoo"
 CARDS = [path for folder in (ZOO, ZOO.parents[2] / "ablations") for path in sorted(folder.glob("*.json"))]
 
 

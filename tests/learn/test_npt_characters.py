@@ -7,7 +7,7 @@ import pytest
 import torch
 from trainings import TINY, assert_steps_are_pure, edge_lengths, length_changes
 
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
 from mimesh.learn.data.bodies import numbers_of_step

@@ -15,7 +15,7 @@ import torch
 from networks import infer_onnx
 from paper_networks import NPT_PARAMETERS, aniformer, aniformer_shapes, npt, npt_shapes, random_state
 
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import save_mesh

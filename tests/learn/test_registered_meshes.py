@@ -13,7 +13,7 @@ from registered import FACES, FILE, moving, write_clips, write_meshes
 from smpl_files import write_dfaust
 from trainings import TINY, assert_steps_are_pure, losses
 
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import edges
 from mimesh.core.mesh import Mesh

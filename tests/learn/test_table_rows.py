@@ -5,8 +5,8 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from mimesh.cli import app
-from mimesh.cli import run as main_run
+from mimesh.__main__ import app
+from mimesh.__main__ import run as main_run
 from mimesh.core.errors import InputError
 from mimesh.evaluate import tables
 from mimesh.evaluate.tables import TABLES, Row, Table, over_seeds

@@ -12,7 +12,7 @@ from motion_files import Z_UP
 from scipy.spatial.transform import Rotation
 from smpl_files import Ch, chumpy_modules, loop_vertices, small_arrays, smpl_arrays, write_model
 
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.core.errors import InputError
 from mimesh.core.options import ConvertOptions
 from mimesh.io import load_clip, load_mesh, load_recorded_clip, load_recorded_mesh, save_clip

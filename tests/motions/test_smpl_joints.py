@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from smpl_files import smpl_arrays, write_model
 
 import mimesh
+from mimesh.__main__ import run
 from mimesh.bodies import load_body
 from mimesh.bodies.hands import body_with_fingers
 from mimesh.bodies.smpl_model import load_smpl_model
-from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh, load_recorded_clip
 from mimesh.motions import load_motion, window

@@ -103,7 +103,9 @@ def test_every_file_of_data_is_named_once():
 
 
 def test_makers_of_training_characters_are_named():
-    cards = [json.loads(path.read_text()) for path in sorted((ROOT / "src" / "mimesh" / "zoo").glob("*.json"))]
+    cards = [
+        json.loads(path.read_text()) for path in sorted((ROOT / "src" / "mimesh" / "methods" / "zoo").glob("*.json"))
+    ]
     trained = [card for card in cards if "characters" in card]
     assert trained
     for card in trained:

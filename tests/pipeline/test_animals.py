@@ -13,11 +13,11 @@ from matrix import matrix
 from rigs import of_kind
 
 import mimesh
+from mimesh.__main__ import run
 from mimesh.bodies.animals import animal as shipped_animal
 from mimesh.bodies.character_pool import facing_rotation
 from mimesh.bodies.characters import proportioned
 from mimesh.bodies.sampling import rotvec_to_rotmat
-from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.evaluate.metrics import pmd_aligned
 from mimesh.evaluate.pairs import Pair

@@ -9,10 +9,10 @@ from grouped_options import grouped
 from people import decimation
 
 from mimesh import InputError, animate, save_mesh, transfer
+from mimesh.__main__ import run
 from mimesh.bodies import load_body
 from mimesh.bodies.animals import animal
 from mimesh.bodies.sampling import sample_pose
-from mimesh.cli import run
 from mimesh.core.joint_corrections import JointCorrections
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.options import Hints

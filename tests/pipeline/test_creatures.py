@@ -13,7 +13,7 @@ from matrix import matrix
 from scipy.spatial.transform import Rotation
 
 from mimesh import animate, transfer
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.core.errors import InputError
 from mimesh.core.options import Hints, MotionOptions
 from mimesh.io import load_clip, load_mesh

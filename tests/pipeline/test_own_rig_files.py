@@ -10,7 +10,7 @@ import rigs
 from foreign_names import renamed
 
 from mimesh import pipeline
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.core.errors import InputError
 from mimesh.core.options import Hints
 from mimesh.io import load_clip

@@ -16,8 +16,8 @@ from mimesh.core.options import FrameRange, Hints, ModelOptions
 from mimesh.io import load_mesh, save_mesh
 from mimesh.pipeline import animate, transfer
 from mimesh.pipeline.report import against_neighbours, flipped_share, quality
-from mimesh.player.pack import MotionLimits
 from mimesh.rigs.character import Character
+from mimesh.view.pack import MotionLimits
 
 
 def ground_point(vertices):

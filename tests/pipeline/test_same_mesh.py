@@ -10,7 +10,7 @@ import rigs
 from creatures import BIRD, Boxes, snake
 
 from mimesh import animate
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.options import Hints, MotionOptions

@@ -7,7 +7,7 @@ import pytest
 import rigs
 from grouped_options import grouped
 
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.core.errors import InputError
 from mimesh.core.options import MotionOptions
 from mimesh.pipeline import animate

@@ -13,8 +13,8 @@ from matrix import matrix
 from people import person
 from zoo import figure, point_cloud, ring, table
 
+from mimesh.__main__ import run
 from mimesh.bodies.animals import animal
-from mimesh.cli import run
 from mimesh.core.errors import RefusedMeshError
 from mimesh.core.mesh import Mesh
 from mimesh.io import save_mesh

@@ -9,7 +9,7 @@ from PIL import Image, features
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
-from mimesh.render import movie
+from mimesh.view import movie
 
 SIZE = (48, 40)
 

@@ -10,9 +10,9 @@ from PIL import Image
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Material, Mesh, Part, permute_vertices
-from mimesh.render import shading, textures
-from mimesh.render.camera import VIEWS, extreme_points, fit, follow, orbit, rotate_camera
-from mimesh.render.raster import render, render_mesh
+from mimesh.view import shading, textures
+from mimesh.view.camera import VIEWS, extreme_points, fit, follow, orbit, rotate_camera
+from mimesh.view.raster import render, render_mesh
 
 SIZE = (72, 64)
 SOLID = [m for m in zoo.ZOO if m is not zoo.point_cloud]

@@ -8,7 +8,7 @@ import zoo
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
-from mimesh.render import heat, sheet
+from mimesh.view import heat, sheet
 
 TILE = (60, 72)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mimesh.render.zbuffer import visible_faces, weights_at
+from mimesh.view.zbuffer import visible_faces, weights_at
 
 
 def picture(points, faces, width, rows, shifts=None):
@@ -86,7 +86,7 @@ def test_turning_faces_over_or_reordering_them_changes_nothing():
 def test_the_block_size_does_not_change_the_result(monkeypatch):
     points, faces = random_triangles(np.random.default_rng(6), 60, 40, 30)
     visible = picture(points, faces, 40, 30)
-    monkeypatch.setattr("mimesh.render.zbuffer.BLOCK", 7)
+    monkeypatch.setattr("mimesh.view.zbuffer.BLOCK", 7)
     np.testing.assert_array_equal(picture(points, faces, 40, 30), visible)
 
 

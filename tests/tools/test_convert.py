@@ -16,7 +16,6 @@ from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.formats import CLIP_WRITERS, MESH_WRITERS
 from mimesh.motions import load_motion, window
 from mimesh.pipeline.odd_frames import far_frames_note, first_frame_note
-from mimesh.render.movie import MOVIES
 from mimesh.tools.convert import (
     LARGE,
     DrivingClip,
@@ -28,6 +27,7 @@ from mimesh.tools.convert import (
     taken_pose_note,
     taken_rate_note,
 )
+from mimesh.view.movie import MOVIES
 
 pytestmark = pytest.mark.usefixtures("in_process")
 

@@ -8,7 +8,7 @@ import pytest
 import zoo
 from PIL import Image
 
-from mimesh.cli import run
+from mimesh.__main__ import run
 from mimesh.core.mesh import Clip
 from mimesh.io import save_clip, save_mesh
 

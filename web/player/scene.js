@@ -1,4 +1,4 @@
-// Decodes the output of `mimesh.player.pack.pack_scene`. No three.js here: plain arrays in, plain arrays out.
+// Decodes the output of `mimesh.view.pack.pack_scene`. No three.js here: plain arrays in, plain arrays out.
 //
 // decodeScene(packed) -> Promise<Scene>
 //   Scene: { title, model, notes[], left_out[], panels: Panel[], surfaces: Surface[], images: [{type, bytes}], duration }
@@ -27,7 +27,7 @@ export async function inflate(bytes) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** Decode the output of `mimesh.player.encoding.pack_array` to a flat Uint32Array or Float32Array. */
+/** Decode the output of `mimesh.view.encoding.pack_array` to a flat Uint32Array or Float32Array. */
 export async function unpack(packed) {
   const planes = await inflate(fromBase64(packed.data));
   const count = planes.length / 4;

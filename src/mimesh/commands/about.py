@@ -42,7 +42,7 @@ def demo(
 def models(json: Json = False) -> None:
     """List the models that -m takes, with figures."""
     from ..methods.find import MODELS, NETWORK_OF_BODY, SHIPPED_NETWORKS
-    from ..zoo import cards
+    from ..methods.zoo import cards
 
     shipped = {card["name"]: card for card in cards()}
     if json:

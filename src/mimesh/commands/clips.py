@@ -39,8 +39,8 @@ def check_clip_output(output: Path, clips: int, skinned: bool, shapes: ShapeOpti
     from ..io import clip_suffixes, refuse_vrm
     from ..io.formats import FRAME_SUFFIXES
     from ..pipeline.vrma import check_bones_layout
-    from ..render.movie import MOVIES
     from ..tools.convert import BONES_ONLY
+    from ..view.movie import MOVIES
 
     refuse_vrm(output)
     morphs, blendshapes = shapes.morphs, shapes.blendshapes
@@ -99,7 +99,7 @@ def check_frames_size(mesh: Mesh, frames: int, output: Path, blendshapes: int | 
     """Check the expected size of a clip that is written frame by frame, and tell it if it is large."""
     from ..core.output_size import check_output_size, frames_size
     from ..io.formats import FRAME_SUFFIXES
-    from ..render.movie import MOVIES
+    from ..view.movie import MOVIES
 
     if output.suffix.lower() in MOVIES:
         return

@@ -463,8 +463,8 @@ def print_facts(facts: dict[str, Any], output: OutputOptions) -> dict[str, Any]:
 
 def _print_summary(facts: dict[str, Any]) -> None:
     """Print the output, its clips if it has several, notes with those that they are about, previews and a next step."""
-    from ..render.movie import MOVIES
     from ..tools.convert import frames_at
+    from ..view.movie import MOVIES
 
     clips, seconds = facts.get("clips", ()), sum(facts["seconds"].values())
     reports = [clip["report"] for clip in clips] or [facts["report"]]

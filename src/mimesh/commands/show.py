@@ -109,9 +109,9 @@ def convert(
 
     Clips stay clips where the format of OUT allows; .gif, .webp and .mp4 are movies. Formats: see docs/formats.md.
     """
-    from ..render.movie import MOVIES
     from ..tools.convert import convert as convert_file
     from ..tools.convert import frames_at
+    from ..view.movie import MOVIES
 
     refuse_existing(printed.no_clobber, target)
     refuse_inputs(target, source, None if options.body_model is None else Path(options.body_model))

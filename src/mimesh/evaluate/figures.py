@@ -97,8 +97,8 @@ def figure_command(
     Raises:
         InputError: no such figure or model, or no folder of people where the figure needs one.
     """
-    from ..render.sheet import stack
     from ..tools.preview import save_picture
+    from ..view.sheet import stack
 
     if name not in FIGURES:
         close = did_you_mean(name, FIGURES) or "; check the name"
@@ -314,9 +314,9 @@ def draw_row(tiles: list[Tile]) -> Image.Image:
     """Render a row of tiles side by side, with captions."""
     from PIL import Image
 
-    from ..render.camera import fit
-    from ..render.raster import render, render_mesh
-    from ..render.sheet import captioned, page
+    from ..view.camera import fit
+    from ..view.raster import render, render_mesh
+    from ..view.sheet import captioned, page
 
     pictures = []
     for tile in tiles:

@@ -421,8 +421,8 @@ def trial_picture(pair: Pair, result: Float[np.ndarray, "V 3"]) -> Image.Image:
 
     Without a true mesh, the first three are drawn.
     """
-    from ..render.heat import heat_map
-    from ..render.sheet import stack, transfer_sheet
+    from ..view.heat import heat_map
+    from ..view.sheet import stack, transfer_sheet
 
     scale = 1.7 / pair.height
     shown, truth = (dataclasses.replace(pair.identity, vertices=scale * points) for points in (result, pair.truth))

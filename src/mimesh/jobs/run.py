@@ -44,12 +44,12 @@ from ..io.joint_file import side_file
 from ..methods.find import weights_path
 from ..methods.onnx_runtime import THREADS
 from ..mime.kept_results import keep_results
-from ..render.camera import fit
-from ..render.raster import render_mesh
-from ..render.shading import BACKGROUND
-from ..render.sheet import captioned, page
 from ..tools.convert import file_stem
 from ..tools.preview import save_picture
+from ..view.camera import fit
+from ..view.raster import render_mesh
+from ..view.shading import BACKGROUND
+from ..view.sheet import captioned, page
 from .table import BatchJob, check_jobs, option_values, read_jobs, run_command
 
 if TYPE_CHECKING:

@@ -104,7 +104,7 @@ def weights_path(model: str) -> Path:
         return TRAINED / file if (TRAINED / file).is_file() and not (ABLATIONS / file).is_file() else ABLATIONS / file
     model = REDUCED_MODELS.get(model, model)
     if model in (*SHIPPED_NETWORKS, *INDEX_PAIRED.values(), *NETWORK_OF_BODY.values()):
-        return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
+        return Path(str(resources.files("mimesh.methods") / "zoo" / f"{model}.onnx"))
     return Path(model)
 
 

@@ -72,7 +72,7 @@ def load_network(
 
 def hands_path() -> Path:
     """Return the path of the shipped network of hands."""
-    return Path(str(resources.files("mimesh") / "zoo" / HANDS))
+    return Path(str(resources.files("mimesh.methods") / "zoo" / HANDS))
 
 
 def load_hand_finder(joints: tuple[str, ...], seed: int = 0) -> HandFinder | None:

@@ -27,8 +27,8 @@ from .report import MeshReport, TransferReport
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
-    from ..player.pack import MotionLimits, Panel
-    from ..player.page import Download
+    from ..view.pack import MotionLimits, Panel
+    from ..view.page import Download
 
 LARGEST_DOWNLOAD = 8 * 2**20
 """Bytes up to which a page contains the file for download; to larger files it links."""
@@ -95,7 +95,7 @@ class _Playable(Protocol):
             >>> [panel.role for panel in result.panels()]
             ['identity', 'driving', 'result']
         """
-        from ..player.pack import Panel
+        from ..view.pack import Panel
 
         if most is not None and most < 1:
             raise InputError(f"most: expected 1 frame or more, found {most}; leave it out for all")
@@ -140,8 +140,8 @@ class _Playable(Protocol):
         Example:
             >>> page = result.player("hero.html", title="Hero")
         """
-        from ..player.pack import ANY_LENGTH
-        from ..player.page import write_player
+        from ..view.pack import ANY_LENGTH
+        from ..view.page import write_player
 
         path, motion = Path(path), motion or ANY_LENGTH
         shown = self.panels(motion.frames)
@@ -163,14 +163,14 @@ class _Playable(Protocol):
 
     def _repr_html_(self) -> str | None:
         """Show the player in a notebook."""
-        from ..player.page import notebook_frame
+        from ..view.page import notebook_frame
 
         shown = self.panels()
         return None if shown is None else notebook_frame(shown, model=self.model, notes=self.notes)
 
     def _download(self, output: Path) -> Download:
         """Return the .glb that was written, else one made of the result, else a link to the output."""
-        from ..player.page import Download
+        from ..view.page import Download
 
         if output.suffix.lower() == ".glb":
             file = written(output)
@@ -343,7 +343,7 @@ class ClipResult(_Playable):
             >>> moving.report["blendshapes_deviation"] < 0.1  # share of the size
             True
         """
-        from ..render.movie import write_clip
+        from ..view.movie import write_clip
 
         refuse_vrm(path)
         if Path(path).suffix.lower() == ".vrma":

@@ -270,7 +270,7 @@ def _with_errors(handler: Handler) -> Callable[[Request], Awaitable[Response]]:
 
 def web_file(name: str) -> Response:
     """Send a file of the web bundle."""
-    file = resources.files("mimesh.player") / "web" / name
+    file = resources.files("mimesh.view") / "web" / name
     return Response(file.read_bytes(), media_type=TYPES[Path(name).suffix])
 
 

@@ -16,8 +16,8 @@ from ..io.formats import CLIP_WRITERS, FORMATS, FRAME_SUFFIXES, JOINTED, MESH_WR
 from ..pipeline.result import ClipResult
 from ..pipeline.skinned import AS_IT_IS, save_skinned
 from ..pipeline.vrma import check_bones_layout
-from ..render.movie import MOVIES
 from ..tools.convert import BONES_ONLY, blend_note, not_kept, part, rate_note, resampled_note, skinned_note
+from ..view.movie import MOVIES
 from .uploads import safe_name
 
 MAX_EXPORTS = 12

@@ -24,8 +24,8 @@ from starlette.routing import Route
 from ..core.errors import InputError
 from ..core.mesh import Clip
 from ..pipeline.live import LiveSession
-from ..player.pack import Panel, pack_scene
-from ..player.page import embed_json
+from ..view.pack import Panel, pack_scene
+from ..view.page import embed_json
 from . import open_socket, page_address, quiet_server
 from .app import web_file
 from .security import AccessControl, new_token

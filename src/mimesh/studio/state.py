@@ -14,7 +14,7 @@ from ..methods.find import MODELS, REDUCED_MODELS
 from ..motions.animal_clips import ANIMAL_MOTIONS
 from ..motions.clips import SEGMENTS
 from ..pipeline.result import ClipResult
-from ..player.pack import Panel, pack_scene
+from ..view.pack import Panel, pack_scene
 from . import operations
 from .exports import Export, formats
 from .items import Item, preparation_inputs

@@ -88,7 +88,7 @@ def convert(
     Raises:
         InputError: a file cannot be read or written, the frame does not exist, or options exclude each other.
     """
-    from ..render.movie import MOVIES, write_clip
+    from ..view.movie import MOVIES, write_clip
 
     source, target = Path(source), Path(target)
     suffix = target.suffix.lower()

@@ -18,7 +18,7 @@ from ..io.atomic import together
 from ..motions import DEMO, load_motion, motion_clip
 from ..motions.animal_clips import gait_clip
 from ..pipeline import animate
-from ..render.sheet import DRIVING_TINT, page, stack, strip
+from ..view.sheet import DRIVING_TINT, page, stack, strip
 from .preview import save_picture, still
 
 MOTION = DEMO

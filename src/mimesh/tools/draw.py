@@ -14,11 +14,11 @@ from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Clip, cut_clip
 from ..core.options import FrameRange, RenderOptions
 from ..io import load_clip
-from ..player.pack import Panel
-from ..player.page import write_player
-from ..render import heat, movie, sheet
-from ..render.movie import MOVIES
-from ..render.shading import BACKGROUND
+from ..view import heat, movie, sheet
+from ..view.movie import MOVIES
+from ..view.pack import Panel
+from ..view.page import write_player
+from ..view.shading import BACKGROUND
 from .preview import save_picture
 
 if TYPE_CHECKING:

@@ -16,11 +16,11 @@ from ..core.surface_clusters import clustered_mesh
 from ..io.atomic import whole_file, writing
 from ..pipeline.report import MeshReport
 from ..pipeline.result import ClipResult, Result
-from ..player.pack import MotionLimits
-from ..render.camera import fit
-from ..render.movie import clip_frames
-from ..render.raster import render_mesh
-from ..render.sheet import DRIVING_TINT, captioned, page, stack, strip
+from ..view.camera import fit
+from ..view.movie import clip_frames
+from ..view.pack import MotionLimits
+from ..view.raster import render_mesh
+from ..view.sheet import DRIVING_TINT, captioned, page, stack, strip
 
 if TYPE_CHECKING:
     from PIL import Image

@@ -15,8 +15,8 @@ import mimesh
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.pipeline.result import Result, Timer
-from mimesh.player.pack import Panel
-from mimesh.player.page import Download, player_page, web_file, write_player
+from mimesh.view.pack import Panel
+from mimesh.view.page import Download, player_page, web_file, write_player
 
 WEB = Path(__file__).parents[2] / "web"
 SOURCES = (".js", ".mjs", ".css", ".html", ".json")
@@ -115,7 +115,7 @@ def test_the_notice_names_the_bundled_version():
     version = json.loads((WEB / "package.json").read_text(encoding="utf-8"))["dependencies"]["three"]
     notices = (WEB.parent / "THIRD_PARTY.md").read_text(encoding="utf-8")
     assert f"**three.js** {version}," in notices
-    assert "`src/mimesh/player/web/player.js`" in notices
+    assert "`src/mimesh/view/web/player.js`" in notices
 
 
 def test_a_policy_admits_the_own_script_and_style_alone():

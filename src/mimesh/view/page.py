@@ -126,7 +126,7 @@ def embed_json(value: Any) -> str:
 
 def web_file(name: str) -> str:
     """Read a file of the web bundle."""
-    return (files("mimesh.player") / "web" / name).read_text(encoding="utf-8")
+    return (files("mimesh.view") / "web" / name).read_text(encoding="utf-8")
 
 
 def _source_hash(text: str) -> str:

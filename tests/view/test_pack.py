@@ -15,9 +15,9 @@ from PIL import Image
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import border_edges, vertex_normals
 from mimesh.core.mesh import Clip, Material, Mesh, Part
-from mimesh.player.pack import MotionLimits, Panel, TextureStore, pack_scene, split_vertices
-from mimesh.player.thinning import DENSE_VERTICES, simplify_clip, subset
-from mimesh.render.textures import decode_image
+from mimesh.view.pack import MotionLimits, Panel, TextureStore, pack_scene, split_vertices
+from mimesh.view.textures import decode_image
+from mimesh.view.thinning import DENSE_VERTICES, simplify_clip, subset
 
 
 def inflate(text):

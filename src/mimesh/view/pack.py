@@ -20,9 +20,9 @@ from ..core.errors import InputError
 from ..core.frame_buffer import each_frame
 from ..core.geometry import weld
 from ..core.mesh import Clip, Mesh, cut_clip, stored_clip
-from ..render import camera
-from ..render.textures import creased_normals, decode_image
+from . import camera
 from .encoding import Quantization, encode_frames, pack_array, to_base64
+from .textures import creased_normals, decode_image
 from .thinning import DENSE_VERTICES, drop_frames, simplify_clip, simplify_surfaces, too_dense
 
 ROLES = ("identity", "driving", "result", "truth", "mesh")
