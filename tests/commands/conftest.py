@@ -1,4 +1,4 @@
-"""Files for commands, and small pictures: what is in them is tested in tests/render and tests/tools."""
+"""Files for commands, and small pictures: what is in them is tested in tests/view and tests/tools."""
 
 from collections.abc import Callable
 from pathlib import Path
