@@ -15,8 +15,9 @@ from mimesh.bodies.sampling import sample_shape
 from mimesh.core.errors import InputError, RefusedMeshError
 from mimesh.core.geometry import angles_between, nearest_rotation
 from mimesh.core.mesh import Clip, Mesh
-from mimesh.motions import motion_clip, walk_motion
+from mimesh.motions import motion_clip
 from mimesh.motions.bvh import load_bvh
+from mimesh.motions.procedural import walk_motion
 
 BODY = load_body()
 

@@ -353,7 +353,7 @@ def _adjacent_faces(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "P 2"]:
     """Return pairs of faces that share an edge and wind alike: one has it from a to b, the other from b to a."""
     start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     rising, falling = np.flatnonzero(start < end), np.flatnonzero(start > end)
-    # One number for each directed edge: a rising edge and the falling one with the same number are one edge's two sides.
+    # A rising edge and the falling one with the same number are the two sides of one edge.
     number = np.maximum(start, end) * (faces.max() + 1) + np.minimum(start, end)
     falling = falling[np.argsort(number[falling], kind="stable")]
     position = np.searchsorted(number[falling], number[rising])

@@ -71,8 +71,9 @@ TURNED_SPREAD = 7.0
 """Largest spread (degrees) of the predictions for a person of whom that is true: figures of boxes have 3 to 6, ladders
 and letters 8 or more."""
 TURNED_POINTS, TURNED_STEPS, TURNED_NEAR = 8192, 16, 0.06
-"""Points of the surface that turned ones are compared with, an eighth of them turned, in so many steps; and the distance
-(root mean square radii) up to which it counts along the normal, because samples of one surface lie some way apart."""
+"""Points of the surface that turned ones are compared with, an eighth of them turned, in so many steps; and the
+distance (root mean square radii) up to which it counts along the normal, because samples of one surface lie some way
+apart."""
 
 
 @dataclass(frozen=True, eq=False)
