@@ -216,6 +216,11 @@ def clip_suffixes() -> tuple[str, ...]:
     return tuple(CLIP_WRITERS)
 
 
+def may_have_joints(mesh: Mesh) -> bool:
+    """Return whether a mesh was read from a file of a format that may have joints."""
+    return mesh.source is not None and mesh.source.suffix in ANIMATED
+
+
 def found_suffix(path: Path) -> str:
     """Say which suffix a path has, for messages."""
     return f"found '{path.suffix}'" if path.suffix else "found no suffix"

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -28,14 +28,13 @@ from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..core.options import MotionOptions
-from ..io.gltf.own_animation import OwnAnimation
 from ..methods.find import NETWORK_OF_BODY
 from ..mime.model import CapturedMotion, Mime
 from ..mime.prediction import face_outward
 from ..rigs.character import Character
 from ..rigs.retarget import JointMotion, Retarget
 from .corrections import Corrections
-from .file_rigs import Rigs, face_tracks, read_rigs
+from .file_rigs import Rigs, read_rigs
 from .known import Known
 from .look import (
     OTHER,
@@ -56,6 +55,9 @@ from .placed import KEYFRAMES, FoundJoints, Moved, Placed, first_frame, keyframe
 from .refine import Refinement
 from .report import TransferReport
 from .result import Timer
+
+if TYPE_CHECKING:
+    from ..io.gltf.own_animation import OwnAnimation
 
 Found = TypeVar("Found", Character, JointMotion)
 
@@ -168,6 +170,9 @@ class JointRoute(Placed):
         own, clip = self.rigs.identity, self.clip
         if own is None:
             return None
+        from ..io.gltf.own_animation import OwnAnimation
+        from .gltf_rigs import face_tracks
+
         tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms()) | self.rigs.beside | face_tracks(own, clip)
         return OwnAnimation(own.source, clip.mesh.name, tracks, clip.fps, len(clip), own.person)
 
