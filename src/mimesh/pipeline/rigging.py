@@ -33,6 +33,7 @@ from ..rigs.character import Character
 from .file_rigs import read_rigs
 from .joint_route import find_character, found_alone
 from .known import Known
+from .look import Look
 from .placed import check_identity
 from .read import read_mesh
 from .report import MeshReport, facing, facing_note
@@ -159,8 +160,8 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, timer: Timer) -> RiggedMesh:
     rigs = read_rigs(mesh, Clip.still(mesh), known)
     subject = rigs.subjects(mesh, mesh, known.axes)[0]
 
-    def find(network: Mime, norm: Normalization) -> tuple[Character, Normalization]:
-        return find_character(network, subject, norm, rigs, known.corrections)
+    def find(network: Mime, seen: Look) -> tuple[Character, Normalization]:
+        return find_character(network, subject, seen, rigs, known.corrections)
 
     seen, character, norm = found_alone(mime, subject, known.asked_body, find)
     report = facing(norm)
