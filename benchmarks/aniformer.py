@@ -29,7 +29,8 @@ from mimesh.io.atomic import whole_file
 from mimesh.methods.aniformer import OVERLAP, AniFormerMethod
 from mimesh.methods.find import find_method
 from mimesh.methods.onnx_runtime import import_onnxruntime
-from mimesh.motions import motion_clip, walk_motion
+from mimesh.motions import motion_clip
+from mimesh.motions.procedural import walk_motion
 
 VERTICES = 6890
 REPEATS = 3

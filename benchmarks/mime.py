@@ -27,7 +27,8 @@ from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.evaluate.remesh import split_faces
 from mimesh.io.atomic import whole_file
 from mimesh.methods.find import find_method, find_mime
-from mimesh.motions import motion_clip, walk_motion
+from mimesh.motions import motion_clip
+from mimesh.motions.procedural import walk_motion
 from mimesh.rigs.retarget import Retarget
 
 REPEATS = 5

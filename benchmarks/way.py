@@ -33,8 +33,8 @@ from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import save_bvh
 from mimesh.io.atomic import whole_file
 from mimesh.methods.find import find_method
-from mimesh.motions import walk_motion
 from mimesh.motions.motion import cut_motion
+from mimesh.motions.procedural import walk_motion
 
 FRAMES, FPS = 2752, 120
 """Of the BVH: those of a capture of 23 seconds."""

@@ -48,7 +48,7 @@ from mimesh.io.atomic import whole_file
 from mimesh.io.gltf.animation import animated_nodes, animation_names
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.motion import PLAYED_PATHS, gltf_joints, is_motion
-from mimesh.pipeline.file_rigs import UNNAMED, rig_facts
+from mimesh.pipeline.gltf_rigs import UNNAMED, rig_facts
 
 MOST_FRAMES = 150
 """Longer motions are cut to so many frames, in the middle."""

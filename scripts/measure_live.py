@@ -26,8 +26,9 @@ from mimesh.bodies.sampling import sample_shape
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io.atomic import whole_file
-from mimesh.motions import Motion, load_motion, motion_clip, motion_names, resample, walk_motion, window
+from mimesh.motions import Motion, load_motion, motion_clip, motion_names, resample, window
 from mimesh.motions.gaits import GAITS, gait_motion
+from mimesh.motions.procedural import walk_motion
 from mimesh.pipeline.live import LiveSession
 
 VERTICES = 13_000

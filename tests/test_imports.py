@@ -8,8 +8,10 @@ from pathlib import Path
 
 import grimp
 import pytest
+from people import person
 
 import mimesh
+from mimesh.io import save_mesh
 
 ROOT = Path(mimesh.__file__).parent
 CHECKOUT = Path(__file__).parents[1]
@@ -79,6 +81,29 @@ def test_importing_the_package_loads_nothing_heavy():
     code = "import sys, mimesh; print(sorted({'numpy', 'scipy', 'torch', 'onnxruntime', 'PIL'} & set(sys.modules)))"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
+
+
+MODULES = 105
+"""Most modules of mimesh that a transfer between two OBJ files loads: a reader, a route and a network of a paper are
+imported by what uses them."""
+CALL = """
+import sys
+from mimesh.cli import app
+app(["transfer", "hero.obj", "pose.obj", "--no-preview", "--quiet"], standalone_mode=False)
+print(*sorted(name for name in sys.modules if name.startswith("mimesh")))
+"""
+
+
+@pytest.mark.slow  # a process of its own, 2 s
+def test_a_transfer_loads_what_it_needs(tmp_path):
+    save_mesh(person(0), tmp_path / "hero.obj")
+    save_mesh(person(1, pose=0), tmp_path / "pose.obj")
+    answer = subprocess.run([sys.executable, "-c", CALL], cwd=tmp_path, capture_output=True, text=True, check=True)
+    loaded = answer.stdout.split()
+    assert (tmp_path / "hero-pose.obj").is_file()
+    assert len(loaded) <= MODULES, loaded
+    apart = ("io.gltf", "io.ply", "motions", "pipeline.vertex_route", "pipeline.node_route", "methods.npt", "render")
+    assert [name for name in loaded if name.removeprefix("mimesh.").startswith(apart)] == []
 
 
 def test_the_oldest_numpy_will_do():

@@ -34,9 +34,10 @@ from mimesh.evaluate.frozen_sets import frozen_sets
 from mimesh.evaluate.measure import extra_inputs, on_supported_vertices, run_on_clip
 from mimesh.evaluate.metrics import pmd, pmd_aligned, resized
 from mimesh.evaluate.pairs import human
-from mimesh.motions import load_motion, resample, spline_motion
+from mimesh.motions import load_motion, resample
 from mimesh.motions.clips import SPLITS
 from mimesh.motions.deepmimic import CLIPS
+from mimesh.motions.procedural import spline_motion
 
 STREAMS = ("train", "train/motions", "val", "val/actors", "val/motions", "test", "test/actors", "test/motions")
 KINDS = CLIPS_ANIFORMER.kinds

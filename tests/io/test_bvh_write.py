@@ -8,7 +8,8 @@ import pytest
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, save_bvh
-from mimesh.motions import load_bvh, load_motion, motion_clip, window
+from mimesh.motions import load_motion, motion_clip, window
+from mimesh.motions.bvh import load_bvh
 
 BODY, MOTION = load_body(), window(load_motion("turn"), 0.0, 0.3)
 

@@ -11,7 +11,8 @@ from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.errors import InputError
 from mimesh.learn.data.characters import LEVELS, TrainingCharacters, read_character_folder
 from mimesh.learn.data.clips import LEAST_TURN, TrainingClips, distinct_poses, possible
-from mimesh.motions import load_motion, walk_motion
+from mimesh.motions import load_motion
+from mimesh.motions.procedural import walk_motion
 
 BODY = load_body()
 

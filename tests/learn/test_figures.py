@@ -19,7 +19,7 @@ from mimesh.learn.data.user_data import Folders, read_user_data
 from mimesh.learn.mime import MimeData, SurfaceSource, mime_loss
 from mimesh.learn.start import new_config, no_bar, train_command
 from mimesh.learn.task import shipped_body
-from mimesh.motions import walk_motion
+from mimesh.motions.procedural import walk_motion
 
 BODY = shipped_body()
 CPU = torch.device("cpu")

@@ -8,7 +8,9 @@ from scipy.spatial.transform import Rotation
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.errors import InputError
-from mimesh.motions import Motion, load_bvh, retarget
+from mimesh.motions import Motion
+from mimesh.motions.bvh import load_bvh
+from mimesh.motions.retarget import retarget
 
 SMALL = """HIERARCHY
 ROOT Hips

@@ -8,20 +8,10 @@ import pytest
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat, sample_shape
 from mimesh.core.errors import InputError
-from mimesh.motions import (
-    DEMO,
-    load_motion,
-    mirror,
-    motion_clip,
-    motion_names,
-    pose_bank,
-    resample,
-    spline_motion,
-    walk_motion,
-    window,
-)
+from mimesh.motions import DEMO, load_motion, mirror, motion_clip, motion_names, pose_bank, resample, window
 from mimesh.motions.clips import SPLITS, TAKES
 from mimesh.motions.motion import joint_tracks, leg_length, lowest, rotmat_to_rotvec
+from mimesh.motions.procedural import spline_motion, walk_motion
 
 
 @pytest.fixture(scope="module")

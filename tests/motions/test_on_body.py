@@ -15,7 +15,8 @@ from mimesh.core.geometry import angles_between
 from mimesh.core.mesh import cut_clip
 from mimesh.core.skinning import SkinnedMesh
 from mimesh.io import load_clip, load_mesh
-from mimesh.motions import load_bvh, load_motion, motion_clip, resample, window
+from mimesh.motions import load_motion, motion_clip, resample, window
+from mimesh.motions.bvh import load_bvh
 from mimesh.motions.motion import joint_tracks
 from mimesh.motions.on_body import is_motion_file, motion_of_file
 from mimesh.motions.retarget import BONES, rests_standing

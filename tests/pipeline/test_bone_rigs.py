@@ -23,7 +23,8 @@ from mimesh.core.person_motion import KnownJoints
 from mimesh.io import load_clip, load_mesh
 from mimesh.io.gltf.animation import sample_nodes
 from mimesh.io.gltf.own_rig import GltfJoints, read_own_rig
-from mimesh.motions import load_bvh, load_motion, window
+from mimesh.motions import load_motion, window
+from mimesh.motions.bvh import load_bvh
 from mimesh.pipeline import animate
 from mimesh.pipeline.bone_rigs import Binding, BoneJoints, Bones, clip_of_bones, rig_of_bones
 

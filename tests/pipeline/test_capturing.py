@@ -17,8 +17,9 @@ from mimesh.core.geometry import angles_between, nearest_rotation
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.motion import read_skeleton
-from mimesh.motions import motion_clip, walk_motion
+from mimesh.motions import motion_clip
 from mimesh.motions.bvh import load_bvh
+from mimesh.motions.procedural import walk_motion
 
 BODY = load_body()
 

@@ -22,7 +22,7 @@ from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import list_animations, load_clip, load_mesh, load_recorded_clip
 from mimesh.io.joint_file import load_corrections
 from mimesh.io.markers import load_markers
-from mimesh.pipeline.file_rigs import rig_facts
+from mimesh.pipeline.gltf_rigs import rig_facts
 
 Read = Callable[[Path], Any]
 LONGEST_REFUSAL = 2000

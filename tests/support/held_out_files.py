@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.evaluate.clip_protocols import ANIMATED, BOXING_FILE
 from mimesh.evaluate.pairs import human
-from mimesh.motions import Motion, spline_motion
+from mimesh.motions import Motion
+from mimesh.motions.procedural import spline_motion
 
 SHORT = "Running_A"
 """The one clip that is shorter than a second."""

@@ -39,6 +39,13 @@ def face_areas(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 
     return 0.5 * np.linalg.norm(face_vectors(vertices, faces), axis=-1)
 
 
+def face_centroids(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "F 3"]:
+    """Compute the mean of the corners of each triangle."""
+    # One corner at a time: the same bits as a mean over (F, 3, 3) in a third of the time.
+    a, b, c = (np.take(vertices, faces[:, k], axis=0) for k in range(3))
+    return (a + b + c) / 3
+
+
 def vertex_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, " V"]:
     """Compute the area of each vertex: a third of its triangles'."""
     third = np.repeat(face_areas(vertices, faces) / 3, 3)
@@ -363,7 +370,7 @@ def closest_on_mesh(
     from scipy.spatial import KDTree
 
     # Candidate columns are tested one after the other, for all points at once.
-    centroids = vertices[faces].mean(axis=1)
+    centroids = face_centroids(vertices, faces)
     _, near = KDTree(centroids).query(points, k=min(candidates, len(faces)))
     near = near.reshape(len(points), -1)
     best_distance = np.full(len(points), np.inf)

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .errors import InputError, option
-from .geometry import face_areas, turned
+from .geometry import face_areas, face_centroids, turned
 from .mesh import Mesh
 
 AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
@@ -185,7 +185,7 @@ def mesh_occupancy(mesh: Mesh) -> Float[np.ndarray, " C"]:
     """Compute the detector's features of a mesh, even by area, or of the points of a cloud."""
     points, weights = mesh.vertices, np.ones(len(mesh.vertices))
     if len(mesh.faces) > 1:  # the centroid of a single face has no extent
-        points, weights = mesh.vertices[mesh.faces].mean(axis=1), face_areas(mesh.vertices, mesh.faces)
+        points, weights = face_centroids(mesh.vertices, mesh.faces), face_areas(mesh.vertices, mesh.faces)
     return occupancy(points.astype(np.float64), weights.astype(np.float64))
 
 
@@ -351,19 +351,19 @@ def principal_heading(upright: Mesh) -> float | None:
 
     None where both are of one length. Of a point cloud, the axes of its points.
     """
-    corners = upright.vertices[:, None, [0, 2]]
-    areas = np.ones(len(corners))
+    corners, areas = np.arange(len(upright.vertices))[None], np.ones(len(upright.vertices))
     if len(upright.faces) > 1:
-        corners, areas = upright.vertices[:, [0, 2]][upright.faces], face_areas(upright.vertices, upright.faces)
+        corners, areas = upright.faces.T, face_areas(upright.vertices, upright.faces)
     areas = areas / areas.sum()
-    corners = corners - areas @ corners.mean(axis=1)
     # Second moments of a triangle: those of its three corners and of three times its centroid, over 12.
-    count = corners.shape[1]
-    points = np.concatenate([corners, corners.sum(axis=1, keepdims=True)], axis=1)
-    xx, zz, xz = (
-        areas @ (points[..., j] * points[..., k]).sum(axis=1) / (count * (count + 1))
-        for j, k in ((0, 0), (1, 1), (0, 1))
-    )
+    count = len(corners)
+    planes = []
+    for k in (0, 2):
+        plane = upright.vertices[:, k][corners]  # rows of one corner each: three times as fast as rows of three
+        plane = plane - areas @ plane.mean(axis=0)
+        planes.append(np.concatenate([plane, plane.sum(axis=0, keepdims=True)]))
+    x, z = planes
+    xx, zz, xz = (areas @ product.sum(axis=0) / (count * (count + 1)) for product in (x * x, z * z, x * z))
     if np.hypot(zz - xx, 2 * xz) <= ROUND * (xx + zz):
         return None
     return float(np.round(np.arctan2(2 * xz, zz - xx) / 2, DIGITS) % np.pi)

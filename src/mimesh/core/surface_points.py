@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 
 from .canonical_order import TOLERANCE, CanonicalOrder, canonical_faces, canonical_order, rank_order
-from .geometry import face_areas, face_vectors
+from .geometry import face_areas, face_centroids, face_vectors
 from .mesh import Mesh
 
 
@@ -133,7 +133,7 @@ def padded_vertices(mesh: Mesh, count: int, rng: np.random.Generator) -> PaddedV
         first_of_rank = ranked.order[ranked.start]
         corners = np.repeat(first_of_rank[rng.integers(len(ranked), size=missing)][:, None], 3, axis=1)
         return PaddedVertices(ranked, corners, np.tile([1.0, 0.0, 0.0], (missing, 1)))
-    faces = mesh.faces[rank_order(mesh.vertices[mesh.faces].mean(axis=1))]
+    faces = mesh.faces[rank_order(face_centroids(mesh.vertices, mesh.faces))]
     chosen, barycentric = sample_surface(mesh.vertices, faces, missing, rng)
     return PaddedVertices(ranked, faces[chosen], barycentric)
 

@@ -34,19 +34,12 @@ from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
 from ..io.gltf.document import open_document
 from ..io.gltf.motion import read_skeleton
-from ..motions import (
-    Motion,
-    load_bvh,
-    load_deepmimic,
-    mirror,
-    motion_clip,
-    resample,
-    retarget,
-    spline_motion,
-    walk_motion,
-)
+from ..motions import Motion, mirror, motion_clip, resample
+from ..motions.bvh import load_bvh
 from ..motions.clips import split_windows
-from ..motions.deepmimic import CLIPS, deepmimic_folder, folder_with
+from ..motions.deepmimic import CLIPS, deepmimic_folder, folder_with, load_deepmimic
+from ..motions.procedural import spline_motion, walk_motion
+from ..motions.retarget import retarget
 from .pairs import Pair, Person, Pose, human, make_pair
 from .protocols import Protocol
 from .remesh import template

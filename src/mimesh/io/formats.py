@@ -1,30 +1,34 @@
 """The formats by suffix: what reads and writes meshes and clips, and what else the rest must know of each.
 
 A reader takes a Path and returns a Mesh or Clip. A writer takes the Mesh or Clip and a Path, and writes atomically
-(`atomic.whole_file`). Modules with slow imports are imported when one of their files is read or written.
+(`atomic.whole_file`). The modules of formats are imported when one of their files is read or written.
 """
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import archive_names
-from .alembic import read_alembic, read_alembic_clip, write_alembic, write_alembic_clip
 from .atomic import scratch_folder, whole_file
-from .hdf5 import read_hdf5_clip
-from .npz import read_npz, write_npz, write_npz_clip
-from .npz import read_npz_clip as read_points_clip
-from .obj import read_obj, write_obj
-from .off import read_off, write_off
-from .ply import read_ply, write_ply
-from .point_cache import read_cache, write_mdd, write_npy, write_pc2
-from .stl import read_stl, write_stl
-from .usd import read_usd, read_usd_clip, write_usd, write_usd_clip
+
+
+def _of(module: str, function: str) -> Callable[..., Any]:
+    """Return a function of a module of this package, which is imported when the function is called.
+
+    Most runs need one or two of the formats.
+    """
+
+    def call(*arguments: Any) -> Any:
+        return getattr(importlib.import_module(f".{module}", __package__), function)(*arguments)
+
+    return call
 
 
 @contextlib.contextmanager
@@ -40,12 +44,6 @@ def gltf_file(path: Path) -> Iterator[Path]:
             glb = folder / "scene.glb"
             yield glb
             write_fbx(glb, temporary, path)
-
-
-def _read_gltf(path: Path) -> Mesh:
-    from .gltf import read_gltf
-
-    return read_gltf(path)
 
 
 def _write_gltf(mesh: Mesh, path: Path) -> None:
@@ -81,7 +79,11 @@ def _read_npz(path: Path) -> Mesh:
 
     if is_body_model(path):
         return _read_body_model(path)
-    return _read_motion(path) if is_motion_file(path) else read_npz(path)
+    if is_motion_file(path):
+        return _read_motion(path)
+    from .npz import read_npz
+
+    return read_npz(path)
 
 
 def _read_npz_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
@@ -89,7 +91,11 @@ def _read_npz_clip(path: Path, fps: float | None, progress: Progress | None) -> 
 
     if is_body_model(path):
         return Clip.still(_read_body_model(path))
-    return (_read_motion_clip if is_motion_file(path) else read_points_clip)(path, fps, progress)
+    if is_motion_file(path):
+        return _read_motion_clip(path, fps, progress)
+    from .npz import read_npz_clip
+
+    return read_npz_clip(path, fps, progress)
 
 
 def _read_body_model(path: Path) -> Mesh:
@@ -111,6 +117,8 @@ def _read_cache(path: Path, fps: float | None, progress: Progress | None) -> Cli
 
     def read(mesh: Path) -> Mesh:
         return MESH_READERS[mesh.suffix.lower()](mesh)
+
+    from .point_cache import read_cache
 
     suffixes = [suffix for suffix in MESH_READERS if suffix not in (*MOTIONS, *BODY_MODELS, *FRAMES_ONLY)]
     return read_cache(path, fps, sorted(suffixes, key=lambda suffix: suffix not in FRAME_SUFFIXES), read, progress)
@@ -135,37 +143,45 @@ class Format:
 
 POINTS_ALONE = ("materials", "texture coordinates", "normals", "vertex colours")
 """What formats of points and triangles lack."""
+_GLTF = _of("gltf", "read_gltf"), _write_gltf, None, _write_gltf_clip
+_USD = [_of("usd", name) for name in ("read_usd", "write_usd", "read_usd_clip", "write_usd_clip")]
 FORMATS = {
     ".abc": Format(
         "Alembic",
-        read_alembic,
-        write_alembic,
-        read_alembic_clip,
-        write_alembic_clip,
+        *(
+            _of("alembic", name)
+            for name in ("read_alembic", "write_alembic", "read_alembic_clip", "write_alembic_clip")
+        ),
         lacks=("colours of materials", "textures", "vertex colours"),
     ),
     ".bvh": Format("BVH", _read_motion, None, _read_motion_clip),
-    ".fbx": Format("FBX", _read_gltf, _write_gltf, None, _write_gltf_clip),
-    ".glb": Format("GLB", _read_gltf, _write_gltf, None, _write_gltf_clip),
-    ".gltf": Format("glTF", _read_gltf, _write_gltf, None, _write_gltf_clip),
-    ".hdf5": Format("HDF5", None, None, read_hdf5_clip),
-    ".mdd": Format("MDD points", None, None, _read_cache, write_mdd),
-    ".npy": Format("NumPy points", None, None, _read_cache, write_npy),
-    ".npz": Format("NumPy archive", _read_npz, write_npz, _read_npz_clip, write_npz_clip, POINTS_ALONE),
-    ".obj": Format("OBJ", read_obj, write_obj, one_mesh=True),
-    ".off": Format("OFF", read_off, write_off, lacks=POINTS_ALONE, one_mesh=True),
-    ".pc2": Format("PC2 points", None, None, _read_cache, write_pc2),
+    ".fbx": Format("FBX", *_GLTF),
+    ".glb": Format("GLB", *_GLTF),
+    ".gltf": Format("glTF", *_GLTF),
+    ".hdf5": Format("HDF5", None, None, _of("hdf5", "read_hdf5_clip")),
+    ".mdd": Format("MDD points", None, None, _read_cache, _of("point_cache", "write_mdd")),
+    ".npy": Format("NumPy points", None, None, _read_cache, _of("point_cache", "write_npy")),
+    ".npz": Format(
+        "NumPy archive", _read_npz, _of("npz", "write_npz"), _read_npz_clip, _of("npz", "write_npz_clip"), POINTS_ALONE
+    ),
+    ".obj": Format("OBJ", _of("obj", "read_obj"), _of("obj", "write_obj"), one_mesh=True),
+    ".off": Format("OFF", _of("off", "read_off"), _of("off", "write_off"), lacks=POINTS_ALONE, one_mesh=True),
+    ".pc2": Format("PC2 points", None, None, _read_cache, _of("point_cache", "write_pc2")),
     ".pkl": Format("SMPL's pickle", _read_body_model),
     ".ply": Format(
-        "PLY", read_ply, write_ply, lacks=("materials besides one image", "normals of hard edges"), one_mesh=True
+        "PLY",
+        _of("ply", "read_ply"),
+        _of("ply", "write_ply"),
+        lacks=("materials besides one image", "normals of hard edges"),
+        one_mesh=True,
     ),
-    ".stl": Format("STL", read_stl, write_stl, lacks=POINTS_ALONE, one_mesh=True),
+    ".stl": Format("STL", _of("stl", "read_stl"), _of("stl", "write_stl"), lacks=POINTS_ALONE, one_mesh=True),
     **{
-        suffix: Format(name, read_usd, write_usd, read_usd_clip, write_usd_clip, ("vertex colours",))
+        suffix: Format(name, *_USD, lacks=("vertex colours",))
         for suffix, name in ((".usd", "USD"), (".usda", "USD as text"), (".usdc", "USD, binary"), (".usdz", "USDZ"))
     },
-    ".vrm": Format("VRM", _read_gltf),
-    ".vrma": Format("VRM animation, no mesh", _read_gltf),
+    ".vrm": Format("VRM", _of("gltf", "read_gltf")),
+    ".vrma": Format("VRM animation, no mesh", _of("gltf", "read_gltf")),
 }
 """Suffix -> format."""
 MESH_READERS = {suffix: format.read for suffix, format in FORMATS.items() if format.read}
@@ -198,6 +214,11 @@ def mesh_suffixes() -> tuple[str, ...]:
 def clip_suffixes() -> tuple[str, ...]:
     """Return the suffixes that `save_clip` writes as one file, with their dot."""
     return tuple(CLIP_WRITERS)
+
+
+def may_have_joints(mesh: Mesh) -> bool:
+    """Return whether a mesh was read from a file of a format that may have joints."""
+    return mesh.source is not None and mesh.source.suffix in ANIMATED
 
 
 def found_suffix(path: Path) -> str:

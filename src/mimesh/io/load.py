@@ -19,8 +19,6 @@ from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip, stored_clip
 from ..core.system import refuse_pipe
 from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, COLLECTIONS, MESH_READERS, MOTIONS, found_suffix
-from .frame_folder import read_frame, read_sequence
-from .hdf5 import clip_lengths, read_hdf5_clip
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 
@@ -135,11 +133,15 @@ def _whole_clip(path: Path, fps: float | None, animation: str | None, progress: 
         return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
     with _reading(path):
         if path.is_dir():
+            from .frame_folder import read_sequence
+
             suffixes = MESH_READERS.keys() - MOTIONS - BODY_MODELS
             clip = read_sequence(path, fps or DEFAULT_FPS, suffixes, _load_frame, progress)
             # The clip takes the name of the folder, not that of its first frame.
             clip = dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=path.name))
         elif suffix in COLLECTIONS:
+            from .hdf5 import read_hdf5_clip
+
             clip = read_hdf5_clip(path, fps, progress, animation)
         elif suffix in ANIMATED:
             from .gltf import read_gltf_clip
@@ -156,6 +158,8 @@ def load_points(path: str | Path, first: Mesh, first_path: Path) -> Float[np.nda
     Raises:
         InputError: as `load_mesh`, or another topology.
     """
+    from .frame_folder import read_frame
+
     path = Path(path)
     _must_exist(path)
     with _reading(path):
@@ -225,6 +229,8 @@ def list_animations(path: str | Path) -> tuple[str, ...]:
     path = Path(path)
     _must_exist(path)
     if path.is_file() and path.suffix.lower() in COLLECTIONS:
+        from .hdf5 import clip_lengths
+
         with _reading(path):
             return tuple(clip_lengths(path))
     if path.is_dir() or path.suffix.lower() not in ANIMATED:

@@ -23,7 +23,6 @@ from ..core.mesh import Clip, Mesh, RewritableSource, check_frames, check_number
 from ..core.output_size import check_output_size, frames_size
 from .atomic import scratch_folder, together, whole_file, writing
 from .formats import CACHES, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, found_suffix, gltf_file
-from .frame_folder import write_sequence
 from .load import load_mesh
 from .mtl import copy_companions
 from .obj import ObjSource
@@ -145,6 +144,8 @@ def _save_folder(clip: Clip, path: Path, suffix: str | None, progress: Progress 
         raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
     _check_clip_output_size(clip, path, suffix)
     with writing(path), together():
+        from .frame_folder import write_sequence
+
         write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh, progress)
         if source_suffix == suffix:
             _copy_companions(clip.mesh, path)

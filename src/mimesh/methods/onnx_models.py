@@ -11,9 +11,7 @@ from ..core.errors import InputError
 from ..core.system import refuse_pipe
 from ..mime.hands import FingerNetwork, HandFinder
 from ..mime.model import Mime
-from .aniformer import AniFormerMethod
 from .base import Method
-from .npt import LIMPMethod, NPTMethod
 from .onnx_metadata import read_metadata
 from .onnx_runtime import import_onnxruntime, open_session
 
@@ -55,9 +53,13 @@ def load_network(
     card = read_metadata(session, path)
     body, pairing = card.get("body", "human"), card.get("pairing", "random")
     if card["model"] == "aniformer":
+        from .aniformer import AniFormerMethod
+
         facts = (card["frames"], card["head"], card["target_scale"])
         return AniFormerMethod(name, session, *facts, ensemble, seed, card.get("vertices", 0), body, pairing)
     if card["model"] == "limp":
+        from .npt import LIMPMethod
+
         return LIMPMethod(name, session, card["vertices"], card["target_scale"])
     if card["model"] == "hands":
         raise InputError(f"{path}: expected a model that moves meshes, found the network of hands; mime uses it itself")
@@ -65,6 +67,8 @@ def load_network(
         joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
         hands = load_hand_finder(joints, seed) if fingers else None
         return Mime(name, session, joints, parents, legs, card["points"], body, fits, seed, hands=hands)
+    from .npt import NPTMethod
+
     # A network that pools the pose pairs nothing, however it was trained.
     pairing = pairing if card["pose_code"] == "per_vertex" else "random"
     return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed, body, pairing)

@@ -24,7 +24,7 @@ from jaxtyping import Float, Int
 
 from ..bodies.joint_names import other_side
 from ..core.canonical_order import CanonicalOrder, canonical_order
-from ..core.geometry import MIRROR, edges, face_vectors, links, mirrored_rotations
+from ..core.geometry import MIRROR, angles_between, edges, face_vectors, links, mirrored_rotations
 from ..core.mesh import Mesh
 from ..core.normalization import ORIENTATIONS, ROTATIONS
 from ..core.rig import Rig, leg_length
@@ -274,7 +274,8 @@ def agreeing(rigs: list[Rig]) -> list[int]:
     none of them. Predictions of a person who faces away count for less, because the facing of the mesh has been decided
     before (docs/log/mime.md, "Agreement").
     """
-    angles = np.array([[mean_angle(one.rotation, other.rotation) for one in rigs] for other in rigs])
+    rotations = np.stack([rig.rotation for rig in rigs])
+    angles = angles_between(rotations, rotations[:, None]).mean(axis=-1)
     votes = np.array([FACES_AWAY if faces_away(rig.rotation[0]) else 1.0 for rig in rigs])
     # Of those with the same votes, the one nearest to the others: the second term is below the smallest vote.
     centre = angles[((angles < CONTRADICTION) @ votes - FACES_AWAY * angles.mean(axis=1) / 180).argmax()]
@@ -351,14 +352,15 @@ class Denoiser:
 def _adjacent_faces(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "P 2"]:
     """Return pairs of faces that share an edge and wind alike: one has it from a to b, the other from b to a."""
     start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-    width = faces.max() + 1
-    # One number for each directed edge; where the opposite number is found by bisection, two faces share the edge.
-    forward, backward = start * width + end, end * width + start
-    order = np.argsort(forward, kind="stable")
-    position = np.searchsorted(forward[order], backward).clip(max=len(order) - 1)
-    opposite = order[position]
-    shared = (forward[opposite] == backward) & (start < end)
-    return np.stack([np.flatnonzero(shared) // 3, opposite[shared] // 3], axis=1)
+    rising, falling = np.flatnonzero(start < end), np.flatnonzero(start > end)
+    # A rising edge and the falling one with the same number are the two sides of one edge.
+    number = np.maximum(start, end) * (faces.max() + 1) + np.minimum(start, end)
+    falling = falling[np.argsort(number[falling], kind="stable")]
+    position = np.searchsorted(number[falling], number[rising])
+    found = position < len(falling)
+    rising, opposite = rising[found], falling[position[found]]
+    shared = number[rising] == number[opposite]
+    return np.stack([rising[shared] // 3, opposite[shared] // 3], axis=1)
 
 
 def face_outward(mesh: Mesh) -> Mesh:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Int
@@ -17,17 +18,15 @@ from ..core.options import FrameRange, Hints, ModelOptions, MotionOptions, needs
 from ..methods.base import Method
 from ..methods.find import find_model, ordered_weights
 from ..mime.model import Mime
-from ..motions.humanoid_rig import HumanoidRig
 from .file_rigs import still_clip
 from .known import Known
-from .live import LiveSession, limited_threads, live_session
-from .odd_frames import far_frames_note, first_frame_note
 from .read import read_clip, read_driving, read_mesh
 from .report import TransferReport
 from .result import ClipResult, Result, Timer
 from .route import Model, find_route
-from .same_mesh import same_triangles
-from .vertex_route import NamedMethod
+
+if TYPE_CHECKING:
+    from .live import LiveSession
 
 NO_HINTS, USUAL, UNCHANGED, ALL_FRAMES = Hints(), ModelOptions(), MotionOptions(), FrameRange()
 
@@ -77,7 +76,7 @@ def transfer(
     _name_axis_sources(moved.report, hints)
     return Result(
         identity.with_vertices(moved.frames.first()),
-        _name(chosen),
+        chosen.name,
         timer,
         moved.report,
         moved.notes,
@@ -129,6 +128,8 @@ def animate(
         (4, 502, 3)
         >>> path = moving.save_skinned("walking.glb")
     """
+    from .odd_frames import far_frames_note, first_frame_note
+
     timer = Timer()
     with timer.step("load"):
         identity = read_mesh(identity, "identity")
@@ -148,7 +149,7 @@ def animate(
         identity.with_vertices(moved.frames.first()),
         moved.frames,
         clip.fps,
-        _name(chosen),
+        chosen.name,
         timer,
         moved.report,
         notes,
@@ -202,6 +203,8 @@ def prepare(
         >>> session.pose(frame).shape  # (V, 3)
         (502, 3)
     """
+    from .live import limited_threads, live_session
+
     identity = read_mesh(identity, "identity")
     shown = Clip.still(read_mesh(driving, "driving")) if isinstance(driving, Mesh) else driving
     clip = dataclasses.replace(read_clip(shown, None, None), skeleton=None)
@@ -210,7 +213,7 @@ def prepare(
         chosen = _model(model, (identity, clip.mesh), options)
         known = _known(hints, chosen, clip)
         route = find_route(identity, clip, chosen, known, motion, live=True).with_refinement(options.refine)
-    session = live_session(route, _name(chosen), root, threads)
+    session = live_session(route, chosen.name, root, threads)
     _name_axis_sources(session.report, hints)
     return session
 
@@ -242,13 +245,19 @@ def _model(model: str | Path | Mime | Method, meshes: tuple[Mesh, Mesh], options
         )
     name, pairing = str(model), options.pairing
     ordered = ordered_weights(name)
-    if pairing == "auto" and ordered is not None and ordered.is_file() and same_triangles(*meshes):
-        pairing = "order"
+    if pairing == "auto" and ordered is not None and ordered.is_file():
+        from .same_mesh import same_triangles
+
+        pairing = "order" if same_triangles(*meshes) else pairing
     reference = None if options.reference is None else read_mesh(options.reference, "reference")
     given = {"ensemble": options.ensemble, "seed": options.seed, "pairing": pairing}
     given["markers"] = None if options.markers is None else _markers(options.markers)
     opened = find_model(name, reference=reference, **given)
-    return opened if isinstance(opened, Mime) else NamedMethod(name, given, reference)
+    if isinstance(opened, Mime):
+        return opened
+    from .vertex_route import NamedMethod
+
+    return NamedMethod(name, given, reference)
 
 
 def _known(hints: Hints, model: Model, clip: Clip, whole: Clip | None = None) -> Known:
@@ -260,13 +269,9 @@ def _known(hints: Hints, model: Model, clip: Clip, whole: Clip | None = None) ->
     known = Known.of(hints, clip, whole)
     if isinstance(model, Mime):
         return known
-    if isinstance(hints.rig, HumanoidRig):
-        raise needs_joints("rig", _name(model))
+    if not isinstance(hints.rig, str):
+        raise needs_joints("rig", model.name)
     return dataclasses.replace(known, rig="mimesh")
-
-
-def _name(model: Model) -> str:
-    return model.model if isinstance(model, NamedMethod) else model.name
 
 
 def _markers(markers: ArrayLike | str | Path) -> Int[np.ndarray, "M 2"]:

@@ -35,6 +35,7 @@ from ..rigs.retarget import JointMotion, body_parents
 from .file_rigs import read_rigs
 from .joint_route import FoundMotion, find_motion, found_alone
 from .known import Known
+from .look import Look
 from .odd_frames import far_frames_note
 from .placed import check_identity, first_frame
 from .read import read_clip
@@ -182,8 +183,8 @@ def capture(
         rigs = read_rigs(first, taken, known)
         subject = rigs.subjects(first, first, known.axes)[1]
 
-        def find(network: Mime, norm: Normalization) -> tuple[JointMotion, Normalization]:
-            return find_motion(network, taken, subject, norm, rigs, known.corrections)
+        def find(network: Mime, seen: Look) -> tuple[JointMotion, Normalization]:
+            return find_motion(network, taken, subject, seen, rigs, known.corrections)
 
         network = find_mime(model, seed)
         seen, motion, norm = found_alone(network, subject, known.asked_body, find)

@@ -49,6 +49,8 @@ class Corrections:
     @property
     def body(self) -> str | None:
         """Name of the shipped body that alone has a joint of a corrected name; None where all bodies have them."""
+        if not self.given:
+            return None
         corrected = (self.identity, self.driving)
         names = {name for corrections in corrected if corrections is not None for name in corrections.positions}
         of_bodies = {body: set(load_body(body).joint_names) for body in HIDDEN}

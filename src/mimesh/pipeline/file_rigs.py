@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
 from ..bodies.anatomy import body_of_joints
-from ..bodies.character_limbs import SIDES, FindJoints, UnnamedJoints
-from ..bodies.joint_names import ancestors, finger_joints
-from ..core.errors import InputError
+from ..bodies.character_limbs import FindJoints
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import axis_name
-from ..core.person_motion import JointSource, PersonMotion
-from ..io.gltf import still_joints
-from ..io.gltf.animation import AnimatedValues
-from ..io.gltf.character import NO_PERSON
-from ..io.gltf.copied_motion import SharedMotion, copy_morphs, copy_motion, morph_tracks, named_weights
-from ..io.gltf.edit import GltfSource
-from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
-from ..io.gltf.scene import node_parents
-from ..motions.humanoid_rig import HumanoidRig
-from .bone_rigs import BoneJoints
+from ..core.person_motion import PersonMotion
+from ..io.formats import may_have_joints
 from .known import Axes, Known
 from .look import OTHER, Subject
 
-T = TypeVar("T")
-UNNAMED = "joints whose names say nothing: found by the surface that they move, where it is that of a person"
+if TYPE_CHECKING:
+    from ..io.gltf.animation import AnimatedValues
+    from ..io.gltf.copied_motion import SharedMotion
+    from ..io.gltf.own_rig import OwnRig
+    from ..motions.humanoid_rig import HumanoidRig
+
 LYING = 0.9
 """Sine of the angle (64 degrees) by which the front of the hips points up or down when a person lies."""
 
@@ -73,16 +65,22 @@ class Rigs:
             find: find joints of identity and driving whose names say nothing.
             body: `human` or `quadruped`; "auto": as an animal is read what is no person; "other": only copies are read.
         """
-        given = choice if isinstance(choice, HumanoidRig) else None
+        given = None if isinstance(choice, str) else choice
+        if clip.skeleton is None and not may_have_joints(identity):
+            return cls(given=given)
+        from ..io.gltf import still_joints
+        from ..io.gltf.own_rig import GltfJoints, has_rig, read_own_rig
+        from .gltf_rigs import beside_person, copied_motion, if_usable, person_motion, shared_motion
+
         own = shared = None
         notes: tuple[str, ...] = ()
         unnamed = unnamed_driving = only_copied = False
         if choice == "own" and has_rig(identity) and still_joints(identity) is not None:
             without = f"the rig of {identity.name} is not used, joints are found on its surface"
             if body != OTHER:
-                own, notes, unnamed = _if_usable(lambda of: read_own_rig(identity, find[0], of), body, without)
-            shared = _shared_motion(identity, clip)
-            copied = _copied(identity, clip, shared, own)
+                own, notes, unnamed = if_usable(lambda of: read_own_rig(identity, find[0], of), body, without)
+            shared = shared_motion(identity, clip)
+            copied = copied_motion(identity, clip, shared, own)
             if copied is not None and copy:
                 return cls(own, copied=copied)
             only_copied = copied is not None and own is None
@@ -92,9 +90,9 @@ class Rigs:
         if skeleton is not None and skeleton.has_joints and body != OTHER:
             without = f"the joints of {clip.mesh.name} are not used, they are found on its surface"
             joints = skeleton
-            driving, more, unnamed_driving = _if_usable(lambda of: _motion(joints, of), body, without)
+            driving, more, unnamed_driving = if_usable(lambda of: person_motion(joints, of), body, without)
             notes += more
-        beside = {} if shared is None or own is None else _beside_person(own, shared.tracks)
+        beside = {} if shared is None or own is None else beside_person(own, shared.tracks)
         return cls(own, driving, None, notes, beside, (unnamed, unnamed_driving), only_copied, given)
 
     @property
@@ -155,103 +153,13 @@ def read_rigs(
     return rigs if corrections.driving is None else dataclasses.replace(rigs, driving=None)
 
 
-def _if_usable(read: Callable[[str], T], body: str, without: str) -> tuple[T | None, tuple[str, ...], bool]:
-    """Read the rig of a body; None where it cannot be used, with a note that tells why and what is done `without` it.
-
-    Returns also whether all that is missing is what the names of the joints mean.
-    """
-    try:
-        return read("human" if body == "auto" else body), (), False
-    except InputError as error:
-        if body == "auto" and isinstance(error, NO_PERSON):
-            with contextlib.suppress(InputError):
-                return read("quadruped"), (), False
-        return None, (f"{without}: {error}",), isinstance(error, UnnamedJoints)
-
-
-def _motion(joints: JointSource, body: str) -> PersonMotion:
-    """Read the joints of a clip as those of a body; only rigged meshes may be animals."""
-    if isinstance(joints, GltfJoints | BoneJoints) and joints.mesh is not None:
-        return dataclasses.replace(joints, body=body).person()
-    if body == "quadruped":
-        raise InputError("expected the rig of an animal, found joints of a person")
-    return joints.person()
-
-
-def _shared_motion(identity: Mesh, clip: Clip) -> SharedMotion | None:
-    """Find the animated values of nodes that both files have; None if their skeletons are not alike."""
-    if not isinstance(clip.skeleton, GltfJoints) or not isinstance(identity.source, GltfSource):
-        return None
-    return copy_motion(identity.source, clip.skeleton)
-
-
-def _copied(identity: Mesh, clip: Clip, shared: SharedMotion | None, own: OwnRig | None) -> SharedMotion | None:
-    """Select the values that are copied as they are: joints of the same skeleton, or morph targets of the same file."""
-    if shared is not None and (shared.same_rest or (shared.alike and own is None)):
-        return shared
-    if not isinstance(clip.skeleton, GltfJoints) or not isinstance(identity.source, GltfSource):
-        return None
-    return copy_morphs(identity.source, clip.skeleton)
-
-
-class RigFacts(NamedTuple):
-    """What is known of the own rig of a mesh."""
-
-    used: bool
-    text: str
-    stands: str | None = None
-    """Axes of a four-legged animal, which the detector for surfaces of people cannot tell."""
-    person: bool = False
-    """Whether its joints are those of a person."""
-
-
-def rig_facts(mesh: Mesh) -> RigFacts | None:
-    """Tell whether the own rig of a mesh is used, and what is known of it; None of a mesh without a rig."""
-    if not has_rig(mesh) or not isinstance(mesh.source, GltfSource):
-        return None
-    at_rest = dataclasses.replace(mesh, vertices=mesh.source.vertices)
-    try:
-        humanoid = read_own_rig(at_rest).humanoid
-    except NO_PERSON as error:
-        with contextlib.suppress(InputError):
-            animal = read_own_rig(at_rest, body="quadruped").humanoid
-            stands = (
-                f"up {axis_name(animal.turn[1])}, front {axis_name(animal.turn[2])}, a four-legged animal by its rig"
-            )
-            known = f"{len(animal.character.parents)} joints, {len(animal.joints)} of a four-legged animal known"
-            return RigFacts(True, known, stands)
-        return RigFacts(True, UNNAMED) if isinstance(error, UnnamedJoints) else RigFacts(False, str(error))
-    except InputError as error:
-        return RigFacts(False, str(error))
-    fingers = sum(name in finger_joints(side) for side in SIDES for name in humanoid.joints)
-    known = len(humanoid.joints) - fingers
-    joints = len(humanoid.character.parents)
-    text = f"{joints} joints, {known} of a person and {fingers} of fingers known by name"
-    return RigFacts(True, text, person=True)
-
-
 def still_clip(mesh: Mesh) -> Clip:
     """Make a clip of one frame of a mesh, with the joints of its file."""
+    if not may_have_joints(mesh):
+        return Clip.still(mesh)
+    from ..io.gltf import still_joints
+
     return dataclasses.replace(Clip.still(mesh), skeleton=still_joints(mesh))
-
-
-def _beside_person(own: OwnRig, tracks: AnimatedValues) -> AnimatedValues:
-    """Select the values of nodes below a person's joints that carry none of them: faces, tails, skirts, props."""
-    parents, person = tuple(node_parents(own.source.document)), set(own.person.values())
-    carrying = {above for node in person for above in ancestors(parents, node)}
-    return {
-        (node, path): values
-        for (node, path), values in tracks.items()
-        if node not in carrying and person.intersection(ancestors(parents, node))
-    }
-
-
-def face_tracks(identity: OwnRig, clip: Clip) -> AnimatedValues:
-    """Return the morph weights of an identity's file that a clip's file animates by name."""
-    joints = clip.skeleton
-    if not isinstance(joints, GltfJoints):
-        return {}
-    return morph_tracks(identity.source.document, named_weights(joints.document, joints.channels, joints.times))
 
 
 def heading_axis(hips: Float[np.ndarray, "3 3"]) -> str:

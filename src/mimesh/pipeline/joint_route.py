@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -27,14 +27,13 @@ from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..core.options import MotionOptions
-from ..io.gltf.own_animation import OwnAnimation
 from ..methods.find import NETWORK_OF_BODY
 from ..mime.model import CapturedMotion, Mime
 from ..mime.prediction import face_outward
 from ..rigs.character import Character
 from ..rigs.retarget import JointMotion, Retarget
 from .corrections import Corrections
-from .file_rigs import Rigs, face_tracks, read_rigs
+from .file_rigs import Rigs, read_rigs
 from .known import Known
 from .look import (
     OTHER,
@@ -45,6 +44,7 @@ from .look import (
     facing_front,
     finds_joints,
     joint_finder,
+    known_look,
     look,
     normalised,
     other_body,
@@ -55,6 +55,9 @@ from .placed import KEYFRAMES, FoundJoints, Moved, Placed, first_frame, keyframe
 from .refine import Refinement
 from .report import TransferReport, fingered_hands
 from .result import Timer
+
+if TYPE_CHECKING:
+    from ..io.gltf.own_animation import OwnAnimation
 
 Found = TypeVar("Found", Character, JointMotion)
 
@@ -154,6 +157,9 @@ class JointRoute(Placed):
         own, clip = self.rigs.identity, self.clip
         if own is None:
             return None
+        from ..io.gltf.own_animation import OwnAnimation
+        from .gltf_rigs import face_tracks
+
         tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms()) | self.rigs.beside | face_tracks(own, clip)
         return OwnAnimation(own.source, clip.mesh.name, tracks, clip.fps, len(clip), own.person)
 
@@ -232,20 +238,18 @@ def joint_route(identity: Mesh, clip: Clip, mime: Mime, known: Known, rigs: Rigs
     first, asked = first_frame(clip), known.asked_body
     subjects = rigs.subjects(identity, first, known.axes)
     network, looks = agreed(mime, asked, subjects)
-    norms = looks[0].norm, looks[1].norm
     if any(rigs.unnamed) and finds_joints(network):
         find = joint_finder(network, known.axes[:2]), joint_finder(network, known.axes[2:])
         rigs = read_rigs(identity, clip, known, find=find).with_notes((identity.name, clip.mesh.name), rigs)
         subjects = rigs.subjects(identity, first, known.axes)
-        norms = subjects[0].norm, subjects[1].norm
-    (character, mine), (motion, theirs) = _found(network, clip, subjects, norms, known, rigs)
+        looks = known_look(network, subjects[0]), known_look(network, subjects[1])
+    (character, mine), (motion, theirs) = _found(network, clip, subjects, looks, known, rigs)
     if known.body == "auto" and len(mime.bodies) > 1 and not known.corrections.given:
         confidences = character.confidence, motion.confidence
         other = other_body(mime, network.body, subjects, confidences)
         if other is not None:
             network, looks = agreed(mime, other, subjects)
-            norms = looks[0].norm, looks[1].norm
-            (character, mine), (motion, theirs) = _found(network, clip, subjects, norms, known, rigs)
+            (character, mine), (motion, theirs) = _found(network, clip, subjects, looks, known, rigs)
     rest = normalised(identity, mine)
     if rigs.humanoid is None and isinstance(motion, CapturedMotion):
         character, motion = network.with_fingers(character, rest, motion, partial(surface_motion, clip, theirs))
@@ -257,15 +261,15 @@ def _found(
     mime: Mime,
     clip: Clip,
     subjects: tuple[Subject, Subject],
-    norms: tuple[Normalization, Normalization],
+    looks: tuple[Look, Look],
     known: Known,
     rigs: Rigs,
 ) -> tuple[tuple[Character, Normalization], tuple[JointMotion, Normalization]]:
     """Find the joints of both meshes, each with the normalisation in which it was recognised."""
     corrections = known.corrections
     with ThreadPoolExecutor(1) as executor:  # the two meshes are independent
-        mine = executor.submit(copy_context().run, find_character, mime, subjects[0], norms[0], rigs, corrections)
-        theirs = find_motion(mime, clip, subjects[1], norms[1], rigs, corrections)
+        mine = executor.submit(copy_context().run, find_character, mime, subjects[0], looks[0], rigs, corrections)
+        theirs = find_motion(mime, clip, subjects[1], looks[1], rigs, corrections)
         return mine.result(), theirs
 
 
@@ -273,7 +277,7 @@ def found_alone(
     mime: Mime,
     subject: Subject,
     asked: str,
-    find: Callable[[Mime, Normalization], tuple[Found, Normalization]],
+    find: Callable[[Mime, Look], tuple[Found, Normalization]],
 ) -> tuple[Look, Found, Normalization]:
     """Decide which body a single mesh has, and find its joints; what looks like none is refused.
 
@@ -292,7 +296,7 @@ def found_alone(
             "four-legged animals alone"
         )
     seen = look(mime, subject, None if asked == "auto" else asked, quick=True)
-    found, norm = find(mime.of_body(seen.body), seen.norm)
+    found, norm = find(mime.of_body(seen.body), seen)
     if asked != "auto" or subject.body is not None:
         return seen, found, norm
     kind = second_look(mime, seen.body, subject, found.confidence)
@@ -300,12 +304,12 @@ def found_alone(
         raise RefusedMeshError(different_kinds([None, None], (subject, subject)))
     if kind != seen.body:
         seen = look(mime, subject, kind)
-        found, norm = find(mime.of_body(kind), seen.norm)
+        found, norm = find(mime.of_body(kind), seen)
     return seen, found, norm
 
 
 def find_character(
-    mime: Mime, subject: Subject, norm: Normalization, rigs: Rigs, corrections: Corrections
+    mime: Mime, subject: Subject, seen: Look, rigs: Rigs, corrections: Corrections
 ) -> tuple[Character, Normalization]:
     """Find the joints of a mesh: those of its file if they are used, else on its surface."""
 
@@ -315,11 +319,11 @@ def find_character(
             return Character.of_file(rigs.humanoid, norm, mesh.vertices)
         return mime.rig(mesh, corrections.of_identity(subject.mesh, mime.joints, norm))
 
-    return _settled(mime, subject, norm, character)
+    return _settled(mime, subject, seen, character)
 
 
 def find_motion(
-    mime: Mime, clip: Clip, subject: Subject, norm: Normalization, rigs: Rigs, corrections: Corrections
+    mime: Mime, clip: Clip, subject: Subject, seen: Look, rigs: Rigs, corrections: Corrections
 ) -> tuple[JointMotion, Normalization]:
     """Find the joints of a clip: those of its file if they are used, else on its surface."""
 
@@ -330,18 +334,18 @@ def find_motion(
         corrected, keyframes = corrections.of_driving(keyframes_of(clip, norm), mime.joints, norm)
         return mime.capture(keyframes, corrected)
 
-    return _settled(mime, subject, norm, motion)
+    return _settled(mime, subject, seen, motion)
 
 
 def _settled(
-    mime: Mime, subject: Subject, norm: Normalization, find: Callable[[Normalization], Found]
+    mime: Mime, subject: Subject, seen: Look, find: Callable[[Normalization], Found]
 ) -> tuple[Found, Normalization]:
     """Find the joints of a mesh; where it is not recognised, once more in the axes that a prediction shows."""
-    mesh, axes = subject.mesh, subject.axes
-    turned = facing_front(mime, mesh, norm, axes[1] is not None or not norm.detected)
+    mesh, axes, norm = subject.mesh, subject.axes, seen.norm
+    turned = seen.front or facing_front(mime, mesh, norm, subject.knows_front)[0]
     found = find(turned)
     corrected = reorient(mime, mesh, norm, axes, found.confidence)
     if corrected is norm:
         return found, turned
-    turned = facing_front(mime, mesh, corrected, known=True)
+    turned, _ = facing_front(mime, mesh, corrected, known=True)
     return find(turned), turned

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from ..core.mesh import Clip
 from ..core.options import Hints
-from ..motions.humanoid_rig import HumanoidRig
 from .corrections import NO_CORRECTIONS, Corrections
 from .read import driving_axes
+
+if TYPE_CHECKING:
+    from ..motions.humanoid_rig import HumanoidRig
 
 Axes = tuple[str | None, str | None, str | None, str | None]
 """Up and front of the identity, up and front of the driving; None is detected."""

@@ -70,9 +70,10 @@ things that are 0.006 is the largest, of 663 people, animals and creatures 0.013
 TURNED_SPREAD = 7.0
 """Largest spread (degrees) of the predictions for a person of whom that is true: figures of boxes have 3 to 6, ladders
 and letters 8 or more."""
-TURNED_POINTS, TURNED_NEAR = 8192, 0.06
-"""Points of the surface that turned ones are compared with, an eighth of them turned; and the distance (root mean
-square radii) up to which it counts along the normal, because samples of one surface lie some way apart."""
+TURNED_POINTS, TURNED_STEPS, TURNED_NEAR = 8192, 16, 0.06
+"""Points of the surface that turned ones are compared with, an eighth of them turned, in so many steps; and the
+distance (root mean square radii) up to which it counts along the normal, because samples of one surface lie some way
+apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +92,11 @@ class Subject:
         """The normalisation in the axes that are given, or that the shape of a person shows."""
         return Normalization.fit(self.mesh, *self.axes)
 
+    @property
+    def knows_front(self) -> bool:
+        """Whether its front is not only what the shape shows."""
+        return self.axes[1] is not None or not self.norm.detected
+
 
 class Look(NamedTuple):
     """What a mesh is taken for."""
@@ -102,6 +108,8 @@ class Look(NamedTuple):
     """By how much the network of the other body is less decided (nats)."""
     entropy: float = 0.0
     """Mean entropy (nats) of the weights of the network of a person; 0 of known bodies."""
+    front: Normalization | None = None
+    """The normalisation in which it faces the front, where a prediction for a person was made (`facing_front`)."""
 
 
 def agreed(mime: Mime, asked: str, subjects: tuple[Subject, Subject]) -> tuple[Mime, tuple[Look, Look]]:
@@ -115,8 +123,7 @@ def agreed(mime: Mime, asked: str, subjects: tuple[Subject, Subject]) -> tuple[M
     """
     if len(mime.bodies) == 1:
         check_known_body(mime, asked)
-        first, second = (Look(mime.body, subject.norm, np.inf) for subject in subjects)
-        return mime, (first, second)
+        return mime, (known_look(mime, subjects[0]), known_look(mime, subjects[1]))
     known = next((of.body for of in subjects if of.body is not None), None) if asked == "auto" else asked
     with ThreadPoolExecutor(1) as executor:  # the two meshes are independent
         second = executor.submit(look, mime, subjects[1], known, quick=True)
@@ -135,6 +142,11 @@ def agreed(mime: Mime, asked: str, subjects: tuple[Subject, Subject]) -> tuple[M
     return mime.of_body(looks[0].body), (looks[0], looks[1])
 
 
+def known_look(mime: Mime, subject: Subject) -> Look:
+    """Return the look at a mesh that has the body of a network."""
+    return Look(mime.body, subject.norm, np.inf)
+
+
 def look(mime: Mime, subject: Subject, known: str | None, quick: bool = False) -> Look:
     """Tell whose shape a mesh has, if that is not known.
 
@@ -145,16 +157,18 @@ def look(mime: Mime, subject: Subject, known: str | None, quick: bool = False) -
     mesh, norm, axes = subject.mesh, subject.norm, subject.axes
     if subject.body is not None or known == "human":
         return Look(subject.body or "human", norm, np.inf)
-    person = mime.of_body("human").quick_predict(normalised(mesh, norm))[0] if known is None else np.inf
+    front, person = None, np.inf
+    if known is None:
+        front, person = facing_front(mime.of_body("human"), mesh, norm, subject.knows_front)
     unsure = norm.detected and norm.up_from != "file" and axes[0] is None
     if quick and unsure and person < MAX_ENTROPY:
-        return Look("human", norm, MAX_ENTROPY - person, person)
+        return Look("human", norm, MAX_ENTROPY - person, person, front)
     lowest, _, turned = predicted_orientation(mime.of_body("quadruped"), mesh, norm, axes)
     if known is None and lowest + MARGIN < person:  # a person may be recognised in another orientation, too
         person = predicted_orientation(mime.of_body("human"), mesh, norm, axes)[0]
     difference = person - lowest - MARGIN
     if difference <= 0:
-        return Look("human", norm, -difference, person)
+        return Look("human", norm, -difference, person, front)
     # What the detector of people says about the shape of an animal does not count. Where up is known, the network finds
     # the front of the animals of `research/measure_body_choice.py` without an error.
     sure = axes[0] is not None or turned.up_from == "file"
@@ -203,9 +217,15 @@ def same_after_half_turn(mesh: Mesh) -> bool:
     normals, tree = face_normals(mesh.vertices, mesh.faces)[chosen], KDTree(points)
     for axis in range(3):
         turned = np.where(np.arange(3) == axis, 1, -1) * points[: TURNED_POINTS // 8]
-        distance, nearest = tree.query(turned)
-        along = np.abs(((turned - points[nearest]) * normals[nearest]).sum(axis=1))
-        if np.where(distance < TURNED_NEAR, along, distance).mean() < HALF_TURN:
+        total = 0.0
+        # A few at a time: most shapes are so far from themselves that some decide.
+        for some in np.split(turned, TURNED_STEPS):
+            distance, nearest = tree.query(some)
+            along = np.abs(((some - points[nearest]) * normals[nearest]).sum(axis=1))
+            total += np.where(distance < TURNED_NEAR, along, distance).sum()
+            if total >= HALF_TURN * len(turned):
+                break
+        else:
             return True
     return False
 
@@ -255,16 +275,18 @@ def normalised(mesh: Mesh, norm: Normalization) -> Mesh:
     return dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices), up="+y")
 
 
-def facing_front(mime: Mime, mesh: Mesh, norm: Normalization, known: bool) -> Normalization:
+def facing_front(mime: Mime, mesh: Mesh, norm: Normalization, known: bool) -> tuple[Normalization, float]:
     """Take the heading of a mesh out of its normalisation: predictions depend on it.
 
     Args:
         known: its front is not only what the shape shows.
+
+    Returns also the mean entropy (nats) of the weights of the prediction that shows the front.
     """
     person = mime.body == "human"  # the front of an animal was found by its network (see `look`)
     rough = without_heading(mesh, norm, known, person)
-    _, hips = mime.quick_predict(normalised(mesh, rough))
-    return turned_to_front(mesh, rough, hips[:, 2], known or not person)
+    entropy, hips = mime.quick_predict(normalised(mesh, rough))
+    return turned_to_front(mesh, rough, hips[:, 2], known or not person), entropy
 
 
 def reorient(

@@ -34,7 +34,7 @@ from ..rigs.character import Character
 from .file_rigs import read_rigs
 from .joint_route import FoundCharacter, find_character, found_alone
 from .known import Known
-from .look import normalised
+from .look import Look, normalised
 from .placed import check_identity
 from .read import read_mesh
 from .report import RigReport, facing, facing_note, fingered_hands
@@ -187,8 +187,8 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
     rigs = read_rigs(mesh, Clip.still(mesh), known)
     subject = rigs.subjects(mesh, mesh, known.axes)[0]
 
-    def find(network: Mime, norm: Normalization) -> tuple[Character, Normalization]:
-        return find_character(network, subject, norm, rigs, known.corrections)
+    def find(network: Mime, seen: Look) -> tuple[Character, Normalization]:
+        return find_character(network, subject, seen, rigs, known.corrections)
 
     seen, plain, norm = found_alone(mime, subject, known.asked_body, find)
     character = plain

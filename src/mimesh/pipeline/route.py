@@ -7,25 +7,30 @@ that moves vertices.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, TypeAlias
+
 from ..core.errors import InputError, option
 from ..core.mesh import Clip, Mesh, same_mesh
 from ..core.options import MotionOptions
+from ..io.formats import may_have_joints
 from ..methods.base import Method
 from ..mime.model import Mime
-from .creatures import matched_creatures
 from .file_rigs import Rigs, read_rigs
 from .joint_route import JointRoute, joint_route
 from .known import Known
 from .look import OTHER, finds_joints, looks_like
-from .marked_mesh import MarkedFrame, marked_frame
-from .node_route import NodeRoute
 from .placed import check_identity, first_frame
-from .same_mesh import ReferenceFrame, nearest_frame
-from .vertex_route import NamedMethod, VertexRoute, reference_route, vertex_route
 
-Route = JointRoute | VertexRoute | NodeRoute
+if TYPE_CHECKING:
+    from .marked_mesh import MarkedFrame
+    from .node_route import NodeRoute
+    from .same_mesh import ReferenceFrame
+    from .vertex_route import NamedMethod, VertexRoute
+
+# All but the usual way are imported when they are taken.
+Route: TypeAlias = "JointRoute | VertexRoute | NodeRoute"
 """An identity and a clip after all work that is done once: `play` makes the result, `frame` one frame of it."""
-Model = Mime | NamedMethod | Method
+Model: TypeAlias = "Mime | NamedMethod | Method"
 """What moves the identity where its file does not say."""
 
 
@@ -50,7 +55,10 @@ def find_route(
     mime = model if isinstance(model, Mime) else None
     rigs = read_rigs(identity, clip, known, copy=not live and not options.changes_motion)
     matched = None
-    if not live and known.rig == "own" and rigs.copied is None and not known.corrections.given:
+    both = clip.skeleton is not None and may_have_joints(identity)
+    if both and not live and known.rig == "own" and rigs.copied is None and not known.corrections.given:
+        from .creatures import matched_creatures
+
         matched = matched_creatures(identity, clip, rigs, mime, known)
     if (rigs.only_copied or matched is not None) and options.smooth > 0:
         raise InputError(
@@ -58,14 +66,22 @@ def find_route(
             "option out"
         )
     if matched is not None:
+        from .node_route import NodeRoute
+
         return NodeRoute(identity, clip, matched.axes, rigs, matched)
     reference = None if mime is None else _reference(identity, clip, rigs, mime, known)
     if reference is not None:
+        from .vertex_route import reference_route
+
         return reference_route(identity, clip, reference, known, options)
     if rigs.copied is not None:
+        from .node_route import NodeRoute
+
         return NodeRoute(identity, clip, rigs.axes(known.axes), rigs, None)
     if isinstance(model, Mime):
         return joint_route(identity, clip, model, known, rigs)
+    from .vertex_route import vertex_route
+
     return vertex_route(identity, clip, model, known, options, rigs)
 
 
@@ -75,11 +91,14 @@ def _reference(identity: Mesh, clip: Clip, rigs: Rigs, mime: Mime, known: Known)
         return None
     if not finds_joints(mime):
         return None
+    if known.body != OTHER and (rigs.bodies != (None, None) or len(clip) == 1 or not same_mesh(identity, clip.mesh)):
+        return None
+    from .marked_mesh import marked_frame
+    from .same_mesh import nearest_frame
+
     if known.body == OTHER:
         same = same_mesh(identity, clip.mesh)
         return nearest_frame(identity, clip) if same else marked_frame(identity, clip, known.axes)
-    if rigs.bodies != (None, None) or len(clip) == 1 or not same_mesh(identity, clip.mesh):
-        return None
     if looks_like(mime, identity, known.axes[:2]) or looks_like(mime, first_frame(clip), known.axes[2:]):
         return None
     return nearest_frame(identity, clip)

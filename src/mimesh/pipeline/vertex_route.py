@@ -32,7 +32,7 @@ from .same_mesh import ReferenceFrame, paired_note
 class NamedMethod:
     """A method that is opened by name when the driving's normalisation is known, which its reference needs too."""
 
-    model: str
+    name: str
     options: dict[str, Any]
     """Options of `find_method`."""
     reference: Mesh | None
@@ -40,7 +40,7 @@ class NamedMethod:
     def open(self, norm: Normalization) -> Method:
         """Open it."""
         reference = None if self.reference is None else normalised(self.reference, norm)
-        return find_method(self.model, reference=reference, **self.options)
+        return find_method(self.name, reference=reference, **self.options)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,8 +20,10 @@ from ..core.normalization import Normalization
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from ..core.soles import Soles, find_soles
-from ..motions.humanoid_rig import HumanoidRig
 from .confidence import Confidence
+
+if TYPE_CHECKING:
+    from ..motions.humanoid_rig import HumanoidRig
 
 RestPose = tuple[Float[np.ndarray, "D 3 3"], Float[np.ndarray, "D 3"]]
 """World rotations and positions of a driving's joints at rest."""

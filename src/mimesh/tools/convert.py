@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,15 +28,11 @@ from ..io import (
 )
 from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
-from ..io.gltf.animation import find_animation
-from ..io.gltf.own_animation import OwnAnimation
-from ..io.gltf.scene import node_parents
 from ..io.polygons import smooth_normals
 from ..io.timing import DEFAULT_FPS
-from ..motions.amass import parse_betas
-from ..motions.on_body import is_motion_file
-from ..pipeline.odd_frames import LONE_FRAMES, first_frame_note
-from ..pipeline.skinned import distinct_names
+
+if TYPE_CHECKING:
+    from ..io.gltf.own_animation import OwnAnimation
 
 USUAL = ConvertOptions()
 ALL = "all"
@@ -113,7 +109,11 @@ def convert(
         return _write_mesh(mesh, target, notes=_at_rest_note(mesh, source, target))
     # Reading and writing are half of the progress each.
     chosen = options.slice if options.frame is None else slice(None)
-    shape = None if options.betas is None else parse_betas(options.betas)
+    shape = None
+    if options.betas is not None:
+        from ..motions.amass import parse_betas
+
+        shape = parse_betas(options.betas)
     read = options.body_model, options.fps, options.animation, part(progress, 0, 2), chosen, options.frames, shape
     clip, notes = read_clip(source, *read)
     clip = clip if options.frame is None else _single_frame(clip, options.frame, source)
@@ -195,6 +195,8 @@ def choose_clips(driving: Sequence[Path], selectors: Sequence[str] | None) -> li
     Raises:
         InputError: another number of selectors, no such animation, or a damaged file.
     """
+    from ..pipeline.skinned import distinct_names
+
     chosen = list(selectors or ())
     if not chosen:
         pairs = [(path, None) for path in driving]
@@ -222,6 +224,8 @@ def _clips_of(path: Path, selector: str | None) -> Iterator[DrivingClip]:
     elif selector is None:
         yield DrivingClip(path, None, _clip_name(path, names, 0) if len(names) > 1 else file_stem(path), names)
     else:
+        from ..io.gltf.animation import find_animation
+
         numbers = range(len(names)) if selector == ALL else (find_animation(names, selector, path),)
         for number in numbers:
             # Of animations of one name only the number tells which is meant.
@@ -258,6 +262,9 @@ def read_driving(
     Raises:
         InputError: a file cannot be read, or no frame is left.
     """
+    from ..motions.on_body import is_motion_file
+    from ..pipeline.odd_frames import LONE_FRAMES, first_frame_note
+
     path = chosen.path
     early = body_model is None and path.is_file() and is_motion_file(path) and not whole
     if body_model is None:
@@ -326,6 +333,8 @@ def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[st
     hips, thighs = "Hips", ("LeftUpLeg", "RightUpLeg")
     if own is None or scheme == "own" or not {hips, *thighs} <= own.joints.keys():
         return ()
+    from ..io.gltf.scene import node_parents
+
     parents = tuple(node_parents(own.source.document))
     if all(own.joints[hips] in ancestors(parents, own.joints[thigh]) for thigh in thighs):
         return ()
@@ -433,9 +442,18 @@ def _at_rest_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
     return ()
 
 
+def _has_joints_alone(path: Path) -> bool:
+    """Return whether a file of one mesh is read as mimesh's own body."""
+    if path.suffix.lower() != ".npz":
+        return path.suffix.lower() in MOTIONS
+    from ..motions.on_body import is_motion_file
+
+    return is_motion_file(path)
+
+
 def taken_pose_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
     """Return a note on which pose a single mesh was read in, if its file moves."""
-    if path.suffix.lower() in MOTIONS or (path.suffix.lower() == ".npz" and is_motion_file(path)):
+    if _has_joints_alone(path):
         return (f"{path.name} has joints and no mesh: mimesh's own body in its first frame is taken",)
     if getattr(mesh.source, "animations", ()):
         return (

@@ -14,7 +14,7 @@ from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
 from ..core.printable import printable
 from ..io.beside import missing_images, missing_images_notes
-from ..pipeline.file_rigs import RigFacts, rig_facts
+from ..pipeline.gltf_rigs import RigFacts, rig_facts
 from ..pipeline.look import KINDS, Subject, recognised_body
 
 PERSON = (1.4, 2.1)

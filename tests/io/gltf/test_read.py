@@ -14,7 +14,7 @@ from mimesh.core.mesh import Mesh
 from mimesh.io import load_clip
 from mimesh.io.gltf import read_gltf, write_gltf
 from mimesh.io.gltf.edit import GltfSource
-from mimesh.pipeline.file_rigs import rig_facts
+from mimesh.pipeline.gltf_rigs import rig_facts
 
 
 @pytest.fixture(params=["hero", "props"])

@@ -27,9 +27,10 @@ from ...io.gltf.character import NOT_STATED
 from ...io.gltf.document import open_document
 from ...io.gltf.motion import read_skeleton
 from ...io.gltf.vrm import read_origin
-from ...motions import Motion, mirror, resample, retarget
+from ...motions import Motion, mirror, resample
 from ...motions.motion import rotmat_to_rotvec, turned_to_front
 from ...motions.on_body import is_motion_file, motion_of_file
+from ...motions.retarget import retarget
 
 RIGGED = (".fbx", ".glb", ".gltf", ".vrm")
 """Of files with characters and their clips."""

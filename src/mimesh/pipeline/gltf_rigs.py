@@ -1,0 +1,119 @@
+"""Read the rigs of glTF files, what two files with the same skeleton share, and the joints of motion files."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+from ..bodies.character_limbs import SIDES, UnnamedJoints
+from ..bodies.joint_names import ancestors, finger_joints
+from ..core.errors import InputError
+from ..core.mesh import Clip, Mesh
+from ..core.normalization import axis_name
+from ..core.person_motion import JointSource, PersonMotion
+from ..io.gltf.animation import AnimatedValues
+from ..io.gltf.character import NO_PERSON
+from ..io.gltf.copied_motion import SharedMotion, copy_morphs, copy_motion, morph_tracks, named_weights
+from ..io.gltf.edit import GltfSource
+from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
+from ..io.gltf.scene import node_parents
+from .bone_rigs import BoneJoints
+
+T = TypeVar("T")
+UNNAMED = "joints whose names say nothing: found by the surface that they move, where it is that of a person"
+
+
+def if_usable(read: Callable[[str], T], body: str, without: str) -> tuple[T | None, tuple[str, ...], bool]:
+    """Read the rig of a body; None where it cannot be used, with a note that tells why and what is done `without` it.
+
+    Returns also whether all that is missing is what the names of the joints mean.
+    """
+    try:
+        return read("human" if body == "auto" else body), (), False
+    except InputError as error:
+        if body == "auto" and isinstance(error, NO_PERSON):
+            with contextlib.suppress(InputError):
+                return read("quadruped"), (), False
+        return None, (f"{without}: {error}",), isinstance(error, UnnamedJoints)
+
+
+def person_motion(joints: JointSource, body: str) -> PersonMotion:
+    """Read the joints of a clip as those of a body; only rigged meshes may be animals."""
+    if isinstance(joints, GltfJoints | BoneJoints) and joints.mesh is not None:
+        return dataclasses.replace(joints, body=body).person()
+    if body == "quadruped":
+        raise InputError("expected the rig of an animal, found joints of a person")
+    return joints.person()
+
+
+def shared_motion(identity: Mesh, clip: Clip) -> SharedMotion | None:
+    """Find the animated values of nodes that both files have; None if their skeletons are not alike."""
+    if not isinstance(clip.skeleton, GltfJoints) or not isinstance(identity.source, GltfSource):
+        return None
+    return copy_motion(identity.source, clip.skeleton)
+
+
+def copied_motion(identity: Mesh, clip: Clip, shared: SharedMotion | None, own: OwnRig | None) -> SharedMotion | None:
+    """Select the values that are copied as they are: joints of the same skeleton, or morph targets of the same file."""
+    if shared is not None and (shared.same_rest or (shared.alike and own is None)):
+        return shared
+    if not isinstance(clip.skeleton, GltfJoints) or not isinstance(identity.source, GltfSource):
+        return None
+    return copy_morphs(identity.source, clip.skeleton)
+
+
+class RigFacts(NamedTuple):
+    """What is known of the own rig of a mesh."""
+
+    used: bool
+    text: str
+    stands: str | None = None
+    """Axes of a four-legged animal, which the detector for surfaces of people cannot tell."""
+    person: bool = False
+    """Whether its joints are those of a person."""
+
+
+def rig_facts(mesh: Mesh) -> RigFacts | None:
+    """Tell whether the own rig of a mesh is used, and what is known of it; None of a mesh without a rig."""
+    if not has_rig(mesh) or not isinstance(mesh.source, GltfSource):
+        return None
+    at_rest = dataclasses.replace(mesh, vertices=mesh.source.vertices)
+    try:
+        humanoid = read_own_rig(at_rest).humanoid
+    except NO_PERSON as error:
+        with contextlib.suppress(InputError):
+            animal = read_own_rig(at_rest, body="quadruped").humanoid
+            stands = (
+                f"up {axis_name(animal.turn[1])}, front {axis_name(animal.turn[2])}, a four-legged animal by its rig"
+            )
+            known = f"{len(animal.character.parents)} joints, {len(animal.joints)} of a four-legged animal known"
+            return RigFacts(True, known, stands)
+        return RigFacts(True, UNNAMED) if isinstance(error, UnnamedJoints) else RigFacts(False, str(error))
+    except InputError as error:
+        return RigFacts(False, str(error))
+    fingers = sum(name in finger_joints(side) for side in SIDES for name in humanoid.joints)
+    known = len(humanoid.joints) - fingers
+    joints = len(humanoid.character.parents)
+    text = f"{joints} joints, {known} of a person and {fingers} of fingers known by name"
+    return RigFacts(True, text, person=True)
+
+
+def beside_person(own: OwnRig, tracks: AnimatedValues) -> AnimatedValues:
+    """Select the values of nodes below a person's joints that carry none of them: faces, tails, skirts, props."""
+    parents, person = tuple(node_parents(own.source.document)), set(own.person.values())
+    carrying = {above for node in person for above in ancestors(parents, node)}
+    return {
+        (node, path): values
+        for (node, path), values in tracks.items()
+        if node not in carrying and person.intersection(ancestors(parents, node))
+    }
+
+
+def face_tracks(identity: OwnRig, clip: Clip) -> AnimatedValues:
+    """Return the morph weights of an identity's file that a clip's file animates by name."""
+    joints = clip.skeleton
+    if not isinstance(joints, GltfJoints):
+        return {}
+    return morph_tracks(identity.source.document, named_weights(joints.document, joints.channels, joints.times))
