@@ -67,4 +67,5 @@ def capture(
     facts = joint_facts(captured, target, replaced, len(captured.names), corrected)
     facts |= {"frames": count, "fps": captured.fps}
     length = f", {frames_at(count, captured.fps)}"
-    return print_joint_facts(facts, output, ("animate", "hero.glb", str(target)), length)
+    then = ("animate", "hero.glb", str(target)) if captured.body == "human" else ("look", str(target))
+    return print_joint_facts(facts, output, then, length)

@@ -88,7 +88,11 @@ class OutputOptions:
         name=("--output", "-o"),
         metavar="PATH",
     )
-    preview: bool = declared(True, "Write a picture and a page beside the output.", name="--preview/--no-preview")
+    preview: bool = declared(
+        True,
+        "Write a picture beside the output, and a page where it can be turned and played.",
+        name="--preview/--no-preview",
+    )
     open: bool = declared(False, "Open the page in the browser.", name="--open")
     no_clobber: bool = declared(False, "Stop before the work if an output exists.", name=("--no-clobber", "-n"))
     large: bool = declared(False, "Write outputs of more than 100 MB, too.", name="--large", callback=_limit_outputs)

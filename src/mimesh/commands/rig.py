@@ -87,4 +87,5 @@ def rig(
     facts["vertices"] = len(rigged.mesh.vertices)
     facts["report"]["notes"] += [*not_kept(rigged.mesh, target), *metres_note(rigged.mesh, target)]
     facts["report"]["pictures"] = [] if picture is None else [str(picture)]
-    return print_joint_facts(facts, output, ("animate", str(target), "walk.bvh"))
+    then = ("animate", str(target), "walk.bvh") if rigged.body == "human" else ("look", str(target))
+    return print_joint_facts(facts, output, then)

@@ -73,7 +73,9 @@ def _refuse_option(function: str, name: str, signature: inspect.Signature, known
     }
     close = difflib.get_close_matches(name.replace("-", "_"), fields, 1, CLOSE)
     if close:
-        raise ArgumentError(f"{function}: expected {close[0]} among its options, found {name}; give {fields[close[0]]}")
+        raise ArgumentError(
+            f"{function}: expected {close[0]} in its options, found {name} alone; give {fields[close[0]]}"
+        )
 
 
 def check_kind(name: str, value: object, annotation: str) -> None:

@@ -193,6 +193,11 @@ def capture(
     found = FoundMotion(taken, motion, track, smooth, norm, rigs, network.of_body(seen.body))
     report = facing(norm) | _unit(first) | _contacts(track.smoothed(smooth), motion)
     notes = facing_note(norm, first.name, "front") + rigs.notes + taken.notes + far_frames_note(taken, first.name)
+    if seen.body != "human":
+        notes += (
+            f"files of joints alone are read as people's: to move another animal give {first.name} itself, or "
+            "mimesh.retarget in Python",
+        )
     if motion.confidence is not None:
         report |= motion.confidence.facts()
         notes = motion.confidence.notes(first.name) + notes

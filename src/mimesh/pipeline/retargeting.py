@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 
 from ..bodies.joint_names import SIDES, finger_joints
-from ..core.arguments import public
-from ..core.errors import RefusedMeshError
+from ..core.arguments import described, public
+from ..core.errors import InputError, RefusedMeshError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Mesh
 from ..core.options import MotionOptions
@@ -52,9 +52,12 @@ def retarget(
         >>> captured, rigged = mimesh.capture("walk.npz"), mimesh.rig("hero.obj")
         >>> path = mimesh.retarget(captured, rigged).save_skinned("hero-walk.glb")
     """
-    mine, theirs = rigged.found, captured.found
-    assert mine is not None, "made by mimesh.rig"
-    assert theirs is not None, "made by mimesh.capture"
+    theirs, mine = getattr(captured, "found", None), getattr(rigged, "found", None)
+    if not isinstance(theirs, FoundMotion) or not isinstance(mine, FoundCharacter):
+        raise InputError(
+            "retarget: expected what mimesh.capture gives, then what mimesh.rig gives, found "
+            f"{described(captured)} and {described(rigged)}; give mimesh.capture(clip), mimesh.rig(mesh)"
+        )
     if rigged.body != captured.body:
         raise RefusedMeshError(
             f"{captured.name}, {rigged.mesh.name}: expected two people or two four-legged animals, found "

@@ -134,6 +134,11 @@ class RiggedMesh:
         if Path(path).suffix.lower() not in BONES:
             found = f"found '{Path(path).suffix}'"
             raise InputError(f"{path}: expected one of {' '.join(BONES)} for bones, {found}; rename it")
+        if (author or license) and Path(path).suffix.lower() != ".vrm":
+            raise InputError(f"{path}: expected a .vrm for {option('author')} and {option('license')}, found none")
+        if self.body != "human" and (SCHEMES[names].bones or rest != "file"):
+            asked = f"{option('names')}, {option('rest')}"
+            raise InputError(f"{asked}: expected a person, found a four-legged animal; leave the options out")
         with self.seconds.step("write"):
             if Path(path).suffix.lower() == ".vrm":
                 save_as_vrm(self, layout, author, license, Path(path))
