@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from ..core.errors import InputError, did_you_mean, option
 from ..core.mesh import Clip, Mesh
-from ..core.options import ModelOptions, check_value, values_of
+from ..core.options import ModelOptions, check_value, needs_joints, values_of
 from .base import Drive, Method
 
 if TYPE_CHECKING:
@@ -198,7 +198,7 @@ def find_mime(model: str, seed: int = 0) -> Mime:
 
     found = find_model(model, seed=seed)
     if not isinstance(found, Mime):
-        raise InputError(f"--model: expected a model with joints (mime), found {model}; choose it with -m")
+        raise needs_joints("model", model)
     return found
 
 
