@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The user's settings, stored with the scene, and the progress, stored with the window manager."""
 
+from typing import TYPE_CHECKING
+
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 from bpy.types import Context, Object, PropertyGroup
 
 from . import bones, reading
+
+if TYPE_CHECKING:
+    from mimesh import MotionOptions
 
 MODELS = (
     (
@@ -133,7 +138,7 @@ class MimeshSettings(PropertyGroup):
             "body": self.body if self.model == "mime" else "auto",
         }
 
-    def motion(self) -> MotionOptions:
+    def motion(self) -> "MotionOptions":
         """Return how joints move; options of mime are left out for other models."""
         from mimesh import MotionOptions
 

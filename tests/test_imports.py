@@ -88,7 +88,7 @@ MODULES = 105
 imported by what uses them."""
 CALL = """
 import sys
-from mimesh.cli import app
+from mimesh.__main__ import app
 app(["transfer", "hero.obj", "pose.obj", "--no-preview", "--quiet"], standalone_mode=False)
 print(*sorted(name for name in sys.modules if name.startswith("mimesh")))
 """

@@ -10,8 +10,9 @@ import pytest
 from creatures import BIRD, Boxes, flapping
 from people import person, walk
 
-from mimesh import animate, load_clip, save_clip, save_mesh
+from mimesh import animate, capture, load_clip, rig, save_clip, save_mesh
 from mimesh.bodies.animals import animal
+from mimesh.io.gltf.vrm import PUBLIC_LICENSE
 from mimesh.motions.animal_clips import gait_clip
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("kept")]
@@ -136,6 +137,46 @@ def test_chosen_and_dropped_files_become_downloads(fresh, files, tmp_path):
     assert page.locator("#model select").first.input_value() == "mime", "reloading loses nothing"
 
 
+def test_rigs_and_motions_are_exported_by_keyboard(fresh, files, tmp_path):
+    page = fresh.page
+    what, form = page.get_by_label("What", exact=True), page.get_by_label("Format")
+
+    def download():
+        with page.expect_download() as waiting:
+            page.focus("#write")
+            page.keyboard.press("Enter")
+        path = tmp_path / waiting.value.suggested_filename
+        waiting.value.save_as(path)
+        return path
+
+    choose(page, "identity", files / "hero.glb")
+    page.wait_for_selector("#identities .row[data-state=ready]")
+    what.focus()
+    page.keyboard.press("ArrowDown")
+    assert what.input_value() == "rig"
+    assert page.locator("#write").is_disabled(), "copy has no joints"
+    page.select_option("#model select", "mime")
+    page.wait_for_selector("#write:enabled")
+    path = download()
+    assert path.read_bytes() == rig(files / "hero.glb").save(tmp_path / "expected.glb").read_bytes()
+    assert path.name == "hero-rigged.glb"
+    assert page.get_by_label("Author").is_hidden()
+    form.select_option(".vrm")
+    page.get_by_label("Author").fill("Ada")
+    page.get_by_label("Licence").fill(PUBLIC_LICENSE)
+    assert download().name == "hero-rigged.vrm"
+    what.select_option("motion")
+    assert page.locator("#bones").is_hidden()
+    assert page.locator("#write").is_disabled(), "there is no driving"
+    page.get_by_label("Remove hero.glb").click()
+    choose(page, "driving", files / "walk.npz")
+    page.wait_for_selector("#write:enabled")
+    path = download()
+    assert path.read_bytes() == capture(files / "walk.npz").save(tmp_path / "expected.bvh").read_bytes()
+    assert path.name == "walk.bvh"
+    what.select_option("result")
+
+
 def test_export_stays_in_sight_below_many_meshes(fresh, files, studio):
     page = fresh.page
     with sized(page, 1366, 768):
@@ -171,7 +212,7 @@ def test_animals_are_found_and_refused_with_people(fresh, files, tmp_path):
         choose(page, "identity", files / "hero.glb")
         error = page.wait_for_selector("#identities .row:has-text('hero.glb') .error:visible").inner_text()
         assert "hero is taken for a person, and dog for a four-legged animal" in error
-        assert "choose the body" in error
+        assert "“both meshes are: a person”" in error
         assert page.locator(row).get_attribute("data-state") == "done", "the other mesh is still moved"
 
 

@@ -166,7 +166,7 @@ def test_moved_empties_are_corrections(outcome, facts):
 
 def test_invalid_settings_are_explained(facts):
     assert "expected a first frame before the last" in facts["no frames"]
-    assert "expected a model with joints (mime), found npt-maxpool; choose it as the model" in facts["no joints"]
+    assert "expected a model with joints (mime), found npt-maxpool; choose another with the model" in facts["no joints"]
 
 
 def test_build_is_reproducible(archive):

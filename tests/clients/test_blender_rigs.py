@@ -198,7 +198,7 @@ def test_the_panel_says_what_is_known(facts):
         ("other model", "expected the model mime, found npt; choose it as the model"),
         ("joints of a skeleton", "expected a visible mesh, found none"),
         ("animal as a person", "expected a thigh and an upper arm on both sides by name"),
-        ("animal by a person", "for a person: expected two of a kind; give another driving, or choose the body"),
+        ("animal by a person", "for a person: expected two of a kind; give another driving, or Both are: human"),
     ],
 )
 def test_refusals_say_what_to_do(facts, case, text):

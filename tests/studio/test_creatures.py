@@ -106,7 +106,7 @@ def test_meshes_that_do_not_correspond_are_refused_in_the_words_of_the_page(clie
     client.post("/api/demo", json={"what": "both", "character": "imp", "motion": "horse gallop"})
     error = moved(client)["outcome"]["error"]
     assert "imp is taken for a person, and horse-gallop for a four-legged animal: expected two of a kind" in error
-    assert "choose the body" in error
+    assert "“both meshes are: a person”" in error
     assert "--" not in error
     for number in (moved(client)["number"], client.get("/api/state").json()["driving"]["number"]):
         client.delete(f"/api/meshes/{number}")

@@ -9,11 +9,13 @@ from people import person, walk
 from vrm_files import vrm
 from waiting import finished, wait_until
 
-from mimesh import animate, load_clip, save_clip, save_mesh
+from mimesh import Hints, animate, capture, load_clip, rig, save_clip, save_mesh
 from mimesh.bodies.engine_rig import Layout
+from mimesh.io.gltf.vrm import PUBLIC_LICENSE
 from mimesh.studio import make_session
-from mimesh.studio.exports import formats
+from mimesh.studio.exports import Order, formats
 from mimesh.studio.fields import field_name
+from mimesh.studio.items import Item
 from mimesh.studio.operations import for_page
 
 
@@ -30,10 +32,9 @@ def moved(request, tmp_path_factory):
     session.close()
 
 
-def exported(session, suffix, skinned=True, blendshapes=None, layout=None):
-    """Export all results and return the export, once it is written or has failed."""
-    number = session.export(suffix, [], skinned, blendshapes, layout or Layout())
-    export = session.exports[number]
+def exported(session, suffix, **options):
+    """Export and return the export, once it is written or has failed."""
+    export = session.exports[session.export(Order(suffix=suffix, **options))]
     wait_until(lambda: export.path is not None or export.error)
     return export
 
@@ -42,7 +43,7 @@ def exported(session, suffix, skinned=True, blendshapes=None, layout=None):
 def test_bones_are_named_and_arranged_as_by_animate(moved, tmp_path):
     session, files = moved
     result, layout, expected = animate(*files), Layout("unreal", True, "T", 20.0), tmp_path / "expected.glb"
-    export = exported(session, ".glb", layout=layout)
+    export = exported(session, ".glb", skinned=True, layout=layout)
     assert export.error == ""
     result.save_skinned(expected, names=layout.names, root_bone=layout.root_bone, rest=layout.rest, fps=layout.fps)
     mine, theirs = (pygltflib.GLTF2().load(path) for path in (export.path, expected))
@@ -52,7 +53,7 @@ def test_bones_are_named_and_arranged_as_by_animate(moved, tmp_path):
     assert mine.fps == theirs.fps == 20
     np.testing.assert_allclose(mine.vertices, theirs.vertices, atol=1e-6)
     assert any("sampled from 3 frames" in note for note in export.notes)
-    bones = exported(session, ".vrma", skinned=False)
+    bones = exported(session, ".vrma")
     assert bones.path.name == "hero-walk.vrma"
     assert bones.path.read_bytes() == result.save(tmp_path / "expected.vrma").read_bytes()
 
@@ -64,12 +65,91 @@ def test_vrm_animations_of_a_mesh_with_a_rig_have_its_bones(moved, tmp_path):
     session = make_session([tmp_path / "hero.vrm", driving], 2**26)
     try:
         finished(session)
-        export = exported(session, ".vrma", skinned=False)
+        export = exported(session, ".vrma")
         assert export.error == ""
         expected = animate(tmp_path / "hero.vrm", driving).save(tmp_path / "expected.vrma")
         assert export.path.read_bytes() == expected.read_bytes()
     finally:
         session.close()
+
+
+@pytest.fixture
+def still():
+    """A session with a small person and no driving, and one with a walk and no mesh to move; nothing is computed."""
+    sessions = make_session([], 2**26), make_session([], 2**26)
+    item = Item(sessions[0].next_number(), "hero.obj", content=person(0))
+    sessions[0].identities[item.number] = item
+    sessions[1].driving = Item(sessions[1].next_number(), "walk.npz", content=walk(frames=3))
+    yield sessions
+    for session in sessions:
+        session.close()
+
+
+def downloaded(client, **order):
+    """Export as the page does; return the state of the export and its file."""
+    number = client.post("/api/exports", json=order).json()["export"]
+    exports = wait_until(lambda: _written(client.get("/api/state").json()["exports"]))
+    return exports[-1], client.get(f"/api/exports/{number}").content
+
+
+def _written(exports):
+    return exports if all(export["state"] != "writing" for export in exports) else None
+
+
+@pytest.mark.slow
+def test_rigs_need_a_mesh_alone_and_have_its_corrections_and_layout(still, visit, tmp_path):
+    session, client = still[0], visit(still[0])
+    (item,) = session.identities.values()
+    joint = rig(item.content).joints["LeftForeArm"] + [0.02, 0.0, 0.0]
+    session.set_item(item.number, {"up": "+y"})
+    session.set_joints(item.number, {"LeftForeArm": joint.tolist()})
+    layout = {"names": "unreal", "root_bone": True, "rest": "T"}
+    export, content = downloaded(client, what="rig", suffix=".glb", **layout)
+    assert (export["name"], export["error"]) == ("hero-rigged.glb", "")
+    expected = rig(item.content, hints=Hints(up="+y", joints={"LeftForeArm": joint}))
+    assert expected.source == "corrected"
+    assert content == expected.save(tmp_path / "expected.glb", **layout).read_bytes()
+
+
+@pytest.mark.slow
+def test_rigs_as_vrm_have_author_and_licence(still, visit, tmp_path):
+    client, made_by = visit(still[0]), {"author": "Ada", "license": PUBLIC_LICENSE}
+    export, _ = downloaded(client, what="rig", suffix=".vrm", author=" ")
+    assert export["error"].startswith("hero-rigged.vrm: expected author and licence for a .vrm, found no author and")
+    export, content = downloaded(client, what="rig", suffix=".vrm", **made_by)
+    (item,) = still[0].identities.values()
+    assert content == rig(item.content).save(tmp_path / "expected.vrm", **made_by).read_bytes()
+
+
+@pytest.mark.slow
+def test_motions_need_a_driving_alone_and_are_smoothed(still, visit, tmp_path):
+    session, client = still[1], visit(still[1])
+    session.set_options({"smooth": 0.1, "body": "human"})
+    for suffix in (".bvh", ".vrma"):
+        export, content = downloaded(client, what="motion", suffix=suffix)
+        assert (export["name"], export["error"]) == (f"walk{suffix}", "")
+        expected = capture(session.driving.content, hints=Hints(body="human"), smooth=0.1)
+        assert content == expected.save(tmp_path / f"walk{suffix}").read_bytes()
+
+
+def test_what_cannot_be_exported_is_refused(still, visit):
+    mesh, clip = map(visit, still)
+    answer = mesh.post("/api/exports", json={"what": "shape"})
+    assert (answer.status_code, answer.json()["error"][:23]) == (422, "what: expected one of r")
+    for client, what, suffix, words in (
+        (mesh, "motion", ".bvh", "expected a driving motion, found none"),
+        (clip, "rig", ".glb", "expected a mesh to move, found none"),
+        (mesh, "result", ".glb", "expected a mesh to move and a driving motion, found none"),
+        (mesh, "rig", "/../../a.glb", "format: expected one of .glb .gltf .fbx .vrm, found"),
+        (clip, "motion", ".obj", "format: expected one of .bvh .fbx .glb .gltf .vrma, found"),
+    ):
+        assert words in downloaded(client, what=what, suffix=suffix)[0]["error"]
+    for session, client, what, suffix in ((still[0], mesh, "rig", ".glb"), (still[1], clip, "motion", ".bvh")):
+        session.set_options({"model": "copy"})
+        assert "another with the model" in downloaded(client, what=what, suffix=suffix)[0]["error"]
+        item = next(iter(session.identities.values()), session.driving)
+        item.content = None
+        assert "expected a file that has been read" in downloaded(client, what=what, suffix=suffix)[0]["error"]
 
 
 def test_messages_name_fields_of_the_page(tmp_path):
@@ -87,9 +167,9 @@ def test_messages_name_fields_of_the_page(tmp_path):
     ("suffix", "options", "words"),
     [
         (".vrma", {"layout": Layout("unreal")}, "bone names, root bone, rest pose: expected a .glb or .gltf"),
-        (".pc2", {}, ".pc2: expected .glb, .gltf or .fbx for bones"),
-        (".glb", {"skinned": False, "layout": Layout(root_bone=True)}, "expected with bones, found without"),
-        (".fbx", {"skinned": False, "blendshapes": 3}, ".fbx: expected .glb or .gltf for blend shapes"),
+        (".pc2", {"skinned": True}, ".pc2: expected .glb, .gltf or .fbx for bones"),
+        (".glb", {"layout": Layout(root_bone=True)}, "expected with bones, found without"),
+        (".fbx", {"blendshapes": 3}, ".fbx: expected .glb or .gltf for blend shapes"),
     ],
 )
 @pytest.mark.parametrize("moved", ["copy"], indirect=True)
@@ -99,7 +179,7 @@ def test_layouts_that_a_format_cannot_have_are_refused(moved, suffix, options, w
 
 def test_fbx_says_that_it_needs_blender(monkeypatch):
     def needs():
-        return next(entry["needs"] for entry in formats(True) if entry["suffix"] == ".fbx")
+        return next(entry["needs"] for entry in formats("result", True) if entry["suffix"] == ".fbx")
 
     monkeypatch.setenv("BLENDER", "/no/such/program")
     assert needs() == "Blender"

@@ -17,6 +17,7 @@ from mimesh import InputError, animate, save_clip, save_mesh, transfer
 from mimesh.bodies.animals import animal
 from mimesh.motions.animal_clips import gait_clip
 from mimesh.studio import make_session
+from mimesh.studio.exports import Order
 from mimesh.studio.jobs import Cancelled, Worker
 from mimesh.studio.state import describe
 
@@ -224,7 +225,7 @@ def test_skinned_exports_need_a_model_with_joints(session, files):
     session.set_options({"root": "keep"})
     outcome = finished(session).outcome
     assert outcome.current, "models without joints ignore their options"
-    number = session.export(".glb", [], True, None)
+    number = session.export(Order(skinned=True))
     wait_until(lambda: session.exports[number].error)
     assert "another with the model" in session.exports[number].error
 

@@ -52,6 +52,11 @@ export function setEnabled(control, on, reason) {
   control.title = control.caption.title = on ? control.help : `${control.help}. ${reason}`;
 }
 
+/** Show or hide a field with its label. */
+export function setShown(control, on) {
+  control.hidden = control.caption.hidden = !on;
+}
+
 /** Show a text, or hide the element if it is empty. */
 export function showText(element, text) {
   if (element.textContent !== text) element.textContent = text;

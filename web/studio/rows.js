@@ -1,6 +1,6 @@
 // Rows of the side panel: meshes to move, the driving clip, and exports.
 import { make } from "./player.js";
-import { choice, field, fill, formatBytes, showError, showValue } from "./fields.js";
+import { choice, field, fill, formatBytes, setShown, showError, showValue } from "./fields.js";
 
 const BODIES = { human: " as a person", quadruped: " as a four-legged animal", other: " as a creature", copied: " key by key" };
 const quantity = (number, unit) => `${number.toLocaleString("en")} ${unit}`;
@@ -102,10 +102,10 @@ function addFacing(row, mesh, act) {
     fill(front, options(now.front ? "" : now.facing.front));
     showValue(up, now.up ?? "");
     showValue(front, now.front ?? "");
-    animation.hidden = animation.caption.hidden = now.animations.length < 2;
+    setShown(animation, now.animations.length > 1);
     fill(animation, [["", "the first"], ...now.animations.map((name) => [name, name])]);
     showValue(animation, now.animation ?? "");
-    fps.hidden = fps.caption.hidden = !(now.frames > 1) || now.shipped;
+    setShown(fps, now.frames > 1 && !now.shipped);
     fps.placeholder = `${+now.fps.toFixed(3)}`;
     showValue(fps, now.given_fps ?? "");
   };

@@ -90,7 +90,7 @@ class OutputOptions:
     )
     preview: bool = declared(
         True,
-        "Write a picture beside the output, and a page where it can be turned and played.",
+        "Write a picture beside the output, and a page that plays it.",
         name="--preview/--no-preview",
     )
     open: bool = declared(False, "Open the page in the browser.", name="--open")

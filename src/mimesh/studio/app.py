@@ -22,8 +22,9 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from ..core.errors import InputError, naming_options
-from ..core.options import Layout
+from ..core.options import Layout, check_value
 from ..io.joint_file import SUFFIX
+from .exports import NEEDED, Order
 from .fields import field_name
 from .items import parse_rate
 from .jobs import Cancelled, error_line
@@ -226,17 +227,21 @@ class Routes:
         return await self._in_thread(scene, self._session)
 
     async def begin_export(self, request: Request) -> dict[str, Any]:
-        """Start to write results in a format; answers the number of the export."""
+        """Start to write results, rigs or the motion in a format; answers the number of the export."""
         body = await _json(request)
         shapes, numbers = body.get("blendshapes"), body.get("meshes") or []
         if shapes is not None and (isinstance(shapes, bool) or not isinstance(shapes, int) or shapes < 1):
             raise InputError(f"blend shapes: expected a whole number, 1 or more, found {shapes!r}; give one")
         if not isinstance(numbers, list) or not all(isinstance(number, int) for number in numbers):
             raise InputError("meshes: expected numbers of meshes, found something else; reload the page")
-        suffix, skinned = str(body.get("suffix", ".glb")), body.get("skinned") is True
+        what, suffix = str(body.get("what", "result")), str(body.get("suffix", ".glb"))
+        check_value("what", what, tuple(NEEDED))
         names, rest = (str(body.get(key, default)) for key, default in (("names", "own"), ("rest", "file")))
         layout = Layout(names, body.get("root_bone") is True, rest, parse_rate(body.get("fps")))
-        return {"export": self._session.export(suffix, numbers, skinned, shapes, layout)}
+        made_by = {key: str(body.get(key) or "").strip() or None for key in ("author", "license")}
+        skinned = body.get("skinned") is True
+        order = Order(what=what, suffix=suffix, skinned=skinned, blendshapes=shapes, layout=layout, **made_by)
+        return {"export": self._session.export(order, numbers)}
 
     async def download_export(self, request: Request) -> Response:
         export = self._session.exports.get(request.path_params["number"])

@@ -1,9 +1,11 @@
-"""Writes results as files to download: a single file as it is, several (images, frames, many meshes) as a .zip."""
+"""Writes results, rigs and motions as files to download: one as it is, several (images, frames, meshes) as a .zip."""
 
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -13,11 +15,16 @@ from ..core.options import Layout
 from ..io import check_writable, save_mesh
 from ..io.atomic import whole_file
 from ..io.formats import CLIP_WRITERS, FORMATS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS
+from ..pipeline.capturing import JOINT_FILES
 from ..pipeline.result import ClipResult
+from ..pipeline.rigging import BONES
 from ..pipeline.skinned import AS_IT_IS, save_skinned
 from ..pipeline.vrma import check_bones_layout
 from ..tools.convert import BONES_ONLY, blend_note, not_kept, part, rate_note, resampled_note, skinned_note
+from ..tools.inspect import metres_note
 from ..view.movie import MOVIES
+from .items import Item, Options, finished_result
+from .operations import capture_driving, rig_mesh
 from .uploads import safe_name
 
 MAX_EXPORTS = 12
@@ -39,18 +46,37 @@ FORMAT_NAMES = {
 """Names of the formats on the page."""
 
 
+NEEDED = {"result": "a mesh to move and a driving motion", "rig": "a mesh to move", "motion": "a driving motion"}
+"""What can be exported, and what it is made of: moved meshes, meshes at rest with bones, the joints of the driving."""
+WritePart = Callable[[Path, Progress], Sequence[str]]
+"""Writes one mesh or motion to a path, given without its suffix, and returns notes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Order:
+    """What the page asks to be written."""
+
+    what: str = "result"
+    """One of NEEDED."""
+    suffix: str = ".glb"
+    """Format: a suffix of io.formats or render.movie, or one of FRAMES."""
+    skinned: bool = False
+    """With joints; a rig always has them."""
+    blendshapes: int | None = None
+    """Number of morph targets; None for one per frame."""
+    layout: Layout = AS_IT_IS
+    """Names and arrangement of the bones."""
+    author: str | None = None
+    """Who made the character; only a .vrm has it, and the licence."""
+    license: str | None = None
+
+
 @dataclass(eq=False)
 class Export:
     """A file to download, while it is written and afterwards."""
 
     number: int
-    suffix: str
-    """Format: a suffix of io.formats or render.movie, or one of FRAMES."""
-    skinned: bool
-    blendshapes: int | None
-    """Number of morph targets; None for one per frame."""
-    layout: Layout
-    """Names and arrangement of the bones."""
+    order: Order
     folder: Path
     """Where it is written; deleted with the export."""
     path: Path | None = None
@@ -61,77 +87,117 @@ class Export:
     notes: tuple[str, ...] = ()
 
 
-def formats(moving: bool) -> list[dict[str, str | bool]]:
-    """List the formats for clips (`moving`) or poses; `needs` names what has to be installed for one, or is ""."""
-    first = (".glb", ".fbx", BONES_ONLY) if moving else (".glb", ".obj")
-    known = (*CLIP_WRITERS, *FRAMES, *MOVIES) if moving else tuple(MESH_WRITERS)
+def formats(what: str, moving: bool) -> list[dict[str, str | bool]]:
+    """List the formats of results, of clips (`moving`) or poses, of rigs or of motions.
+
+    In each, `needs` names what has to be installed for it, or is "".
+    """
+    if what == "result":
+        first = (".glb", ".fbx", BONES_ONLY) if moving else (".glb", ".obj")
+        known = (*CLIP_WRITERS, *FRAMES, *MOVIES) if moving else tuple(MESH_WRITERS)
+    else:
+        first, known = (), BONES if what == "rig" else JOINT_FILES
     return [_format(suffix) for suffix in dict.fromkeys((*first, *known))]
 
 
-def write(export: Export, results: list[tuple[str, str, ClipResult]], progress: Progress) -> Path:
-    """Write results, each with the names of its mesh and of the driving clip, and return the one file to download.
+def write(export: Export, items: Sequence[Item], driving: Item | None, options: Options, progress: Progress) -> Path:
+    """Write the results or rigs of meshes, or the motion of the driving clip, and return the one file to download.
 
     Raises:
-        InputError: a format or option that is not possible for these results.
+        InputError: a format or option that is not possible for these.
     """
-    _check(export, results)
+    order = export.order
+    if (driving is None and order.what != "rig") or (not items and order.what != "motion"):
+        raise InputError(f"export: expected {NEEDED[order.what]}, found none; add what is missing")
+    moving = order.what == "result" and any(len(finished_result(item).frames) > 1 for item in items)
+    suffixes = [str(entry["suffix"]) for entry in formats(order.what, moving)]
+    if order.suffix not in suffixes:
+        raise InputError(f"format: expected one of {' '.join(suffixes)}, found {order.suffix!r}; choose one")
+    parts = _parts(order, items, driving, options)
     # Written to a folder first: how many files a format makes depends on the mesh (textures, frames).
     files_folder, notes, used = export.folder / "files", [], set()
-    for k, (mesh, driving, result) in enumerate(results):
-        stem = _unused(safe_name(f"{Path(mesh).stem}-{driving}"), used)
-        report = part(progress, k, len(results)) or progress
-        notes += _write_one(export, result, driving, files_folder / stem, report)
+    for k, (name, write_part) in enumerate(parts):
+        stem = _unused(safe_name(name), used)
+        notes += write_part(files_folder / stem, part(progress, k, len(parts)) or progress)
     export.notes = tuple(dict.fromkeys(notes))
     files = sorted(path for path in files_folder.rglob("*") if path.is_file())
     if len(files) == 1:
         return files[0]
-    stem = sorted(used)[0] if len(results) == 1 else f"{len(results)} meshes"
+    stem = sorted(used)[0] if len(parts) == 1 else f"{len(parts)} meshes"
     return _zip(files, files_folder, export.folder / f"{stem}.zip")
 
 
-def _write_one(export: Export, result: ClipResult, driving: str, target: Path, progress: Progress) -> list[str]:
+def _parts(order: Order, items: Sequence[Item], driving: Item | None, options: Options) -> list[tuple[str, WritePart]]:
+    """List what is written: a name without a suffix, and the function that writes it."""
+    if order.what == "rig" or driving is None:
+        return [(f"{Path(item.name).stem}-rigged", partial(_write_rig, order, item, options)) for item in items]
+    stem = Path(driving.name).stem
+    if order.what == "motion":
+        return [(stem, partial(_write_motion, order, driving, options))]
+    _check(order, items[0].name)
+    return [
+        (f"{Path(item.name).stem}-{stem}", partial(_write_result, order, finished_result(item), stem)) for item in items
+    ]
+
+
+def _write_result(order: Order, result: ClipResult, driving: str, target: Path, progress: Progress) -> list[str]:
     """Write one result and return notes on what the format leaves out.
 
     Args:
         driving: name of the driving clip, which an animation of bones gets.
         target: the file without its suffix, or the folder of frames.
     """
-    path = target if export.suffix in FRAMES else target.with_name(f"{target.name}{export.suffix}")
-    jointed = export.skinned or export.suffix == BONES_ONLY
+    path = target if order.suffix in FRAMES else _with_suffix(target, order)
+    jointed = order.skinned or order.suffix == BONES_ONLY
     if len(result.frames) == 1 and not jointed:
         save_mesh(result.mesh, path)
         return list(not_kept(result.mesh, path))
-    if export.suffix in FRAMES:
+    if order.suffix in FRAMES:
         from ..io import save_clip
 
-        save_clip(result.clip, path, suffix=export.suffix.removeprefix("frames"), progress=progress)
+        save_clip(result.clip, path, suffix=order.suffix.removeprefix("frames"), progress=progress)
     elif jointed:
-        save_skinned([result], path, animations=[driving], layout=export.layout)
+        save_skinned([result], path, animations=[driving], layout=order.layout)
     else:
-        result.save(path, blendshapes=export.blendshapes, progress=progress)
-    blend_notes = blend_note(result.report.get("blendshapes_deviation")) if export.blendshapes else ()
+        result.save(path, blendshapes=order.blendshapes, progress=progress)
+    blend_notes = blend_note(result.report.get("blendshapes_deviation")) if order.blendshapes else ()
     joint_notes = skinned_note(result.report) if jointed else ()
     if jointed:
-        joint_notes += resampled_note(len(result.frames), result.fps, export.layout.fps)
+        joint_notes += resampled_note(len(result.frames), result.fps, order.layout.fps)
     return [*not_kept(result.mesh, path), *rate_note(result.fps, path), *blend_notes, *joint_notes]
 
 
-def _check(export: Export, results: list[tuple[str, str, ClipResult]]) -> None:
-    if not results:
-        raise InputError("export: expected a result, found none; add a mesh to move and a driving motion")
-    moving = len(results[0][2].frames) > 1
-    suffixes = [entry["suffix"] for entry in formats(moving)]
-    if export.suffix not in suffixes:
-        raise InputError(f"format: expected one of {' '.join(map(str, suffixes))}, found {export.suffix!r}; choose one")
-    layout, file = export.layout, Path(f"{results[0][0]}{export.suffix}")
-    if export.suffix == BONES_ONLY:
-        check_bones_layout(layout, file)
-    elif (export.skinned or layout != AS_IT_IS) and export.suffix not in JOINTED:
-        raise InputError(f"{export.suffix}: expected .glb, .gltf or .fbx for bones, found this; choose one")
-    elif layout != AS_IT_IS and not export.skinned:
+def _write_rig(order: Order, item: Item, options: Options, target: Path, progress: Progress) -> list[str]:
+    """Find the rig of a mesh and write it; returns notes on both."""
+    rigged, path, layout = rig_mesh(item, options), _with_suffix(target, order), order.layout
+    progress(1, 2)
+    made_by = {"author": order.author, "license": order.license}
+    rigged.save(path, names=layout.names, root_bone=layout.root_bone, rest=layout.rest, **made_by)
+    return [*rigged.notes, *not_kept(rigged.mesh, path), *metres_note(rigged.mesh, path)]
+
+
+def _write_motion(order: Order, driving: Item, options: Options, target: Path, progress: Progress) -> tuple[str, ...]:
+    """Read the joints of the driving clip and write them; returns notes on them."""
+    captured = capture_driving(driving, options, progress)
+    captured.save(_with_suffix(target, order))
+    return captured.notes
+
+
+def _with_suffix(target: Path, order: Order) -> Path:
+    return target.with_name(f"{target.name}{order.suffix}")  # names of meshes may contain dots
+
+
+def _check(order: Order, name: str) -> None:
+    """Check that the format of a result has what is asked for."""
+    suffix, layout = order.suffix, order.layout
+    if suffix == BONES_ONLY:
+        check_bones_layout(layout, Path(f"{name}{suffix}"))
+    elif (order.skinned or layout != AS_IT_IS) and suffix not in JOINTED:
+        raise InputError(f"{suffix}: expected .glb, .gltf or .fbx for bones, found this; choose one")
+    elif layout != AS_IT_IS and not order.skinned:
         raise InputError("bone names, root bone, rest pose, frame rate: expected with bones, found without; add bones")
-    if export.blendshapes and export.suffix not in SHAPED:
-        raise InputError(f"{export.suffix}: expected .glb or .gltf for blend shapes, found this; choose one")
+    if order.blendshapes and suffix not in SHAPED:
+        raise InputError(f"{suffix}: expected .glb or .gltf for blend shapes, found this; choose one")
 
 
 def _format(suffix: str) -> dict[str, str | bool]:

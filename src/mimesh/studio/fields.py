@@ -9,6 +9,7 @@ FIELDS = {
     "root_bone": "root bone",
     "skinned": "bones",
     "rig": "bones",
+    "body": "both meshes are",
     "smooth": "smoothing",
     "root": "root motion",
     "blendshapes": "blend shapes",
@@ -16,6 +17,7 @@ FIELDS = {
     "output_fps": "frame rate",
     "driving_up": "up of the driving",
     "driving_front": "front of the driving",
+    "license": "licence",
     "joints": "corrected joints",
     "driving_joints": "corrected joints of the driving",
 }

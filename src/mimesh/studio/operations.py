@@ -20,19 +20,22 @@ from ..core.frame_buffer import LazyFrames, Progress
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
+from ..core.options import Hints
 from ..io import load_clip, load_mesh
 from ..io.beside import confined
 from ..io.joint_file import describe_corrections, load_corrections, side_file
 from ..methods.base import Method
-from ..methods.find import find_model
+from ..methods.find import find_mime, find_model
 from ..mime.model import Mime
 from ..motions.animal_clips import ANIMAL_MOTIONS, animal_clip
+from ..pipeline.capturing import CapturedClip, capture
 from ..pipeline.corrections import Corrections, correctable_joints, shown_bones
 from ..pipeline.known import Known
 from ..pipeline.look import OTHER
 from ..pipeline.read import driving_axes
 from ..pipeline.report import facing
 from ..pipeline.result import ClipResult, Timer
+from ..pipeline.rigging import RiggedMesh, rig
 from ..pipeline.route import Route, find_route
 from ..tools.demo import driving_clip
 from .items import Item, Options
@@ -113,6 +116,39 @@ def compute_result(route: Route, identity: Mesh, clip: Clip, options: Options, p
     )
 
 
+def rig_mesh(item: Item, options: Options) -> RiggedMesh:
+    """Find the rig of a mesh, as `mimesh.rig` does.
+
+    Raises:
+        InputError: it has not been read, or as `mimesh.rig`.
+    """
+    if not isinstance(item.content, Mesh):
+        raise _unread(item)
+    return rig(item.content, options.model, hints=_hints(item, options))
+
+
+def capture_driving(item: Item, options: Options, progress: Progress) -> CapturedClip:
+    """Read the joints of the driving clip, as `mimesh.capture` does.
+
+    Raises:
+        InputError: it has not been read, or as `mimesh.capture`.
+    """
+    if not isinstance(item.content, Clip):
+        raise _unread(item)
+    hints = _hints(item, options)
+    return capture(item.content, options.model, hints=hints, smooth=options.smooth, progress=progress)
+
+
+def _hints(item: Item, options: Options) -> Hints:
+    """Return what the page says of one mesh or clip."""
+    kind, body = options.kind(find_mime(options.model))
+    return Hints(up=item.up, front=item.front, rig=kind, body=body, joints=item.corrections)
+
+
+def _unread(item: Item) -> InputError:
+    return InputError(f"{item.name}: expected a file that has been read, found none; wait for it, or see its message")
+
+
 def _within(folder: Path | None) -> AbstractContextManager[None]:
     """Confine file references to a folder, None for no limit."""
     return contextlib.nullcontext() if folder is None else confined(folder)
@@ -138,7 +174,7 @@ def read_side_file(path: Path | None) -> JointCorrections | None:
 def check_corrections(item: Item, corrections: JointCorrections) -> None:
     """Check corrections of a mesh, or of the driving clip in their frame."""
     if item.content is None:
-        raise InputError(f"{item.name}: expected a mesh that has been read, found none; wait for it")
+        raise _unread(item)
     vertices = item.content.vertices
     if isinstance(item.content, Clip):
         if corrections.frame >= len(item.content):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import shutil
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
@@ -22,13 +22,11 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import parse_axis
-from ..core.options import Layout
 from ..pipeline.result import ClipResult
 from ..pipeline.route import Route
-from ..pipeline.skinned import AS_IT_IS
 from . import operations
-from .exports import MAX_EXPORTS, Export, write
-from .items import Item, Options, Outcome, Preparation, finished_result, parse_rate, preparation_inputs
+from .exports import MAX_EXPORTS, Export, Order, write
+from .items import Item, Options, Outcome, Preparation, parse_rate, preparation_inputs
 from .jobs import Cancelled, Worker, error_line
 from .uploads import UploadFolder
 
@@ -210,27 +208,22 @@ class Session:
 
         return self.worker.submit(("joints", number), work, urgent=True)
 
-    def export(
-        self, suffix: str, numbers: list[int], skinned: bool, blendshapes: int | None, layout: Layout = AS_IT_IS
-    ) -> int:
-        """Start to write results in a format, several into one archive; returns the number of the export.
+    def export(self, order: Order, numbers: Sequence[int] = ()) -> int:
+        """Start to write a file, of several results or rigs one archive; returns the number of the export.
 
         Args:
-            numbers: of the meshes; all if empty.
-            skinned: with joints.
-            blendshapes: number of morph targets; None for one per frame.
-            layout: names and arrangement of the bones.
+            numbers: of the meshes whose results or rigs are written; all if empty.
         """
         items = [self.item(number) for number in numbers or self.identities]
-        export = Export(self.next_number(), suffix, skinned, blendshapes, layout, self.uploads.new_export())
-        driving_name = Path(self.driving.name).stem if self.driving else ""
+        export = Export(self.next_number(), order, self.uploads.new_export())
+        driving, options = self.driving, self.options
 
         def work(progress: Progress) -> Path:
             def report(done: int, total: int) -> None:
                 progress(done, total)
                 export.progress = done / total
 
-            return write(export, [(item.name, driving_name, finished_result(item)) for item in items], report)
+            return write(export, items, driving, options, report)
 
         def finish(future: Future) -> None:
             error = future.exception()

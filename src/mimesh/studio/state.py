@@ -16,7 +16,7 @@ from ..motions.clips import SEGMENTS
 from ..pipeline.result import ClipResult
 from ..view.pack import Panel, pack_scene
 from . import operations
-from .exports import Export, formats
+from .exports import NEEDED, Export, formats
 from .items import Item, preparation_inputs
 from .session import Session
 
@@ -45,7 +45,7 @@ def describe(session: Session) -> dict[str, Any]:
         "animal_motions": tuple(ANIMAL_MOTIONS),
         "characters": tuple(CHARACTERS),
         "animals": tuple(ANIMALS),
-        "formats": formats(frames != 1),
+        "formats": {what: formats(what, frames != 1) for what in NEEDED},
         "moving": frames != 1,
         "bone_names": {name: scheme.program for name, scheme in SCHEMES.items()},
         "rests": values_of(Layout, "rest"),
@@ -187,7 +187,7 @@ def _what_was_moved(result: ClipResult) -> dict[str, Any]:
 def _describe_export(session: Session, export: Export) -> dict[str, Any]:
     return {
         "number": export.number,
-        "suffix": export.suffix,
+        "suffix": export.order.suffix,
         "name": export.path.name if export.path else "",
         "bytes": export.path.stat().st_size if export.path and export.path.exists() else 0,
         "state": "failed" if export.error else "ready" if export.path else "writing",
