@@ -1,15 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""mimesh in Blender: transfers the pose or motion of one object to another.
+"""mimesh in Blender: transfers the pose or motion of one object to another, rigs a mesh, captures joints.
 
 `panel.py` shows the properties of `properties.py`; `operator.py` reads the scene (`reading.py`, `bones.py`), runs
-mimesh in a thread (`job.py`) and builds the result: on the identity's own armature (`own_armature.py`) or on a copy
-(`building.py`, `animating.py`), or empties for joints that the user can correct (`joints.py`). mimesh itself is a wheel
-in the extension, imported when first used.
+mimesh in a thread (`job.py`) and builds the result: on the identity's own armature (`own_armature.py`), on a copy or
+for captured joints (`building.py`, `animating.py`), or empties for joints that the user can correct (`joints.py`).
+mimesh itself is a wheel in the extension, imported when first used.
 """
 
 import bpy
 
-from .operator import MIMESH_OT_animate, MIMESH_OT_clear_joints, MIMESH_OT_pose, MIMESH_OT_show_joints
+from .operator import (
+    MIMESH_OT_animate,
+    MIMESH_OT_capture,
+    MIMESH_OT_clear_joints,
+    MIMESH_OT_pose,
+    MIMESH_OT_rig,
+    MIMESH_OT_show_joints,
+)
 from .panel import MIMESH_PT_axes, MIMESH_PT_joints, MIMESH_PT_main, MIMESH_PT_motion
 from .properties import MimeshProgress, MimeshSettings
 
@@ -18,6 +25,8 @@ CLASSES = (
     MimeshProgress,
     MIMESH_OT_animate,
     MIMESH_OT_pose,
+    MIMESH_OT_rig,
+    MIMESH_OT_capture,
     MIMESH_OT_show_joints,
     MIMESH_OT_clear_joints,
     MIMESH_PT_main,

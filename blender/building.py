@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Builds a copy of the identity from mimesh's result: with shape keys, or with an armature."""
+"""Builds what mimesh has made: a copy of the identity with shape keys or an armature, or an armature alone."""
 
 from __future__ import annotations
 
@@ -10,65 +10,54 @@ import bpy
 import numpy as np
 
 from . import animating
-from .reading import Identity, rest_copy
+from .reading import Driving, Identity, rest_copy
 
 if TYPE_CHECKING:
-    from mimesh import ClipResult
     from mimesh.core.animated_rig import AnimatedRig
+    from mimesh.pipeline.capturing import CapturedClip
 
 MIN_BONE = 0.01
 """Smallest length of a bone, as a share of the size of the mesh; Blender deletes bones without length."""
 
 
 @dataclass(frozen=True, eq=False)
-class Transfer:
-    """A result of mimesh with its inputs in the scene."""
+class Copy:
+    """A copy of the identity that is to be made."""
 
     source: bpy.types.Object
     identity: Identity
-    result: ClipResult
+    name: str
     frames: range
-    """Frames of the scene that the result's frames belong to."""
+    """Frames of the scene that its frames belong to."""
     single_pose: bool
-    """Whether it is one pose, without keys."""
-
-    @property
-    def name(self) -> str:
-        return f"{self.source.name} {'posed' if self.single_pose else 'animated'}"
+    """Whether it has one pose, without keys."""
 
 
-def build_shape_keys(context: bpy.types.Context, transfer: Transfer) -> bpy.types.Object:
-    """Build a copy with a shape key for each frame after the first, which is the basis.
+def build_shape_keys(context: bpy.types.Context, made: Copy, world: np.ndarray) -> bpy.types.Object:
+    """Build a copy with a shape key for each frame (T, V, 3) after the first, which is the basis.
 
     Between two frames their keys are mixed, so that vertices move linearly. The basis of a pose is the identity at
     rest.
     """
-    copy = _copy(context, transfer)
-    world = transfer.result.clip.vertices
-    if not transfer.single_pose:
+    copy = _copy(context, made)
+    if not made.single_pose:
         _set_points(copy.data.vertices, _local(copy, world[0]))
     copy.shape_key_add(name="Basis", from_mix=False)
-    keyed_frames = [0] if transfer.single_pose else range(1, len(world))
+    keyed_frames = [0] if made.single_pose else range(1, len(world))
     for t in keyed_frames:
-        key = copy.shape_key_add(name=f"frame {transfer.frames[t]}", from_mix=False)
+        key = copy.shape_key_add(name=f"frame {made.frames[t]}", from_mix=False)
         _set_points(key.data, _local(copy, world[t]))
-        key.value = float(transfer.single_pose)
+        key.value = float(made.single_pose)
     if len(world) > 1:
-        animating.key_shapes(copy.data.shape_keys, transfer.name, transfer.frames)
+        animating.key_shapes(copy.data.shape_keys, made.name, made.frames)
     return copy
 
 
-def build_armature(context: bpy.types.Context, transfer: Transfer) -> bpy.types.Object:
-    """Build a copy with an armature of the result's joints, four weights per vertex, and an action of the bones."""
-    skeleton = transfer.result.skeleton
-    assert skeleton is not None, "mimesh was called with skinned=True"
-    copy = _copy(context, transfer)
+def build_armature(context: bpy.types.Context, made: Copy, skeleton: AnimatedRig) -> bpy.types.Object:
+    """Build a copy with an armature of joints, four weights per vertex, and an action of the bones."""
+    copy = _copy(context, made)
     origin = np.array(copy.matrix_world.translation)
-    rig = bpy.data.objects.new(f"{transfer.name} rig", bpy.data.armatures.new(transfer.name))
-    rig.location = copy.matrix_world.translation
-    _add_beside(context, transfer.source, rig)
-    select(context, rig)
-    _add_bones(rig, skeleton, origin)
+    rig = _new_armature(context, made.source, f"{made.name} rig", skeleton, origin)
     _add_weights(copy, skeleton)
     copy.parent = rig
     copy.matrix_parent_inverse = rig.matrix_world.inverted()
@@ -77,19 +66,58 @@ def build_armature(context: bpy.types.Context, transfer: Transfer) -> bpy.types.
     modifier.use_deform_preserve_volume = False
     # The armature comes first: other modifiers (subdivision, mirror) apply to the posed mesh.
     copy.modifiers.move(len(copy.modifiers) - 1, 0)
-    animating.pose_bones(rig, skeleton, origin, transfer.name, None if transfer.single_pose else transfer.frames)
+    animating.pose_bones(rig, skeleton, origin, made.name, None if made.single_pose else made.frames)
     return rig
 
 
-def _copy(context: bpy.types.Context, transfer: Transfer) -> bpy.types.Object:
+def build_motion(
+    context: bpy.types.Context, source: bpy.types.Object, driving: Driving, captured: CapturedClip, frames: range
+) -> bpy.types.Object:
+    """Build an armature of captured joints, which moves where the driving does; at rest it is at the origin."""
+    skeleton, origin, name = _in_world(driving, captured), np.zeros(3), f"{source.name} captured"
+    rig = _new_armature(context, source, name, skeleton, origin)
+    animating.pose_bones(rig, skeleton, origin, name, frames)
+    return rig
+
+
+def _in_world(driving: Driving, captured: CapturedClip) -> AnimatedRig:
+    """Bring captured joints, y up on the ground, to where they are in the world; their mesh is the joints."""
+    from mimesh import Mesh
+    from mimesh.core.animated_rig import AnimatedRig
+    from mimesh.core.rig import Rig
+
+    found = captured.found
+    turn = driving.to_world @ found.norm.axes.T
+    hips = found.track.smoothed(found.smooth).positions[:1, found.motion.joints.index(captured.names[0])]
+    place = driving.to_world @ found.norm.undo(hips)[0] - turn @ captured.root[0]
+    joints, count = captured.rest @ turn.T, len(captured.names)
+    mesh = Mesh(joints, np.empty((0, 3), np.int64), name=captured.name)
+    rest = Rig(np.tile(turn, (count, 1, 1)), joints, np.eye(count))
+    root = captured.root @ turn.T + place
+    return AnimatedRig(mesh, captured.names, captured.parents, rest, turn @ captured.rotation, root)
+
+
+def _new_armature(
+    context: bpy.types.Context, source: bpy.types.Object, name: str, skeleton: AnimatedRig, origin: np.ndarray
+) -> bpy.types.Object:
+    """Add an armature with a bone for each joint beside an object, and select it; `origin` is its place."""
+    rig = bpy.data.objects.new(name, bpy.data.armatures.new(name))
+    rig.location = origin
+    _add_beside(context, source, rig)
+    select(context, rig)
+    _add_bones(rig, skeleton, origin)
+    return rig
+
+
+def _copy(context: bpy.types.Context, made: Copy) -> bpy.types.Object:
     """Copy the identity at rest and in place, and select the copy; modifiers applied to the vertices are removed."""
-    copy = rest_copy(transfer.source)
-    copy.name = copy.data.name = transfer.name
-    _add_beside(context, transfer.source, copy)
-    if transfer.identity.baked:
+    copy = rest_copy(made.source)
+    copy.name = copy.data.name = made.name
+    _add_beside(context, made.source, copy)
+    if made.identity.baked:
         copy.modifiers.clear()
     select(context, copy)
-    _set_points(copy.data.vertices, _local(copy, transfer.identity.mesh.vertices))
+    _set_points(copy.data.vertices, _local(copy, made.identity.mesh.vertices))
     return copy
 
 

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import Generic, TypeVar
 
-if TYPE_CHECKING:
-    from mimesh import Clip, ClipResult, Mesh
-
+Made = TypeVar("Made")
+Progress = Callable[[int, int], None]
 PANEL_NAMES = {
     "model": "the model",
     "up": "up of the identity (Facing)",
@@ -30,20 +30,26 @@ def panel_name(name: str, value: object = None) -> str:
     return known if value is None or value is ... else f"{known}: {value}"
 
 
+def driving_name(name: str, value: object = None) -> str:
+    """As `panel_name`, where the driving alone is looked at."""
+    return panel_name(f"driving_{name}" if f"driving_{name}" in PANEL_NAMES else name, value)
+
+
 class Cancelled(Exception):
     """Raised inside a cancelled job."""
 
 
-class Job:
-    """One call of `mimesh.animate` in a thread.
+class Job(Generic[Made]):
+    """One call of mimesh in a thread.
 
     `fraction` is the progress from 0 to 1; once `running` is false, `result` returns the result or raises the error.
     """
 
-    def __init__(self, identity: Mesh, driving: Clip, options: dict) -> None:
+    def __init__(self, call: Callable[[Progress], Made], names: Callable[..., str] = panel_name) -> None:
+        """`names` names options in messages, as `panel_name`."""
         self.fraction = 0.0
-        self._inputs = identity, driving, options
-        self._result: ClipResult | None = None
+        self._call, self._names = call, names
+        self._result: Made | None = None
         self._error: Exception | None = None
         self._cancelled = threading.Event()
         self._thread = threading.Thread(target=self._work, name="mimesh", daemon=True)
@@ -63,11 +69,11 @@ class Job:
     def running(self) -> bool:
         return self._thread.is_alive()
 
-    def result(self) -> ClipResult:
-        """Return the result of `mimesh.animate`.
+    def result(self) -> Made:
+        """Return the result of the call.
 
         Raises:
-            InputError: as `mimesh.animate`; any other error of it, too.
+            InputError: as the call; any other error of it, too.
         """
         if self._error is not None:
             raise self._error
@@ -75,13 +81,11 @@ class Job:
         return self._result
 
     def _work(self) -> None:
-        identity, driving, options = self._inputs
         try:
-            import mimesh
             from mimesh.core.errors import naming_options
 
-            with naming_options(panel_name):
-                self._result = mimesh.animate(identity, driving, progress=self._progress, **options)
+            with naming_options(self._names):
+                self._result = self._call(self._progress)
         except Exception as error:  # raised again by `result`, in the main thread
             self._error = error
 

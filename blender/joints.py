@@ -82,27 +82,33 @@ def moved_empties(context: bpy.types.Context, role: str) -> list[bpy.types.Objec
     ]
 
 
-def corrections(context: bpy.types.Context, frames: range) -> dict[str, JointCorrections]:
-    """Return the keyword arguments of `mimesh.animate` for the empties that were moved; `frames` are those taken.
+def of_identity(context: bpy.types.Context) -> JointCorrections | None:
+    """Return the corrections of the empties of the identity that were moved; None without any."""
+    from mimesh.core.joint_corrections import JointCorrections
+
+    positions = moved(context, "identity")
+    return JointCorrections.of(positions, "joints of the identity") if positions else None
+
+
+def of_driving(context: bpy.types.Context, frames: range) -> JointCorrections | None:
+    """As `of_identity`, of the driving; `frames` are those taken.
 
     Raises:
-        InputError: joints of the driving were moved in a frame that is not taken.
+        InputError: joints were moved in a frame that is not taken.
     """
     from mimesh import InputError
     from mimesh.core.joint_corrections import JointCorrections
 
-    found = {}
-    if identity := moved(context, "identity"):
-        found["joints"] = JointCorrections.of(identity, "joints of the identity")
-    if driving := moved(context, "driving"):
-        (frame,) = {empty[FRAME] for empty in _empties(context) if empty[ROLE] == "driving"}
-        if frame not in frames:
-            raise InputError(
-                f"joints of the driving: expected frame {frame}, in which they were shown, among those taken, found "
-                f"{frames[0]} to {frames[-1]} in steps of {frames.step}; change the range, or show the joints again"
-            )
-        found["driving_joints"] = JointCorrections.of(driving, "joints of the driving", frame=frames.index(frame))
-    return found
+    positions = moved(context, "driving")
+    if not positions:
+        return None
+    (frame,) = {empty[FRAME] for empty in _empties(context) if empty[ROLE] == "driving"}
+    if frame not in frames:
+        raise InputError(
+            f"joints of the driving: expected frame {frame}, in which they were shown, among those taken, found "
+            f"{frames[0]} to {frames[-1]} in steps of {frames.step}; change the range, or show the joints again"
+        )
+    return JointCorrections.of(positions, "joints of the driving", frame=frames.index(frame))
 
 
 def refuse_moved(context: bpy.types.Context, role: str) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tab "mimesh" in the sidebar of the 3D view: two object fields, options, two buttons."""
+"""The tab "mimesh" in the sidebar of the 3D view: two object fields, options, buttons."""
 
 from bpy.types import Context, Object, Panel, UILayout
 
@@ -138,3 +138,7 @@ def _draw_buttons(layout: UILayout, context: Context, usable: bool) -> None:
     row.scale_y, row.enabled = 1.4, usable
     row.operator("mimesh.animate", icon="PLAY")
     row.operator("mimesh.pose", icon="ARMATURE_DATA")
+    row = layout.row(align=True)
+    row.enabled = context.scene.mimesh.model == "mime"
+    row.operator("mimesh.rig", icon="OUTLINER_OB_ARMATURE")
+    row.operator("mimesh.capture", icon="ACTION")

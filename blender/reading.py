@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from mimesh import Clip, Mesh
     from mimesh.pipeline.bone_rigs import Binding
 
+Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Rotation from y up, +z front to z up, -y front, as Blender imports motion capture."""
 POSE_MODIFIERS = {"ARMATURE", "MESH_CACHE", "MESH_SEQUENCE_CACHE"}
 """Types of modifiers that pose a mesh: the identity is read without them."""
 
@@ -29,6 +31,15 @@ class Identity:
     """In world space."""
     baked: bool
     """Whether its modifiers are applied to the vertices, because they keep their number; else they stay modifiers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Driving:
+    """The frames of the driving."""
+
+    clip: Clip
+    to_world: np.ndarray
+    """Rotation (3, 3) from the axes of the clip to those of the world."""
 
 
 def read_identity(context: bpy.types.Context, source: bpy.types.Object) -> Identity:
@@ -155,13 +166,13 @@ def driving_armature(source: bpy.types.Object, objects: list[bpy.types.Object], 
 
 def read_clip(
     context: bpy.types.Context, source: bpy.types.Object, frames: range, with_bones: bool = True
-) -> Generator[int, None, Clip]:
+) -> Generator[int, None, Driving]:
     """Read the frames of the scene; yields the number of frames read, returns the clip.
 
-    It has the meshes in world space, turned about the vertical as `bones.level_axes` says, and the bones of a person's
-    or an animal's armature; without a mesh, a person's bones move mimesh's own body. The scene is set back to its
-    current frame afterwards, also when the caller stops half-way. The current frame alone is read without setting it,
-    so that a pose without keys is not lost.
+    The clip has the meshes in world space, turned about the vertical as `bones.level_axes` says, and the bones of a
+    person's or an animal's armature; without a mesh, a person's bones move mimesh's own body. The scene is set back to
+    its current frame afterwards, also when the caller stops half-way. The current frame alone is read without setting
+    it, so that a pose without keys is not lost.
 
     Args:
         with_bones: read the bones of an armature; without, meshes alone.
@@ -185,7 +196,7 @@ def read_clip(
     with _set_frames(context.scene, frames) as frame_numbers:
         yield from reader.read(frame_numbers, len(frames))
     fps = context.scene.render.fps / context.scene.render.fps_base / frames.step
-    return reader.clip(fps)
+    return Driving(reader.clip(fps), reader.to_world)
 
 
 class DrivingReader:
@@ -242,6 +253,11 @@ class DrivingReader:
         rest = Mesh(vertices @ self._level[:3, :3].T, faces, name=self._source.name)
         joints = BoneJoints(rest, self._rest, binding, np.stack(self._bones), *self._axes)
         return Clip(mesh, self._vertices, fps, skeleton=joints)
+
+    @property
+    def to_world(self) -> np.ndarray:
+        """See `Driving`."""
+        return Z_UP if self._vertices is None else self._level[:3, :3].T
 
     def _check_count(self, found: int, frame: int) -> None:
         from mimesh import InputError

@@ -18,6 +18,8 @@ from mathutils import Matrix
 ARCHIVE, FOLDER = Path(sys.argv[1]), Path(sys.argv[2])
 FPS, FRAMES = 20, range(0, 6)
 MODES = ("XYZ", "ZYX", "AXIS_ANGLE", "QUATERNION")
+COMPARED = ("LeftFoot", "RightFoot", "LeftHand", "RightHand")
+"""Joints of captured motions that are compared with the bones of the driving."""
 FACTS = {}
 
 
@@ -132,6 +134,43 @@ def written_and_read_as_fbx(driving):
     choose(mesh, driving)
     bpy.ops.mimesh.animate()
     np.savez(FOLDER / "fbx.npz", result=played(mesh))
+
+
+def captures():
+    """Capture the joints of an armature that is turned, scaled and moved, and of one of motion capture."""
+    for name in ("driving.glb", "walk.bvh"):
+        armature, mesh = imported(FOLDER / name)
+        if mesh is not None:
+            turned = Matrix.LocRotScale((1, 2, 0.5), Matrix.Rotation(2.2, 3, "Z"), (1.5,) * 3)
+            armature.matrix_world = turned @ armature.matrix_world
+        chosen = choose(None, armature)
+        FACTS[f"capture {name}"] = {"outcome": list(bpy.ops.mimesh.capture())}
+        made = bpy.context.view_layer.objects.active
+        pairs = (armature, bones_of(armature)), (made, COMPARED)
+        places = []
+        for frame in chosen.frames(bpy.context.scene):
+            bpy.context.scene.frame_set(frame)
+            places.append([heads(one, names) for one, names in pairs])
+        bpy.context.scene.frame_set(0)
+        np.savez(FOLDER / f"capture {name}.npz", joints=places)
+
+
+def bones_of(armature):
+    """Return the names of the bones that are COMPARED."""
+    from bl_ext.user_default.mimesh import bones
+
+    from mimesh.bodies.joint_names import person_joints
+
+    names, parents = bones.bone_tree(armature)
+    joints = person_joints(names, parents)
+    return [names[joints[joint]] for joint in COMPARED]
+
+
+def heads(armature, names):
+    """Evaluate the world positions of the heads of bones in the current frame."""
+    bpy.context.view_layer.update()
+    evaluated = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    return np.array([evaluated.matrix_world @ evaluated.pose.bones[name].head for name in names])
 
 
 def variants(driving):
@@ -347,6 +386,7 @@ def main():
     constraints(driving)
     unknown_identity(driving)
     animals()
+    captures()
     control_rig(driving)
     drivings(imported(FOLDER / "own_mixamo.glb")[1])
     undone(bpy.data.objects[driving.name])

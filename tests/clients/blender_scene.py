@@ -245,13 +245,57 @@ def modified(kind):
     return facts
 
 
-def refusal(**settings):
+def rigged():
+    """Press Rig; save the bones and weights of the copy, and return facts about it."""
+    identity = bpy.context.scene.mimesh.identity
+    before = state(identity)
+    outcome = bpy.ops.mimesh.rig()
+    (made,) = (one for one in results() if one.type == "MESH")
+    (armature,) = (one for one in results() if one.type == "ARMATURE")
+    names = [bone.name for bone in armature.data.bones]
+    weights = np.zeros((len(made.data.vertices), len(names)))
+    for vertex in made.data.vertices:
+        for entry in vertex.groups:
+            weights[vertex.index, names.index(made.vertex_groups[entry.group].name)] = entry.weight
+    np.savez(FOLDER / "rigged.npz", shown=shown(made), weights=weights, heads=heads(armature, names))
+    facts = {"outcome": list(outcome), "unchanged": before == state(identity), "bones": names}
+    facts["modifiers"] = [(one.type, one.object == armature) for one in made.modifiers]
+    facts |= {"keys": bool(made.data.shape_keys), "animated": bool(armature.animation_data), "made": made.name}
+    tidy()
+    return facts
+
+
+def captured(driving):
+    """Press Capture; save the bones' heads in every frame, and return facts about the armature."""
+    bpy.context.scene.mimesh.driving = driving
+    outcome = bpy.ops.mimesh.capture()
+    made = bpy.context.view_layer.objects.active
+    names, places = [bone.name for bone in made.data.bones], []
+    for frame in FRAMES:
+        bpy.context.scene.frame_set(frame)
+        places.append(heads(made, names))
+    bpy.context.scene.frame_set(1)
+    np.savez(FOLDER / "captured.npz", heads=places, result=places, driving=played(driving))
+    facts = {"outcome": list(outcome), "bones": names, "made": made.name, "action": made.animation_data.action.name}
+    bpy.data.objects.remove(made)
+    bpy.data.orphans_purge(do_recursive=True)
+    return facts
+
+
+def heads(armature, names):
+    """Evaluate the world positions of the heads of bones in the current frame."""
+    bpy.context.view_layer.update()
+    evaluated = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    return np.array([evaluated.matrix_world @ evaluated.pose.bones[name].head for name in names])
+
+
+def refusal(operator=None, **settings):
     chosen = bpy.context.scene.mimesh
     old = {key: getattr(chosen, key) for key in settings}
     for key, value in settings.items():
         setattr(chosen, key, value)
     try:
-        bpy.ops.mimesh.animate()
+        (operator or bpy.ops.mimesh.animate)()
     except RuntimeError as error:
         return str(error)
     finally:
@@ -323,6 +367,9 @@ def main():
     facts["drawn"] = drawn()
     facts["no frames"] = refusal(use_scene_range=False, frame_start=5, frame_end=4)
     facts["no joints"] = refusal(model="npt-maxpool", result="ARMATURE")
+    facts["no rig"] = refusal(bpy.ops.mimesh.rig, model="npt")
+    facts["no capture"] = refusal(bpy.ops.mimesh.capture, model="npt")
+    facts["rigged"], facts["captured"] = rigged(), captured(driving)
     facts["keys"] = case("keys", driving, [driving])
     facts["other"] = case("other", driving, [driving], model="npt-maxpool")
     facts["bones"] = case("bones", driving, [driving], model="mime", result="ARMATURE", root="keep", ground=True)

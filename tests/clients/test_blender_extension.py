@@ -101,9 +101,45 @@ def test_pose_button_makes_one_frame(outcome, facts):
     assert facts["pose key"]["keys"] == ["Basis", "frame 1"]
 
 
+def test_rig_button_makes_a_copy_at_rest_with_the_weights_of_rig(outcome, facts):
+    made, scene, fact = np.load(outcome / "rigged.npz"), np.load(outcome / "scene.npz"), facts["rigged"]
+    identity = mimesh.Mesh(scene["identity"], scene["faces"].astype(np.int64), name="hero")
+    skeleton = mimesh.rig(identity, hints=mimesh.Hints(up="+z")).skeleton
+    assert fact["outcome"] == ["FINISHED"]
+    assert fact["unchanged"]
+    order = [fact["bones"].index(name) for name in skeleton.names]
+    assert len(order) == len(fact["bones"])
+    assert fact["modifiers"] == [["ARMATURE", True]]
+    assert (fact["keys"], fact["animated"], fact["made"]) == (False, False, "hero at rest")
+    np.testing.assert_allclose(made["shown"], scene["identity"], atol=1e-5)
+    np.testing.assert_allclose(made["heads"][order], skeleton.rig.joints, atol=1e-5)
+    joints, weights = skeleton.strongest()
+    expected = np.zeros((len(joints), len(order)))
+    np.put_along_axis(expected, joints, weights, axis=1)
+    np.testing.assert_allclose(made["weights"].sum(axis=1), 1.0, atol=1e-5)
+    # The numbers of Blender's own NumPy differ a little: of nearly equal weights another one may be the fourth.
+    assert np.abs(made["weights"][:, order] - expected).sum(axis=1).mean() < 1e-3
+
+
+def test_capture_button_plays_the_joints_where_the_driving_is(outcome, facts):
+    found, result = run_mimesh(outcome, "captured", "driving")
+    captured = mimesh.capture(result.driving, hints=mimesh.Hints(up="+z"))
+    assert facts["captured"]["outcome"] == ["FINISHED"]
+    assert tuple(facts["captured"]["bones"]) == captured.names
+    assert facts["captured"]["made"] == facts["captured"]["action"] == "dancer captured"
+    places = np.zeros_like(found)
+    for j, parent in enumerate(captured.parents):
+        bone = captured.rest[j] - captured.rest[parent]
+        places[:, j] = captured.root if parent < 0 else places[:, parent] + captured.rotation[:, parent] @ bone
+    expected = z_up(places)
+    size = captured.report["height"]
+    assert np.abs((found - found[0, 0]) - (expected - expected[0, 0])).max() < 1e-4 * size
+    np.testing.assert_allclose(found[0, 0], result.driving_joints["Hips"], atol=1e-3 * size)
+
+
 def test_identity_object_is_unchanged(facts):
     cases = [fact for fact in facts.values() if "unchanged" in fact]
-    assert len(cases) == 6
+    assert len(cases) == 7
     assert all(case["unchanged"] and case["outcome"] == ["FINISHED"] for case in cases)
 
 
@@ -143,6 +179,8 @@ def test_panel_draws_all_properties(facts):
         "Front",
         "Show joints",
         "Clear",
+        "Rig",
+        "Capture",
     } <= set(facts["drawn"])
 
 
@@ -166,6 +204,8 @@ def test_moved_empties_are_corrections(outcome, facts):
 
 def test_invalid_settings_are_explained(facts):
     assert "expected a first frame before the last" in facts["no frames"]
+    for case, what in (("no rig", "Rig"), ("no capture", "Capture")):
+        assert f"{what}: expected the model mime, found npt; choose it as the model" in facts[case]
     assert "expected a model with joints (mime), found npt-maxpool; choose another with the model" in facts["no joints"]
 
 

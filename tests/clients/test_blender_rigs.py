@@ -177,6 +177,17 @@ def test_bones_of_the_driving_are_used_for_other_results(folder):
     assert deviation(folder, "keys", surface) > 1e-2
 
 
+@pytest.mark.parametrize("name", ["driving.glb", "walk.bvh"])
+def test_captured_joints_move_as_the_bones_of_the_driving(folder, facts, name):
+    assert facts[f"capture {name}"]["outcome"] == ["FINISHED"]
+    bones, made = np.load(folder / f"capture {name}.npz")["joints"].swapaxes(0, 1)
+    size, apart = np.ptp(bones[0], axis=0).max(), made - bones
+    if name == "walk.bvh":  # without a mesh it begins at the origin
+        apart -= apart[0, 0]
+    assert np.ptp(bones, axis=0).max() > 0.05 * size, "it moves"
+    assert np.abs(apart).max() < CLOSE * size
+
+
 def test_the_panel_says_what_is_known(facts):
     assert {"31 bones, 25 of a person", "31 bones, 27 of a person"} <= set(facts["drawn"])
     assert {"(mimesh.show_joints)", "mimesh.animate", "Keep feet on the ground"} <= set(facts["drawn"])
