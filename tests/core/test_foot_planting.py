@@ -296,10 +296,10 @@ def test_a_trend_of_heights_does_not_go_on_where_no_foot_stands():
 
 def test_contacts_have_no_gaps_and_intervals_that_are_too_short():
     contacts = find_contacts(walking().track, walking().feet.driving_leg)
-    standing = np.zeros((60, 1, 1))
+    standing = np.zeros_like(contacts.standing)
     for start, stop in ((5, 20), (22, 30), (40, 42), (50, 60)):  # between frames: a gap of one frame, a blink, the end
         standing[start:stop] = 1.0
     contacts = dataclasses.replace(contacts, standing=standing)
-    assert contacts.intervals(60) == [[(5, 31), (40, 43), (50, 61)]]
-    assert contacts.intervals(100) == [[(5, 31), (50, 61)]]
-    assert dataclasses.replace(contacts, standing=0 * standing).intervals(60) == [[]]
+    assert contacts.intervals(60.0) == 2 * [[(5, 31), (40, 43), (50, 61)]]
+    assert contacts.intervals(100.0) == 2 * [[(5, 31), (50, 61)]]
+    assert dataclasses.replace(contacts, standing=0 * standing).intervals(60.0) == [[], []]

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import mimesh.io.gltf  # noqa: F401 (imported before memory is traced)
-from mimesh import cli
+from mimesh.__main__ import run
 from mimesh.core import budgets
 from mimesh.core.budgets import FRAMES, VERTICES, no_limits
 from mimesh.core.errors import InputError
@@ -244,7 +244,7 @@ def test_commands_refuse_them_with_one_line(command, name, tmp_path, capsys):
         "transfer": [good, path, "-m", "copy", "-o", tmp_path / "out.obj"],
         "animate": [good, path, "-m", "copy", "-o", tmp_path / "out.glb"],
     }[command]
-    assert cli.run([command, *map(str, arguments)]) == 2
+    assert run([command, *map(str, arguments)]) == 2
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
     assert captured.err.startswith(f"mimesh: {path}: expected ")
@@ -254,9 +254,9 @@ def test_commands_refuse_them_with_one_line(command, name, tmp_path, capsys):
 def test_no_limits_reads_what_is_refused_otherwise(tmp_path, capsys):
     (tmp_path / "a.obj").write_bytes(obj("f" + " 1 2 3" * 7_000))
     command = ["convert", str(tmp_path / "a.obj"), str(tmp_path / "b.ply")]
-    assert cli.run(command) == 2
+    assert run(command) == 2
     assert "add --no-limits" in capsys.readouterr().err
-    assert cli.run([*command, "--no-limits"]) == 0
+    assert run([*command, "--no-limits"]) == 0
     with no_limits():
         assert len(load_mesh(tmp_path / "a.obj").vertices) == 4
     # Neither the command nor the block has an effect afterwards.

@@ -12,7 +12,7 @@ import pytest
 import zoo
 from motion_files import write_bvh
 
-from mimesh import cli
+from mimesh.__main__ import run
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh, check_clip, check_mesh
@@ -76,9 +76,9 @@ def test_bvh_with_a_row_more_than_it_states_is_read_with_a_note(tmp_path, capsys
     assert np.array_equal(clip.vertices, whole.vertices)
     note = f"a.bvh has {len(clip) + 1} rows and states {len(clip)} frames: the first {len(clip)} are read"
     assert clip.notes == (note,)
-    assert cli.run(["look", str(path)]) == 0
+    assert run(["look", str(path)]) == 0
     assert note in capsys.readouterr().out
-    assert cli.run(["convert", str(path), str(tmp_path / "b.npz")]) == 0
+    assert run(["convert", str(path), str(tmp_path / "b.npz")]) == 0
     assert f"note: {note}" in capsys.readouterr().out
     assert note in animate(clip.mesh, clip, "copy").notes
 
@@ -91,7 +91,7 @@ def test_two_points_or_a_triangle_are_no_mesh_to_move(tmp_path, capsys):
                 move(mesh, driving)
     save_mesh(mesh, tmp_path / "scrap.ply")
     save_mesh(zoo.cube(), tmp_path / "cube.obj")
-    assert cli.run(["transfer", str(tmp_path / "scrap.ply"), str(tmp_path / "cube.obj")]) == 2
+    assert run(["transfer", str(tmp_path / "scrap.ply"), str(tmp_path / "cube.obj")]) == 2
     assert "expected at least 4 vertices" in capsys.readouterr().err
 
 
@@ -102,7 +102,7 @@ def test_file_with_a_name_that_is_no_text_is_converted(tmp_path):
     except OSError:
         pytest.skip("a file system that has no such names")
     for suffix in (".gltf", ".ply"):
-        assert cli.run(["convert", str(source), str(tmp_path / f"{ODD_NAME}{suffix}")]) == 0
+        assert run(["convert", str(source), str(tmp_path / f"{ODD_NAME}{suffix}")]) == 0
         assert len(load_mesh(tmp_path / f"{ODD_NAME}{suffix}").faces) == 4
 
 

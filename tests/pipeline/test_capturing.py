@@ -87,7 +87,7 @@ def test_the_unit_of_a_file_becomes_metres(captured, tmp_path):
 
 def test_feet_are_on_the_ground_by_turns():
     """Of a walk each foot stands for most of a step, and one of the two always."""
-    seconds, fps = 2.0, 30
+    seconds, fps = 2.0, 30.0
     clip = motion_clip(BODY, sample_shape(BODY, 0, 0), walk_motion(BODY, 0, 0, seconds=seconds, fps=fps))
     bare = dataclasses.replace(clip, mesh=Mesh(clip.mesh.vertices, BODY.faces, "walk"), skeleton=None, headings=None)
     report = mimesh.capture(bare).report
@@ -157,7 +157,7 @@ def test_what_is_no_body_is_refused():
 @pytest.mark.slow
 def test_a_capture_moves_the_same_body_as_the_clip_did(tmp_path):
     shape = sample_shape(BODY, 0, 0)
-    clip = motion_clip(BODY, shape, walk_motion(BODY, 0, 0, seconds=2.0, fps=30))
+    clip = motion_clip(BODY, shape, walk_motion(BODY, 0, 0, seconds=2.0, fps=30.0))
     bare = dataclasses.replace(clip, mesh=Mesh(clip.mesh.vertices, BODY.faces, "walk"), skeleton=None, headings=None)
     path = mimesh.capture(bare).save(tmp_path / "walk.bvh")
     rest = Mesh(BODY.posed(shape, np.tile(np.eye(3), (len(BODY.parents), 1, 1))), BODY.faces, "rest")
