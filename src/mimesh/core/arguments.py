@@ -66,11 +66,11 @@ def check_call(
 
 def _refuse_option(function: str, name: str, signature: inspect.Signature, known: dict[str, Any]) -> None:
     """Raise InputError for an argument that is, or is nearly, a field of a class of options that a function takes."""
-    fields = {
-        field: f"{parameter.name}=mimesh.{parameter.annotation}({field}=...)"
-        for parameter in signature.parameters.values()
-        for field in getattr(known.get(str(parameter.annotation)), "__dataclass_fields__", ())
-    }
+    fields = {}
+    for parameter in signature.parameters.values():
+        kind = getattr(parameter.annotation, "__name__", str(parameter.annotation))  # a text, unless types are checked
+        for field in getattr(known.get(kind), "__dataclass_fields__", ()):
+            fields[field] = f"{parameter.name}=mimesh.{kind}({field}=...)"
     close = difflib.get_close_matches(name.replace("-", "_"), fields, 1, CLOSE)
     if close:
         raise ArgumentError(
