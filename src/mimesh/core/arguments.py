@@ -68,9 +68,10 @@ def _refuse_option(function: str, name: str, signature: inspect.Signature, known
     """Raise InputError for an argument that is, or is nearly, a field of a class of options that a function takes."""
     fields = {}
     for parameter in signature.parameters.values():
-        kind = getattr(parameter.annotation, "__name__", str(parameter.annotation))  # a text, unless types are checked
-        for field in getattr(known.get(kind), "__dataclass_fields__", ()):
-            fields[field] = f"{parameter.name}=mimesh.{kind}({field}=...)"
+        kind = parameter.annotation
+        kind = kind if isinstance(kind, type) else known.get(str(kind))  # a text, unless types are checked
+        for field in getattr(kind, "__dataclass_fields__", ()):
+            fields[field] = f"{parameter.name}=mimesh.{kind.__name__}({field}=...)"
     close = difflib.get_close_matches(name.replace("-", "_"), fields, 1, CLOSE)
     if close:
         raise ArgumentError(
