@@ -38,7 +38,7 @@ def public(function: F) -> F:
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         for name in kwargs.keys() - signature.parameters.keys():
-            _refuse_option(function.__name__, name, signature, function.__globals__)
+            _refuse_option(function.__name__, name, signature, inspect.unwrap(function).__globals__)
         check_call(function.__name__, signature, names, args, kwargs)
         return function(*args, **kwargs)
 
@@ -68,10 +68,8 @@ def _refuse_option(function: str, name: str, signature: inspect.Signature, known
     """Raise InputError for an argument that is, or is nearly, a field of a class of options that a function takes."""
     fields = {}
     for parameter in signature.parameters.values():
-        kind = parameter.annotation
-        kind = kind if isinstance(kind, type) else known.get(str(kind))  # a text, unless types are checked
-        for field in getattr(kind, "__dataclass_fields__", ()):
-            fields[field] = f"{parameter.name}=mimesh.{kind.__name__}({field}=...)"
+        for field in getattr(known.get(str(parameter.annotation)), "__dataclass_fields__", ()):
+            fields[field] = f"{parameter.name}=mimesh.{parameter.annotation}({field}=...)"
     close = difflib.get_close_matches(name.replace("-", "_"), fields, 1, CLOSE)
     if close:
         raise ArgumentError(
