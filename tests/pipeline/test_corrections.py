@@ -67,8 +67,8 @@ def test_corrections_are_in_the_axes_and_unit_of_the_file(plain):
     knee = plain.joints["LeftLeg"] + [0.04, 0, 0.02]
     turned = dataclasses.replace(PERSON, vertices=PERSON.vertices @ turn.T + shift)
     expected = transfer(PERSON, posed(0), **grouped(AXES, joints={"LeftLeg": knee}))
-    axes = {**AXES, "up": "+z", "front": "+x"}
-    result = transfer(turned, posed(0), **grouped(**axes, joints={"LeftLeg": turn @ knee + shift}))
+    axes = dataclasses.replace(AXES, up="+z", front="+x")
+    result = transfer(turned, posed(0), **grouped(axes, joints={"LeftLeg": turn @ knee + shift}))
     np.testing.assert_allclose(result.joints["LeftLeg"], turn @ knee + shift, atol=1e-6)
     np.testing.assert_allclose((result.vertices - shift) @ turn / 1e4, expected.vertices, atol=2e-3)
 

@@ -80,18 +80,20 @@ def test_a_thing_is_refused_in_one_line_unless_the_user_insists(name, beside):
     thing, other = THINGS[name], MESHES[beside]
     for pair in ((thing, other), (other, thing)):
         with pytest.raises(RefusedMeshError, match=f"^{name}: expected a person or a four-legged animal, as {beside}"):
-            transfer(*pair, up="+y", driving_up="+y")
-    assert transfer(thing, other, body="human", up="+y", driving_up="+y").vertices.shape == thing.vertices.shape
+            transfer(*pair, **grouped(up="+y", driving_up="+y"))
+    assert (
+        transfer(thing, other, **grouped(body="human", up="+y", driving_up="+y")).vertices.shape == thing.vertices.shape
+    )
     with pytest.raises(RefusedMeshError, match=f'^{name}: .*body="other"'):
-        rig(thing, up="+y")
+        rig(thing, **grouped(up="+y"))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [0.01, 1, 100])
 def test_a_figure_of_boxes_is_a_person_though_it_has_no_front(scale):
     steve = figure().with_vertices(scale * figure().vertices)
-    assert rig(steve, up="+y").body == "human"
-    transfer(steve, MESHES["man"], up="+y", driving_up="+y")
+    assert rig(steve, **grouped(up="+y")).body == "human"
+    transfer(steve, MESHES["man"], **grouped(up="+y", driving_up="+y"))
 
 
 def test_tables_rings_and_figures_are_the_same_after_half_a_turn_and_bodies_are_not():

@@ -27,6 +27,7 @@ CHOICES = {
     "mimesh": "found on the surface",
     "human": "a person",
     "quadruped": "a four-legged animal",
+    "deformation-transfer": "deformation-transfer, of the command mimesh animate alone",
 }
 """Value of an option -> what the field of the page calls it."""
 
