@@ -25,6 +25,7 @@ from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import save_clip, save_mesh
 from mimesh.io.atomic import whole_file
 from mimesh.studio import make_session
+from mimesh.studio.exports import Order
 from mimesh.studio.items import Item
 from mimesh.studio.session import Session
 from mimesh.studio.state import describe, scene
@@ -94,7 +95,7 @@ def memory(hero: Path, short: Path) -> dict[str, list[int]]:
         for options in ({"model": "copy"}, {"model": "mime"}, {"root": "keep"}, {"root": "scale"}):
             session.set_options(options)
             until(lambda item=item: item.outcome is not None and (item.outcome.current or bool(item.outcome.error)))
-        number = session.export(".glb", [], True, None)
+        number = session.export(Order(skinned=True))
         until(lambda number=number: session.exports[number].path is not None or bool(session.exports[number].error))
         scene(session)
         describe(session)
