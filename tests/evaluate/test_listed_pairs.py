@@ -13,6 +13,7 @@ from mimesh.__main__ import run
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.normalization import bbox_centre
+from mimesh.core.options import MeasureOptions
 from mimesh.evaluate.clip_protocols import ClipPair
 from mimesh.evaluate.listed_pairs import (
     HEIGHT,
@@ -260,7 +261,8 @@ def test_clips_are_measured_as_clips(clips, tmp_path):
     row = evaluate_command(str(clips / "own.txt"), ["copy"])["results"][0]
     assert row["pairs"] == 2
     assert {"path_mm", "jitter", "liveliness", "still_mm"} <= row.keys()
-    assert evaluate_command(str(clips), ["copy"], fps=60.0)["results"][0]["each"]["jitter"] == pytest.approx(
+    doubled = evaluate_command(str(clips), ["copy"], measuring=MeasureOptions(fps=60.0))["results"][0]
+    assert doubled["each"]["jitter"] == pytest.approx(
         [row["each"]["jitter"][0], 4 * row["each"]["jitter"][1]],
         rel=1e-5,  # reports have six digits
     )
@@ -470,7 +472,7 @@ def test_a_report_of_another_question_is_not_replaced_and_its_figures_are_not_us
     assert evaluate_command(given, ["copy"], out)["results"][0]["pmd_e4"] > 0
     assert (out.parent / "figures.json.partial.old").exists()
     evaluate_command(given, ["copy", "identity"], out)  # of the same pairs: more methods
-    for other in ({"pairs": 2}, {"mirror": True}):
+    for other in ({"pairs": 2}, {"measuring": MeasureOptions(mirror=True)}):
         with pytest.raises(InputError, match="expected no file, or a report of the same test set"):
             evaluate_command(given, ["copy"], out, **other)
     out.write_text("notes of mine")

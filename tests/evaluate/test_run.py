@@ -12,6 +12,7 @@ from networks import write_network, write_sequence_network
 
 from mimesh.core.errors import InputError, RefusedMeshError
 from mimesh.core.normalization import Normalization, bbox_centre, radius
+from mimesh.core.options import MeasureOptions
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
 from mimesh.evaluate.generate import generate_command
 from mimesh.evaluate.markdown import markdown
@@ -47,16 +48,19 @@ def test_mirror_images_are_as_hard_for_a_method_without_a_side():
             for t in (np.moveaxis(mesh.vertices[mesh.faces], 1, 0) for mesh in (before, after))
         ]
         assert volumes[0] == pytest.approx(volumes[1])
-    plain, mirror = (evaluate_command("human-npt", ["copy"], split="val", pairs=2, mirror=on) for on in (False, True))
+    plain, mirror = (
+        evaluate_command("human-npt", ["copy"], split="val", pairs=2, measuring=MeasureOptions(mirror=on))
+        for on in (False, True)
+    )
     for a, b in zip(plain["results"], mirror["results"], strict=True):
         assert b["split"] == f"{a['split']}, mirrored"
         assert b["pmd_e4"] == pytest.approx(a["pmd_e4"])
         assert set(a["each"]["pair"]).isdisjoint(b["each"]["pair"])
     assert mirror["provenance"]["config"]["mirror"] is True
-    looked_at = evaluate_command("noise", ["identity"], pairs=1, mirror=True)["sets"]
+    looked_at = evaluate_command("noise", ["identity"], pairs=1, measuring=MeasureOptions(mirror=True))["sets"]
     assert looked_at["holes, mirrored"]["role"] == "development"
     with pytest.raises(InputError, match="--mirror: expected a test set of single meshes"):
-        evaluate_command("fingers", ["mime"], mirror=True)
+        evaluate_command("fingers", ["mime"], measuring=MeasureOptions(mirror=True))
 
 
 def test_network_without_a_size_gets_that_of_the_truth(tmp_path):

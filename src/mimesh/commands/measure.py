@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..core.errors import InputError
-from ..core.options import declared
+from ..core.options import MeasureOptions
 from ..core.printable import say
 from .options import with_options
 from .terminal import Json, Quiet, print_json, print_next, progress, require, say_tables
@@ -43,24 +42,6 @@ Data = Annotated[
 ]
 
 
-@dataclass(frozen=True)
-class MeasureOptions:
-    """How models are measured."""
-
-    ensemble: int = declared(1, "Average over this many random pairings (NPT).", min=1)
-    refine: bool = declared(False, "Smooth results along the identity's surface.", name="--refine")
-    mirror: bool = declared(False, "Measure on the mirror images of all pairs.", name="--mirror")
-    torch: bool = declared(
-        False,
-        "Run networks of npt and aniformer by PyTorch: on a GPU, or in bf16 on processors made for it.",
-        name="--torch",
-    )
-    height: float | None = declared(
-        None, "Lists: a person's height at rest in the files' unit, for millimetres.", metavar="H"
-    )
-    fps: float | None = declared(None, "Lists: frames per second of the clips.")
-
-
 @with_options
 def evaluate(
     protocol: TestSet,
@@ -70,6 +51,13 @@ def evaluate(
     pairs: Pairs = 0,
     *,
     measuring: MeasureOptions,
+    torch: Annotated[
+        bool,
+        typer.Option(
+            "--torch",
+            help="Run networks of npt and aniformer by PyTorch: on a GPU, or in bf16 on processors made for it.",
+        ),
+    ] = False,
     dump: Annotated[Path | None, typer.Option(help="Folder for pictures of the worst pairs.", metavar="DIR")] = None,
     data: Annotated[
         Path | None,
@@ -90,17 +78,15 @@ def evaluate(
     from ..evaluate.markdown import markdown
     from ..evaluate.run import evaluate_command
 
-    options: tuple = (measuring.refine, measuring.height, measuring.fps, measuring.mirror)
-    if measuring.torch:
+    runtime: tuple = ()
+    if torch:
         require("train", "torch", "yaml", "safetensors", "onnx")
         from ..learn.torch_session import in_torch, precision
 
-        options += (in_torch, f"torch, {precision()}")
+        runtime = in_torch, f"torch, {precision()}"
     methods = [name.strip() for name in model.split(",") if name.strip()]
     with progress("pairs", quiet or json) as advance:
-        figures = evaluate_command(
-            protocol, methods, output, split, pairs, measuring.ensemble, advance, dump, data, *options
-        )
+        figures = evaluate_command(protocol, methods, output, split, pairs, measuring, advance, dump, data, *runtime)
     if json:
         print_json(figures)
     elif not quiet:

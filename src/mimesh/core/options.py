@@ -341,3 +341,19 @@ class ConvertOptions(FrameRange):
         None, "Person who moves, with --body-model: numbers with commas, or an .npz.", metavar="B"
     )
     """Shape coefficients of the person who moves, see `parse_betas`; None: of the one recorded."""
+
+
+@dataclass(frozen=True)
+class MeasureOptions:
+    """How `mimesh evaluate` measures models."""
+
+    ensemble: int = declared(1, "Average over this many random pairings (NPT).", min=1)
+    refine: bool = declared(False, "Smooth results along the identity's surface.", name="--refine")
+    mirror: bool = declared(False, "Measure on the mirror images of all pairs.", name="--mirror")
+    """Not for clips and characters."""
+    height: float | None = declared(
+        None, "Lists: a person's height at rest in the files' unit, for millimetres.", metavar="H"
+    )
+    """Height of the identities of a list at rest, in the unit of its files; see `ListedPairs.height`."""
+    fps: float | None = declared(None, "Lists: frames per second of the clips.")
+    """Frames per second of the clips of a list; None: those of the files."""

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from ..bodies.dress import TEST_FILE
 from ..core.errors import InputError, did_you_mean
 from ..core.frame_buffer import Progress
+from ..core.options import MeasureOptions
 from ..io.atomic import whole_file
 from ..methods.find import (
     INDEX_PAIRED,
@@ -76,6 +77,8 @@ NEED_A_FOLDER = {
 }
 """Protocols that are nothing without their folder, and what it is."""
 
+USUAL = MeasureOptions()
+
 
 def evaluate_command(
     protocol: str,
@@ -83,14 +86,10 @@ def evaluate_command(
     out: Path | None = None,
     split: str = "test",
     pairs: int = 0,
-    ensemble: int = 1,
+    measuring: MeasureOptions = USUAL,
     progress: Progress | None = None,
     dump: Path | None = None,
     data: Path | None = None,
-    refine: bool = False,
-    height: float | None = None,
-    fps: float | None = None,
-    mirror: bool = False,
     runtime: Runtime | None = None,
     runtime_name: str = "",
 ) -> dict[str, Any]:
@@ -105,15 +104,12 @@ def evaluate_command(
         pairs: number of pairs of each kind; 0 for the protocol's own.
         dump: folder for pictures of the worst pairs.
         data: folder of a protocol that reads one, or that the names of a list are relative to.
-        height: height of the identities of a list at rest, in the unit of its files; see `ListedPairs.height`.
-        fps: frames per second of the clips of a list; None: those of the files.
-        mirror: measure on the mirror images of all pairs; not for clips and characters.
         runtime: what runs networks instead of onnxruntime, with its name for the report; not for characters.
 
     Raises:
         InputError: an unknown protocol, split or method, or missing data.
     """
-    chosen = find_protocol(protocol, data, height, fps)
+    chosen = find_protocol(protocol, data, measuring.height, measuring.fps)
     if split not in SPLITS:
         raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
     for method in methods:
@@ -123,14 +119,14 @@ def evaluate_command(
     if dump is not None and of_pool and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
                          "give --split val")  # fmt: skip
-    of_more = isinstance(chosen, Characters | FingerGestures)
+    mirror, of_more = measuring.mirror, isinstance(chosen, Characters | FingerGestures)
     if mirror and (dump is not None or of_more or is_of_clips(chosen)):
         raise InputError("--mirror: expected a test set of single meshes and no --dump, found another; leave one out")
     if runtime and of_more:
         raise InputError(f"--torch: expected a test set of meshes or clips, found {protocol}; leave it out")
     for method in filter(fingerprint, methods if runtime else ()):
-        open_network(method, ensemble, runtime)  # later, it would be a failure of every pair
-    options: dict[str, Any] = {"ensemble": ensemble, "refine": refine}
+        open_network(method, measuring.ensemble, runtime)  # later, it would be a failure of every pair
+    options: dict[str, Any] = {"ensemble": measuring.ensemble, "refine": measuring.refine}
     config = {**data_facts(chosen, split, data), "pairs": pairs or chosen.pairs, **options}
     config |= {"mirror": True} if mirror else {}
     if runtime:
