@@ -32,7 +32,15 @@ from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
 from mimesh.methods.find import NETWORK_OF_BODY, find_mime
 from mimesh.mime.model import Mime
-from mimesh.pipeline.look import FITS, MAX_DOUBT, TURNED_SPREAD, Subject, look, predicted_body, same_after_half_turn
+from mimesh.pipeline.look import (
+    FITS,
+    REJECTION_THRESHOLD,
+    TURNED_SPREAD,
+    Subject,
+    look,
+    predicted_body,
+    same_after_half_turn,
+)
 from mimesh.rigs.confidence import MAX_OTHER_KIND, MAX_SPREAD, Confidence, Standards
 
 PER_PACK = 8
@@ -154,7 +162,7 @@ def decided(row: dict[str, Any]) -> str | None:
         return taken
     if fits[other].other_kind < FITS and fits[other].prediction_spread <= MAX_SPREAD:
         return other
-    return next((body for body, fit in fits.items() if fit.other_kind <= MAX_DOUBT), None)
+    return next((body for body, fit in fits.items() if fit.other_kind <= REJECTION_THRESHOLD), None)
 
 
 def compact(row: dict[str, Any]) -> dict[str, Any]:

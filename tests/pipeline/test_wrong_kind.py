@@ -20,7 +20,7 @@ from mimesh.core.mesh import Mesh
 from mimesh.io import save_mesh
 from mimesh.methods.find import INDEX_PAIRED, find_mime
 from mimesh.pipeline import transfer
-from mimesh.pipeline.look import MAX_DOUBT, Subject, predicted_body, same_after_half_turn, second_look
+from mimesh.pipeline.look import REJECTION_THRESHOLD, Subject, predicted_body, same_after_half_turn, second_look
 from mimesh.pipeline.rigging import rig
 from mimesh.rigs.confidence import MAX_OTHER_KIND
 
@@ -108,9 +108,9 @@ def test_tables_rings_and_figures_are_the_same_after_half_a_turn_and_bodies_are_
     ("taken", "other_kind", "found"),
     [
         ("human", MAX_OTHER_KIND - 0.1, "human"),
-        ("human", MAX_DOUBT - 0.1, "human"),
-        ("human", MAX_DOUBT + 0.1, None),
-        ("quadruped", MAX_DOUBT + 0.1, "human"),
+        ("human", REJECTION_THRESHOLD - 0.1, "human"),
+        ("human", REJECTION_THRESHOLD + 0.1, None),
+        ("quadruped", REJECTION_THRESHOLD + 0.1, "human"),
     ],
 )
 def test_a_mesh_in_doubt_is_moved_and_one_that_fits_no_body_is_refused(taken, other_kind, found, monkeypatch):

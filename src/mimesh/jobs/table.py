@@ -331,7 +331,6 @@ def option_values(command: str, options: tuple[tuple[str, str], ...]) -> dict[st
     given = {name: values[name] for name in ("ensemble", "seed", "pairing") if name in values}
     model = find_model(values["model"], **given)
     motion = MotionOptions(**{name: values[name] for name in ("root", "ground", "smooth") if name in values})
-    # In the function `rig`, --rig has another name.
     Hints(rig=values.get("rig", "own"), body=values["body"])
     if command in ("rig", "capture"):
         find_mime(values["model"], values["seed"])

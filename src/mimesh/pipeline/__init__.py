@@ -20,7 +20,7 @@ from ..methods.find import find_model, ordered_weights
 from ..mime.model import Mime
 from .file_rigs import still_clip
 from .known import Known
-from .read import read_clip, read_driving, read_mesh
+from .read import read_clip, read_frames, read_mesh
 from .report import TransferReport
 from .result import ClipResult, Result, Timer
 from .route import Model, find_route
@@ -133,7 +133,7 @@ def animate(
     timer = Timer()
     with timer.step("load"):
         identity = read_mesh(identity, "identity")
-        clip, whole = read_driving(driving, frames, animation, whole=hints.driving_joints is not None)
+        clip, whole = read_frames(driving, frames, animation, whole=hints.driving_joints is not None)
     chosen = _model(model, (identity, clip.mesh), options)
     known = _known(hints, chosen, clip, whole)
     with timer.step("prepare"):
@@ -145,20 +145,7 @@ def animate(
         notes += first_frame_note(clip, frames.start, Path(driving).name)
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose: give an animated .glb or a folder of frames",)
-    return ClipResult(
-        identity.with_vertices(moved.frames.first()),
-        moved.frames,
-        clip.fps,
-        chosen.name,
-        timer,
-        moved.report,
-        notes,
-        moved.skeleton,
-        identity,
-        clip,
-        moved.driving_joints,
-        moved.own,
-    )
+    return moved.clip_result(identity, clip, chosen.name, timer, notes)
 
 
 @public

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -27,6 +25,7 @@ from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..core.options import MotionOptions
+from ..core.threads import both
 from ..methods.find import NETWORK_OF_BODY
 from ..mime.model import CapturedMotion, Mime
 from ..mime.prediction import face_outward
@@ -267,10 +266,10 @@ def _found(
 ) -> tuple[tuple[Character, Normalization], tuple[JointMotion, Normalization]]:
     """Find the joints of both meshes, each with the normalisation in which it was recognised."""
     corrections = known.corrections
-    with ThreadPoolExecutor(1) as executor:  # the two meshes are independent
-        mine = executor.submit(copy_context().run, find_character, mime, subjects[0], looks[0], rigs, corrections)
-        theirs = find_motion(mime, clip, subjects[1], looks[1], rigs, corrections)
-        return mine.result(), theirs
+    return both(
+        lambda: find_character(mime, subjects[0], looks[0], rigs, corrections),
+        lambda: find_motion(mime, clip, subjects[1], looks[1], rigs, corrections),
+    )
 
 
 def found_alone(

@@ -12,9 +12,8 @@ animal, a mesh that is not clearly a person is one (`agreed`).
 from __future__ import annotations
 
 import dataclasses
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +36,7 @@ from ..core.normalization import (
 )
 from ..core.rig import Rig
 from ..core.surface_points import at_barycentric, generator, sample_surface
+from ..core.threads import both
 from ..methods.base import Method
 from ..methods.find import INDEX_PAIRED, NETWORK_OF_BODY, SHIPPED_NETWORKS, TABLE_MODELS, find_mime
 from ..mime.model import Mime
@@ -61,7 +61,7 @@ MIN_GAIN = 0.15
 FITS = 0.0
 """Largest `Confidence.other_kind` of a mesh that another body is found on. It is below MAX_OTHER_KIND, so that no mesh
 changes its kind for a trifle."""
-MAX_DOUBT = 1.8
+REJECTION_THRESHOLD = 1.8
 """Largest `Confidence.other_kind` of a mesh that is moved at all, with a note from MAX_OTHER_KIND on. Tuned on
 development data (docs/log/mime.md, 2026-11-27): ordinary people at the joint limits reach 1.76."""
 HALF_TURN = 0.008
@@ -125,9 +125,8 @@ def agreed(mime: Mime, asked: str, subjects: tuple[Subject, Subject]) -> tuple[M
         check_known_body(mime, asked)
         return mime, (known_look(mime, subjects[0]), known_look(mime, subjects[1]))
     known = next((of.body for of in subjects if of.body is not None), None) if asked == "auto" else asked
-    with ThreadPoolExecutor(1) as executor:  # the two meshes are independent
-        second = executor.submit(look, mime, subjects[1], known, quick=True)
-        looks = [look(mime, subjects[0], known, quick=True), second.result()]
+    second, first = both(*(partial(look, mime, subject, known, quick=True) for subject in subjects[::-1]))
+    looks = [first, second]
     if looks[0].body != looks[1].body:
         person = int(looks[1].body == "human")
         looks[person] = look(mime, subjects[person], known)  # it may be an animal in an orientation that was not tried
@@ -178,9 +177,9 @@ def look(mime: Mime, subject: Subject, known: str | None, quick: bool = False) -
 def second_look(mime: Mime, taken: str, subject: Subject, confidence: Confidence | None = None) -> str | None:
     """Say which body a mesh has, by fits of the bodies; None: it looks like none, and is refused.
 
-    It has the body that it was taken for if that fits, else another one that does. A mesh in doubt has the one or the
-    other, too, and the result gets a note. What half a turn leaves as it is has no front: a table is no animal, and a
-    lamp no person, however well they fit.
+    It has the body that it was taken for if that fits, else another one that does. An uncertain mesh has the one or
+    the other, too, and the result gets a note. What half a turn leaves as it is has no front: a table is no animal,
+    and a lamp no person, however well they fit.
 
     Args:
         confidence: of the body that it was taken for, if that was fitted already.
@@ -202,7 +201,7 @@ def second_look(mime: Mime, taken: str, subject: Subject, confidence: Confidence
     for body, fit in fits.items():
         if body != taken and fit.other_kind < FITS and fit.prediction_spread <= MAX_SPREAD:
             return body
-    return next((body for body, fit in fits.items() if fit.other_kind <= MAX_DOUBT), None)
+    return next((body for body, fit in fits.items() if fit.other_kind <= REJECTION_THRESHOLD), None)
 
 
 def same_after_half_turn(mesh: Mesh) -> bool:

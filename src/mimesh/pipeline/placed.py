@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,10 +15,12 @@ from ..core.frame_buffer import LazyFrames, evenly_spread
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, turn
 from ..core.surface_points import SurfacePoints
+from ..core.threads import both
 from ..io.beside import missing_images, missing_images_notes
 from .file_rigs import NO_RIGS, Rigs
 from .refine import Refinement
 from .report import MeshReport, TransferReport, accelerations, facing, facing_note, quality
+from .result import ClipResult, Timer
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
@@ -47,6 +48,23 @@ class Moved:
     notes: tuple[str, ...]
     driving_joints: JointPositions | None = None
     """Joints of the driving in its first frame, in its axes, unit and position, if the model has joints."""
+
+    def clip_result(self, identity: Mesh, clip: Clip, model: str, timer: Timer, notes: tuple[str, ...]) -> ClipResult:
+        """Return the result of a clip, with all notes."""
+        return ClipResult(
+            identity.with_vertices(self.frames.first()),
+            self.frames,
+            clip.fps,
+            model,
+            timer,
+            self.report,
+            notes,
+            self.skeleton,
+            identity,
+            clip,
+            self.driving_joints,
+            self.own,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +140,9 @@ def surface_report(
 ) -> dict[str, Any]:
     """Return the part of the report that all results have."""
     axes = {"identity": facings[0], "driving": facings[1]}
-    with ThreadPoolExecutor(1) as executor:  # the two need different frames
-        accelerated = executor.submit(accelerations, clip, moved)
-        return {**quality(identity, moved), **accelerated.result(), **axes}
+    # The two need different frames.
+    accelerated, shaped = both(lambda: accelerations(clip, moved), lambda: quality(identity, moved))
+    return {**shaped, **accelerated, **axes}
 
 
 def check_identity(identity: Mesh) -> None:

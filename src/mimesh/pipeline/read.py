@@ -38,7 +38,7 @@ def read_clip(clip: Clip | str | Path, fps: float | None, animation: str | int |
     return load_driving(Path(clip), fps=fps, animation=animation)
 
 
-def read_driving(
+def read_frames(
     clip: Clip | str | Path, frames: FrameRange, animation: str | int | None, whole: bool
 ) -> tuple[Clip, Clip]:
     """Read some frames of a clip; returns these, and the clip that they are of: the whole one if it is asked for."""

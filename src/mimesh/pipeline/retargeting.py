@@ -72,20 +72,8 @@ def retarget(
     moved = route.play(timer, motion, progress, np.float32)
     for which, report in (("identity", rigged.report), ("driving", captured.report)):
         moved.report[which]["up_from"] = report["up_from"]
-    return ClipResult(
-        rigged.mesh.with_vertices(moved.frames.first()),
-        moved.frames,
-        theirs.clip.fps,
-        theirs.network.name,
-        timer,
-        moved.report,
-        captured.notes + moved.notes,
-        moved.skeleton,
-        rigged.mesh,
-        theirs.clip,
-        moved.driving_joints,
-        moved.own,
-    )
+    notes = captured.notes + moved.notes
+    return moved.clip_result(rigged.mesh, theirs.clip, theirs.network.name, timer, notes)
 
 
 def _follow(mine: FoundCharacter, theirs: FoundMotion, mesh: Mesh) -> Retarget:
