@@ -11,11 +11,13 @@ from people import person, walk
 from vrm_files import bone_positions, vrm, vrma
 
 import mimesh
+from mimesh.bodies import load_body
 from mimesh.commands.move import print_facts
 from mimesh.commands.options import OutputOptions
-from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+from mimesh.io import load_clip, load_mesh, save_bvh, save_clip, save_mesh
 from mimesh.io.gltf.document import open_document
-from mimesh.pipeline.skinned import save_skinned
+from mimesh.motions.procedural import walk_motion
+from mimesh.pipeline.skinned import distinct_names, save_skinned
 from mimesh.tools.convert import choose_clips
 
 pytest.importorskip("onnx")
@@ -202,3 +204,16 @@ def test_a_vrma_has_bones_alone(files, tmp_path, call):
     assert "meshes" not in open_document(tmp_path / "a.vrma").gltf
     assert "which has the bones of VRM; leave them out" in call(f"{line}/b.vrma --names mixamo").err
     assert "found .vrm, which holds none by its specification; write b.vrma" in call(f"{line}/b.vrm").err
+
+
+def test_notes_of_a_capture_are_told_once(files, call, tmp_path):
+    capture = save_bvh(walk_motion(load_body(), 0, 0, seconds=0.2), load_body(), tmp_path / "walk.bvh")
+    capture.write_text(capture.read_text() + capture.read_text().splitlines()[-1] + "\n")
+    ended = call(
+        f"animate {files / 'hero.glb'} {capture} -m {files / 'mime.onnx'} -o {tmp_path / 'a.glb'} --no-preview"
+    )
+    assert ended.out.count("note: walk.bvh") == 1, ended.out
+
+
+def test_clips_whose_names_a_system_takes_for_one_are_numbered():
+    assert distinct_names(["a/b", "a:b", "Walk", "walk", "walk"]) == ["a/b", "a:b-2", "Walk", "walk-2", "walk-3"]

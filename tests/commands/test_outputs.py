@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zoo
 from matrix import matrix
@@ -44,7 +45,15 @@ def test_frames_are_not_written_among_other_meshes(files, call):
 @pytest.mark.parametrize("command", ["transfer", "animate"])
 def test_a_capture_as_the_mesh_to_move_is_refused(command, files, refuses):
     Path("dance.bvh").touch()
-    refuses(f"{command} dance.bvh hero.obj", "found .bvh, which has joints alone; give it as DRIVING")
+    np.savez("amass.npz", poses=np.zeros((2, 156)), trans=np.zeros((2, 3)), mocap_framerate=30.0)
+    for name in ("dance.bvh", "amass.npz"):
+        refuses(f"{command} {name} hero.obj", "found a file of joints alone; give it as DRIVING")
+
+
+def test_an_output_without_a_suffix_is_refused_before_the_work(files, refuses, monkeypatch):
+    np.savez("amass.npz", poses=np.zeros((2, 156)), trans=np.zeros((2, 3)), mocap_framerate=30.0)
+    monkeypatch.setattr("mimesh.pipeline.transfer", lambda *_, **__: pytest.fail("the work has begun"))
+    refuses("transfer amass.npz hero.obj -o out", "out: expected ")
 
 
 @pytest.mark.parametrize(

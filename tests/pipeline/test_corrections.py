@@ -15,7 +15,7 @@ from mimesh.bodies.animals import animal
 from mimesh.bodies.sampling import sample_pose
 from mimesh.core.joint_corrections import JointCorrections
 from mimesh.core.mesh import Clip, Mesh
-from mimesh.core.options import Hints
+from mimesh.core.options import Hints, MotionOptions
 from mimesh.evaluate.measure import AXES
 from mimesh.io.joint_file import load_corrections, save_corrections
 from mimesh.motions.animal_clips import gait_clip
@@ -101,6 +101,14 @@ def test_a_file_names_the_frame_of_the_whole_clip(tmp_path):
     assert np.linalg.norm(moved - moved.mean(axis=1, keepdims=True), axis=-1).mean() < 0.03, "but for the place"
     with pytest.raises(InputError, match="has 3 counted from 0, found 3"):
         animate(PERSON, clip, **grouped(AXES, driving_joints=JointCorrections({"Head": elbow}, 3)))
+
+
+@pytest.mark.slow
+def test_found_joints_are_not_smoothed():
+    """They are edited and given back, so they lie in the frame and not beside it."""
+    clip = Clip(PERSON, np.stack([posed(seed).vertices for seed in range(3)]), 30.0)
+    plain, smooth = (animate(PERSON, clip, motion=MotionOptions(smooth=s)).driving_joints for s in (0.0, 0.3))
+    np.testing.assert_array_equal(list(plain.values()), list(smooth.values()))
 
 
 @pytest.mark.slow

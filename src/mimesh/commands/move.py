@@ -82,7 +82,7 @@ def transfer(
     hints, corrected = with_joint_files(hints, identity, driving, joints, model)
     with progress("reading", output.silent):
         (mesh, (posed, notes)), seconds = _timed(lambda: (load_mesh(identity), _posed_mesh(driving, taken.body_model)))
-    check_suffix(target, (*MESH_WRITERS, mesh.source.suffix if mesh.source else ""))
+    check_suffix(target, (*MESH_WRITERS, *([mesh.source.suffix] if mesh.source else [])))
     with progress("transfer", output.silent):
         result = run_transfer(mesh, posed, model, hints=hints, options=options)
     result.seconds["load"] += seconds
@@ -106,12 +106,11 @@ def usual_suffix(identity: Path) -> str:
 def _refuse_motion(identity: Path, output: str | None) -> None:
     """Raise InputError for a file of joints alone as the mesh to move, unless an output is named for it."""
     from ..core.errors import InputError
-    from ..io.formats import MOTIONS
+    from ..tools.convert import has_joints_alone
 
-    suffix = identity.suffix.lower()
-    if suffix in MOTIONS and output is None:
+    if output is None and identity.is_file() and has_joints_alone(identity):
         raise InputError(
-            f"{identity}: expected a mesh to move, found {suffix}, which has joints alone; give it as DRIVING, or name "
+            f"{identity}: expected a mesh to move, found a file of joints alone; give it as DRIVING, or name "
             "an output such as -o body.glb to move mimesh's own body in its first frame"
         )
 
@@ -151,8 +150,9 @@ def animate(
     without a suffix is a folder of meshes. Several DRIVING, or several animations of one (--animation Walk --animation
     Run, or --animation all), become one .glb with an animation for each.
     """
+    from ..io import load_mesh
     from ..io.atomic import together
-    from ..tools.convert import choose_clips
+    from ..tools.convert import choose_clips, own_body_note
 
     _refuse_motion(identity, output.output)
     target = output_path(output.output, lambda: clip_output(identity, driving), frames=True)
@@ -169,12 +169,16 @@ def animate(
     refuse_existing(output.no_clobber, target, *pages, *saved_joints(joints))
     as_joints = check_clip_output(target, len(clips), bool(motion.skinned), shapes, layout)
     motion = dataclasses.replace(motion, skinned=as_joints)
+    with progress(f"reading {identity.name}", output.silent):
+        mesh, seconds = _timed(lambda: load_mesh(identity))
     moved = []
     for chosen, title in zip(clips, titles, strict=True):
         with_files, described = with_joint_files(hints, identity, chosen.path, joints, model)
-        job = ClipJob(identity, chosen, title, target, model, with_files, options, motion, taken, layout, shapes)
-        moved.append((*job.run(output.silent), described))
+        job = ClipJob(mesh, chosen, title, target, model, with_files, options, motion, taken, layout, shapes)
+        result, notes = job.run(output.silent)
+        moved.append((result, own_body_note(identity) + notes, described))
     results = [result for result, _, _ in moved]
+    results[0].seconds["load"] += seconds
     replaced = target.exists()
     with together():
         with progress("writing", output.silent) as advance:
@@ -201,7 +205,7 @@ def animate(
 class ClipJob:
     """One clip of `mimesh animate`, with all options of the command."""
 
-    identity: Path
+    identity: Mesh
     clip: DrivingClip
     title: str | None
     """Name of the clip where there are several."""
@@ -215,8 +219,7 @@ class ClipJob:
     shapes: ShapeOptions
 
     def run(self, silent: bool) -> tuple[ClipResult, tuple[str, ...]]:
-        """Read the identity and the clip, and move the one by the other; return the result and notes on both files."""
-        from ..io import load_mesh
+        """Read the clip, and move the identity by it; return the result and notes on the file."""
         from ..methods.find import moves_joints
         from ..pipeline import animate as run_animate
         from ..tools.convert import hierarchy_note, read_driving, resampled_note
@@ -224,12 +227,10 @@ class ClipJob:
         # Corrected joints may be in a frame that is not taken.
         whole, taken = self.hints.driving_joints is not None, self.taken
         with progress(f"reading {self.clip.path.name}", silent) as advance:
-            (mesh, (clip, of_clip)), seconds = _timed(
-                lambda: (
-                    load_mesh(self.identity),
-                    read_driving(self.clip, taken.body_model, taken.fps, taken.slice, advance, whole),
-                )
+            (clip, of_clip), seconds = _timed(
+                lambda: read_driving(self.clip, taken.body_model, taken.fps, taken.slice, advance, whole)
             )
+        mesh = self.identity
         if self.motion.skinned is False or not moves_joints(self.model):
             frames = len(range(len(clip))[taken.slice]) if whole else len(clip)
             check_frames_size(mesh, frames, self.target, self.shapes.blendshapes, silent)
@@ -247,7 +248,8 @@ class ClipJob:
             )
         result.seconds["load"] += seconds
         hierarchy = hierarchy_note(result.own, self.layout.names, mesh.name)
-        return result, of_clip + resampled_note(len(result.frames), result.fps, self.layout.fps) + hierarchy
+        of_clip += resampled_note(len(result.frames), result.fps, self.layout.fps)
+        return result, of_clip + hierarchy
 
 
 def _log(result: Result | ClipResult, model: str, body: str) -> None:

@@ -27,7 +27,7 @@ MODELS = ("mime", "npt", "npt-maxpool", "aniformer", "copy", "deformation-transf
 
 
 def lift_limits(wanted: bool) -> bool:
-    """Lift the budgets of files until the command ends: `cli.run` gives each command a context of its own."""
+    """Lift the budgets of files until the command ends: `__main__.run` gives each command a context of its own."""
     if wanted:
         from ..core.budgets import lift_limits as lift
 

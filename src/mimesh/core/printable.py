@@ -14,6 +14,8 @@ from collections.abc import Iterator
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
 """C0 and C1 control characters, marks of direction, line separators, byte order marks, and surrogates, which are no
 text and which UTF-8 cannot encode."""
+_FORBIDDEN = re.compile(r'[<>:"/\\|?*]')
+"""Characters that file names cannot have on some system."""
 
 
 def printable(text: str) -> str:
@@ -24,6 +26,11 @@ def printable(text: str) -> str:
 def plain(name: str) -> str:
     """Return a name to be written to a file of text or used as a file name: what is not printable becomes `_`."""
     return _UNPRINTABLE.sub("_", name)
+
+
+def file_name(name: str) -> str:
+    """Return a name that a file can have on any system: what is not printable or forbidden becomes `_`."""
+    return _FORBIDDEN.sub("_", plain(name))
 
 
 def say(*lines: str, error: bool = False) -> None:

@@ -60,7 +60,7 @@ class Rigs:
         """Read the rigs of both files, where these have any; the identity's only if the choice is "own".
 
         Args:
-            choice: one of `options.RIGS`, or the identity's rig itself.
+            choice: one of the values of `Hints.rig`, or the identity's rig itself.
             copy: of files with the same skeleton, read only what is copied.
             find: find joints of identity and driving whose names say nothing.
             body: `human` or `quadruped`; "auto": as an animal is read what is no person; "other": only copies are read.

@@ -101,7 +101,8 @@ class JointRoute(Placed):
             # The weights of an identity's own file stay as they are.
             limited = limited and self.rigs.humanoid is None
             retarget = self.retarget.limited(INFLUENCES) if limited else self.retarget
-            track = retarget.motion.over(clip, self.norms[1], retarget.driving_soles, progress).smoothed(options.smooth)
+            measured = retarget.motion.over(clip, self.norms[1], retarget.driving_soles, progress)
+            track = measured.smoothed(options.smooth)
             across = self.norms[1].radius / self.norms[0].radius if options.root == "keep" else None
             posed = retarget.posed_joints(track, across, options.root == "drop", options.ground)
             route = dataclasses.replace(self, retarget=retarget)
@@ -118,7 +119,7 @@ class JointRoute(Placed):
         report |= self._skates(retarget, track, posed, across, options)
         if limited:
             report["influence_deviation"] = self._influence_deviation(retarget, posed)
-        positions = self.norms[1].undo(track.positions[0])
+        positions = self.norms[1].undo(measured.positions[0])
         driving_joints = without_fingers(dict(zip(retarget.motion.joints, positions, strict=True)))
         return Moved(moved, skeleton, own, cast(TransferReport, report), notes, driving_joints)
 

@@ -74,7 +74,7 @@ class _Playable(Protocol):
         Those of fingers are left out: all others can be corrected and passed to `transfer`.
 
         Example:
-            >>> moved_knee = {"LeftLeg": result.joints["LeftLeg"] + [0.02, 0, 0]}  # transfer(..., joints=moved_knee)
+            >>> moved_knee = {"LeftLeg": result.joints["LeftLeg"] + [0.02, 0, 0]}  # Hints(joints=moved_knee)
         """
         rig = self.skeleton
         if rig is None:
@@ -365,7 +365,7 @@ class ClipResult(_Playable):
         rest: str = "file",
         fps: float | None = None,
     ) -> Path:
-        """Write a .glb or .gltf of the identity at rest with joints, four weights a vertex and joint rotations.
+        """Write a .glb, .gltf or .fbx of the identity at rest with joints, four weights a vertex and joint rotations.
 
         Such files are small for any length of clip, and game engines read them; see `skinned.save_skinned`, which also
         writes several results to one file. The deviation from the frames is then in `report` ("skinned_deviation"). A

@@ -17,6 +17,7 @@ from ..core.animated_rig import CHECKED_FRAMES, AnimatedRig, RigAnimation
 from ..core.arguments import described, public
 from ..core.errors import InputError, option
 from ..core.options import Layout, needs_joints
+from ..core.printable import file_name
 from ..core.rig import Rig, descendants
 from ..io import save_own_animations, save_rig_animations
 from .vrma import save_bone_motions
@@ -229,15 +230,14 @@ def _own_deviations(result: ClipResult, animation: OwnAnimation, played: PlayedA
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:
-    """Number names that were there before: walk, walk-2, walk-3."""
-    distinct: list[str] = []
+    """Number names that were there before, as files are named on any system: walk, walk-2, Walk-3."""
+    distinct: dict[str, str] = {}
     for name in names:
-        number = 2
-        candidate = name
-        while candidate in distinct:
+        number, candidate = 2, name
+        while (file := file_name(candidate).casefold()) in distinct:
             candidate, number = f"{name}-{number}", number + 1
-        distinct.append(candidate)
-    return distinct
+        distinct[file] = candidate
+    return list(distinct.values())
 
 
 def on_common_rig(skeletons: Sequence[AnimatedRig]) -> list[AnimatedRig]:

@@ -253,7 +253,7 @@ def read_driving(
     progress: Progress | None = None,
     whole: bool = False,
 ) -> tuple[Clip, tuple[str, ...]]:
-    """Read a driving clip with notes on what was taken of its file.
+    """Read a driving clip with notes on what was taken of its file, beside those of the clip itself.
 
     Args:
         frames: those to take; of a motion file no others are posed.
@@ -270,7 +270,7 @@ def read_driving(
     if body_model is None:
         taken = frames if early else slice(None)
         clip = load_driving(path, fps=fps, animation=chosen.animation, progress=progress, frames=taken)
-        notes = clip.notes
+        notes: tuple[str, ...] = ()
     else:
         clip, notes = read_clip(path, body_model, fps, chosen.animation, progress)
     notes += animations_note(chosen.animations, path, several=True) if chosen.animation is None else ()
@@ -442,7 +442,7 @@ def _at_rest_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
     return ()
 
 
-def _has_joints_alone(path: Path) -> bool:
+def has_joints_alone(path: Path) -> bool:
     """Return whether a file of one mesh is read as mimesh's own body."""
     if path.suffix.lower() != ".npz":
         return path.suffix.lower() in MOTIONS
@@ -451,10 +451,17 @@ def _has_joints_alone(path: Path) -> bool:
     return is_motion_file(path)
 
 
+def own_body_note(path: Path) -> tuple[str, ...]:
+    """Return a note if a file of one mesh is read as mimesh's own body."""
+    if not has_joints_alone(path):
+        return ()
+    return (f"{path.name} has joints and no mesh: mimesh's own body in its first frame is taken",)
+
+
 def taken_pose_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
     """Return a note on which pose a single mesh was read in, if its file moves."""
-    if _has_joints_alone(path):
-        return (f"{path.name} has joints and no mesh: mimesh's own body in its first frame is taken",)
+    if note := own_body_note(path):
+        return note
     if getattr(mesh.source, "animations", ()):
         return (
             f"{path.name} has an animation: its mesh at rest is taken; for another pose, mimesh convert {path.name} "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,7 @@ from jaxtyping import Float, UInt8
 
 from ..core.frame_buffer import evenly_spread
 from ..core.mesh import Clip, Mesh
-from ..core.printable import plain
+from ..core.printable import file_name
 from ..core.surface_clusters import clustered_mesh
 from ..io.atomic import whole_file, writing
 from ..pipeline.report import MeshReport
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
 
     from ..pipeline.rigging import RiggedMesh
 
-FORBIDDEN = re.compile(r'[<>:"/\\|?*]')
-"""Characters that names of animations may have, and names of files on some system may not."""
 MOTION = MotionLimits(frames=250, characters=4 * 2**20, vertices=50_000, driving_vertices=2000)
 """Of a page beside a result: seconds to write, and 5 MB with the script, a small .glb and no textures."""
 TILE = (360, 440)
@@ -61,7 +58,7 @@ def names_beside(output: Path, clip: str | None = None, usual: str = ".glb") -> 
     """
     name = output.stem if output.suffix.lower() == usual.lower() else output.name
     if clip is not None:
-        name = f"{name}-{plain(FORBIDDEN.sub('_', clip))}"
+        name = f"{name}-{file_name(clip)}"
     return output.with_name(f"{name}.preview.png"), output.with_name(f"{name}.preview.html")
 
 

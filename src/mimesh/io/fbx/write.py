@@ -28,7 +28,7 @@ import numpy as np
 
 from ...bodies.joint_names import ancestors
 from ...core.errors import InputError
-from ...core.printable import numbered
+from ...core.printable import file_name, numbered
 from ..atomic import scratch_folder
 from ..child_process import MIB, last_line
 from ..gltf.animation import AnimationChannel, add_animation, animation_names, frame_rate, frame_times, read_channels
@@ -53,8 +53,6 @@ SHORTEST = 2
 MATERIAL, IMAGE = "mimesh-material-{}", "mimesh-image-{}"
 """Names of materials and images during the import; Blender keeps up to 63 bytes."""
 SUFFIXES = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp", "image/ktx2": ".ktx2"}
-FORBIDDEN = '<>:"/\\|?*'
-"""Characters that file names cannot have on some system."""
 LONGEST = 40
 """Characters of an image's name without its suffix."""
 
@@ -277,7 +275,7 @@ def _image_names(document: Document) -> list[str]:
         suffix = SUFFIXES.get(image_type(content) or "", "") if content else PurePosixPath(file).suffix
         while PurePosixPath(stem).suffix.lower() in {*SUFFIXES.values(), ".jpeg", ".tga", ".bmp", ".tif", ".tiff"}:
             stem = PurePosixPath(stem).stem
-        stem = "".join("_" if c in FORBIDDEN or not c.isprintable() else c for c in stem).strip(" .")[:LONGEST]
+        stem = file_name(stem).strip(" .")[:LONGEST]
         taken = {name.lower() for name in names}  # on some systems case does not count
         names.append(next(n for n in numbered(stem or f"image{number}", suffix=suffix) if n.lower() not in taken))
     return names
