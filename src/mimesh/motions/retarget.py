@@ -21,7 +21,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
-from ..bodies.joint_names import named_joints, require_joints
+from ..bodies.hands import hand_frames
+from ..bodies.joint_names import captured_fingers, finger_joints, followed_fingers, named_joints, require_joints
 from ..core.errors import InputError
 from ..core.geometry import nearest_rotation, rotation_between, rotations_between, unit_vectors
 from ..core.mesh import LARGEST
@@ -42,15 +43,19 @@ FLOOR_FRAMES = 400
 """Frames, evenly spread, that are used to find the floor."""
 
 
-def retarget(source: Bvh, body: RiggedBody, name: str | None = None, grounded: bool = True) -> Motion:
+def retarget(
+    source: Bvh, body: RiggedBody, name: str | None = None, grounded: bool = True, hands: bool = False
+) -> Motion:
     """Retarget a motion to `body` (mean shape), at the source's frame rate; errors name `name`.
 
     The root's path is scaled by the ratio of leg lengths and starts above the origin. The floor is estimated from the
-    result (FLOOR_QUANTILE). Joints that the source lacks are not rotated, nor are fingers: captures of hands with one
-    or two optical markers are mostly noise. Contacts are not enforced.
+    result (FLOOR_QUANTILE). Joints that the source lacks are not rotated; fingers go with those beside them. Contacts
+    are not enforced.
 
     Args:
         grounded: find the floor, which poses every vertex; without, only the rotations of the result are meant.
+        hands: rotate hands and fingers as those of the source are at rest (`bodies.hands.hand_frames`); without, hands
+            rest as the body's, relaxed, and fingers follow them.
 
     Raises:
         InputError: the hips or a limb joint are not found by name, a limb bone has no length at rest, or numbers are
@@ -77,10 +82,13 @@ def retarget(source: Bvh, body: RiggedBody, name: str | None = None, grounded: b
     else:
         axes = axes_from_motion(position, index)
         rest_rotation = calibrated_joints(axes @ rotation, position @ axes.T, rest, index, body)
+    if hands:
+        index |= captured_fingers(source.joint_names, source.parents, index)
+        rest_rotation |= _hand_rotations(rest, index, rest_rotation)
     target = np.empty((len(rotation), len(body.joint_names), 3, 3))
     for j, (joint, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
-        known = joint in index
-        target[:, j] = axes @ rotation[:, index[joint]] @ rest_rotation[joint] if known else target[:, parent]
+        known = next((n for n in (joint, *followed_fingers(joint)) if n in index), None)
+        target[:, j] = axes @ rotation[:, index[known]] @ rest_rotation[known] if known else target[:, parent]
     # The path is in units of the leg, so steps fit the body's legs.
     source_leg = [rest[index[joint]] for joint in LEG]
     scale = leg_length(body.joints, body.joint_names) / leg_length(np.array(source_leg), LEG)
@@ -145,6 +153,21 @@ def limb_alignments(
             toes = tail.replace("Foot", "ToeBase")
             aligned[tail] = aligned[toes] = rotation_between(body_bone * frontal, bone * frontal)
     return aligned
+
+
+def _hand_rotations(rest, index, rest_rotation):
+    """Compute M_j of hands and fingers from that of the hand as it follows the forearm.
+
+    Frames of the source are parallel at rest, so the fingers are placed in the frame of the hand.
+    """
+    found = {}
+    for hand in ("LeftHand", "RightHand"):
+        side = hand.removesuffix("Hand")
+        joints = [name for name in (hand, *finger_joints(side)) if name in index]
+        placed = {name: rest_rotation[hand].T @ (rest[index[name]] - rest[index[hand]]) for name in joints}
+        frames = hand_frames(placed, np.eye(3), side)
+        found |= {name: rest_rotation[hand] @ frames[name] for name in joints}
+    return found
 
 
 def _grounded(path, target, body):

@@ -181,6 +181,7 @@ def capture(
     known = Known.of(Hints(rig="mimesh", body=hints.body, **of_driving), taken, whole)
     with timer.step("prepare"):
         rigs = read_rigs(first, taken, known)
+        known = known.with_heading(taken, rigs.driving)
         subject = rigs.subjects(first, first, known.axes)[1]
 
         def find(network: Mime, seen: Look) -> tuple[JointMotion, Normalization]:

@@ -23,7 +23,7 @@ from .character import read_clips, read_standing, read_standing_animal, rig_at_r
 from .check import damaged
 from .document import Document
 from .edit import GltfSource
-from .motion import PLAYED_PATHS, rest_matrices
+from .motion import PLAYED_PATHS, front_before_placing, rest_matrices
 from .read import RestScene, unweighted_vertices
 from .scene import local_matrices, local_matrix, node_parents, node_properties, sort_parents_first, world_matrices
 
@@ -200,7 +200,9 @@ class GltfJoints:
         world = sample_joints(document, self.channels, self.times, nodes)
         if not np.isfinite(world).all():
             raise damaged(document.path, "finite joints", "NaN or infinity")
-        return humanoid.motion(world, rig.scene.T_world_node[nodes])
+        motion = humanoid.motion(world, rig.scene.T_world_node[nodes])
+        assert motion.front is not None
+        return dataclasses.replace(motion, front=front_before_placing(document, rig.scene.T_world_node, motion.front))
 
 
 def check_sound(rig: SkinnedCharacter, T_world_joint: Float[np.ndarray, "J 4 4"], path: object) -> None:
