@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from mimesh.bodies import load_body
 from mimesh.bodies.joint_names import finger_joints
 from mimesh.core.options import MotionOptions
+from mimesh.io import load_clip
 from mimesh.motions import Motion
 from mimesh.pipeline import animate
 
@@ -150,3 +151,66 @@ def still() -> Motion:
     body = load_body()
     turn = np.tile(np.eye(3), (2, len(body.parents), 1, 1))
     return Motion("t", body.joint_names, turn, np.tile([0.0, 1.0, 0.0], (2, 1)), 30.0)
+
+
+def way_above(name: str):
+    """Make a change of a draft: the node above all joints is called so, and moves by 2 m in frames 0 and 1."""
+
+    def change(draft) -> None:
+        node = draft.gltf["nodes"][0]
+        placed = np.reshape(node.pop("matrix"), (4, 4)).T
+        scale = float(np.cbrt(np.linalg.det(placed[:3, :3])))
+        node |= {"name": name, "rotation": Rotation.from_matrix(placed[:3, :3] / scale).as_quat().tolist()}
+        node["scale"] = [scale] * 3
+        animation = draft.gltf["animations"][0]
+        times = draft.add_floats(np.array([[0.0], [0.05]]), bounds=True)
+        way = draft.add_floats(np.array([[0.0, 0, 0], [0.0, 0.3, 2.0]]))
+        animation["channels"].append(
+            {"sampler": len(animation["samplers"]), "target": {"node": 0, "path": "translation"}}
+        )
+        animation["samplers"].append({"input": times, "output": way})
+
+    return change
+
+
+@pytest.mark.parametrize("size", [0.01, 1.0, 100.0])
+@pytest.mark.parametrize("name", ["armature", "Armature.001"])
+def test_the_way_of_a_node_above_the_joints_is_taken_over(name, size, model, tmp_path):
+    """Whatever it is called: of the same skeleton, whose values are copied, and where the scale above is another."""
+    waves = {"wave": [PERSON.pose({"LeftArm": Rotation.from_rotvec([0, 0, 0.1 * t]).as_matrix()}) for t in range(2)]}
+    hero = rigs.character(tmp_path / "hero.glb", person=PERSON, clips={"still": [PERSON.pose({})] * 2})
+    armature = np.diag([0.01 * size] * 3 + [1.0]) @ rigs.ARMATURE
+    driving = rigs.character(tmp_path / "d.glb", person=PERSON, armature=armature, clips=waves, change=way_above(name))
+    for root, way in (("scale", 2.0), ("keep", 2.0), ("drop", 0.0)):
+        result = animate(str(hero), str(driving), model, motion=MotionOptions(root=root, ground=False))
+        assert result.report.get("copied", False) == (root == "scale" and size == 100.0)
+        moved = np.asarray(result.clip.vertices[1], float) - result.clip.vertices[0]
+        np.testing.assert_allclose(np.median(moved, axis=0), [0.0, 0.3, way], atol=1e-4)
+        if root == "scale":
+            saved = load_clip(result.save_skinned(tmp_path / "rooted.glb", root_bone=True))
+            np.testing.assert_allclose(saved.vertices[1], result.clip.vertices[1], atol=1e-3)
+
+
+@pytest.mark.parametrize("second", ["Armature", "Other"])
+def test_keys_go_to_nodes_not_to_names(second, model, tmp_path):
+    """Two joints have one name; only the second one turns. With another name above, the files are not the same."""
+
+    def change(draft) -> None:
+        draft.gltf["nodes"][0]["name"] = second
+        for node in draft.gltf["nodes"]:
+            if node["name"] in ("LeftHandRing1", "LeftHandPinky1"):
+                node["name"] = "finger"
+
+    def renamed_armature(draft) -> None:
+        change(draft)
+        draft.gltf["nodes"][0]["name"] = "Armature"
+
+    turn = {"LeftHandPinky1": Rotation.from_rotvec([0, 0, -0.5]).as_matrix()}
+    bends = {"bend": [PERSON.pose({}), PERSON.pose(turn)]}
+    hero = rigs.character(
+        tmp_path / "hero.glb", person=PERSON, clips={"still": [PERSON.pose({})] * 2}, change=renamed_armature
+    )
+    driving = rigs.character(tmp_path / "d.glb", person=PERSON, clips=bends, change=change)
+    result = animate(str(hero), str(driving), model)
+    assert result.report["copied"]
+    np.testing.assert_allclose(result.clip.vertices[1], load_clip(driving).vertices[1], atol=1e-5)

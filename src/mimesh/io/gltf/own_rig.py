@@ -70,7 +70,7 @@ class FileRig:
             unit = np.cbrt(np.abs(np.linalg.det(above[0, :3, :3])))
             distance, angle = UNCHANGED * extent.max() / unit, UNCHANGED * extent.max() / np.linalg.norm(extent)
             entry = node_properties(document.gltf["nodes"][node])
-            found = _node_tracks(entry, local, distance, angle)
+            found = node_tracks(entry, local, distance, angle)
             tracks |= {(node, path): values for path, values in found.items()}
             # The nodes below undo what this one is off, so that errors along a chain do not add up.
             world[node] = above @ local_matrix({**entry, **found})
@@ -280,7 +280,7 @@ def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: object) -> None:
         raise InputError(f"{path}: expected joints scaled equally along all axes, found others; apply their scale")
 
 
-def _node_tracks(
+def node_tracks(
     own: Mapping[str, Float[np.ndarray, " _"]], local: Float[np.ndarray, "T 4 4"], distance: float, angle: float
 ) -> dict[str, Float[np.ndarray, "T _"]]:
     """Decompose local transforms into those of translation, rotation and scale that differ from the file's.
