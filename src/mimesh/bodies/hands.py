@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -150,6 +150,8 @@ def left_hand_body() -> RiggedBody:
 
 KNUCKLES = tuple(f"Hand{finger}1" for finger in FINGERS[1:])
 """First joints of the fingers without the thumb, without their side."""
+FEWEST_KNUCKLES = 2
+"""Knuckles that show where a palm faces."""
 
 
 def hand_frames(
@@ -158,9 +160,8 @@ def hand_frames(
     """Compute the rotations of a hand and its finger joints from the shipped body's T-pose to another rest pose.
 
     A hand is turned as its knuckles are, and each finger joint as its bone; the last of a finger follows the one
-    before. With one knuckle only the direction of the hand is known. A hand without knuckles is taken for a straight
-    one, whose palm faces down in a T-pose, as rigs are bound: the hands of the shipped body hang relaxed, with palms
-    turned by 30 degrees.
+    before. With one knuckle only the direction of the hand is known, without one nothing: it is taken for a straight
+    hand (`straight_hand`).
 
     Args:
         rest: positions of the hand and its finger joints at rest.
@@ -170,13 +171,12 @@ def hand_frames(
     body = body_with_fingers()
     t_pose = {name: body.joints[j] for j, name in enumerate(body.joint_names)}
     wrist, knuckles = f"{side}Hand", [side + knuckle for knuckle in KNUCKLES if side + knuckle in rest]
-    if len(knuckles) < 2:
-        straight = np.array([1.0 if side == "Left" else -1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-        hand = hand @ _axes(*straight) @ _palm(t_pose, wrist, [side + knuckle for knuckle in KNUCKLES]).T
+    if len(knuckles) < FEWEST_KNUCKLES:
+        hand = hand @ straight_hand(side)
     if len(knuckles) == 1:
         along, old_along = (at[knuckles[0]] - at[wrist] for at in (rest, t_pose))
         hand = rotation_between(hand @ old_along, along) @ hand
-    if len(knuckles) > 1:
+    if len(knuckles) >= FEWEST_KNUCKLES:
         hand = _palm(rest, wrist, knuckles) @ _palm(t_pose, wrist, knuckles).T
     frames = {wrist: hand}
     for finger in FINGERS:
@@ -187,6 +187,32 @@ def hand_frames(
                 frame = rotation_between(frame @ (t_pose[tail] - t_pose[name]), rest[tail] - rest[name]) @ frame
             frames[name] = frame
     return frames
+
+
+@cache
+def straight_hand(side: str) -> Float[np.ndarray, "3 3"]:
+    """Compute the rotation from the shipped body's hand, which hangs relaxed, to one whose palm faces down in a T-pose.
+
+    It is 33 degrees. Rigs are bound with straight hands, and captures begin with them.
+    """
+    body = body_with_fingers()
+    t_pose = {name: body.joints[j] for j, name in enumerate(body.joint_names)}
+    along, thumbs = np.array([1.0 if side == "Left" else -1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    return _axes(along, thumbs) @ _palm(t_pose, f"{side}Hand", [side + knuckle for knuckle in KNUCKLES]).T
+
+
+def straight_hands(joints: Sequence[str], above: Sequence[tuple[str, ...]]) -> Float[np.ndarray, "J 3 3"]:
+    """Return `straight_hand` for the joints of hands whose palm no knuckles show, the identity for all other joints.
+
+    Args:
+        joints: names of the joints that are known.
+        above: for each of J joints, the names of those that it is or is below.
+    """
+    turns = np.tile(np.eye(3), (len(above), 1, 1))
+    for side in SIDES:
+        if sum(side + knuckle in joints for knuckle in KNUCKLES) < FEWEST_KNUCKLES:
+            turns[[f"{side}Hand" in names for names in above]] = straight_hand(side)
+    return turns
 
 
 def _palm(at: Mapping[str, Float[np.ndarray, " 3"]], wrist: str, knuckles: list[str]) -> Float[np.ndarray, "3 3"]:
