@@ -64,8 +64,13 @@ def on_body(source: Bvh, path: str | Path) -> BodyMotion:
     fingered = captured_fingers(source.joint_names, source.parents, known)
     body = body_with_fingers() if fingered else load_body()
     motion = dataclasses.replace(retarget(source, body, str(path), hands=True), name=source.name)
-    front = "+z" if rests_standing(source.rest(), known) else None
-    return BodyMotion(motion, front, source.notes)
+    if rests_standing(source.rest(), known):
+        return BodyMotion(motion, "+z", source.notes)
+    note = (
+        f"{source.name} does not stand in its rest pose: its frames show how its joints are turned, with hips and head "
+        "level while it stands upright and feet while they are flat"
+    )
+    return BodyMotion(motion, None, (*source.notes, note))
 
 
 def motion_of_file(path: str | Path) -> Motion:
