@@ -17,6 +17,7 @@ from mimesh.core.options import MotionOptions
 from mimesh.io import load_clip
 from mimesh.motions import Motion
 from mimesh.pipeline import animate
+from mimesh.pipeline.capturing import capture
 
 FINGERS = (*finger_joints("Left"), *finger_joints("Right"))
 PERSON = rigs.figure(None, fingers=True)
@@ -214,3 +215,14 @@ def test_keys_go_to_nodes_not_to_names(second, model, tmp_path):
     result = animate(str(hero), str(driving), model)
     assert result.report["copied"]
     np.testing.assert_allclose(result.clip.vertices[1], load_clip(driving).vertices[1], atol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", [".bvh", ".vrma"])
+def test_hands_of_a_captured_motion_are_read_as_they_were(suffix, hero, model, tmp_path):
+    motion = still()
+    motion.rotmat[1, load_body().joint("LeftHand")] = Rotation.from_rotvec([0.3, 0.5, 0.2]).as_matrix()
+    path = write_bvh(tmp_path / "t.bvh", load_body(), motion, name=renamed("mixamo"))
+    again = capture(str(path), model).save(tmp_path / f"again{suffix}")
+    expected, found = (turns(moved(hero, each, model)) for each in (path, again))
+    for name in ("LeftHand", "RightHand", "LeftHandRing2", "LeftForeArm"):
+        assert degrees(found[name], expected[name]) < 0.1, name
