@@ -157,13 +157,13 @@ def clip_of_bones(
     clip = stored_clip(on_body(_skeleton(bones, rotation, T_world_joint[..., :3, 3], fps), bones.name).clip())
     assert isinstance(clip.skeleton, KnownJoints)
     joints, motion = person_joints(bones.joint_names, bones.parents), clip.skeleton.motion
-    clip = _scaled(clip, motion, leg_length(rest[[joints[name] for name in LEG], :3, 3], LEG) / motion.leg)
+    clip, motion = _scaled(clip, motion, leg_length(rest[[joints[name] for name in LEG], :3, 3], LEG) / motion.leg)
     if front is None:
         return clip
     standing = rests_standing(rest[:, :3, 3], joints)
     axes = axes_from_rest(rest[:, :3, 3], joints) if standing else axes_from_motion(T_world_joint[..., :3, 3], joints)
     ahead = axes @ ROTATIONS[[pair[1] for pair in ORIENTATIONS].index(front)][2]
-    skeleton = KnownJoints(replace(clip.skeleton.motion, front=axis_name(ahead)))
+    skeleton = KnownJoints(replace(motion, front=axis_name(ahead)))
     return replace(clip, headings=np.tile(ahead, (len(clip), 1)), skeleton=skeleton)
 
 
@@ -186,13 +186,13 @@ def _skeleton(
     return Bvh(bones.name, names, order, offsets, {}, local_rotations(rotation, order), position[:, 0], fps, moved)
 
 
-def _scaled(clip: Clip, motion: PersonMotion, scale: float) -> Clip:
+def _scaled(clip: Clip, motion: PersonMotion, scale: float) -> tuple[Clip, PersonMotion]:
     """Scale a clip and its joints about the origin."""
     mesh = replace(clip.mesh, vertices=scale * clip.mesh.vertices)
     for frame in clip.vertices:  # may be on disk
         frame *= scale
     motion = replace(motion, positions=scale * motion.positions, leg=scale * motion.leg)
-    return replace(clip, mesh=mesh, skeleton=KnownJoints(motion))
+    return replace(clip, mesh=mesh, skeleton=KnownJoints(motion)), motion
 
 
 def _check_finite(transforms: Float[np.ndarray, "T J 4 4"], name: str) -> None:

@@ -123,15 +123,14 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
             if len(value) > 1 or np.abs(value - own[path]).max() > 0:
                 tracks[node, path] = np.broadcast_to(value, (len(driving.times), value.shape[1]))
     beside = _other_sources(mine, theirs, values, pairs)
-    way = _way_above(driving, pairs)
-    if way and not (same_rest and way.keys() <= {other for other, _ in beside.values()}):
+    above = _moving_above(driving, pairs)
+    if above and not (same_rest and _has_above(mine, above, beside)):
         # The topmost joints take the motion of nodes above them that the identity lacks, or has under other names.
-        beside = {key: source for key, source in beside.items() if source[0] not in way}
-        for top in {top: None for tops in way.values() for top in tops}:
+        beside = {key: source for key, source in beside.items() if source[0] not in above}
+        for top in set().union(*above.values()):
+            carried = _carried(mine, top, tracks, _motion_above(driving, pairs[top], scale))
             sources = {key: source for key, source in sources.items() if key[0] != top}
-            tracks = {key: track for key, track in tracks.items() if key[0] != top} | _carried(
-                mine, top, tracks, _motion_above(driving, pairs[top], scale)
-            )
+            tracks = {key: track for key, track in tracks.items() if key[0] != top} | carried
     for key, source in beside.items():
         tracks[key] = continuous_quaternions(values[source]) if key[1] == "rotation" else values[source]
     # In a copy of the same file all targets have been copied already, those that do not move included.
@@ -143,17 +142,22 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
     return SharedMotion(faces | tracks, same_rest, alike, keys)
 
 
-def _way_above(driving: GltfJoints, pairs: dict[int, int]) -> dict[int, list[int]]:
-    """List the moving nodes above the paired joints of the driving, each with the topmost joints of mine below it."""
-    parents, found = tuple(node_parents(driving.document)), dict[int, list[int]]()
+def _moving_above(driving: GltfJoints, pairs: dict[int, int]) -> dict[int, set[int]]:
+    """Find the moving nodes above the paired joints of the driving, each with the topmost joints of mine below it."""
+    parents, paired = tuple(node_parents(driving.document)), set(pairs.values())
     moving = {channel.node for channel in driving.channels if channel.path in DEFAULT_TRS and not channel.constant}
-    paired = set(pairs.values())
+    found: dict[int, set[int]] = {}
     for node, other in pairs.items():
         above = ancestors(parents, other)[1:]
-        if not paired.intersection(above):
-            for moved in moving.intersection(above):
-                found.setdefault(moved, []).append(node)
+        for moved in () if paired.intersection(above) else moving.intersection(above):
+            found.setdefault(moved, set()).add(node)
     return found
+
+
+def _has_above(mine: Document, above: dict[int, set[int]], beside: Mapping[tuple[int, str], tuple[int, str]]) -> bool:
+    """Tell whether all moving nodes above the joints are copied to nodes above the same joints of mine."""
+    parents, target = tuple(node_parents(mine)), {other: node for (node, _), (other, _) in beside.items()}
+    return all(target.get(moved) in ancestors(parents, top) for moved, tops in above.items() for top in tops)
 
 
 def _motion_above(driving: GltfJoints, other: int, scale: float) -> Float[np.ndarray, "T 4 4"]:

@@ -178,7 +178,7 @@ def _nearest_axis_rotation(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarr
 
 def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
     """Find the nodes that are joints, each after its parent, and the parent joint of each; the one root has -1."""
-    node_parent = tuple(node_parents(document))
+    node_parent = node_parents(document)
     order = sort_parents_first(document, node_parent)
     joints = set(_animated_bones(document).values())
     if not joints:
