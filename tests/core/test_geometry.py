@@ -86,6 +86,7 @@ def test_rotate_between_rotates_old_to_new():
     old, new = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, 30, 3)))
     np.testing.assert_allclose(geometry.rotate_between(old, new, old), new, atol=1e-12)
     np.testing.assert_allclose(geometry.rotate_between(old, -old, old), -old, atol=1e-12)
+    assert np.linalg.det(geometry.rotation_between(old[0], -old[0])) == pytest.approx(1.0)
 
 
 def custom_normals(mesh, rng):

@@ -10,15 +10,17 @@ from motion_files import X_FRONT, Z_UP, rest_pose, write_bvh
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
+from mimesh.bodies.character_limbs import SIDES
+from mimesh.bodies.hands import hand_weight
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import angles_between
 from mimesh.core.mesh import cut_clip
 from mimesh.core.skinning import SkinnedMesh
 from mimesh.io import load_clip, load_mesh
-from mimesh.motions import load_motion, motion_clip, resample, window
+from mimesh.motions import Motion, load_motion, motion_clip, resample, window
 from mimesh.motions.bvh import load_bvh
 from mimesh.motions.motion import joint_tracks
-from mimesh.motions.on_body import is_motion_file, motion_of_file
+from mimesh.motions.on_body import is_motion_file, motion_of_file, on_body
 from mimesh.motions.retarget import BONES, rests_standing
 from mimesh.pipeline.read import driving_axes
 from mimesh.tools.inspect import inspect_file
@@ -41,6 +43,11 @@ def relative_positions(body, motion):
     """Joint positions relative to the hips of the first frame, (T, J, 3)."""
     _, position = joint_tracks(body, motion)
     return position - position[0, 0]
+
+
+def besides_hands(body):
+    """Select the vertices without weights of hands: of a file without fingers they are straight, the body's relaxed."""
+    return sum(hand_weight(body, side) for side in SIDES) == 0
 
 
 def rotation_error(body, found, expected, joint):
@@ -76,8 +83,8 @@ def test_joint_positions_do_not_depend_on_the_names(scheme, body, motion, tmp_pa
 @matrix("rest", ["up", "along-x"], quick=["up"])
 @pytest.mark.parametrize("axes", [None, Z_UP], ids=["ours", "z-up"])
 def test_joints_of_other_rest_poses_are_calibrated(rest, axes, body, tmp_path):
-    """Limb directions are exact, rolls of limbs and the tilt of the hips correct to some degrees."""
-    motion = load_motion("walk")
+    """Limb directions are exact, rolls of limbs and the tilt of hips and feet correct to some degrees."""
+    motion = load_motion("jump")
     path = write_bvh(tmp_path / "a.bvh", body, motion, rest=rest, axes=axes, scale=100.0, name=renamed("lafan1"))
     loaded = motion_of_file(path)
     found, expected = relative_positions(body, loaded), relative_positions(body, motion)
@@ -85,11 +92,25 @@ def test_joints_of_other_rest_poses_are_calibrated(rest, axes, body, tmp_path):
         bones = [position[:, body.joint(tail)] - position[:, body.joint(joint)] for position in (found, expected)]
         np.testing.assert_allclose(*bones, atol=1e-5)
     np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-5)
-    for joint, degrees in (("Arm", 3), ("ForeArm", 3), ("UpLeg", 3), ("Leg", 3), ("Foot", 3)):
+    for joint, degrees in (("Arm", 3), ("ForeArm", 3), ("UpLeg", 3), ("Leg", 3), ("Foot", 8)):
         for side in ("Left", "Right"):
             assert rotation_error(body, loaded, motion, side + joint).max() < degrees
-    assert rotation_error(body, loaded, motion, "Hips").max() < 4
+    assert rotation_error(body, loaded, motion, "Hips").max() < 5
     assert rotation_error(body, loaded, motion, "Spine1").max() < 4
+
+
+def test_hips_and_feet_of_sticks_are_level_while_a_person_stands(body, tmp_path):
+    """Not as steep as the trunk and the feet of the shipped body are: here toes are 5 cm lower."""
+    joints = body.joints.copy()
+    joints[[body.joint("LeftToeBase"), body.joint("RightToeBase")], 1] -= 0.05
+    steep = dataclasses.replace(body, joints=joints)
+    turns = np.tile(np.eye(3), (4, len(body.parents), 1, 1))
+    still = Motion("sticks", body.joint_names, turns, np.tile([0.0, 1.0, 0.0], (4, 1)), 30.0)
+    loaded = on_body(load_bvh(write_bvh(tmp_path / "sticks.bvh", steep, still, rest="up")), "sticks")
+    for joint in ("Hips", "Head", "LeftFoot", "RightFoot", "LeftToeBase"):
+        assert rotation_error(body, loaded.motion, still, joint).max() < 0.5, joint
+    assert loaded.front is None
+    assert "does not stand in its rest pose" in loaded.notes[0]
 
 
 @pytest.mark.parametrize("rest", [*STANDING, "up", "along-x"])
@@ -110,9 +131,10 @@ def test_a_file_loads_as_the_clip_of_its_motion(body, motion, tmp_path):
     clip = load_clip(path, progress=lambda done, count: calls.append((done, count)))
     assert (clip.mesh.name, clip.fps, len(clip)) == ("leap", 30.0, len(motion))
     assert calls == [(k + 1, len(motion)) for k in range(len(motion))]
-    expected = motion_clip(body, None, motion).vertices
-    shift = clip.vertices[0].mean(axis=0) - expected[0].mean(axis=0)
-    np.testing.assert_allclose(clip.vertices - shift, expected, atol=2e-6)
+    rest = besides_hands(body)
+    expected = motion_clip(body, None, motion).vertices[:, rest]
+    shift = clip.vertices[0, rest].mean(axis=0) - expected[0].mean(axis=0)
+    np.testing.assert_allclose(clip.vertices[:, rest] - shift, expected, atol=2e-6)
     np.testing.assert_array_equal(load_mesh(path).vertices.astype(np.float32), clip.vertices[0])
     np.testing.assert_array_equal(clip.mesh.vertices.astype(np.float32), clip.vertices[0])
     heights = clip.vertices[..., 1].min(axis=1)
@@ -124,7 +146,9 @@ def test_another_frame_rate_resamples_the_motion(body, motion, tmp_path):
     for fps in (15.0, 60.0):
         clip, resampled = load_clip(path, fps=fps), resample(motion_of_file(path), fps)
         assert (clip.fps, len(clip)) == (fps, len(resampled))
-        np.testing.assert_allclose(clip.vertices, motion_clip(body, None, resampled).vertices, atol=1e-6)
+        rest = besides_hands(body)
+        expected = motion_clip(body, None, resampled).vertices[:, rest]
+        np.testing.assert_allclose(clip.vertices[:, rest], expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_recorded_joints_are_those_of_the_motion(joints, walk, tmp_path):
     person, (rotation, positions) = skeleton.person(), joint_tracks(body, walk)
     assert set(OURS.values()) <= set(person.joints)
     assert sum("HandIndex" in name for name in person.joints) == (0 if joints == 24 else 6)
-    assert (person.up, person.front) == ("+y", None)
+    assert (person.up, person.front) == ("+y", "+z")
     from_hips, true_from_hips = person.positions - person.positions[:, :1], positions - positions[:, :1]
     for name in set(OURS.values()):
         k, j = person.joints.index(name), body.joint(name)

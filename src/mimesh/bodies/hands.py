@@ -10,6 +10,8 @@ fingers are nearly straight. Rotations are about the world's axes at rest, in th
 from __future__ import annotations
 
 import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -18,10 +20,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.geometry import rotate_between, unit_vectors
+from ..core.geometry import rotate_between, rotation_between, unit_vectors
 from .body_model import RiggedBody, load_body, unpacked_weights
 from .character_limbs import SIDES
-from .joint_names import FINGER_STUBS, finger_joints, with_finger_joints
+from .joint_names import FINGER_STUBS, FINGERS, finger_joints, with_finger_joints
 from .sampling import rotvec_to_rotmat
 
 HAND_PARENTS = (-1, *(parent for k in range(5) for parent in (0, 3 * k + 1, 3 * k + 2)))
@@ -144,6 +146,85 @@ def left_hand_body() -> RiggedBody:
         joint_names=("LeftHand", *finger_joints("Left")),
         parents=HAND_PARENTS,
     )
+
+
+KNUCKLES = tuple(f"Hand{finger}1" for finger in FINGERS[1:])
+"""First joints of the fingers without the thumb, without their side."""
+FEWEST_KNUCKLES = 2
+"""Knuckles that show where a palm faces."""
+
+
+def hand_frames(
+    rest: Mapping[str, Float[np.ndarray, " 3"]], hand: Float[np.ndarray, "3 3"], side: str
+) -> dict[str, Float[np.ndarray, "3 3"]]:
+    """Compute the rotations of a hand and its finger joints from the shipped body's T-pose to another rest pose.
+
+    A hand is turned as its knuckles are, and each finger joint as its bone; the last of a finger follows the one
+    before. With one knuckle only the direction of the hand is known, without one nothing: it is taken for a straight
+    hand (`straight_hand`).
+
+    Args:
+        rest: positions of the hand and its finger joints at rest.
+        hand: rotation of the forearm.
+        side: Left or Right.
+    """
+    body = body_with_fingers()
+    t_pose = {name: body.joints[j] for j, name in enumerate(body.joint_names)}
+    wrist, knuckles = f"{side}Hand", [side + knuckle for knuckle in KNUCKLES if side + knuckle in rest]
+    if len(knuckles) < FEWEST_KNUCKLES:
+        hand = hand @ straight_hand(side)
+    if len(knuckles) == 1:
+        along, old_along = (at[knuckles[0]] - at[wrist] for at in (rest, t_pose))
+        hand = rotation_between(hand @ old_along, along) @ hand
+    if len(knuckles) >= FEWEST_KNUCKLES:
+        hand = _palm(rest, wrist, knuckles) @ _palm(t_pose, wrist, knuckles).T
+    frames = {wrist: hand}
+    for finger in FINGERS:
+        frame = hand
+        chain = [name for k in (1, 2, 3) if (name := f"{side}Hand{finger}{k}") in rest]
+        for name, tail in itertools.zip_longest(chain, chain[1:]):
+            if tail is not None:
+                frame = rotation_between(frame @ (t_pose[tail] - t_pose[name]), rest[tail] - rest[name]) @ frame
+            frames[name] = frame
+    return frames
+
+
+@cache
+def straight_hand(side: str) -> Float[np.ndarray, "3 3"]:
+    """Compute the rotation from the shipped body's hand, which hangs relaxed, to one whose palm faces down in a T-pose.
+
+    It is 33 degrees. Rigs are bound with straight hands, and captures begin with them.
+    """
+    body = body_with_fingers()
+    t_pose = {name: body.joints[j] for j, name in enumerate(body.joint_names)}
+    along, thumbs = np.array([1.0 if side == "Left" else -1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    return _axes(along, thumbs) @ _palm(t_pose, f"{side}Hand", [side + knuckle for knuckle in KNUCKLES]).T
+
+
+def straight_hands(joints: Sequence[str], above: Sequence[tuple[str, ...]]) -> Float[np.ndarray, "J 3 3"]:
+    """Return `straight_hand` for the joints of hands whose palm no knuckles show, the identity for all other joints.
+
+    Args:
+        joints: names of the joints that are known.
+        above: for each of J joints, the names of those that it is or is below.
+    """
+    turns = np.tile(np.eye(3), (len(above), 1, 1))
+    for side in SIDES:
+        if sum(side + knuckle in joints for knuckle in KNUCKLES) < FEWEST_KNUCKLES:
+            turns[[f"{side}Hand" in names for names in above]] = straight_hand(side)
+    return turns
+
+
+def _palm(at: Mapping[str, Float[np.ndarray, " 3"]], wrist: str, knuckles: list[str]) -> Float[np.ndarray, "3 3"]:
+    """Build axes with the first from the wrist to the middle of the knuckles, the second towards the first of them."""
+    return _axes(np.mean([at[name] for name in knuckles], axis=0) - at[wrist], at[knuckles[0]] - at[knuckles[-1]])
+
+
+def _axes(first: Float[np.ndarray, " 3"], second: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """Build axes with the first along a vector and the second in the plane of both vectors."""
+    x = unit_vectors(first)
+    y = unit_vectors(second - (second @ x) * x)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
 def hand_alignment(

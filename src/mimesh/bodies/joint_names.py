@@ -36,6 +36,16 @@ collar and an elbow, and the collar if there is an arm.
 """
 FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky")
 """Fingers of a hand in the order of their joints, three each."""
+BESIDE = {
+    "Index": ("Middle", "Ring", "Pinky"),
+    "Middle": ("Ring", "Index", "Pinky"),
+    "Ring": ("Middle", "Pinky", "Index"),
+    "Pinky": ("Ring", "Middle", "Index"),
+}
+"""Fingers that a finger moves with, the nearest first: an index finger points alone, a thumb has none beside it."""
+FEWEST_FINGERS = 3
+"""Fingers of joints without a mesh are read from so many on, or where one has two joints: optical captures have one or
+two of one joint each, mostly noise."""
 FINGER_STUBS = ("FingerBase", "HandFinger1", "Thumb")
 """Joints that stand for all fingers in the list of 31: with finger joints, the hand takes their weights."""
 FINGER_WORDS = {
@@ -181,6 +191,36 @@ def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands:
             chain = [j for j in chain if j == chain[0] or chain[0] in ancestors(parents, j)]
             found |= {f"{side}Hand{finger}{k}": j for k, j in enumerate(chain[:3], 1)}
     return found
+
+
+def followed_fingers(joint: str) -> tuple[str, ...]:
+    """List the joints that a finger joint follows where it is lacking: those above it, then of the fingers beside it.
+
+    Empty for other joints.
+    """
+    side, _, name = joint.partition("Hand")
+    finger, number = name[:-1], name[-1:]
+    if side not in ("Left", "Right") or finger not in FINGERS:
+        return ()
+    chains = [(finger, int(number) - 1), *((other, int(number)) for other in BESIDE.get(finger, ()))]
+    return tuple(f"{side}Hand{of}{k}" for of, count in chains for k in range(count, 0, -1))
+
+
+def captured_fingers(
+    joint_names: tuple[str, ...], parents: tuple[int, ...], found: Mapping[str, int]
+) -> dict[str, int]:
+    """Find the finger joints of a skeleton without a mesh by name, in hands that have enough of them.
+
+    Args:
+        found: joints that are known, as `named_joints` finds them.
+    """
+    fingers: dict[str, int] = {}
+    for side in ("Left", "Right"):
+        hand = f"{side}Hand"
+        named = named_fingers(joint_names, parents, {hand: found[hand]}) if hand in found else {}
+        if sum(name.endswith("1") for name in named) >= FEWEST_FINGERS or any(name.endswith("2") for name in named):
+            fingers |= named
+    return fingers
 
 
 def require_joints(found: dict[str, int], needed: Iterable[str], joint_names: tuple[str, ...], path: object) -> None:

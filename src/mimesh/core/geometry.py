@@ -270,14 +270,16 @@ def rotate_between(
 ) -> Float[np.ndarray, "N 3"]:
     """Rotate each vector by the smallest rotation from unit vector `old` to unit vector `new` (Rodrigues' formula).
 
-    Opposite ones have no unique rotation; there the vector is negated.
+    Opposite ones have no unique rotation; there it is half a turn about an axis that depends on `old` alone.
     """
     axis = np.cross(old, new)  # its length is the sine of the angle
     cosine = (old * new).sum(-1, keepdims=True)
     opposite = cosine < -1 + 1e-9
     safe = np.where(opposite, 1.0, 1.0 + cosine)
     turned = vectors * cosine + np.cross(axis, vectors) + axis * (axis * vectors).sum(-1, keepdims=True) / safe
-    return np.where(opposite, -vectors, turned)
+    across = unit_vectors(np.cross(old, np.eye(3)[np.abs(old).argmin(axis=-1)]))
+    half = 2 * across * (across * vectors).sum(-1, keepdims=True) - vectors
+    return np.where(opposite, half, turned)
 
 
 def rotation_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:

@@ -3,9 +3,10 @@
 Arrays: `poses` (T, 66 or more), or `root_orient` (T, 3) with `pose_body` (T, 63); `trans` (T, 3); the frame rate as
 `mocap_framerate`, `mocap_frame_rate` or `fps`.
 
-`load_amass` reads a skeleton: the first 22 joints, in the order of `JOINTS`; hands, face and `betas` are not read. The
-body model is not part of the file, so the rest skeleton is assumed: a T-pose with straight legs and arms along the
-axes, y up, facing +z, 1.7 m tall. Directions of limbs are therefore a few degrees off those of the recorded body.
+`load_amass` reads a skeleton: the first 22 joints, in the order of `JOINTS`, and the fingers of SMPL+H and SMPL-X; face
+and `betas` are not read. The body model is not part of the file, so the rest skeleton is assumed: a T-pose with
+straight legs and arms along the axes and flat hands, y up, facing +z, 1.7 m tall. Directions of limbs are therefore a
+few degrees off those of the recorded body.
 
 `load_recording` reads all joints and the shape, which give the recorded surface with a body model (`smpl_clip`).
 """
@@ -56,6 +57,27 @@ JOINTS = {
 
 Lengths of limbs as fractions of the height are those of Drillis and Contini (1966); the trunk is schematic.
 """
+FACE = ("jaw", "left_eye", "right_eye")
+"""Joints between those of the body and the fingers in SMPL-X."""
+_KNUCKLES = {
+    "index": ((0.055, 0.0, 0.014), (0.019, 0.0, 0.0)),
+    "middle": ((0.057, 0.0, 0.002), (0.019, 0.0, 0.0)),
+    "pinky": ((0.045, 0.0, -0.024), (0.011, 0.0, 0.0)),
+    "ring": ((0.052, 0.0, -0.011), (0.017, 0.0, 0.0)),
+    "thumb": ((0.014, 0.0, 0.014), (0.013, 0.0, 0.013)),
+}
+FINGERS = {
+    f"{side}_{finger}{k}": (
+        f"{side}_{finger}{k - 1}" if k > 1 else f"{side}_wrist",
+        tuple(np.array([1.0 if side == "left" else -1.0, 1.0, 1.0]) * (first if k == 1 else bone)),
+    )
+    for side in ("left", "right")
+    for finger, (first, bone) in _KNUCKLES.items()
+    for k in (1, 2, 3)
+}
+"""The last 30 joints of SMPL+H and SMPL-X, as JOINTS: flat hands with palms down, the thumbs at 45 degrees."""
+WITH_FINGERS = (len(JOINTS) + len(FINGERS), len(JOINTS) + len(FACE) + len(FINGERS))
+"""Numbers of joints of SMPL+H and SMPL-X."""
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 """Names of the array with the frame rate."""
 DEFAULT_RATE = 30.0
@@ -87,7 +109,9 @@ def is_amass(names: Collection[str]) -> bool:
 
 
 def load_amass(path: str | Path) -> Bvh:
-    """Load an archive's motion as a skeleton of 22 joints, y up (metres); `retarget` transfers it to a body.
+    """Load an archive's motion as a skeleton of 22 joints, or 52 with fingers, y up (metres).
+
+    `retarget` transfers it to a body.
 
     AMASS has z up; if the pelvis is upright along y most of the time, the file is taken to have y up.
 
@@ -97,13 +121,17 @@ def load_amass(path: str | Path) -> Bvh:
     path = Path(path)
     arrays = _read_arrays(path, MOTION)
     rotvec, trans = _joints_and_path(arrays, path)
-    rotmat = rotvec_to_rotmat(rotvec[:, : len(JOINTS)])
+    skeleton = JOINTS
+    if rotvec.shape[1] in WITH_FINGERS:
+        skeleton = {**JOINTS, **FINGERS}
+        rotvec = np.delete(rotvec, slice(len(JOINTS), rotvec.shape[1] - len(FINGERS)), axis=1)
+    rotmat = rotvec_to_rotmat(rotvec[:, : len(skeleton)])
     # Only the root is rotated to y up; the other rotations are relative to it.
     axes = upright(rotmat[:, 0])
     rotmat[:, 0] = axes @ rotmat[:, 0]
-    names = tuple(JOINTS)
-    parents = tuple(names.index(parent) if parent else -1 for parent, _ in JOINTS.values())
-    offsets = HEIGHT * np.array([offset for _, offset in JOINTS.values()])
+    names = tuple(skeleton)
+    parents = tuple(names.index(parent) if parent else -1 for parent, _ in skeleton.values())
+    offsets = HEIGHT * np.array([offset for _, offset in skeleton.values()])
     return Bvh(path.stem, names, parents, offsets, {}, rotmat, trans @ axes.T, _rate(arrays, path))
 
 

@@ -7,7 +7,6 @@ it turns the limbs of each of them to the same directions. So M_j(t) of an ident
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -18,10 +17,10 @@ from jaxtyping import Float
 from ..bodies import RiggedBody, load_body
 from ..bodies.anatomy import anatomy_of
 from ..bodies.character_limbs import SIDES, Limb, attach_feet, find_limbs, moves_vertices, name_limb_joints
-from ..bodies.hands import body_with_fingers
-from ..bodies.joint_names import FINGERS, ancestors, finger_joints, named_fingers, parents_first
+from ..bodies.hands import body_with_fingers, hand_frames
+from ..bodies.joint_names import ancestors, finger_joints, named_fingers, parents_first
 from ..bodies.skinned_character import SkinnedCharacter
-from ..core.geometry import nearest_rotation, rotation_between, unit_vectors
+from ..core.geometry import nearest_rotation
 from ..core.normalization import axis_name
 from ..core.person_motion import PersonMotion
 from ..core.rig import descendants
@@ -31,8 +30,6 @@ LEG = ("UpLeg", "Leg", "Foot")
 """Joints of a leg from hip to ankle, without their side."""
 WHOLE = {"Arm": "Hand", "UpLeg": "Foot"}
 """Joints that stand for a whole limb in figures of blocks, and the joint at the limb's other end."""
-KNUCKLES = tuple(f"Hand{finger}1" for finger in FINGERS[1:])
-"""First joints of the fingers without the thumb, without their side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,38 +189,5 @@ def rest_frames(
     positions = {name: rest[joint] for name, joint in joints.items()}
     for side in SIDES:
         if f"{side}Hand" in joints:
-            frames |= _hand_frames(positions, frames[f"{side}Hand"], side, body)
+            frames |= hand_frames(positions, frames[f"{side}Hand"], side)
     return frames
-
-
-def _hand_frames(
-    rest: Mapping[str, Float[np.ndarray, " 3"]], hand: Float[np.ndarray, "3 3"], side: str, body: RiggedBody
-) -> dict[str, Float[np.ndarray, "3 3"]]:
-    """Align a hand by its knuckles, and each finger joint by its bone; the last of a finger follows the one before.
-
-    With one knuckle only the direction of the hand is known, without one nothing: then it is as `hand`.
-    """
-    t_pose = {name: body.joints[j] for j, name in enumerate(body.joint_names)}
-    wrist, knuckles = f"{side}Hand", [side + knuckle for knuckle in KNUCKLES if side + knuckle in rest]
-    if knuckles:
-        along, old_along = (np.mean([at[name] for name in knuckles], axis=0) - at[wrist] for at in (rest, t_pose))
-        hand = rotation_between(hand @ old_along, along) @ hand
-        if len(knuckles) > 1:
-            across, old_across = (at[knuckles[0]] - at[knuckles[-1]] for at in (rest, t_pose))
-            hand = _axes(along, across) @ _axes(old_along, old_across).T
-    frames = {wrist: hand}
-    for finger in FINGERS:
-        frame = hand
-        chain = [name for k in (1, 2, 3) if (name := f"{side}Hand{finger}{k}") in rest]
-        for name, tail in itertools.zip_longest(chain, chain[1:]):
-            if tail is not None:
-                frame = rotation_between(frame @ (t_pose[tail] - t_pose[name]), rest[tail] - rest[name]) @ frame
-            frames[name] = frame
-    return frames
-
-
-def _axes(first: Float[np.ndarray, " 3"], second: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Build axes with the first along a vector and the second in the plane of both vectors."""
-    x = unit_vectors(first)
-    y = unit_vectors(second - (second @ x) * x)
-    return np.stack([x, y, np.cross(x, y)], axis=1)

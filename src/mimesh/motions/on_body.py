@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from ..bodies import load_body
+from ..bodies.hands import body_with_fingers
+from ..bodies.joint_names import captured_fingers, named_joints
 from ..core.budgets import check_clip_size
 from ..core.frame_buffer import PosedFrames
 from ..core.mesh import Clip, Mesh
@@ -20,7 +23,7 @@ from ..core.skinning import SkinnedMesh
 from .amass import is_amass, load_amass
 from .bvh import Bvh, bvh_joints, load_bvh
 from .motion import Motion, cut_motion, joint_tracks, leg_length, resample
-from .retarget import retarget
+from .retarget import rests_standing, retarget
 
 BVH = ".bvh"
 """Suffix of BVH files."""
@@ -37,22 +40,47 @@ def motion_joints(path: str | Path) -> int:
     return bvh_joints(path) if Path(path).suffix.lower() == BVH else len(load_amass(path).joint_names)
 
 
-def on_body(source: Bvh, path: str | Path) -> Motion:
+@dataclass(frozen=True, eq=False)
+class BodyMotion:
+    """The motion of a skeleton on the shipped body, with its fingers where the skeleton has fingers."""
+
+    motion: Motion
+    front: str | None
+    """Axis to the person's front at rest; None: the rest pose does not tell."""
+    notes: tuple[str, ...] = ()
+
+    def clip(self) -> Clip:
+        """Make a clip of the body in motion; see `played`."""
+        return dataclasses.replace(played(self.motion, self.front), notes=self.notes)
+
+
+def on_body(source: Bvh, path: str | Path) -> BodyMotion:
     """Retarget a skeleton's motion to the shipped body, at its frame rate (see `retarget`); errors name `path`.
 
     Raises:
         InputError: the hips and limbs are not found by name.
     """
-    return dataclasses.replace(retarget(source, load_body(), str(path)), name=source.name)
+    known = named_joints(source.joint_names, source.parents)
+    fingered = captured_fingers(source.joint_names, source.parents, known)
+    body = body_with_fingers() if fingered else load_body()
+    motion = dataclasses.replace(retarget(source, body, str(path), hands=True), name=source.name)
+    if rests_standing(source.rest(), known):
+        return BodyMotion(motion, "+z", source.notes)
+    note = (
+        f"{source.name} does not stand in its rest pose: its frames show how its joints are turned, with hips and head "
+        "level while it stands upright and feet while they are flat"
+    )
+    return BodyMotion(motion, None, (*source.notes, note))
 
 
 def motion_of_file(path: str | Path) -> Motion:
-    """Load a motion file and retarget it to the shipped body, at the file's frame rate; see `retarget`.
+    """Load a motion file and retarget it to the shipped body without fingers, at the file's frame rate; see `retarget`.
 
     Raises:
         InputError: a damaged file, or a skeleton in which the hips and limbs are not found by name.
     """
-    return on_body(_load(path), path)
+    source = _load(path)
+    return dataclasses.replace(retarget(source, load_body(), str(path)), name=source.name)
 
 
 def _load(path: str | Path) -> Bvh:
@@ -71,32 +99,34 @@ def motion_file_clip(path: str | Path, fps: float | None = None, frames: slice =
     """
     path = Path(path)
     facts = path.stat() if path.is_file() else None  # reading a missing one tells what is wrong
-    motion, notes = _whole_motion(path, facts and (facts.st_dev, facts.st_ino, facts.st_mtime_ns, facts.st_size))
-    motion = cut_motion(motion if fps is None else resample(motion, fps, str(path)), frames)
+    whole = _whole_motion(path, facts and (facts.st_dev, facts.st_ino, facts.st_mtime_ns, facts.st_size))
+    motion = cut_motion(whole.motion if fps is None else resample(whole.motion, fps, str(path)), frames)
     check_clip_size(len(motion), len(load_body().vertices), path)
-    return dataclasses.replace(played(motion), notes=notes)
+    return dataclasses.replace(whole, motion=motion).clip()
 
 
 @lru_cache(maxsize=1)  # a batch moves many meshes by one capture; a capture of a minute has 10 MB
-def _whole_motion(path: Path, version: tuple[int, ...] | None) -> tuple[Motion, tuple[str, ...]]:
-    """Retarget a motion file, and return its notes; once while the file does not change."""
-    source = _load(path)
-    return on_body(source, path), source.notes
+def _whole_motion(path: Path, version: tuple[int, ...] | None) -> BodyMotion:
+    """Retarget a motion file; once while the file does not change."""
+    return on_body(_load(path), path)
 
 
 def motion_file_mesh(path: str | Path) -> Mesh:
     """Load the first frame of a motion file as a mesh of the shipped body; see `motion_file_clip`."""
-    return first_frame(motion_of_file(path))
+    return first_frame(on_body(_load(path), path))
 
 
-def played(motion: Motion) -> Clip:
+def played(motion: Motion, front: str | None = None) -> Clip:
     """Make a clip of the shipped body (mean shape) in motion: metres, y up, floor at y = 0, with headings and joints.
 
     The mesh is that of the first frame. Frames are posed when they are read (`PosedFrames`).
+
+    Args:
+        front: axis to the person's front at rest, where that is known.
     """
-    body = load_body()
+    body = next(body for body in (load_body(), body_with_fingers()) if body.joint_names == motion.joint_names)
     leg = leg_length(body.joints, body.joint_names)
-    joints = PersonMotion(motion.joint_names, *joint_tracks(body, motion), leg, body.weights)
+    joints = PersonMotion(motion.joint_names, *joint_tracks(body, motion), leg, body.weights, front)
     rest = Rig(np.tile(np.eye(3), (len(body.parents), 1, 1)), body.joints, body.weights)
     skinned = SkinnedMesh.of(body.vertices, rest, body.parents)
     vertices: Any = PosedFrames(skinned, joints.rotation, joints.positions[:, 0])
@@ -104,7 +134,6 @@ def played(motion: Motion) -> Clip:
     return Clip(mesh, vertices, motion.fps, joints.rotation[:, 0, :, 2], KnownJoints(joints))
 
 
-def first_frame(motion: Motion) -> Mesh:
+def first_frame(whole: BodyMotion) -> Mesh:
     """Make a mesh of the shipped body in the first frame of a motion."""
-    first = dataclasses.replace(motion, rotmat=motion.rotmat[:1], root=motion.root[:1])
-    return played(first).mesh
+    return dataclasses.replace(whole, motion=cut_motion(whole.motion, slice(1))).clip().mesh

@@ -9,8 +9,8 @@ exactly the directions of the source's, whatever the rest poses are.
 To calibrate a skeleton, joint positions give an estimate of D_j(t) in every frame, with y up; M_j is the rotation
 nearest to the weighted sum of G_j(t)^T D_j(t) over the frames (`geometry.nearest_rotation`). Knees and elbows are
 hinges, so their bending defines the roll of thigh and shin, of upper arm and forearm, with little weight while they are
-straight. Hips and shoulders define where the trunk faces. Hands have the rotation of the forearm, and a head is level
-and faces forward on average.
+straight. Hips and shoulders define where the trunk faces. Hands have the rotation of the forearm, and hips and head are
+level while a person stands upright, as feet are while they are flat on the ground.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
-from ..bodies.joint_names import named_joints, require_joints
+from ..bodies.hands import hand_frames
+from ..bodies.joint_names import captured_fingers, finger_joints, followed_fingers, named_joints, require_joints
 from ..core.errors import InputError
 from ..core.geometry import nearest_rotation, rotation_between, rotations_between, unit_vectors
 from ..core.mesh import LARGEST
@@ -42,15 +43,19 @@ FLOOR_FRAMES = 400
 """Frames, evenly spread, that are used to find the floor."""
 
 
-def retarget(source: Bvh, body: RiggedBody, name: str | None = None, grounded: bool = True) -> Motion:
+def retarget(
+    source: Bvh, body: RiggedBody, name: str | None = None, grounded: bool = True, hands: bool = False
+) -> Motion:
     """Retarget a motion to `body` (mean shape), at the source's frame rate; errors name `name`.
 
     The root's path is scaled by the ratio of leg lengths and starts above the origin. The floor is estimated from the
-    result (FLOOR_QUANTILE). Joints that the source lacks are not rotated, nor are fingers: captures of hands with one
-    or two optical markers are mostly noise. Contacts are not enforced.
+    result (FLOOR_QUANTILE). Joints that the source lacks are not rotated; fingers go with those beside them. Contacts
+    are not enforced.
 
     Args:
         grounded: find the floor, which poses every vertex; without, only the rotations of the result are meant.
+        hands: rotate hands and fingers as those of the source are at rest (`bodies.hands.hand_frames`); without, hands
+            rest as the body's, relaxed, and fingers follow them.
 
     Raises:
         InputError: the hips or a limb joint are not found by name, a limb bone has no length at rest, or numbers are
@@ -77,10 +82,13 @@ def retarget(source: Bvh, body: RiggedBody, name: str | None = None, grounded: b
     else:
         axes = axes_from_motion(position, index)
         rest_rotation = calibrated_joints(axes @ rotation, position @ axes.T, rest, index, body)
+    if hands:
+        index |= captured_fingers(source.joint_names, source.parents, index)
+        rest_rotation |= _hand_rotations(rest, index, rest_rotation)
     target = np.empty((len(rotation), len(body.joint_names), 3, 3))
     for j, (joint, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
-        known = joint in index
-        target[:, j] = axes @ rotation[:, index[joint]] @ rest_rotation[joint] if known else target[:, parent]
+        known = next((n for n in (joint, *followed_fingers(joint)) if n in index), None)
+        target[:, j] = axes @ rotation[:, index[known]] @ rest_rotation[known] if known else target[:, parent]
     # The path is in units of the leg, so steps fit the body's legs.
     source_leg = [rest[index[joint]] for joint in LEG]
     scale = leg_length(body.joints, body.joint_names) / leg_length(np.array(source_leg), LEG)
@@ -147,6 +155,21 @@ def limb_alignments(
     return aligned
 
 
+def _hand_rotations(rest, index, rest_rotation):
+    """Compute M_j of hands and fingers from that of the hand as it follows the forearm.
+
+    Frames of the source are parallel at rest, so the fingers are placed in the frame of the hand.
+    """
+    found = {}
+    for hand in ("LeftHand", "RightHand"):
+        side = hand.removesuffix("Hand")
+        joints = [name for name in (hand, *finger_joints(side)) if name in index]
+        placed = {name: rest_rotation[hand].T @ (rest[index[name]] - rest[index[hand]]) for name in joints}
+        frames = hand_frames(placed, np.eye(3), side)
+        found |= {name: rest_rotation[hand] @ frames[name] for name in joints}
+    return found
+
+
 def _grounded(path, target, body):
     """Shift the path to start at x = z = 0, with the floor at y = 0."""
     path = path - path[0] * [1.0, 0.0, 1.0]
@@ -177,10 +200,14 @@ HINGES = (("UpLeg", "Leg", "Foot", (0.0, 0.0, -1.0)), ("Arm", "ForeArm", "Hand",
 
 Palms of the body's T-pose face down, so elbows bend to the front and up: 30 degrees, as in the shipped takes.
 """
-LEAN = (0.0, 0.97, 0.22)
-"""Direction from hips to shoulders of an upright person in the frame of the hips (mean of the shipped takes)."""
 UPRIGHT_POWER = 16
-"""Power of the cosine between trunk and legs that weights a frame for the hips: a bent trunk says little about them."""
+"""Power of the smallest cosine between trunk, legs and the vertical that weights a frame for hips and head: both are
+level in a person who stands upright, as in a T-pose."""
+LOWEST = 0.02
+"""Quantile of heights over the frames that counts as the lowest one."""
+FLAT, BENT_WEIGHT = 0.03, 1e-4
+"""Height above their lowest one, in lengths of the shin, at which ankle or toes weigh 1 / e in the rotation of a foot;
+and the weight of the angle between foot and shin in all frames. Chosen on the shipped takes and animations by hand."""
 
 
 def axes_from_motion(position: Float[np.ndarray, "T J 3"], index: dict[str, int]) -> Float[np.ndarray, "3 3"]:
@@ -252,15 +279,20 @@ def _trunk_rotations(position, index, body_rest, body_index):
 
     trunk = trunk_of(position, index)
     legs = _middle(position, index, "UpLeg") - _middle(position, index, "Foot")
-    cosine = (unit_vectors(trunk) * unit_vectors(legs)).sum(axis=-1)
-    upright, always = np.maximum(cosine, STRAIGHT_WEIGHT) ** UPRIGHT_POWER, np.ones(len(position))
+    cosines = (
+        (unit_vectors(trunk) * unit_vectors(legs)).sum(axis=-1),
+        unit_vectors(trunk)[:, 1],
+        unit_vectors(legs)[:, 1],
+    )
+    upright = np.maximum(np.minimum.reduce(cosines), STRAIGHT_WEIGHT) ** UPRIGHT_POWER
     up = np.array([[0.0, 1.0, 0.0]])
+    ups, always = np.tile(up, (len(position), 1)), np.ones(len(position))
     body_hips, hips = left_to_right(body_rest, body_index, "UpLeg"), left_to_right(position, index, "UpLeg")
     body_arms, arms = left_to_right(body_rest, body_index, "Arm"), left_to_right(position, index, "Arm")
     return {
-        "Hips": (_rotations((body_hips, np.array([LEAN])), (hips, trunk)), upright),
+        "Hips": (_rotations((up, body_hips), (ups, hips)), upright),
         "Spine1": (_rotations((body_arms, trunk_of(body_rest, body_index)), (arms, trunk)), always),
-        "Head": (_rotations((up, body_arms), (np.tile(up, (len(position), 1)), arms)), upright),
+        "Head": (_rotations((up, body_arms), (ups, arms)), upright),
     }
 
 
@@ -294,16 +326,23 @@ def _hinge_rotations(position, index, body_rest, body_index, chain, direction, t
 
 
 def _foot_rotations(position, index, body_rest, body_index, side, shin):
-    """Estimate rotation and weight of foot and toes from the foot's bone and the shin; without toes as the shin."""
+    """Estimate rotation and weight of foot and toes from the foot's bone and the vertical; without toes as the shin.
+
+    How steep the bone of a flat foot is differs from skeleton to skeleton, so frames in which it is flat on the ground
+    decide; with a small weight, the angle between foot and shin does.
+    """
     foot, toes, knee = f"{side}Foot", f"{side}ToeBase", f"{side}Leg"
     if toes not in index:
         return {foot: shin}
-    pairs = [
-        (points[:, joints[toes]] - points[:, joints[foot]], points[:, joints[knee]] - points[:, joints[foot]])
-        for points, joints in ((body_rest, body_index), (position, index))
-    ]
-    estimate = (_rotations(*pairs), np.ones(len(position)))
-    return {foot: estimate, toes: estimate}
+    rows = (body_rest, body_index), (position, index)
+    ahead, leg = ([points[:, joints[end]] - points[:, joints[foot]] for points, joints in rows] for end in (toes, knee))
+    up = [np.tile([0.0, 1.0, 0.0], (len(points), 1)) for points, _ in rows]
+    heights = position[:, [index[foot], index[toes]], 1]
+    above = (heights - np.quantile(heights, LOWEST, axis=0)) / np.linalg.norm(leg[1], axis=1).mean()
+    flat = np.exp(-np.square(above / FLAT).sum(axis=1))
+    on_ground, bent = (_rotations(*zip(*vectors, strict=True)) for vectors in ((up, ahead), (ahead, leg)))
+    combined = nearest_rotation(flat[:, None, None] * on_ground + BENT_WEIGHT * bent)
+    return dict.fromkeys((foot, toes), (combined, flat + BENT_WEIGHT))
 
 
 def _with_exact_bone(joint, measured, rest, index, body_rest, body_index):

@@ -18,19 +18,11 @@ from ..core.mesh import Mesh
 from ..core.person_motion import PersonMotion
 from ..core.rig import homogeneous
 from ..core.skinning import skinning_transforms
-from .amass import JOINTS
+from .amass import FACE, FINGERS, JOINTS
 from .humanoid_rig import HumanoidRig, humanoid_rig
 
-_SIDES = ("left", "right")
-_HANDS = tuple(f"{side}_hand" for side in _SIDES)
-_FACE = ("jaw", "left_eye", "right_eye")
-_FINGERS = tuple(
-    f"{side}_{finger}{k}"
-    for side in _SIDES
-    for finger in ("index", "middle", "pinky", "ring", "thumb")
-    for k in (1, 2, 3)
-)
-NAMES = {len(names): names for names in ((*JOINTS, *more) for more in (_HANDS, _FINGERS, (*_FACE, *_FINGERS)))}
+_HANDS = ("left_hand", "right_hand")
+NAMES = {len(names): names for names in ((*JOINTS, *more) for more in (_HANDS, FINGERS, (*FACE, *FINGERS)))}
 """Number of joints of a model of people -> their names, in order."""
 
 
@@ -95,8 +87,7 @@ class RecordedJoints:
         world = homogeneous(self.axes @ rotation, positions @ self.axes.T)
         place = {name: j for j, name in enumerate(NAMES[len(joints)])}
         chosen = [place[rig.character.joint_names[rig.joints[name]]] for name in rig.person]
-        # Where the person faces differs from frame to frame, and is read from the hips.
-        return replace(rig.motion(world[:, chosen], _rest(joints)[chosen]), front=None)
+        return rig.motion(world[:, chosen], _rest(joints)[chosen])
 
 
 def _rest(joints: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 4 4"]:

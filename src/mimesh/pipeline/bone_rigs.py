@@ -6,37 +6,31 @@ Blender's extension calls these functions. Axes and unit are those of the progra
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..bodies.character_limbs import SIDES
 from ..bodies.character_pool import facing_rotation
-from ..bodies.joint_names import finger_joints, person_joints
+from ..bodies.joint_names import person_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.geometry import nearest_rotation
 from ..core.mesh import Clip, Mesh, stored_clip
-from ..core.normalization import ORIENTATIONS, ROTATIONS
+from ..core.normalization import ORIENTATIONS, ROTATIONS, axis_name
 from ..core.person_motion import KnownJoints, PersonMotion
 from ..core.rig import local_rotations
 from ..io.gltf.character import NO_PERSON, animal_facing, carried_part, standing_facing
 from ..io.gltf.own_rig import check_sound
-from ..io.gltf.vrm import with_posed_hands
 from ..motions.animal_rig import animal_rig
-from ..motions.bone_motion import bone_joints
 from ..motions.bvh import Bvh
 from ..motions.humanoid_rig import HumanoidRig, humanoid_rig
 from ..motions.motion import LEG, leg_length
-from ..motions.on_body import on_body, played
+from ..motions.on_body import on_body
 from ..motions.retarget import axes_from_motion, axes_from_rest, rests_standing
 
 FORWARD = {"+z": "-y", "-z": "+y"}
 """Where characters face by custom, for each up axis: in Blender the front view looks along +y. Others: +z."""
-FEWEST_FINGERS = 3
-"""Fingers of a skeleton without a mesh are used from so many on: optical captures have one or two, mostly noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,10 +144,9 @@ def clip_of_bones(
 ) -> Clip:
     """Play the motion of a skeleton without a mesh on the shipped body: y up, in the unit of the skeleton.
 
-    Fingers move where a hand has at least FEWEST_FINGERS of them.
-
     Args:
-        front: axis that the person faces in the first frame, in the axes of the skeleton; None: found from the hips.
+        front: axis to the person's front, in the axes of the skeleton; None: that of the rest pose, or of the hips in
+            the first frame where the rest pose does not tell.
 
     Raises:
         InputError: the joints are not those of a person, or NaN or infinity in a frame.
@@ -161,17 +154,17 @@ def clip_of_bones(
     _check_finite(T_world_joint, bones.name)
     rest = bones.T_world_joint
     rotation = nearest_rotation(T_world_joint[..., :3, :3] @ np.linalg.pinv(rest[:, :3, :3]))
-    clip = stored_clip(played(on_body(_skeleton(bones, rotation, T_world_joint[..., :3, 3], fps), bones.name)))
+    clip = stored_clip(on_body(_skeleton(bones, rotation, T_world_joint[..., :3, 3], fps), bones.name).clip())
     assert isinstance(clip.skeleton, KnownJoints)
-    joints = person_joints(bones.joint_names, bones.parents)
-    motion = _with_fingers(clip.skeleton.motion, joints, rest, T_world_joint)
-    clip = _scaled(clip, motion, leg_length(rest[[joints[name] for name in LEG], :3, 3], LEG) / motion.leg)
+    joints, motion = person_joints(bones.joint_names, bones.parents), clip.skeleton.motion
+    clip, motion = _scaled(clip, motion, leg_length(rest[[joints[name] for name in LEG], :3, 3], LEG) / motion.leg)
     if front is None:
         return clip
     standing = rests_standing(rest[:, :3, 3], joints)
     axes = axes_from_rest(rest[:, :3, 3], joints) if standing else axes_from_motion(T_world_joint[..., :3, 3], joints)
     ahead = axes @ ROTATIONS[[pair[1] for pair in ORIENTATIONS].index(front)][2]
-    return replace(clip, headings=np.tile(ahead, (len(clip), 1)))
+    skeleton = KnownJoints(replace(motion, front=axis_name(ahead)))
+    return replace(clip, headings=np.tile(ahead, (len(clip), 1)), skeleton=skeleton)
 
 
 def _skeleton(
@@ -193,29 +186,13 @@ def _skeleton(
     return Bvh(bones.name, names, order, offsets, {}, local_rotations(rotation, order), position[:, 0], fps, moved)
 
 
-def _with_fingers(
-    motion: PersonMotion,
-    joints: Mapping[str, int],
-    rest: Float[np.ndarray, "J 4 4"],
-    T_world_joint: Float[np.ndarray, "T J 4 4"],
-) -> PersonMotion:
-    """Add the fingers of hands that have enough of them."""
-    first = {side: [name for name in finger_joints(side)[::3] if name in joints] for side in SIDES}
-    bare = {name for side in SIDES if len(first[side]) < FEWEST_FINGERS for name in finger_joints(side)}
-    names = bone_joints({name: joint for name, joint in joints.items() if name not in bare})
-    if len(bare) == sum(len(finger_joints(side)) for side in SIDES):
-        return motion
-    chosen = [joints[name] for name in names]
-    return with_posed_hands(motion, names, rest[chosen], T_world_joint[:, chosen])
-
-
-def _scaled(clip: Clip, motion: PersonMotion, scale: float) -> Clip:
+def _scaled(clip: Clip, motion: PersonMotion, scale: float) -> tuple[Clip, PersonMotion]:
     """Scale a clip and its joints about the origin."""
     mesh = replace(clip.mesh, vertices=scale * clip.mesh.vertices)
     for frame in clip.vertices:  # may be on disk
         frame *= scale
     motion = replace(motion, positions=scale * motion.positions, leg=scale * motion.leg)
-    return replace(clip, mesh=mesh, skeleton=KnownJoints(motion))
+    return replace(clip, mesh=mesh, skeleton=KnownJoints(motion)), motion
 
 
 def _check_finite(transforms: Float[np.ndarray, "T J 4 4"], name: str) -> None:

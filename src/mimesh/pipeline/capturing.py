@@ -14,6 +14,7 @@ from typing import Any, cast
 import numpy as np
 from jaxtyping import Float
 
+from ..bodies.hands import straight_hands
 from ..bodies.joint_names import parents_first
 from ..core.arguments import public
 from ..core.errors import InputError
@@ -31,6 +32,7 @@ from ..io.gltf.edit import GltfSource
 from ..methods.find import find_mime
 from ..mime.model import Mime
 from ..motions.bone_motion import BoneMotion
+from ..rigs.character import names_above
 from ..rigs.retarget import JointMotion, body_parents
 from .file_rigs import read_rigs
 from .joint_route import FoundMotion, find_motion, found_alone
@@ -129,7 +131,8 @@ class CapturedClip:
         joints = check_joints(index, path)
         chosen = [index[joint] for joint in joints]
         still = np.tile(np.eye(3), (len(chosen), 1, 1))
-        return since_t_pose(self.name, joints, rest[chosen], still, self.rotation[:, chosen], root, 0.0, self.fps)
+        rotation = (self.rotation @ straight_hands(self.names, names_above(self.names, self.parents)))[:, chosen]
+        return since_t_pose(self.name, joints, rest[chosen], still, rotation, root, 0.0, self.fps)
 
 
 @public
@@ -181,6 +184,7 @@ def capture(
     known = Known.of(Hints(rig="mimesh", body=hints.body, **of_driving), taken, whole)
     with timer.step("prepare"):
         rigs = read_rigs(first, taken, known)
+        known = known.with_heading(taken, rigs.driving)
         subject = rigs.subjects(first, first, known.axes)[1]
 
         def find(network: Mime, seen: Look) -> tuple[JointMotion, Normalization]:
@@ -218,6 +222,9 @@ def _captured(
     names = tuple(names[j] for j in order)
     upright = turned(track.positions[:, order] * norm.radius + norm.centre, norm.heading)
     rotation = turn(norm.heading) @ track.rotation[:, order]
+    if found.motion.confidence is None and body == "human":  # hands without fingers are straight in files
+        straight = straight_hands(names, names_above(names, parents))
+        rotation = rotation @ straight.swapaxes(-1, -2)
     # Bones have the mean of their directions in the frames of their parents: those that are tracked differ a little.
     steps = np.zeros((len(names), 3))
     for j, parent in enumerate(parents):

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from ..bodies.anatomy import body_of_joints
 from ..bodies.character_limbs import FindJoints
+from ..core.errors import option
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import axis_name
 from ..core.person_motion import PersonMotion
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from ..io.gltf.own_rig import OwnRig
     from ..motions.humanoid_rig import HumanoidRig
 
+LEVEL = 0.5
+"""Least horizontal part of the front of hips that has a heading."""
 LYING = 0.9
 """Sine of the angle (64 degrees) by which the front of the hips points up or down when a person lies."""
 
@@ -160,6 +163,20 @@ def still_clip(mesh: Mesh) -> Clip:
     from ..io.gltf import still_joints
 
     return dataclasses.replace(Clip.still(mesh), skeleton=still_joints(mesh))
+
+
+def heading_note(driving: PersonMotion | None, name: str, front: str) -> tuple[str, ...]:
+    """Return a note where a driving does not begin facing the front of its rest pose, which is taken as `front`."""
+    if driving is None or front != driving.front:
+        return ()
+    ahead = driving.rotation[0, 0, :, 2] * [1, 0, 1]
+    if np.hypot(*ahead[[0, 2]]) < LEVEL or axis_name(ahead) == front:
+        return ()
+    given = option("driving_front", axis_name(ahead))
+    return (
+        f"{name} faces {axis_name(ahead)} in its first frame and {front} in its rest pose: the result is turned as far "
+        f"from the front of its own; {given} has it begin facing that",
+    )
 
 
 def heading_axis(hips: Float[np.ndarray, "3 3"]) -> str:

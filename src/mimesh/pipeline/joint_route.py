@@ -32,7 +32,7 @@ from ..mime.prediction import face_outward
 from ..rigs.character import Character
 from ..rigs.retarget import JointMotion, Retarget
 from .corrections import Corrections
-from .file_rigs import Rigs, read_rigs
+from .file_rigs import Rigs, heading_note, read_rigs
 from .known import Known
 from .look import (
     OTHER,
@@ -254,7 +254,8 @@ def joint_route(identity: Mesh, clip: Clip, mime: Mime, known: Known, rigs: Rigs
     if rigs.humanoid is None and isinstance(motion, CapturedMotion):
         character, motion = network.with_fingers(character, rest, motion, partial(surface_motion, clip, theirs))
     retarget = Retarget.of(character, motion)
-    return JointRoute(identity, clip, (mine, theirs), rest, rigs=rigs, mime=network, retarget=retarget)
+    notes = heading_note(rigs.driving, clip.mesh.name, theirs.front)
+    return JointRoute(identity, clip, (mine, theirs), rest, rigs=rigs, notes=notes, mime=network, retarget=retarget)
 
 
 def _found(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from ..core.mesh import Clip
 from ..core.options import Hints
+from ..core.person_motion import PersonMotion
 from .corrections import NO_CORRECTIONS, Corrections
 from .read import driving_axes
 
@@ -39,8 +40,18 @@ class Known:
             InputError: a file of joints that cannot be read, or a frame that the clip does not have.
         """
         corrections = Corrections.read(hints.joints, hints.driving_joints, clip if whole is None else whole)
-        up, front = driving_axes(clip, hints.driving_up, hints.driving_front)
-        return cls((hints.up, hints.front, up, front), hints.rig, hints.body, corrections)
+        axes = hints.up, hints.front, hints.driving_up, hints.driving_front
+        return cls(axes, hints.rig, hints.body, corrections)
+
+    def with_heading(self, clip: Clip, driving: PersonMotion | None = None) -> Known:
+        """Fill in the driving's axes by where it faces in the first frame of the clip, if its joints tell that.
+
+        Args:
+            driving: joints that are followed; where their rest pose tells the front, the heading stays in the motion.
+        """
+        if driving is not None and driving.front is not None:
+            return self
+        return replace(self, axes=(*self.axes[:2], *driving_axes(clip, *self.axes[2:])))
 
     @property
     def asked_body(self) -> str:

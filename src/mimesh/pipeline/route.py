@@ -54,6 +54,7 @@ def find_route(
         )
     mime = model if isinstance(model, Mime) else None
     rigs = read_rigs(identity, clip, known, copy=not live and not options.changes_motion)
+    known = known.with_heading(clip, None if mime is None else rigs.driving)
     matched = None
     both = clip.skeleton is not None and may_have_joints(identity)
     if both and not live and known.rig == "own" and rigs.copied is None and not known.corrections.given:

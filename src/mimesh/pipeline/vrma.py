@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from ..bodies.hands import straight_hands
 from ..bodies.joint_names import with_named_neck
 from ..core.animated_rig import RigAnimation
 from ..core.errors import InputError, option
@@ -21,6 +22,7 @@ from ..io.gltf.own_rig import read_own_rig
 from ..io.gltf.scene import world_matrices
 from ..io.gltf.vrm import vrm_bones, vrm_version
 from ..motions.bone_motion import NEEDED, TRUNK, BoneMotion, bone_joints, t_pose, t_pose_frames
+from ..rigs.character import names_above
 
 if TYPE_CHECKING:
     from ..core.animated_rig import AnimatedRig
@@ -105,7 +107,8 @@ def _found_bone_motion(
     chosen = [index[joint] for joint in joints]
     rest = skeleton.rig.joints[chosen] @ turn.T
     floor = float((skeleton.mesh.vertices @ turn.T)[:, 1].min())
-    frames, rotation = turn @ skeleton.rig.rotation[chosen], turn @ skeleton.rotation[:, chosen]
+    straight = straight_hands(skeleton.names, names_above(skeleton.names, skeleton.parents))[chosen]
+    frames, rotation = turn @ skeleton.rig.rotation[chosen], turn @ skeleton.rotation[:, chosen] @ straight
     return since_t_pose(name, joints, rest, frames, rotation, skeleton.root @ turn.T, floor, fps)
 
 

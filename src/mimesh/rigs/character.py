@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..bodies.joint_names import ancestors
+from ..bodies.joint_names import ancestors, followed_fingers
 from ..core.geometry import rotate_between, unit_vectors
 from ..core.normalization import Normalization
 from ..core.rig import Rig
@@ -185,5 +185,9 @@ def names_above(joints: tuple[str, ...], parents: tuple[int, ...]) -> tuple[tupl
 
 
 def _nearest_known(above: Iterable[tuple[str, ...]], index: Mapping[str, int]) -> Int[np.ndarray, " J"]:
-    """Return the index of the first known name of each row; that of the root, which comes first, if there is none."""
-    return np.array([next((index[name] for name in names if name in index), 0) for names in above])
+    """Return the index of the first known name of each row; that of the root, which comes first, if there is none.
+
+    Fingers that are lacking follow those beside them (`followed_fingers`).
+    """
+    rows = ([*names[:1], *followed_fingers(names[0]), *names[1:]] if names else [] for names in above)
+    return np.array([next((index[name] for name in names if name in index), 0) for names in rows])

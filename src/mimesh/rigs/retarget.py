@@ -15,6 +15,7 @@ from jaxtyping import Float
 from ..bodies import load_body
 from ..bodies.anatomy import anatomy_of_joints, body_of_joints
 from ..bodies.character_limbs import SIDES
+from ..bodies.hands import straight_hands
 from ..bodies.joint_names import ancestors, finger_joints
 from ..core.foot_planting import PosedJoints, plant_feet
 from ..core.frame_buffer import Progress, counted, each_frame
@@ -147,6 +148,10 @@ class Retarget:
     def of(cls, character: Character, motion: JointMotion) -> Retarget:
         """Let a character follow a motion: each joint the driving's of its role, steps as long as its legs."""
         links = character.linked(motion.joints, motion.rest)
+        if body_of_joints(motion.joints) == "human" and (character.confidence is None) != (motion.confidence is None):
+            # On surfaces hands are found as they rest, in files as straight ones where no knuckles show their palms.
+            turns = straight_hands(list(character.roles), character.above)
+            links = replace(links, standing=turns if character.confidence is None else turns.swapaxes(-1, -2))
         return cls(character, motion, links, character.leg / motion.leg, _feet(character, motion))
 
     def limited(self, influences: int) -> Retarget:

@@ -86,11 +86,10 @@ def prepare_inputs(identity: Item, driving: Item, options: Options) -> Route:
     """Choose the way to move an identity by a driving clip, which have been read, without refinement."""
     assert isinstance(identity.content, Mesh)
     assert isinstance(driving.content, Clip)
-    axes = (*identity.axes, *driving_axes(driving.content, *driving.axes))
     model = find_model(options.model)
     rig, body = options.kind(model)
     corrections = Corrections() if body == OTHER else applicable_corrections(model, identity, driving)
-    known = Known(axes, rig, body, corrections)
+    known = Known((*identity.axes, *driving.axes), rig, body, corrections)
     return find_route(identity.content, driving.content, model, known, options.motion(model))
 
 

@@ -97,7 +97,7 @@ def add_channel(gltf, name, path, values):
 
 
 def play_on_body(path):
-    return on_body(read_skeleton(open_document(path)), path)
+    return on_body(read_skeleton(open_document(path)), path).motion
 
 
 def limbs(body, motion):

@@ -24,7 +24,7 @@ import numpy as np
 from ...core.budgets import check_clip_size
 from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Mesh, check_mesh
-from ...motions.on_body import first_frame, on_body, played
+from ...motions.on_body import first_frame, on_body
 from ..timing import DEFAULT_FPS
 from .animation import frame_rate, frame_times, posed_vertices, sample_nodes, select_channels, unposed_vertices
 from .build import build_document
@@ -35,7 +35,6 @@ from .edit import GltfSource, edit_document, with_normals
 from .motion import PLAYED_PATHS, is_motion, read_skeleton
 from .own_rig import GltfJoints
 from .read import RestScene, read_rest
-from .vrm import is_vrm_animation, vrm_bones, with_hands
 
 
 def read_gltf(path: Path) -> Mesh:
@@ -84,7 +83,7 @@ def read_gltf_clip(
     """
     document = open_document(path)
     if is_motion(document):
-        clip = played(on_body(read_skeleton(document, fps, animation), path))
+        clip = on_body(read_skeleton(document, fps, animation), path).clip()
         return dataclasses.replace(clip, skeleton=_joints(document, animation, clip))
     mesh = _read_mesh(document)
     assert isinstance(mesh.source, GltfSource)
@@ -115,8 +114,6 @@ def _joints(document: Document, animation: str | None, clip: Clip) -> GltfJoints
     """Return the joints of a clip without a mesh, which the shipped body plays."""
     channels, times = select_channels(document, animation), np.arange(len(clip)) / clip.fps
     person = None if clip.skeleton is None else clip.skeleton.person()
-    if person is not None and is_vrm_animation(document) and vrm_bones(document):
-        person = with_hands(person, document, channels, times)
     whole = clip.fps == (frame_rate([channel for channel in channels if channel.path in PLAYED_PATHS]) or DEFAULT_FPS)
     return GltfJoints(document, channels, times, None, person, whole=whole)
 

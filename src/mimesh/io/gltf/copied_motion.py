@@ -22,14 +22,16 @@ from jaxtyping import Float
 
 from ...bodies.joint_names import ancestors
 from ...core.geometry import continuous_quaternions, nearest_rotation
-from .animation import AnimatedValues, AnimationChannel, animated_nodes
+from .animation import AnimatedValues, AnimationChannel, animated_nodes, sample_joints
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS, rest_matrices
-from .own_rig import UNSKINNED, GltfJoints
+from .own_rig import UNSKINNED, GltfJoints, node_tracks
 from .read import unweighted_vertices
 from .scene import (
+    DEFAULT_TRS,
     local_matrices,
+    local_matrix,
     node_parents,
     node_properties,
     normalized_quaternions,
@@ -120,7 +122,15 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
                 value = value[:1]
             if len(value) > 1 or np.abs(value - own[path]).max() > 0:
                 tracks[node, path] = np.broadcast_to(value, (len(driving.times), value.shape[1]))
-    beside = _other_sources(mine, theirs, values, {node for node, _ in tracks})
+    beside = _other_sources(mine, theirs, values, pairs)
+    above = _moving_above(driving, pairs)
+    if above and not (same_rest and _has_above(mine, above, beside)):
+        # The topmost joints take the motion of nodes above them that the identity lacks, or has under other names.
+        beside = {key: source for key, source in beside.items() if source[0] not in above}
+        for top in set().union(*above.values()):
+            carried = _carried(mine, top, tracks, _motion_above(driving, pairs[top], scale))
+            sources = {key: source for key, source in sources.items() if key[0] != top}
+            tracks = {key: track for key, track in tracks.items() if key[0] != top} | carried
     for key, source in beside.items():
         tracks[key] = continuous_quaternions(values[source]) if key[1] == "rotation" else values[source]
     # In a copy of the same file all targets have been copied already, those that do not move included.
@@ -130,6 +140,40 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
     faces = {} if same_file else morph_tracks(mine, named_weights(theirs, driving.channels, driving.times))
     keys = _copied_keys(driving, sources | beside) if same_rest and driving.whole else {}
     return SharedMotion(faces | tracks, same_rest, alike, keys)
+
+
+def _moving_above(driving: GltfJoints, pairs: dict[int, int]) -> dict[int, set[int]]:
+    """Find the moving nodes above the paired joints of the driving, each with the topmost joints of mine below it."""
+    parents, paired = tuple(node_parents(driving.document)), set(pairs.values())
+    moving = {channel.node for channel in driving.channels if channel.path in DEFAULT_TRS and not channel.constant}
+    found: dict[int, set[int]] = {}
+    for node, other in pairs.items():
+        above = ancestors(parents, other)[1:]
+        for moved in () if paired.intersection(above) else moving.intersection(above):
+            found.setdefault(moved, set()).add(node)
+    return found
+
+
+def _has_above(mine: Document, above: dict[int, set[int]], beside: Mapping[tuple[int, str], tuple[int, str]]) -> bool:
+    """Tell whether all moving nodes above the joints are copied to nodes above the same joints of mine."""
+    parents, target = tuple(node_parents(mine)), {other: node for (node, _), (other, _) in beside.items()}
+    return all(target.get(moved) in ancestors(parents, top) for moved, tops in above.items() for top in tops)
+
+
+def _motion_above(driving: GltfJoints, other: int, scale: float) -> Float[np.ndarray, "T 4 4"]:
+    """Compute how the node above a joint moves, in its own frame at rest; steps are scaled."""
+    above = node_parents(driving.document)[other]
+    rest = world_matrices(driving.document)[above]
+    moved = np.linalg.inv(rest) @ sample_joints(driving.document, driving.channels, driving.times, [above])[:, 0]
+    moved[:, :3, 3] *= scale
+    return moved
+
+
+def _carried(mine: Document, node: int, tracks: AnimatedValues, moved: Float[np.ndarray, "T 4 4"]) -> AnimatedValues:
+    """Compute the values of a joint with tracks whose parent stays, so that it moves as with a parent that `moved`."""
+    own = node_properties(mine.gltf["nodes"][node])
+    local = moved @ local_matrix({**own, **{path: tracks[node, path] for path in own if (node, path) in tracks}})
+    return {(node, path): values for path, values in node_tracks(own, local, 0.0, 0.0).items()}
 
 
 def copy_morphs(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
@@ -158,24 +202,38 @@ def _joint_nodes(document: Document) -> list[int]:
 
 
 def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int]:
-    """Match joints to nodes of another file with the same name below joints with the same names."""
+    """Match joints to nodes of another file with the same name below joints with the same names.
+
+    Of several with one name below one joint, the first is that of the first, if both files have as many.
+    """
     my_names, their_names = _names(mine), _names(theirs)
     my_parents, their_parents = tuple(node_parents(mine)), tuple(node_parents(theirs))
     if my_names == their_names and my_parents == their_parents:
         return {node: node for node in joints}
-    pairs, among = {}, set(joints)
-    for node in joints:
+    pairs: dict[int, int] = {}
+    among = set(joints)
+    for node in sorted(joints, key=lambda node: len(ancestors(my_parents, node))):
         # As many names count as there are joints from the node up.
         chain = ancestors(my_parents, node)
-        length = sum(n in among for n in chain)
-        wanted = [my_names[n] for n in chain[:length]]
-        named = [other for other, name in enumerate(their_names) if name == my_names[node]]
-        found = [o for o in named if [their_names[n] for n in ancestors(their_parents, o)[:length]] == wanted]
-        if len(found) > 1:  # a mesh may have the name of a joint: that has nothing below it
+        chain = chain[: sum(n in among for n in chain)]
+        wanted = [my_names[n] for n in chain]
+        same = [n for n in joints if my_names[n] == wanted[0]]
+        others = [other for other, name in enumerate(their_names) if name == wanted[0]]
+        found = [o for o in others if _chain_names(their_names, their_parents, o, len(chain)) == wanted]
+        alike = [n for n in same if _chain_names(my_names, my_parents, n, len(chain)) == wanted]
+        if my_parents[node] in pairs:
+            found = [other for other in found if their_parents[other] == pairs[my_parents[node]]]
+            alike = [n for n in alike if my_parents[n] == my_parents[node]]
+        if len(found) > len(alike):  # a mesh may have the name of a joint: that has nothing below it
             found = [other for other in found if "mesh" not in theirs.gltf["nodes"][other]]
-        if len(found) == 1:
-            pairs[node] = found[0]
+        if len(found) == len(alike):
+            pairs[node] = found[alike.index(node)]
     return pairs
+
+
+def _chain_names(names: list[str], parents: tuple[int, ...], node: int, length: int) -> list[str]:
+    """List the names of so many nodes from a node up."""
+    return [names[n] for n in ancestors(parents, node)[:length]]
 
 
 def _names(document: Document) -> list[str]:
@@ -232,22 +290,32 @@ def _copied_keys(
 
 
 def _other_sources(
-    mine: Document, theirs: Document, values: AnimatedValues, done: set[int]
+    mine: Document, theirs: Document, values: AnimatedValues, pairs: dict[int, int]
 ) -> dict[tuple[int, str], tuple[int, str]]:
     """Find what is copied to nodes that are no joints, by name: props, and weights of meshes with the same targets.
 
-    Targets are the same if they have the same names, or if one of the files does not name them, the same number.
+    Targets are the same if they have the same names, or if one of the files does not name them, the same number. Of
+    several nodes with one name the first is that of the first, and so on.
     """
     their_names, my_names = _names(theirs), _names(mine)
+    partner = {other: node for node, other in pairs.items()}
     sources: dict[tuple[int, str], tuple[int, str]] = {}
-    for (other, path), value in values.items():
-        nodes = [other] if mine is theirs else [n for n, name in enumerate(my_names) if name == their_names[other]]
-        for node in nodes[:1]:
-            fits = path != "weights" or (
-                value.shape[1] == target_count(mine, node) and _same_targets(mine, node, theirs, other)
-            )
-            if fits and node not in done:
-                sources[node, path] = (other, path)
+    for other, path in values:
+        if other in partner and path != "weights":
+            continue
+        alike = [n for n, name in enumerate(their_names) if name == their_names[other] and n not in partner]
+        nodes = [n for n, name in enumerate(my_names) if name == their_names[other] and n not in pairs]
+        if other in partner:
+            node = partner[other]
+        elif mine is theirs or my_names == their_names:
+            node = other
+        elif alike.index(other) < len(nodes):
+            node = nodes[alike.index(other)]
+        else:
+            continue
+        count = values[other, path].shape[1]
+        if path != "weights" or (count == target_count(mine, node) and _same_targets(mine, node, theirs, other)):
+            sources[node, path] = (other, path)
     return sources
 
 

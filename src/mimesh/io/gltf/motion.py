@@ -1,6 +1,7 @@
 """Reads animated joints of a glTF file without a mesh, and plays them on the shipped body.
 
-Joints are the nodes that an animation moves or a skin lists, and those between them. Their rest pose is the bind pose
+Joints are the nodes that an animation moves or a skin lists, and those between them; without a skin, all that have a
+root in common with a moving one. Their rest pose is the bind pose
 of the largest skin, where its inverse bind matrices define one, else the nodes' transforms in the file: exporters often
 leave these in some frame of an animation. Rotations are world rotations, so node scales and mirrored joints cancel out.
 Animated scales are not played, because a body has a fixed size: joints that a file scales up from zero are there from
@@ -17,8 +18,9 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from ...core.geometry import nearest_rotation
-from ...core.normalization import ROTATIONS
+from ...bodies.joint_names import ancestors
+from ...core.geometry import nearest_rotation, rotation_between
+from ...core.normalization import ORIENTATIONS, ROTATIONS, axis_name
 from ...core.rig import local_rotations
 from ...motions.bvh import Bvh
 from ..timing import DEFAULT_FPS
@@ -95,11 +97,10 @@ def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
         InputError: the inverse bind matrices have NaN or infinity.
     """
     T_world_node, skins = world_matrices(document), document.gltf.get("skins", [])
-    bound_skins = [number for number, skin in enumerate(skins) if "inverseBindMatrices" in skin]
-    if not bound_skins:
+    largest = _largest_skin(document)
+    if largest is None:
         yield T_world_node
         return
-    largest = max(bound_skins, key=lambda number: len(skins[number]["joints"]))
     T_world_bind = joint_matrices(document, largest, T_world_node)
     if not np.isfinite(T_world_bind).all():
         raise damaged(document.path, f"finite joint transforms in skin {largest}", "NaN or infinity")
@@ -120,6 +121,38 @@ def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
             nearest_joint[node] = joint_of_node.get(node, nearest_joint[parent[node]])
             T_rest_node[node] = T_rest_bind @ np.linalg.inv(T_world_bind[nearest_joint[node]]) @ T_world_node[node]
         yield T_rest_node
+
+
+def _largest_skin(document: Document) -> int | None:
+    """Return the number of the skin with the most joints among those with inverse bind matrices, if there are any."""
+    skins = document.gltf.get("skins", [])
+    bound = [number for number, skin in enumerate(skins) if "inverseBindMatrices" in skin]
+    return max(bound, key=lambda number: len(skins[number]["joints"]), default=None)
+
+
+def front_before_placing(document: Document, T_rest_node: Float[np.ndarray, "N 4 4"], front: str) -> str:
+    """Return the front of a person at rest without the turn of nodes above the joints about the vertical.
+
+    A person who faces +z where the mesh was bound and stands turned in the scene has that heading in every frame.
+    Others are turned to face +z, or face another way by their maker's habit: their front stays.
+
+    Args:
+        T_rest_node: the nodes at rest, y up.
+        front: axis to the front there.
+    """
+    largest = _largest_skin(document)
+    if largest is None:
+        return front
+    T_rest_bind = nearest_rotation(joint_matrices(document, largest, T_rest_node)[:, :3, :3]).sum(axis=0)
+    orientation = _nearest_axis_rotation(nearest_rotation(T_rest_bind))
+    up = orientation.T @ [0.0, 1.0, 0.0]
+    if up[1] < 0:  # upside down: which way it was turned cannot be told
+        return front
+    upright = rotation_between(up, np.array([0.0, 1.0, 0.0]))
+    placed = orientation @ upright.T
+    return (
+        "+z" if axis_name(placed.T @ ROTATIONS[[axes[1] for axes in ORIENTATIONS].index(front)][2]) == "+z" else front
+    )
 
 
 def _bind_orientations(
@@ -150,7 +183,10 @@ def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
     joints = set(_animated_bones(document).values())
     if not joints:
         joints = {node for skin in document.gltf.get("skins", []) for node in skin["joints"]}
-        joints |= animated_nodes(document, PLAYED_PATHS)
+        moving = animated_nodes(document, PLAYED_PATHS)
+        # Without a skin, joints that rest in all animations are known by the hierarchy alone.
+        roots = set() if joints else {ancestors(node_parent, node)[-1] for node in moving}
+        joints |= moving | {node for node in order if ancestors(node_parent, node)[-1] in roots}
     for node in tuple(joints):  # add the nodes between a joint and the next joint above it
         between, node = [], node_parent[node]
         while node >= 0 and node not in joints:

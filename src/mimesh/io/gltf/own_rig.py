@@ -23,7 +23,7 @@ from .character import read_clips, read_standing, read_standing_animal, rig_at_r
 from .check import damaged
 from .document import Document
 from .edit import GltfSource
-from .motion import PLAYED_PATHS, rest_matrices
+from .motion import PLAYED_PATHS, front_before_placing, rest_matrices
 from .read import RestScene, unweighted_vertices
 from .scene import local_matrices, local_matrix, node_parents, node_properties, sort_parents_first, world_matrices
 
@@ -70,7 +70,7 @@ class FileRig:
             unit = np.cbrt(np.abs(np.linalg.det(above[0, :3, :3])))
             distance, angle = UNCHANGED * extent.max() / unit, UNCHANGED * extent.max() / np.linalg.norm(extent)
             entry = node_properties(document.gltf["nodes"][node])
-            found = _node_tracks(entry, local, distance, angle)
+            found = node_tracks(entry, local, distance, angle)
             tracks |= {(node, path): values for path, values in found.items()}
             # The nodes below undo what this one is off, so that errors along a chain do not add up.
             world[node] = above @ local_matrix({**entry, **found})
@@ -200,7 +200,9 @@ class GltfJoints:
         world = sample_joints(document, self.channels, self.times, nodes)
         if not np.isfinite(world).all():
             raise damaged(document.path, "finite joints", "NaN or infinity")
-        return humanoid.motion(world, rig.scene.T_world_node[nodes])
+        motion = humanoid.motion(world, rig.scene.T_world_node[nodes])
+        assert motion.front is not None
+        return dataclasses.replace(motion, front=front_before_placing(document, rig.scene.T_world_node, motion.front))
 
 
 def check_sound(rig: SkinnedCharacter, T_world_joint: Float[np.ndarray, "J 4 4"], path: object) -> None:
@@ -278,7 +280,7 @@ def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: object) -> None:
         raise InputError(f"{path}: expected joints scaled equally along all axes, found others; apply their scale")
 
 
-def _node_tracks(
+def node_tracks(
     own: Mapping[str, Float[np.ndarray, " _"]], local: Float[np.ndarray, "T 4 4"], distance: float, angle: float
 ) -> dict[str, Float[np.ndarray, "T _"]]:
     """Decompose local transforms into those of translation, rotation and scale that differ from the file's.

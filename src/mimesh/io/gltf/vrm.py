@@ -12,26 +12,18 @@ it. Animations rotate the nodes and move the hips. Expressions and the direction
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ...bodies.character_limbs import SIDES
 from ...bodies.engine_names import SCHEMES
-from ...bodies.hands import body_with_fingers, hand_joints
-from ...bodies.joint_names import ancestors, finger_joints
-from ...core.geometry import nearest_rotation
-from ...core.person_motion import PersonMotion
-from ...motions.bone_motion import BoneMotion, bone_joints, t_pose_frames
-from ...motions.retarget import axes_from_rest
-from .animation import AnimationChannel, sample_joints
+from ...motions.bone_motion import BoneMotion
 from .document import Document, open_document
 from .draft import AccessorCopier
 from .joints import joint_animation, joints_draft
-from .scene import world_matrices
 
 ANIMATION = "VRMC_vrm_animation"
 """Extension of VRM animations."""
@@ -216,38 +208,6 @@ def _first_text(values: tuple[object, ...]) -> str:
     return next((text[:LONGEST] for text in texts if text), "")
 
 
-def with_hands(
-    played: PersonMotion, document: Document, channels: list[AnimationChannel], times: Float[np.ndarray, " T"]
-) -> PersonMotion:
-    """Add the fingers of a VRM animation, and the roll of its hands, to the joints of the body that plays it.
-
-    Finger joints stand where the fingers of that body do. They have no weights: the surface shows none of them.
-    """
-    nodes_of = vrm_bones(document)
-    joints = bone_joints(nodes_of)
-    nodes = [nodes_of[name] for name in joints]
-    rest = world_matrices(document)[nodes]
-    world = sample_joints(document, channels, times, nodes)
-    return with_posed_hands(played, joints, rest, world)
-
-
-def with_posed_hands(
-    played: PersonMotion,
-    joints: tuple[str, ...],
-    rest: Float[np.ndarray, "J 4 4"],
-    world: Float[np.ndarray, "T J 4 4"],
-) -> PersonMotion:
-    """As `with_hands`, from the transforms of joints at rest and in every frame, in any axes."""
-    axes = axes_from_rest(rest[:, :3, 3], {name: k for k, name in enumerate(joints)})
-    frames = t_pose_frames(joints, rest[:, :3, 3] @ axes.T)
-    moved = axes @ nearest_rotation(world[..., :3, :3] @ np.linalg.pinv(rest[:, :3, :3])) @ axes.T
-    rotation_of = dict(zip(joints, (moved @ frames).swapaxes(0, 1), strict=True))
-    for side in SIDES:
-        if any(name in joints for name in finger_joints(side)):
-            played = _with_hand(played, side, rotation_of)
-    return played
-
-
 def write_vrma(motions: Sequence[BoneMotion], path: Path) -> None:
     """Write motions of one skeleton as a VRM animation in GLB format, with an animation for each."""
     first = motions[0]
@@ -289,35 +249,3 @@ def write_vrm(glb: Path, bones: Mapping[str, int], meta: VrmMeta, turn: Float[np
         )
         scene["nodes"] = [len(gltf["nodes"]) - 1]
     draft.save(path)
-
-
-def _with_hand(played: PersonMotion, side: str, rotation_of: dict[str, Float[np.ndarray, "T 3 3"]]) -> PersonMotion:
-    """Replace the rotation of a hand and its finger stubs by that of the hand and its fingers."""
-    body = body_with_fingers()
-    names = list(played.joints)
-    hand = names.index(f"{side}Hand")
-    of_hand = hand_joints(played.joints, side)
-    kept = [j for j in range(len(names)) if j == hand or j not in of_hand]
-    fingers = [name for name in finger_joints(side) if name in rotation_of]
-    rotation, positions = played.rotation.copy(), played.positions
-    rotation[:, hand] = rotation_of[f"{side}Hand"]
-    # Fingers are placed from the hand outwards by the bones of the body.
-    place = {f"{side}Hand": positions[:, hand]}
-    turn = {f"{side}Hand": rotation[:, hand]} | {name: rotation_of[name] for name in fingers}
-    for name in fingers:
-        chain = ancestors(body.parents, body.joint(name))[1:]
-        above = next(body.joint_names[j] for j in chain if body.joint_names[j] in place)
-        bone = body.joints[body.joint(name)] - body.joints[body.joint(above)]
-        place[name] = place[above] + turn[above] @ bone
-    weights = played.weights
-    if weights is not None:
-        weights = weights.copy()
-        weights[:, hand] = weights[:, of_hand].sum(axis=1)
-        weights = np.pad(weights[:, kept], ((0, 0), (0, len(fingers))))
-    return replace(
-        played,
-        joints=(*(names[j] for j in kept), *fingers),
-        rotation=np.concatenate([rotation[:, kept], *(turn[name][:, None] for name in fingers)], axis=1),
-        positions=np.concatenate([positions[:, kept], *(place[name][:, None] for name in fingers)], axis=1),
-        weights=weights,
-    )
