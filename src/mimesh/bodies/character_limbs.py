@@ -20,7 +20,7 @@ from ..core.geometry import vertex_areas
 from ..core.normalization import bbox_centre
 from ..core.rig import Rig, descendant_matrix, descendants
 from .body_model import load_body
-from .joint_names import ancestors, common_ancestors, named_joints, other_side, parents_first, trunk_joints
+from .joint_names import ancestors, called_hips, common_ancestors, named_joints, other_side, parents_first, trunk_joints
 from .skinned_character import SkinnedCharacter
 
 FindJoints = Callable[[SkinnedCharacter], dict[str, int]]
@@ -32,6 +32,9 @@ END_SLICE = 0.2
 """Share of a limb's length over which its end is averaged, where no joint marks the end. Chosen by eye."""
 CARRIED = 0.5
 """A vertex belongs to a limb if the limb's joint and those below it have more than this share of its weight."""
+NO_HIPS = 0.005
+"""Share of all weights up to which a joint above the legs that is not called hips is a root: painting leaves traces on
+roots. Trunks of figures with such roots have 0.2 and more."""
 LOOSE_FOOT = 0.05
 """Largest median movement of a foot relative to its shin over the clips, in heights of the figure.
 
@@ -75,9 +78,10 @@ def name_limb_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, in
         right = ancestors(rig.parents, found["RightUpLeg"])
         found["Hips"] = next((j for j in ancestors(rig.parents, found["LeftUpLeg"]) if j in right), 0)
     # Figures of blocks have a root that moves them and one joint for the trunk, which may turn without the root.
-    weighted = np.unique(rig.joint_of[rig.weights > 0])
-    trunk = [name for name in ("LowerBack", "Spine", "Spine1") if name in found and found[name] in weighted]
-    if found["Hips"] not in weighted and trunk:
+    share = rig.joint_weights().sum(axis=0) / rig.weights.sum()
+    least = 0.0 if known or called_hips(rig.joint_names, found["Hips"]) else NO_HIPS
+    trunk = [name for name in ("LowerBack", "Spine", "Spine1") if name in found and share[found[name]] > least]
+    if share[found["Hips"]] <= least and trunk:
         found["Hips"] = found.pop(trunk[0])
     for side in SIDES:
         for upper, lower in (("Arm", "ForeArm"), ("UpLeg", "Leg")):
@@ -101,10 +105,7 @@ def name_sided_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, i
     Raises:
         UnnamedJoints: an upper arm or a thigh is not found by name.
     """
-    found = dict(known) if known else named_joints(rig.joint_names, rig.parents)
-    for side in SIDES:
-        if f"{side}UpLeg" not in found and f"{side}Leg" in found:
-            found[f"{side}UpLeg"] = found.pop(f"{side}Leg")
+    found = dict(known) if known else limbs_by_name(rig.joint_names, rig.parents)
     moving = moves_vertices(rig)
     for name in [f"{side}{part}" for side in SIDES for part in TAILS]:
         if name in found and not moving[found[name]]:
@@ -114,6 +115,15 @@ def name_sided_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, i
             f"{path}: expected a thigh and an upper arm on both sides by name, each with weights, found none for "
             f"{', '.join(missing)}; rename the joints, for example LeftUpLeg, LeftArm"
         )
+    return found
+
+
+def limbs_by_name(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict[str, int]:
+    """Find joints as `named_joints` does; a leg of one joint is the thigh."""
+    found = named_joints(joint_names, parents)
+    for side in SIDES:
+        if f"{side}UpLeg" not in found and f"{side}Leg" in found:
+            found[f"{side}UpLeg"] = found.pop(f"{side}Leg")
     return found
 
 

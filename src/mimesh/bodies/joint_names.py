@@ -77,7 +77,7 @@ def named_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict
     """
     plain = plain_names(joint_names)
     found = _limbs(plain)
-    hips = [plain.index(word) for word in (*HIPS, *(f"c{word}" for word in HIPS)) if word in plain]
+    hips = _hips(plain)
     legs = common_ancestors(found, "UpLeg", parents)
     if hips or legs:
         found["Hips"] = hips[0] if hips else legs[0]
@@ -85,6 +85,11 @@ def named_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict
     if chest:
         found |= trunk_joints(chest, _head(plain, parents, chest[0]), found.get("Hips", -1), parents)
     return found
+
+
+def called_hips(joint_names: tuple[str, ...], joint: int) -> bool:
+    """Tell whether a joint is the hips by its name."""
+    return joint in _hips(plain_names(joint_names))
 
 
 def common_ancestors(found: Mapping[str, int], part: str, parents: tuple[int, ...]) -> list[int]:
@@ -299,6 +304,11 @@ def _limbs(plain: list[str]) -> dict[str, int]:
                 # A name is used once: later rows may have the same word.
                 found[joint] = by_word.pop((side, word))
     return found
+
+
+def _hips(plain: list[str]) -> list[int]:
+    """List the joints that are called hips, the likeliest first."""
+    return [plain.index(word) for word in (*HIPS, *(f"c{word}" for word in HIPS)) if word in plain]
 
 
 def _below(chain: list[int], top: int) -> list[int]:

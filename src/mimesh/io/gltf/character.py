@@ -27,6 +27,8 @@ from ...bodies.character_limbs import (
     attach_feet,
     carried_vertices,
     find_limbs,
+    limbs_by_name,
+    missing_limbs,
     name_limb_joints,
     name_sided_joints,
 )
@@ -48,7 +50,7 @@ from .check import damaged
 from .document import Document, open_document
 from .motion import PLAYED_PATHS, bind_poses, is_motion
 from .read import RestScene, read_rest, rig_on_nodes, skin_joints
-from .scene import scene_nodes
+from .scene import node_parents, scene_nodes, sort_parents_first
 from .vrm import read_origin, vrm_bones, vrm_version
 
 CLIP_FPS = 30.0
@@ -67,6 +69,8 @@ SHORTEST_TOES = 0.02
 """Smallest distance from ankle to the middle of the foot that says where a foot points, in heights of the character."""
 APART = 0.1
 """Largest share of the skinning weight on skeletons without any joint of the character: a second character, or LODs."""
+APART_PROP = 0.5
+"""The same on skeletons whose joints are not named as limbs: a prop may have more vertices than who carries it."""
 NOT_STATED = "not stated"
 """Licence of a character whose file and folder name none."""
 PAIRS = ("UpLeg", "Arm")
@@ -214,15 +218,14 @@ def rig_at_rest(
 ) -> tuple[SkinnedCharacter, list[int]]:
     """Read the rig of a mesh with the nodes of `scene` as its rest pose, without scales, and the node of each joint.
 
-    Joints are those of the shown skins, else the nodes that show a mesh or that an animation moves, and `bones`.
+    Joints are those of the shown skins, else the nodes of rigid parts, and `bones`.
 
     Raises:
         InputError: positions that are not finite.
     """
     path, joint_nodes = document.path, skin_joints(document, scene)
     if not joint_nodes:
-        joint_nodes = animated_nodes(document, PLAYED_PATHS)
-        joint_nodes |= {node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]}
+        joint_nodes = _rigid_parts(document)
     rig, nodes = rig_on_nodes(mesh, document, scene, joint_nodes.union(bones))
     if not all(np.isfinite(array).all() for array in (rig.points, rig.T_world_joint)):
         raise damaged(path, "a rest pose of finite numbers", "NaN or infinity")
@@ -231,6 +234,27 @@ def rig_at_rest(
     frames[:, :3, 3] = rig.joints
     at_rest = dataclasses.replace(mesh, vertices=(rig.weights[..., None] * rig.points).sum(axis=1))
     return dataclasses.replace(rig, mesh=at_rest, T_world_joint=frames), nodes
+
+
+def names_person(document: Document) -> bool:
+    """Tell whether the nodes of rigid parts are named as the joints of a person, or listed as such by a VRM file."""
+    return bool(vrm_bones(document)) or _have_limbs(document, _rigid_parts(document))
+
+
+def _rigid_parts(document: Document) -> set[int]:
+    """List the nodes that show a mesh or that an animation moves; those above them too, if these name the limbs."""
+    parts = animated_nodes(document, PLAYED_PATHS)
+    parts |= {node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]}
+    node_parent = tuple(node_parents(document))
+    above = {node for part in parts for node in ancestors(node_parent, part)}
+    return above if not _have_limbs(document, parts) and _have_limbs(document, above) else parts
+
+
+def _have_limbs(document: Document, nodes: Collection[int]) -> bool:
+    """Tell whether some nodes have the names of thighs and upper arms."""
+    order = [node for node in sort_parents_first(document, node_parents(document)) if node in nodes]
+    names = tuple(str(document.gltf["nodes"][node].get("name", "")) for node in order)
+    return not missing_limbs(limbs_by_name(names, (-1,) * len(names)))
 
 
 def standing_facing(rig: SkinnedCharacter, known: dict[str, int], rule: str, path: object) -> str:
@@ -332,7 +356,9 @@ def _check_one_skeleton(rig: SkinnedCharacter, joints: dict[str, int], path: obj
     roots = np.array([ancestors(rig.parents, j)[-1] for j in range(len(rig.parents))])
     named = np.isin(roots, roots[list(joints.values())])
     apart = (rig.weights * ~np.append(named, True)[rig.joint_of]).sum() / rig.weights.sum()
-    if apart > APART:
+    others = [name for name, of_person in zip(rig.joint_names, named, strict=True) if not of_person]
+    prop = bool(missing_limbs(limbs_by_name(tuple(others), (-1,) * len(others))))
+    if apart > (APART_PROP if prop else APART):
         raise InputError(f"{path}: expected one character, found {apart:.0%} of the weights on other skeletons; "
                          "export it alone")  # fmt: skip
 

@@ -2,7 +2,8 @@
 
 Joints are the nodes that an animation moves or a skin lists, and those between them. Their rest pose is the bind pose
 of the largest skin, where its inverse bind matrices define one, else the nodes' transforms in the file: exporters often
-leave these in some frame of an animation. Rotations are world rotations, so node scales and mirrored joints cancel out.
+leave these in some frame of an animation. Scales of nodes are kept: a head may have been enlarged since it was bound.
+Rotations are world rotations, so node scales and mirrored joints cancel out.
 Animated scales are not played, because a body has a fixed size: joints that a file scales up from zero are there from
 the first frame.
 
@@ -25,7 +26,7 @@ from ..timing import DEFAULT_FPS
 from .animation import AnimationChannel, animated_nodes, frame_rate, frame_times, sample_nodes, select_channels
 from .check import damaged
 from .document import Document
-from .scene import joint_matrices, node_parents, scene_nodes, sort_parents_first, world_matrices
+from .scene import joint_matrices, node_parents, scene_nodes, sort_parents_first, used_skins, world_matrices
 from .vrm import is_vrm_animation, vrm_bones
 
 PLAYED_PATHS = ("translation", "rotation")
@@ -34,6 +35,8 @@ WORLD_NODE = -1
 """Index of an added root joint in files with several roots. It never moves; as an index it is the last node."""
 NEGLIGIBLE = 1e-6
 """Relative size below which the scale of a bind matrix or the change of a bone counts as zero."""
+ENLARGED = 1e-3
+"""Relative change of a joint's scale since its mesh was bound from which on it counts as one, and is kept."""
 SAME_UP_COSINE = 0.7
 """Cosine of the largest angle (about 45 degrees) between two up axes that count as the same."""
 
@@ -86,20 +89,25 @@ def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
     """Yield the world transforms of all nodes in the bind pose of the largest skin, in the likeliest orientation first.
 
     World from bind space, through joint j in the file's pose, is node j times its inverse bind matrix. Undoing it takes
-    a node from that pose into bind space; an orientation and the median scale take bind space back to the world.
-    Nodes that the skin does not list follow the nearest joint above them.
+    a node from that pose into bind space; an orientation and the median scale take bind space back to the world, where
+    each joint gets the scale that its node has in the file. Nodes that the skin does not list follow the nearest joint
+    above them.
 
-    Without usable inverse bind matrices, these are the nodes' transforms in the file.
+    Without usable inverse bind matrices, these are the nodes' transforms in the file. Skins without them have vertices
+    in the frame of their joints (glTF 2.0, 3.7.3.1), which says nothing about a pose.
 
     Raises:
         InputError: the inverse bind matrices have NaN or infinity.
     """
     T_world_node, skins = world_matrices(document), document.gltf.get("skins", [])
-    bound_skins = [number for number, skin in enumerate(skins) if "inverseBindMatrices" in skin]
-    if not bound_skins:
+    largest = max(
+        used_skins(document),
+        key=lambda number: (len(skins[number]["joints"]), "inverseBindMatrices" in skins[number]),
+        default=None,
+    )
+    if largest is None or "inverseBindMatrices" not in skins[largest]:
         yield T_world_node
         return
-    largest = max(bound_skins, key=lambda number: len(skins[number]["joints"]))
     T_world_bind = joint_matrices(document, largest, T_world_node)
     if not np.isfinite(T_world_bind).all():
         raise damaged(document.path, f"finite joint transforms in skin {largest}", "NaN or infinity")
@@ -112,14 +120,44 @@ def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
     parent, nearest_joint = node_parents(document), {WORLD_NODE: invertible[0]}
     order = sort_parents_first(document, parent)
     above_joints = parent[next(node for node in order if node in joint_of_node)]
+    own_scale = _kept_scales(T_world_bind, scale, invertible)
     for orientation in _bind_orientations(T_world_bind[invertible], _append_world(T_world_node)[above_joints]):
         T_rest_bind = np.eye(4)
-        T_rest_bind[:3, :3] = orientation * np.median(scale[invertible])
-        T_rest_node = np.empty_like(T_world_node)
+        T_rest_bind[:3, :3] = orientation * own_scale[invertible[0]]
+        T_bound_node = np.empty_like(T_world_node)
         for node in order:
             nearest_joint[node] = joint_of_node.get(node, nearest_joint[parent[node]])
-            T_rest_node[node] = T_rest_bind @ np.linalg.inv(T_world_bind[nearest_joint[node]]) @ T_world_node[node]
-        yield T_rest_node
+            T_bound_node[node] = T_rest_bind @ np.linalg.inv(T_world_bind[nearest_joint[node]]) @ T_world_node[node]
+        yield _enlarged(T_bound_node, own_scale[[nearest_joint[node] for node in range(len(parent))]], order, parent)
+
+
+def _kept_scales(
+    T_world_bind: Float[np.ndarray, "J 4 4"], scale: Float[np.ndarray, " J"], invertible: list[int]
+) -> Float[np.ndarray, " J"]:
+    """Return the scale of each joint since it was bound; the median for joints that are scaled unequally or alike."""
+    usual = np.median(scale[invertible])
+    own = np.full(len(scale), usual)
+    for joint in invertible:
+        axes = T_world_bind[joint, :3, :3] / scale[joint]
+        equal = np.abs(axes.T @ axes - np.eye(3)).max() <= ENLARGED
+        if equal and abs(scale[joint] - usual) > ENLARGED * usual:
+            own[joint] = scale[joint]
+    return own
+
+
+def _enlarged(
+    T_bound_node: Float[np.ndarray, "N 4 4"], scale: Float[np.ndarray, " N"], order: list[int], parent: list[int]
+) -> Float[np.ndarray, "N 4 4"]:
+    """Give nodes their scales since they were bound, each about its own place, with all that is below."""
+    if np.ptp(scale) == 0:
+        return T_bound_node
+    T_rest_node = T_bound_node.copy()
+    for node in order:
+        above = parent[node]
+        if above >= 0:
+            T_rest_node[node] = T_rest_node[above] @ np.linalg.pinv(T_bound_node[above]) @ T_bound_node[node]
+            T_rest_node[node, :3, :3] *= scale[node] / scale[above]
+    return T_rest_node
 
 
 def _bind_orientations(
