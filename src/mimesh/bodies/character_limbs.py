@@ -20,7 +20,16 @@ from ..core.geometry import vertex_areas
 from ..core.normalization import bbox_centre
 from ..core.rig import Rig, descendant_matrix, descendants
 from .body_model import load_body
-from .joint_names import ancestors, called_hips, common_ancestors, named_joints, other_side, parents_first, trunk_joints
+from .joint_names import (
+    FINGERS,
+    ancestors,
+    called_hips,
+    common_ancestors,
+    named_joints,
+    other_side,
+    parents_first,
+    trunk_joints,
+)
 from .skinned_character import SkinnedCharacter
 
 FindJoints = Callable[[SkinnedCharacter], dict[str, int]]
@@ -107,6 +116,12 @@ def name_sided_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, i
     """
     found = dict(known) if known else limbs_by_name(rig.joint_names, rig.parents)
     moving = moves_vertices(rig)
+    limbs = [f"{side}{part}" for side in SIDES for part in (*TAILS, "Hand", "Foot", "ToeBase")]
+    if not known and any(not moving[found[name]] for name in limbs if name in found):
+        # Controls may have the names of the joints that they drive, and come before them.
+        names = tuple(name if moving[j] else "" for j, name in enumerate(rig.joint_names))
+        driven = limbs_by_name(names, rig.parents)
+        found |= {name: driven[name] for name in limbs if name in driven}
     for name in [f"{side}{part}" for side in SIDES for part in TAILS]:
         if name in found and not moving[found[name]]:
             del found[name]
@@ -285,6 +300,8 @@ PELVIS = ("Hips", "LHipJoint", "RHipJoint")
 MATCH, NEARNESS = 0.3, 1.5
 """Score of a pair of joints: MATCH, plus their overlap, minus NEARNESS times their distance over the limb's length;
 pairs below 0 are none. Chosen on characters whose names are known (docs/log/rigs.md)."""
+THUMB = 0.75
+"""Distance of the first joint of a thumb from the wrist, over that of the next finger, up to which it is one."""
 BLOCK = 4096
 """Vertices whose weights are compared at once; bounds the memory."""
 
@@ -414,6 +431,36 @@ def _scores(
     """Score the pairs of some of the body's joints with all joints of the rig; 0 for joints that move no vertex."""
     distance = np.linalg.norm(body.joints[joints][:, None] - rig.joints, axis=-1)
     return (MATCH + overlap[joints] - NEARNESS * distance / length) * moves_vertices(rig)
+
+
+def fingers_by_place(rig: SkinnedCharacter, hand: int, side: str) -> dict[str, int]:
+    """Find the finger joints below a hand by place alone; none where four or five chains of joints do not begin there.
+
+    The thumb of five, or of four that are not alike, begins nearest to the wrist; the others follow from its side on,
+    or without it from the front: palms of a T-pose face down.
+
+    Args:
+        rig: a character that faces +z.
+        side: of the hand, Left or Right.
+    """
+    moving, parents = moves_vertices(rig), rig.parents
+    below = [j for j in descendants([hand], parents) if j != hand and moving[j]]
+    ends = [j for j in below if not any(parents[k] == j for k in below)]
+    shared = Counter(j for end in ends for j in ancestors(parents, end))
+    chains = [[j for j in ancestors(parents, end)[::-1] if j in below and shared[j] == 1][-3:] for end in ends]
+    if not 4 <= len(chains) <= len(FINGERS) or min(map(len, chains)) < 2:
+        return {}
+    start = rig.joints[[chain[0] for chain in chains]]
+    reach = np.linalg.norm(start - rig.joints[hand], axis=1)
+    nearest, second = np.sort(reach)[:2]
+    thumb = int(reach.argmin()) if len(chains) == len(FINGERS) or nearest < THUMB * second else None
+    others = [k for k in range(len(chains)) if k != thumb]
+    along = start[others].mean(axis=0) - rig.joints[hand]
+    across = np.array([0.0, 0.0, 1.0]) if thumb is None else start[thumb] - start[others].mean(axis=0)
+    across = across - (across @ along) / (along @ along) * along
+    others.sort(key=lambda k: -float(start[k] @ across))
+    named = dict(zip(FINGERS[1:], others, strict=False)) | ({} if thumb is None else {FINGERS[0]: thumb})
+    return {f"{side}Hand{finger}{k}": j for finger, c in named.items() for k, j in enumerate(chains[c], 1)}
 
 
 def _areas(rig: SkinnedCharacter) -> Float[np.ndarray, " V"]:
