@@ -108,6 +108,19 @@ def miku() -> tuple[tuple[str, ...], tuple[int, ...]]:
     return tuple(names), tuple(parents)
 
 
+@pytest.mark.parametrize("control", ["Hero_Ctrl:{}", "Actor:{}"])
+def test_a_control_rig_beside_a_skeleton_is_left(control):
+    """It comes first, and has the same names in another namespace; an actor lacks joints."""
+    names, parents = skeleton("cmu")
+    shown = len(names) - (5 if "Actor" in control else 0)
+    controls = [control.format(name) for name in names[:shown]]
+    both = (*controls, "Reference", *(f"Hero:{name}" for name in names))
+    found = named_joints(both, (*parents[:shown], -1, *(p + shown + 1 if p >= 0 else shown for p in parents)))
+    assert {joint: both[j] for joint, j in found.items()} == {
+        joint: f"Hero:{names[j]}" for joint, j in named_joints(names, parents).items()
+    }
+
+
 def test_the_trunk_of_mikumikudance_begins_beside_the_hips():
     names, parents = miku()
     found = {joint: names[j] for joint, j in named_joints(names, parents).items()}

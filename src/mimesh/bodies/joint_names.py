@@ -105,10 +105,11 @@ def named_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict
     """Find the index of the joint that corresponds to each joint of the shipped body; joints not found are left out.
 
     `parents` come before their children, -1 for roots. Fingers are found by `named_fingers`. If two joints have
-    one name, the first is taken. Of a trunk longer than the shipped body's the first, the middle and the last joint are
+    one name, the first is taken, but of one skeleton: a control rig may have the names of the joints that it drives,
+    in another namespace. Of a trunk longer than the shipped body's the first, the middle and the last joint are
     taken; a shorter one is mapped to the last joints.
     """
-    plain = plain_names(joint_names)
+    plain = _of_one_skeleton(plain_names(joint_names), joint_names)
     found = _limbs(plain)
     hips = _hips(plain)
     legs = common_ancestors(found, "UpLeg", parents)
@@ -333,6 +334,19 @@ def _common(words: list[list[str]], end: int) -> str | None:
     counts = Counter(parts[end] for parts in words if len(parts) > 1 and parts[end] not in SIDES)
     word, count = counts.most_common(1)[0] if counts else ("", 0)
     return word if 2 * count > len(words) else None
+
+
+def _of_one_skeleton(plain: list[str], joint_names: tuple[str, ...]) -> list[str]:
+    """Clear the names that the namespace with the most limbs has, too; of equal ones, that of a control rig is left."""
+    spaces = [name.rpartition(":")[0] for name in joint_names]
+    if len({*spaces}) < 2 or len({*plain}) == len(plain):
+        return plain
+    limbs = {
+        space: len(_limbs([p if s == space else "" for p, s in zip(plain, spaces, strict=True)])) for space in spaces
+    }
+    best = max(limbs, key=lambda space: (limbs[space], "ctrl" not in space.lower()))
+    taken = {name for name, space in zip(plain, spaces, strict=True) if space == best}
+    return [name if space == best or name not in taken else "" for name, space in zip(plain, spaces, strict=True)]
 
 
 def _limbs(plain: list[str]) -> dict[str, int]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from decimal import Decimal
-from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -87,13 +86,6 @@ def load_bvh(path: str | Path) -> Bvh:
     POSED_JOINTS.check(len(values) * len(names), path, len(text))
     rotmat, root, moved = _apply_channels(channels, values, offsets)
     return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, fps, moved, notes)
-
-
-def bvh_joints(path: str | Path) -> int:
-    """Count the joints of a BVH file without reading its motion; 0 for other files."""
-    with Path(path).open(encoding="utf-8", errors="replace") as file:
-        header = takewhile(lambda line: not line.startswith("MOTION"), file)
-        return sum(line.split()[0].upper() in ("ROOT", "JOINT") for line in header if line.strip())
 
 
 def _read_hierarchy(tokens: list[str], path: Path):

@@ -18,7 +18,7 @@ from ..core.person_motion import KnownJoints, PersonMotion
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from .amass import is_amass, load_amass
-from .bvh import Bvh, bvh_joints, load_bvh
+from .bvh import Bvh, load_bvh
 from .motion import Motion, cut_motion, joint_tracks, leg_length, resample
 from .retarget import retarget
 
@@ -30,11 +30,6 @@ def is_motion_file(path: str | Path) -> bool:
     """Tell whether a file contains a motion of joints and no points: .bvh, or an AMASS-style archive."""
     path = Path(path)
     return path.suffix.lower() == BVH or (path.suffix.lower() == ".npz" and is_amass(archive_names(path)))
-
-
-def motion_joints(path: str | Path) -> int:
-    """Count the joints that are read from a motion file."""
-    return bvh_joints(path) if Path(path).suffix.lower() == BVH else len(load_amass(path).joint_names)
 
 
 def on_body(source: Bvh, path: str | Path) -> Motion:
@@ -52,10 +47,10 @@ def motion_of_file(path: str | Path) -> Motion:
     Raises:
         InputError: a damaged file, or a skeleton in which the hips and limbs are not found by name.
     """
-    return on_body(_load(path), path)
+    return on_body(load_skeleton(path), path)
 
 
-def _load(path: str | Path) -> Bvh:
+def load_skeleton(path: str | Path) -> Bvh:
     """Load the skeleton and motion of a motion file."""
     return load_bvh(path) if Path(path).suffix.lower() == BVH else load_amass(path)
 
@@ -80,7 +75,7 @@ def motion_file_clip(path: str | Path, fps: float | None = None, frames: slice =
 @lru_cache(maxsize=1)  # a batch moves many meshes by one capture; a capture of a minute has 10 MB
 def _whole_motion(path: Path, version: tuple[int, ...] | None) -> tuple[Motion, tuple[str, ...]]:
     """Retarget a motion file, and return its notes; once while the file does not change."""
-    source = _load(path)
+    source = load_skeleton(path)
     return on_body(source, path), source.notes
 
 

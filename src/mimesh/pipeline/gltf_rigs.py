@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple, TypeVar
 
 from ..bodies.character_limbs import SIDES, UnnamedJoints
@@ -93,11 +93,14 @@ def rig_facts(mesh: Mesh) -> RigFacts | None:
         return RigFacts(True, UNNAMED) if isinstance(error, UnnamedJoints) else RigFacts(False, str(error))
     except InputError as error:
         return RigFacts(False, str(error))
-    fingers = sum(name in finger_joints(side) for side in SIDES for name in humanoid.joints)
-    known = len(humanoid.joints) - fingers
-    joints = len(humanoid.character.parents)
-    text = f"{joints} joints, {known} of a person and {fingers} of fingers known by name"
-    return RigFacts(True, text, person=True)
+    return RigFacts(True, f"{len(humanoid.character.parents)} joints, {known_joints(humanoid.joints)}", person=True)
+
+
+def known_joints(names: Iterable[str]) -> str:
+    """Say how many joints of a person and of fingers are known."""
+    known = [*names]
+    fingers = sum(name in finger_joints(side) for side in SIDES for name in known)
+    return f"{len(known) - fingers} of a person and {fingers} of fingers known"
 
 
 def beside_person(own: OwnRig, tracks: AnimatedValues) -> AnimatedValues:

@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..bodies.joint_names import person_joints
 from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
 from ..core.printable import printable
 from ..io.beside import missing_images, missing_images_notes
-from ..pipeline.gltf_rigs import RigFacts, rig_facts
+from ..motions.bvh import Bvh
+from ..pipeline.gltf_rigs import RigFacts, known_joints, rig_facts
 from ..pipeline.look import KINDS, Subject, recognised_body
 
 PERSON = (1.4, 2.1)
@@ -251,21 +253,23 @@ def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[s
     from ..io.formats import ANIMATED, COLLECTIONS, is_body_model
     from ..io.gltf.animation import animation_names, document_details
     from ..io.gltf.document import open_document
-    from ..io.gltf.motion import gltf_joints
+    from ..io.gltf.motion import gltf_joints, read_skeleton
     from ..motions.amass import recording_facts
-    from ..motions.on_body import BVH, is_motion_file, motion_joints
+    from ..motions.on_body import BVH, is_motion_file, load_skeleton
 
     if path.suffix.lower() in ANIMATED:
         document = open_document(path)
-        return animation_names(document), (_motion_detail(gltf_joints(document)), *document_details(document))
+        motion = _motion_detail(gltf_joints(document), read_skeleton(document))
+        return animation_names(document), (motion, *document_details(document))
     if path.suffix.lower() in COLLECTIONS:
         return _clips_of_file(path, clip.fps)
     if path.is_file() and is_body_model(path):
         return (), (("body model", "its mean shape at rest, which these facts describe"),)
     if not is_motion_file(path):
         return (), ()
+    skeleton = load_skeleton(path)
     recorded = () if path.suffix.lower() == BVH else recording_facts(path)
-    return (), (_motion_detail(motion_joints(path)), *recorded)
+    return (), (_motion_detail(len(skeleton.joint_names), skeleton), *recorded)
 
 
 def _clips_of_file(path: Path, fps: float) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
@@ -279,8 +283,9 @@ def _clips_of_file(path: Path, fps: float) -> tuple[tuple[str, ...], tuple[tuple
     return tuple(lengths), (("clips", f"{len(lengths)}, of which these facts describe the first"), *rows)
 
 
-def _motion_detail(joints: int) -> tuple[str, str]:
-    return "motion", f"{_plural(joints, 'joint')}, played on the shipped body, which these facts describe"
+def _motion_detail(joints: int, skeleton: Bvh) -> tuple[str, str]:
+    known = known_joints(person_joints(skeleton.joint_names, skeleton.parents))
+    return "motion", f"{_plural(joints, 'joint')}, {known}, played on the shipped body, which these facts describe"
 
 
 def _stands(mesh: Mesh, rig: RigFacts | None) -> str:
