@@ -32,6 +32,12 @@ def is_motion_file(path: str | Path) -> bool:
     return path.suffix.lower() == BVH or (path.suffix.lower() == ".npz" and is_amass(archive_names(path)))
 
 
+def motion_joints(path: str | Path) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Return names and parents of the joints that are read from a motion file."""
+    source = _load(path)
+    return source.joint_names, source.parents
+
+
 def on_body(source: Bvh, path: str | Path) -> Motion:
     """Retarget a skeleton's motion to the shipped body, at its frame rate (see `retarget`); errors name `path`.
 
@@ -47,10 +53,10 @@ def motion_of_file(path: str | Path) -> Motion:
     Raises:
         InputError: a damaged file, or a skeleton in which the hips and limbs are not found by name.
     """
-    return on_body(load_skeleton(path), path)
+    return on_body(_load(path), path)
 
 
-def load_skeleton(path: str | Path) -> Bvh:
+def _load(path: str | Path) -> Bvh:
     """Load the skeleton and motion of a motion file."""
     return load_bvh(path) if Path(path).suffix.lower() == BVH else load_amass(path)
 
@@ -75,7 +81,7 @@ def motion_file_clip(path: str | Path, fps: float | None = None, frames: slice =
 @lru_cache(maxsize=1)  # a batch moves many meshes by one capture; a capture of a minute has 10 MB
 def _whole_motion(path: Path, version: tuple[int, ...] | None) -> tuple[Motion, tuple[str, ...]]:
     """Retarget a motion file, and return its notes; once while the file does not change."""
-    source = load_skeleton(path)
+    source = _load(path)
     return on_body(source, path), source.notes
 
 

@@ -15,7 +15,6 @@ from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
 from ..core.printable import printable
 from ..io.beside import missing_images, missing_images_notes
-from ..motions.bvh import Bvh
 from ..pipeline.gltf_rigs import RigFacts, known_joints, rig_facts
 from ..pipeline.look import KINDS, Subject, recognised_body
 
@@ -255,11 +254,12 @@ def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[s
     from ..io.gltf.document import open_document
     from ..io.gltf.motion import gltf_joints, read_skeleton
     from ..motions.amass import recording_facts
-    from ..motions.on_body import BVH, is_motion_file, load_skeleton
+    from ..motions.on_body import BVH, is_motion_file, motion_joints
 
     if path.suffix.lower() in ANIMATED:
         document = open_document(path)
-        motion = _motion_detail(gltf_joints(document), read_skeleton(document))
+        skeleton = read_skeleton(document)
+        motion = _motion_detail(gltf_joints(document), skeleton.joint_names, skeleton.parents)
         return animation_names(document), (motion, *document_details(document))
     if path.suffix.lower() in COLLECTIONS:
         return _clips_of_file(path, clip.fps)
@@ -267,9 +267,9 @@ def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[s
         return (), (("body model", "its mean shape at rest, which these facts describe"),)
     if not is_motion_file(path):
         return (), ()
-    skeleton = load_skeleton(path)
+    names, parents = motion_joints(path)
     recorded = () if path.suffix.lower() == BVH else recording_facts(path)
-    return (), (_motion_detail(len(skeleton.joint_names), skeleton), *recorded)
+    return (), (_motion_detail(len(names), names, parents), *recorded)
 
 
 def _clips_of_file(path: Path, fps: float) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
@@ -283,8 +283,8 @@ def _clips_of_file(path: Path, fps: float) -> tuple[tuple[str, ...], tuple[tuple
     return tuple(lengths), (("clips", f"{len(lengths)}, of which these facts describe the first"), *rows)
 
 
-def _motion_detail(joints: int, skeleton: Bvh) -> tuple[str, str]:
-    known = known_joints(person_joints(skeleton.joint_names, skeleton.parents))
+def _motion_detail(joints: int, names: tuple[str, ...], parents: tuple[int, ...]) -> tuple[str, str]:
+    known = known_joints(person_joints(names, parents))
     return "motion", f"{_plural(joints, 'joint')}, {known}, played on the shipped body, which these facts describe"
 
 

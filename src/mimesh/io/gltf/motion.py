@@ -100,12 +100,8 @@ def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
         InputError: the inverse bind matrices have NaN or infinity.
     """
     T_world_node, skins = world_matrices(document), document.gltf.get("skins", [])
-    largest = max(
-        used_skins(document),
-        key=lambda number: (len(skins[number]["joints"]), "inverseBindMatrices" in skins[number]),
-        default=None,
-    )
-    if largest is None or "inverseBindMatrices" not in skins[largest]:
+    largest = _largest_skin(document)
+    if largest is None:
         yield T_world_node
         return
     T_world_bind = joint_matrices(document, largest, T_world_node)
@@ -129,6 +125,15 @@ def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
             nearest_joint[node] = joint_of_node.get(node, nearest_joint[parent[node]])
             T_bound_node[node] = T_rest_bind @ np.linalg.inv(T_world_bind[nearest_joint[node]]) @ T_world_node[node]
         yield _enlarged(T_bound_node, own_scale[[nearest_joint[node] for node in range(len(parent))]], order, parent)
+
+
+def _largest_skin(document: Document) -> int | None:
+    """Return the number of the used skin with the most joints; None where that has no inverse bind matrices."""
+    skins = document.gltf.get("skins", [])
+    sizes = {number: (len(skins[number]["joints"]), "inverseBindMatrices" in skins[number])
+             for number in used_skins(document)}  # fmt: skip
+    largest = max(sizes, key=lambda number: sizes[number], default=None)
+    return None if largest is None or not sizes[largest][1] else largest
 
 
 def _kept_scales(
