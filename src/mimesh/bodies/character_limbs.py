@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -300,10 +300,34 @@ PELVIS = ("Hips", "LHipJoint", "RHipJoint")
 MATCH, NEARNESS = 0.3, 1.5
 """Score of a pair of joints: MATCH, plus their overlap, minus NEARNESS times their distance over the limb's length;
 pairs below 0 are none. Chosen on characters whose names are known (docs/log/rigs.md)."""
+LONG_TAIL, TWIN = 0.3, 0.05
+"""Length in heights from which on a chain of joints may be a tail that hides a person's shape, and the difference of
+lengths up to which two chains are the limbs of both sides."""
 THUMB = 0.75
 """Distance of the first joint of a thumb from the wrist, over that of the next finger, up to which it is one."""
 BLOCK = 4096
 """Vertices whose weights are compared at once; bounds the memory."""
+
+
+def without_tails(rig: SkinnedCharacter) -> Iterator[SkinnedCharacter]:
+    """Yield a character without what each long chain of joints without a twin carries, the longest first.
+
+    Limbs have twins; a long tail, which has none, hides the shape of a person.
+    """
+    parents, moving = rig.parents, moves_vertices(rig)
+    children = Counter(parent for joint, parent in enumerate(parents) if moving[joint])
+    chains = []
+    for leaf in [joint for joint in range(len(parents)) if moving[joint] and not children[joint]]:
+        chain = [leaf]
+        while parents[chain[-1]] >= 0 and children[parents[chain[-1]]] == 1:
+            chain.append(parents[chain[-1]])
+        chains.append(chain)
+    lengths = [float(np.linalg.norm(np.diff(rig.joints[chain], axis=0), axis=1).sum()) for chain in chains]
+    for k in np.argsort(lengths)[::-1].tolist():
+        twins = [n for n in range(len(chains)) if n != k and abs(lengths[n] / max(lengths[k], 1e-9) - 1) < TWIN]
+        if lengths[k] > LONG_TAIL * np.ptp(rig.mesh.vertices[:, 1]) and not twins:
+            of_chain = (rig.weights * np.isin(rig.joint_of, chains[k])).sum(axis=1) > CARRIED
+            yield rig.part(rig.mesh.faces[~of_chain[rig.mesh.faces].any(axis=1)])
 
 
 def match_joints(rig: SkinnedCharacter, body: Rig, path: object) -> dict[str, int]:

@@ -70,9 +70,7 @@ class RigFacts(NamedTuple):
     used: bool
     text: str
     stands: str | None = None
-    """Axes of a four-legged animal, which the detector for surfaces of people cannot tell."""
-    person: bool = False
-    """Whether its joints are those of a person."""
+    """How a person or a four-legged animal stands, as the rig tells."""
 
 
 def rig_facts(mesh: Mesh) -> RigFacts | None:
@@ -93,7 +91,9 @@ def rig_facts(mesh: Mesh) -> RigFacts | None:
         return RigFacts(True, UNNAMED) if isinstance(error, UnnamedJoints) else RigFacts(False, str(error))
     except InputError as error:
         return RigFacts(False, str(error))
-    return RigFacts(True, f"{len(humanoid.character.parents)} joints, {known_joints(humanoid.joints)}", person=True)
+    stands = f"up {axis_name(humanoid.turn[1])}, front {axis_name(humanoid.turn[2])}, a person by its rig"
+    known = known_joints(humanoid.joints)
+    return RigFacts(True, f"{len(humanoid.character.parents)} joints, {known}", stands)
 
 
 def known_joints(names: Iterable[str]) -> str:

@@ -15,7 +15,7 @@ from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
 from ..core.printable import printable
 from ..io.beside import missing_images, missing_images_notes
-from ..pipeline.gltf_rigs import RigFacts, known_joints, rig_facts
+from ..pipeline.gltf_rigs import known_joints, rig_facts
 from ..pipeline.look import KINDS, Subject, recognised_body
 
 PERSON = (1.4, 2.1)
@@ -167,7 +167,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         seconds=float(clip.seconds) if clip is not None and moving else None,
         animations=getattr(mesh.source, "animations", ()),  # not all formats have these three
         details=getattr(mesh.source, "details", ()) + rig_details,
-        stands=(rig and rig.stands) or (_stands(mesh, rig) if len(mesh.faces) else None),
+        stands=(rig and rig.stands) or (_stands(mesh) if len(mesh.faces) else None),
         notes=getattr(mesh.source, "notes", ()) if rig is None or not rig.used else (),
         missing_images=missing_images(mesh),
     )
@@ -288,12 +288,9 @@ def _motion_detail(joints: int, names: tuple[str, ...], parents: tuple[int, ...]
     return "motion", f"{_plural(joints, 'joint')}, {known}, played on the shipped body, which these facts describe"
 
 
-def _stands(mesh: Mesh, rig: RigFacts | None) -> str:
-    """Say up and front of a mesh, and what it is taken for: by its rig, else as a transfer of it alone would choose."""
-    subject, body = Subject(mesh, (None, None)), "human"
-    norm = subject.norm
-    if rig is None or not rig.person:
-        body, norm = recognised_body(subject)
+def _stands(mesh: Mesh) -> str:
+    """Say up and front of a mesh, and what it is taken for, as a transfer of it alone would choose."""
+    body, norm = recognised_body(Subject(mesh, (None, None)))
     if body is None:
         return "looks neither like a person nor like a four-legged animal, as far as can be told"
     by_file = " (by the file)" if norm.up_from == "file" else ""

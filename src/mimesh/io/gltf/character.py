@@ -10,6 +10,7 @@ they are right. Some makers export -z, others name sides as the viewer sees them
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import re
 from collections.abc import Callable, Collection, Iterable
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from ...bodies.animal_limbs import LEGS, name_animal_joints, named_tail
 from ...bodies.character_limbs import (
@@ -48,7 +49,7 @@ from ...core.mesh import Mesh, check_mesh
 from .animation import animated_nodes, animation_names, frame_times, read_channels, sample_joints
 from .check import damaged
 from .document import Document, open_document
-from .motion import PLAYED_PATHS, bind_poses, is_motion
+from .motion import PLAYED_PATHS, bind_poses, is_motion, rest_matrices
 from .read import RestScene, read_rest, rig_on_nodes, skin_joints
 from .scene import node_parents, scene_nodes, sort_parents_first
 from .vrm import read_origin, vrm_bones, vrm_version
@@ -367,13 +368,9 @@ def carried_part(rig: SkinnedCharacter) -> SkinnedCharacter:
     """Leave out triangles that no joint carries (a floor, a stand), and vertices without triangles."""
     carried = (rig.weights * (rig.joint_of < len(rig.parents))).sum(axis=1) > 0
     faces = rig.mesh.faces[carried[rig.mesh.faces].all(axis=1)]
-    used: Bool[np.ndarray, " V"] = np.zeros(len(carried), bool)
-    used[faces] = True
-    if not used.any():
+    if not len(faces):
         raise InputError(f"{rig.mesh.name}: expected triangles that joints carry, found none; bind the mesh again")
-    points, weights = rig.points[used], rig.weights[used]
-    mesh = Mesh(rig.mesh.vertices[used], (np.cumsum(used) - 1)[faces], name=rig.mesh.name)
-    return dataclasses.replace(rig, mesh=mesh, joint_of=rig.joint_of[used], weights=weights, points=points)
+    return rig.part(faces)
 
 
 def read_rigged_animal(
@@ -404,15 +401,13 @@ def read_rigged_animal(
 def read_standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> StandingCharacter:
     """Read the rig of a scene in its bind pose, or in the pose of the file's nodes where it stands in none.
 
+    Bind poses of other orientations are not tried: a person who lies has four feet on the ground, too.
+
     Raises:
         InputError: there are no four legs on one skeleton.
     """
-    for T_world_node in bind_poses(document):
-        bound = dataclasses.replace(scene, T_world_node=T_world_node)
-        try:
-            return _standing_animal(mesh, document, bound)
-        except InputError:
-            continue  # the bind pose may have another orientation
+    with contextlib.suppress(InputError):
+        return _standing_animal(mesh, document, dataclasses.replace(scene, T_world_node=rest_matrices(document)))
     return _standing_animal(mesh, document, scene)
 
 
