@@ -17,6 +17,7 @@ from mimesh.__main__ import run
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh, check_clip, check_mesh
+from mimesh.core.options import FrameRange
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.motions import load_motion, window
 from mimesh.pipeline import animate, transfer
@@ -164,3 +165,9 @@ def test_an_archive_is_to_be_unpacked(name, tmp_path):
     for load in (load_mesh, load_clip):
         with pytest.raises(InputError, match="found a packed archive; unpack it, and give a file in it"):
             load(tmp_path / name)
+
+
+@pytest.mark.parametrize("frames", [{"start": -5}, {"stop": -1}])
+def test_frames_count_from_the_first_one(frames):
+    with pytest.raises(InputError, match=f"{next(iter(frames))}: expected a frame counted from 0, found -"):
+        FrameRange(**frames)

@@ -374,7 +374,7 @@ def save_joint_files(
 ) -> None:
     """Write the joints that were found to the files that were asked for; `frame` is the first driving frame taken."""
     clip = result.driving_clip
-    save_found(result.joints, joints.save_joints, identity, result.mesh)
+    save_found(result.joints, joints.save_joints, identity, result.identity)
     save_found(result.driving_joints, joints.save_driving_joints, driving, None if clip is None else clip.mesh, frame)
 
 
@@ -384,7 +384,7 @@ def save_found(joints: Any, path: Path | None, file: Path, mesh: Mesh | None, fr
     from ..io.joint_file import save_corrections
 
     if path is not None and joints is not None and mesh is not None:
-        save_corrections(JointCorrections(joints, frame, file.name, len(mesh.vertices)), path)
+        save_corrections(JointCorrections.found_on(mesh.vertices, joints, frame, file.name), path)
 
 
 def result_facts(
