@@ -413,6 +413,7 @@ def result_facts(
     blended = blend_note(result.report.get("blendshapes_deviation"))
     kept = (*not_kept(mesh, output), *posed_vrm_note(output))
     notes = [*result.notes, *kept, *rate, *blended, *skinned_note(result.report), *driving_notes]
+    notes = [*dict.fromkeys(notes)]  # both the reader and the result have the clip's
     facts: dict[str, Any] = {
         "output": str(output),
         "replaced": replaced,
