@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,16 @@ def test_parts_turn_rigidly_to_the_directions_of_the_driving(kind, model, tmp_pa
             bone = PLACES[tail][1] - PLACES[joint][1]
             cosine = turn[order[NAMES.index(joint)]] @ bone / np.linalg.norm(bone) @ wanted[joint][t]
             assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.1
+
+
+def test_parts_of_a_mesh_that_was_cut_are_no_rig(tmp_path):
+    """All nodes are at the origin: a limb that turned about it would leave its place."""
+    path = boxes(tmp_path / "a.gltf", "nodes")
+    gltf = json.loads(path.read_text())
+    for node in gltf["nodes"]:
+        del node["translation"]
+    path.write_text(json.dumps(gltf))
+    assert rig_facts(load_mesh(path)) is None
 
 
 @pytest.mark.parametrize("names", [["Cube"] * 16, [f"{name}Joint" if name == "Hips" else "part" for name in NAMES]])

@@ -51,7 +51,7 @@ from .check import damaged
 from .document import Document, open_document
 from .motion import PLAYED_PATHS, bind_poses, is_motion, rest_matrices
 from .read import RestScene, read_rest, rig_on_nodes, skin_joints
-from .scene import node_parents, scene_nodes, sort_parents_first
+from .scene import node_parents, scene_nodes, sort_parents_first, world_matrices
 from .vrm import read_origin, vrm_bones, vrm_version
 
 CLIP_FPS = 30.0
@@ -238,8 +238,15 @@ def rig_at_rest(
 
 
 def names_person(document: Document) -> bool:
-    """Tell whether the nodes of rigid parts are named as the joints of a person, or listed as such by a VRM file."""
-    return bool(vrm_bones(document)) or _have_limbs(document, _rigid_parts(document))
+    """Tell whether the nodes of rigid parts are named as the joints of a person, or listed as such by a VRM file.
+
+    Not where they are at one place, as the parts of a mesh that was cut: these have no joints to turn about.
+    """
+    if vrm_bones(document):
+        return True
+    limbs = _limb_nodes(document, _rigid_parts(document))
+    places = world_matrices(document)[[limbs[side + part] for part in PAIRS for side in SIDES if limbs], :3, 3]
+    return bool(limbs) and bool((np.ptp(places.reshape(2, 2, 3), axis=1).max(axis=-1) > 0).all())
 
 
 def _rigid_parts(document: Document) -> set[int]:
@@ -248,14 +255,15 @@ def _rigid_parts(document: Document) -> set[int]:
     parts |= {node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]}
     node_parent = tuple(node_parents(document))
     above = {node for part in parts for node in ancestors(node_parent, part)}
-    return above if not _have_limbs(document, parts) and _have_limbs(document, above) else parts
+    return above if not _limb_nodes(document, parts) and _limb_nodes(document, above) else parts
 
 
-def _have_limbs(document: Document, nodes: Collection[int]) -> bool:
-    """Tell whether some nodes have the names of thighs and upper arms."""
+def _limb_nodes(document: Document, nodes: Collection[int]) -> dict[str, int]:
+    """Find the nodes of limbs by name among some; none where thighs or upper arms are missing."""
     order = [node for node in sort_parents_first(document, node_parents(document)) if node in nodes]
     names = tuple(str(document.gltf["nodes"][node].get("name", "")) for node in order)
-    return not missing_limbs(limbs_by_name(names, (-1,) * len(names)))
+    found = limbs_by_name(names, (-1,) * len(names))
+    return {} if missing_limbs(found) else {name: order[joint] for name, joint in found.items()}
 
 
 def standing_facing(rig: SkinnedCharacter, known: dict[str, int], rule: str, path: object) -> str:
