@@ -36,6 +36,14 @@ CHAINS = {
         [f"finger1-{k}.L" for k in (1, 2, 3)],
         *([f"metacarpal{f - 1}.L", *(f"finger{f}-{k}.L" for k in (1, 2, 3))] for f in (2, 3, 4, 5)),
     ],
+    "Xsens": [
+        [f"LeftFirst{k}" for k in ("MC", "PP", "DP")],
+        *([f"Left{f}{k}" for k in ("MC", "PP", "MP", "DP")] for f in ("Second", "Third", "Fourth", "Fifth")),
+    ],
+    "MikuMikuDance": [
+        [f"左親指{k}" for k in "０１２"],
+        *([f"左{f}{k}" for k in ("１", "２", "３", "先")] for f in ("人指", "中指", "薬指", "小指")),
+    ],
     "Rigify": [
         [f"DEF-thumb.0{k}.L" for k in (1, 2, 3)],
         *(
@@ -63,7 +71,9 @@ def test_fifteen_joints_are_found_by_the_names_of_each_maker(maker):
     found = named_fingers(names, parents, {"LeftHand": 3})
     assert tuple(found) == finger_joints("Left")
     assert found["LeftHandThumb1"] == names.index(CHAINS[maker][0][0])
-    phalanges = [name for name in CHAINS[maker][4] if "carpal" not in name.lower() and "palm" not in name]
+    phalanges = [
+        name for name in CHAINS[maker][4] if not any(word in name.lower() for word in ("carpal", "palm", "mc"))
+    ]
     assert found["LeftHandPinky3"] == names.index(phalanges[2])
 
 
@@ -91,6 +101,16 @@ def test_single_joints_of_cmu_are_the_first_of_their_finger_and_words_are_no_par
         "LeftHandMiddle1": "mixamoriglefthandmiddle1",
         "LeftHandRing1": "lring1",
         "LeftHandRing2": "lring2",
+    }
+
+
+def test_one_chain_for_all_other_fingers_is_the_middle_finger():
+    """Synty: the right hand has the names of the left one, with a number."""
+    chains = [[f"{f}_0{k}.001" for k in (1, 2, 3, 4)] for f in ("Thumb", "IndexFinger", "Finger")]
+    assert named(chains) == {
+        f"LeftHand{finger}{k}": chain[k - 1]
+        for finger, chain in zip(FINGERS[:3], chains, strict=True)
+        for k in (1, 2, 3)
     }
 
 

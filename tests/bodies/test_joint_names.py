@@ -5,8 +5,11 @@ import pytest
 from foreign_names import SCHEMES, renamed, spelt
 
 from mimesh.bodies import load_body
+from mimesh.bodies.character_limbs import name_sided_joints
 from mimesh.bodies.joint_names import named_joints, require_joints
+from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.errors import InputError
+from mimesh.core.mesh import Mesh
 from mimesh.motions.retarget import BONES, NEEDED
 
 OURS = load_body()
@@ -89,3 +92,54 @@ def test_a_fist_is_a_hand_where_no_joint_is_called_so():
     assert named_joints(extended, (*parents, found["LeftHand"])) == found
     shins = tuple(name.replace("LowerLeg", "DownLeg") for name in names)
     assert named_joints(shins, parents) == found
+
+
+def miku() -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """The hierarchy of MikuMikuDance: hips beside the trunk, and copies of the legs beside the legs."""
+    trunk = ["全ての親", "センター", "グルーブ", "腰", "上半身", "上半身2", "首", "頭"]
+    names, parents = [*trunk, "下半身"], [-1, 0, 1, 2, 3, 4, 5, 6, 3]
+    for side in "左右":
+        for chain in ("上半身2 肩P 肩 腕 腕捩 ひじ 手捩 手首", "下半身 足 ひざ 足首 つま先",
+                      "下半身 足D ひざD 足首D 足先EX", "全ての親 足IK親 足ＩＫ つま先ＩＫ"):  # fmt: skip
+            top, *below = chain.split()
+            for k, name in enumerate(below):
+                parents.append(len(names) - 1 if k else names.index(top))
+                names.append(side + name)
+    return tuple(names), tuple(parents)
+
+
+@pytest.mark.parametrize("control", ["Hero_Ctrl:{}", "Actor:{}"])
+def test_a_control_rig_beside_a_skeleton_is_left(control):
+    """It comes first, and has the same names in another namespace; an actor lacks joints."""
+    names, parents = skeleton("cmu")
+    shown = len(names) - (5 if "Actor" in control else 0)
+    controls = [control.format(name) for name in names[:shown]]
+    both = (*controls, "Reference", *(f"Hero:{name}" for name in names))
+    found = named_joints(both, (*parents[:shown], -1, *(p + shown + 1 if p >= 0 else shown for p in parents)))
+    assert {joint: both[j] for joint, j in found.items()} == {
+        joint: f"Hero:{names[j]}" for joint, j in named_joints(names, parents).items()
+    }
+
+
+def test_the_trunk_of_mikumikudance_begins_beside_the_hips():
+    names, parents = miku()
+    found = {joint: names[j] for joint, j in named_joints(names, parents).items()}
+    expected = spelt("mmd") | {"Spine": "上半身", "Spine1": "上半身2"}
+    assert found == expected
+
+
+def test_copies_of_leg_joints_that_carry_the_weights_are_the_legs():
+    names, parents = miku()
+    weighted = [
+        j for j, name in enumerate(names) if name[1:] not in ("足", "ひざ", "足首", "つま先") and "Ｋ" not in name
+    ]
+    count = len(weighted)
+    points = np.random.default_rng(0).normal(size=(count, 3))
+    rig = SkinnedCharacter(
+        Mesh(points, np.zeros((0, 3), int)), names, parents, np.tile(np.eye(4), (len(names), 1, 1)),
+        np.array(weighted)[:, None], np.ones((count, 1)), points[:, None],
+    )  # fmt: skip
+    found = {joint: names[j] for joint, j in name_sided_joints(rig, "miku").items()}
+    legs = {"UpLeg": "足D", "Leg": "ひざD", "Foot": "足首D", "ToeBase": "足先EX"}
+    assert {f"Left{part}": found[f"Left{part}"] for part in legs} == {f"Left{p}": f"左{n}" for p, n in legs.items()}
+    assert found["RightArm"] == "右腕"

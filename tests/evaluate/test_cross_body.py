@@ -133,6 +133,18 @@ def test_splits_share_no_character(characters, tmp_path):
         protocol.character_pairs("val")
 
 
+def test_figures_of_one_maker_share_a_skeleton_in_any_namespace(tmp_path):
+    """Mixamo numbers the namespaces of further characters; other joints beside a person's do not count."""
+    mixamo = renamed("mixamo")
+    rigs.character(tmp_path / "one.glb", 3, name=mixamo)
+    person = rigs.changed(rigs.figure(3), "twists")
+    rigs.character(tmp_path / "two.glb", person=person, name=lambda joint: mixamo(joint).replace("rig:", "rig7:"))
+    rigs.character(tmp_path / "vroid.glb", name=renamed("vroid"))
+    rigs.character(tmp_path / "unreal.glb", name=renamed("unreal"))
+    pairs = cross_body(tmp_path).character_pairs("test")
+    assert [(a.mesh.name, b.mesh.name) for a, b in pairs] == [("one", "two"), ("two", "one")]
+
+
 @matrix("split", ["val", "test"], quick=["val"])
 def test_truth_is_the_identity_in_the_driving_pose(body, characters, split):
     protocol = cross_body(characters)

@@ -64,7 +64,7 @@ def test_the_only_clip_needs_no_name(clips, tmp_path):
 
 def test_look_lists_the_clips(path, capsys, monkeypatch):
     # How the figure stands takes a network seconds to find.
-    monkeypatch.setattr("mimesh.tools.inspect._stands", lambda mesh, rig: None)
+    monkeypatch.setattr("mimesh.tools.inspect._stands", lambda mesh: None)
     assert run(["look", str(path)]) == 0
     printed = capsys.readouterr().out
     for name, seconds in zip(NAMES, ("0.67 s", "0.05 s", "0.02 s"), strict=True):

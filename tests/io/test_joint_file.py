@@ -14,9 +14,9 @@ from mimesh.io.joint_file import load_corrections, save_corrections, side_file
 def test_round_trip(tmp_path):
     positions = {"LeftLeg": (0.125, -3.5, 1e-3), "Head": (1, 2, 3)}
     path = tmp_path / "hero.joints.json"
-    save_corrections(JointCorrections.of(positions, frame=7, mesh="hero.glb", vertices=12), path)
+    save_corrections(JointCorrections.of(positions, frame=7, mesh="hero.glb", vertices=12, size=1.75), path)
     read = load_corrections(path)
-    assert (read.frame, read.mesh, read.vertices, read.source) == (7, "hero.glb", 12, str(path))
+    assert (read.frame, read.mesh, read.vertices, read.size, read.source) == (7, "hero.glb", 12, 1.75, str(path))
     assert list(read.positions) == list(positions)
     assert all(np.array_equal(read.positions[name], positions[name]) for name in positions)
     assert json.loads(path.read_text())["format"] == "mimesh joints"
@@ -51,6 +51,8 @@ def test_the_side_file_is_named_after_the_mesh_or_the_folder(tmp_path):
         ('{"joints": {}, "frame": -1}', "whole number for frame, found '-1'"),
         ('{"joints": {}, "frame": true}', "whole number for frame"),
         ('{"joints": {}, "vertices": 1.5}', "whole number for vertices"),
+        ('{"joints": {}, "size": 0}', "positive number for size"),
+        ('{"joints": {}, "size": "1 m"}', "positive number for size"),
         ('{"joints": {}}' + " " * 2**20, "bytes; check the path"),
     ],
 )

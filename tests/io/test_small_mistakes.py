@@ -6,6 +6,7 @@ import codecs
 import dataclasses
 import json
 import os
+import zipfile
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from mimesh.__main__ import run
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh, check_clip, check_mesh
+from mimesh.core.options import FrameRange
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.motions import load_motion, window
 from mimesh.pipeline import animate, transfer
@@ -154,3 +156,18 @@ def test_numbers_that_gltf_cannot_hold_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"expected numbers up to 3\.4e38"):
         save_clip(clip, tmp_path / "d.glb")
     assert not (tmp_path / "d.glb").exists()
+
+
+@pytest.mark.parametrize("name", ["a.zip", "a.obj", "a.glb", "a.bvh"])
+def test_an_archive_is_to_be_unpacked(name, tmp_path):
+    with zipfile.ZipFile(tmp_path / name, "w") as archive:
+        archive.writestr("hero.obj", "v 0 0 0")
+    for load in (load_mesh, load_clip):
+        with pytest.raises(InputError, match="found a packed archive; unpack it, and give a file in it"):
+            load(tmp_path / name)
+
+
+@pytest.mark.parametrize("frames", [{"start": -5}, {"stop": -1}])
+def test_frames_count_from_the_first_one(frames):
+    with pytest.raises(InputError, match=f"{next(iter(frames))}: expected a frame counted from 0, found -"):
+        FrameRange(**frames)

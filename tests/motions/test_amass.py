@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from matrix import matrix
 from motion_files import OURS, PARENTS, Z_UP, bone_directions, write_amass
+from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
@@ -88,7 +89,9 @@ def test_archives_with_poses_and_without_points_are_motions():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"trans": None}, "expected poses .* and trans, found poses; save 'trans' as well"),
+        ({"poses": np.zeros((2, 69))}, "found 69 numbers, SMPL's body without its root; save the root's rotation"),
+        ({"poses": np.zeros((2, 23, 3))}, "found 69 numbers, SMPL's body without its root"),
+        ({"mocap_framerate": "fast"}, "expected a positive frame rate, found 'fast';"),
         ({"trans": np.zeros((3, 3))}, "as many rows in 'trans' as in 'poses', found 3 and 2"),
         ({"trans": np.zeros((2, 2))}, r"'trans' to be numbers of shape \(T, 3\) or wider"),
         ({"poses": np.zeros((2, 63))}, r"'poses' to be numbers of shape \(T, 66\) or wider, found float64 \(2, 63\)"),
@@ -124,3 +127,42 @@ def test_refusal_of_too_many_frames_names_the_file(tmp_path):
     with pytest.raises(InputError, match="at most 1,000,000 frames, found far more") as error:
         load_clip(tmp_path / "a.npz", fps=20.0)
     assert str(error.value).startswith(str(tmp_path / "a.npz"))
+
+
+def test_a_body_of_69_numbers_with_its_root_beside_it_is_read(body, motion, tmp_path):
+    path = write_amass(tmp_path / "a.npz", body, motion, Z_UP, 24)
+    with np.load(path) as data:
+        poses, trans = data["poses"], data["trans"]
+    np.savez(tmp_path / "b.npz", poses=poses[:, 3:], root_orient=poses[:, :3], trans=trans)
+    first, second = (load_amass(tmp_path / name) for name in ("a.npz", "b.npz"))
+    np.testing.assert_array_equal(first.rotmat, second.rotmat)
+
+
+@pytest.mark.parametrize("rate", ["119.88", np.array(b"119.88"), np.array(["119.88"])])
+def test_a_rate_may_be_text(rate, body, motion, tmp_path):
+    loaded = load_amass(write_amass(tmp_path / "a.npz", body, motion, Z_UP, mocap_framerate=rate))
+    assert (loaded.fps, loaded.notes) == (119.88, ())
+
+
+def test_without_a_rate_30_frames_a_second_are_taken_with_a_note(body, motion, tmp_path):
+    clip = load_clip(write_amass(tmp_path / "a.npz", body, motion, Z_UP))
+    assert clip.fps == 30.0
+    assert [note for note in clip.notes if "no frame rate: 30 per second are taken" in note]
+
+
+@pytest.mark.parametrize("axes", [Z_UP, np.eye(3)], ids=["z-up", "y-up"])
+def test_without_a_path_the_lower_foot_stays_on_the_ground(axes, body, tmp_path):
+    """Legs spread by 40 degrees, and a bent knee: the hips come down."""
+    poses = np.zeros((3, 22, 3))
+    up = Rotation.from_matrix(axes)
+    poses[:, 0] = up.as_rotvec()
+    poses[1, 1:3] = np.radians([[0, 0, 40.0], [0, 0, -40.0]])
+    poses[2, [1, 2, 4, 5]] = np.radians([[-60.0, 0, 0], [-60.0, 0, 0], [60.0, 0, 0], [60.0, 0, 0]])
+    np.savez(tmp_path / "a.npz", poses=poses.reshape(3, 66), mocap_framerate=30.0)
+    loaded = load_amass(tmp_path / "a.npz")
+    feet = [loaded.joint_names.index(f"{side}_{part}") for side in ("left", "right") for part in ("ankle", "foot")]
+    raised = loaded.world()[1][:, feet, 1] - loaded.rest()[feet, 1]
+    np.testing.assert_allclose(raised.min(axis=1), 0.0, atol=1e-9)
+    np.testing.assert_array_equal(loaded.root[:, [0, 2]], 0.0)
+    assert loaded.root[2, 1] == pytest.approx(-1.7 * 0.245 * (1 - np.cos(np.radians(60))), abs=1e-6)
+    assert "no 'trans': the person stays in place" in loaded.notes[0]

@@ -98,14 +98,34 @@ def test_hips_may_move_below_a_resting_root(tmp_path):
         ("}\nMOTION", "MOTION", "1 braces open"),
         ("Frames: 2", "Frames: 3", "cut short"),
         ("Frame Time: 0.0333333", "Frame Time: 0", "a frame time of"),
-        ("7 8 9", "7 nan 9", "NaN or infinity in frame 1"),
-        ("JOINT Knee", "BONE Knee", "found 'BONE'"),
+        ("7 8 9", "7 nan 9", r"NaN or infinity in frame 1 \(line 20, frame 1\)"),
+        ("7 8 9", "7 x 9", r"found damage \(line 20, frame 1\)"),
+        ("0 0 0 0 0 0 0 0 0\n", "0 0 0 0 0 0 0 0\n", r"found 17 values \(line 19, frame 0\)"),
+        ("\n7 8 9 10 20 30 40 50 60", "", r"found 9 values \(the last frame is 0\)"),
+        ("JOINT Knee", "BONE Knee", "found 'BONE' in line 6"),
+        ("OFFSET 0 -5 0", "OFFSET 0 -5", "found damage in line 8"),
     ],
 )
 def test_errors_of_damaged_files_are_one_line(tmp_path, old, new, message):
     with pytest.raises(InputError, match=message) as error:
         load_bvh(write(tmp_path, SMALL.replace(old, new, 1)))
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["MOTION", "MOTIONROOT", "full MOTION rig", "x-MOTION", "MOTION-1-2"])
+def test_joints_may_be_called_motion(name, tmp_path):
+    bvh = load_bvh(write(tmp_path, SMALL.replace("Hips", name)))
+    assert bvh.joint_names == (name, "Knee")
+    np.testing.assert_array_equal(bvh.root, [[0, 0, 0], [7, 8, 9]])
+
+
+def test_numbers_without_a_blank_before_a_minus_are_two(tmp_path):
+    text = SMALL.replace("7 8 9 10", "7.0-8e-1-9.5 10")
+    bvh = load_bvh(write(tmp_path, text.replace("OFFSET 0 -5 0", "OFFSET 0-5 0")))
+    np.testing.assert_array_equal(bvh.root[1], [7.0, -0.8, -9.5])
+    np.testing.assert_array_equal(bvh.offsets[1], [0, -5, 0])
+    assert "without a blank before a minus" in bvh.notes[0]
+    assert load_bvh(write(tmp_path, SMALL)).notes == ()
 
 
 def test_whole_rows_beyond_the_frame_count_are_not_read(tmp_path):

@@ -10,15 +10,17 @@ import numpy as np
 import pytest
 import rigs
 from foreign_names import renamed
-from gltf_samples import props
 from matrix import matrix
 from scipy.spatial.transform import Rotation
 
+from mimesh.bodies.character_limbs import name_limb_joints
+from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.errors import InputError
+from mimesh.core.mesh import Mesh
+from mimesh.core.rig import homogeneous
 from mimesh.io import load_clip, load_mesh
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.draft import Draft
-from mimesh.io.gltf.own_rig import _check_bound
 from mimesh.pipeline import animate
 
 PERSON = rigs.figure()
@@ -84,10 +86,6 @@ def some_weights(value: float):
     return change
 
 
-def no_bind_matrices(draft: Draft) -> None:
-    del draft.gltf["skins"][0]["inverseBindMatrices"]
-
-
 def limb_missing(draft: Draft) -> None:
     """Rename all joints of a leg."""
     for joint in ("LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase", "LHipJoint"):
@@ -116,7 +114,6 @@ DAMAGES = {
     "a sheared joint": (scaled("LeftForeArm", [1.0, 3.0, 0.5]), "scaled equally"),
     "a limb missing": (limb_missing, "LeftUpLeg"),
     "duplicate names": (duplicate_names, "LeftUpLeg"),
-    "no bind matrices": (no_bind_matrices, "expected inverse bind matrices in every skin"),
 }
 
 
@@ -171,7 +168,33 @@ def test_two_characters_in_a_file_are_no_identity(model, driving, tmp_path):
     assert any("expected one character" in note for note in result.notes)
 
 
+def extra_skins(draft: Draft) -> None:
+    """Skins that no node uses: without joints, and of some joints without inverse bind matrices."""
+    draft.gltf["skins"] += [{"joints": []}, {"joints": draft.gltf["skins"][0]["joints"][:2]}]
+
+
+def idle(scale: list[float]):
+    """Add a joint that moves no vertex below the head, with a joint of usual scale below it."""
+
+    def change(draft: Draft) -> None:
+        count = len(draft.gltf["nodes"])
+        node(draft, "Head").setdefault("children", []).append(count)
+        draft.gltf["nodes"] += [{"name": "leaf", "scale": scale, "children": [count + 1]}, {"name": "tip"}]
+        skin = draft.gltf["skins"][0]
+        skin["joints"] += [count, count + 1]
+        accessor = draft.gltf["accessors"][skin["inverseBindMatrices"]]
+        matrices = np.frombuffer(bytes(draft.chunks[2 * accessor["bufferView"]]), "<f4").reshape(-1, 16)
+        skin["inverseBindMatrices"] = draft.add_matrices(
+            np.concatenate([matrices, matrices[-2:]]).reshape(-1, 4, 4).swapaxes(1, 2)
+        )
+
+    return change
+
+
 SOUND = {
+    "skins without use": {"change": extra_skins},
+    "an idle joint scaled unequally": {"change": idle([1.0, 1.3, 1.0])},
+    "an idle joint scaled to nothing": {"change": idle([0.0, 0.0, 0.0])},
     "weights are divided by their sum": {"change": weights_times(0.3)},
     "legs on roots of their own move with the hips": {"hold": {"LHipJoint": "", "RHipJoint": ""}},
     "joints outside of the scene move the mesh": {"change": joints_elsewhere, "armature": np.eye(4)},
@@ -270,6 +293,70 @@ def test_files_whose_surface_is_not_known_are_refused(name, tmp_path):
         load_mesh(path)
 
 
-def test_a_file_without_skins_is_not_damaged(tmp_path):
-    """Figures of rigid parts have moving nodes and no skin."""
-    _check_bound(open_document(props().glb(tmp_path / "props.glb")))
+def box(draft: Draft, weight: float, size: int = 2) -> np.ndarray:
+    """Add a cube of size ** 3 points, with a skin of one joint at a node of its own; returns the points."""
+    points = np.stack(np.meshgrid(*[np.linspace(0.3, 0.4, size)] * 3), axis=-1).reshape(-1, 3)
+    count = len(points)
+    joints = {"bufferView": draft.add_view(np.zeros((count, 4), "<u1")), "componentType": 5121, "type": "VEC4"}
+    attributes = {"POSITION": draft.add_floats(points, bounds=True)}
+    attributes |= {"JOINTS_0": draft.add_accessor(joints | {"count": count})}
+    attributes |= {"WEIGHTS_0": draft.add_floats(np.tile([weight, 0, 0, 0], (count, 1)))}
+    triangles = draft.add_indices(np.arange(3 * (count // 3)))
+    gltf, first = draft.gltf, len(draft.gltf["nodes"])
+    gltf["meshes"].append({"primitives": [{"attributes": attributes, "indices": triangles}]})
+    gltf["nodes"] += [{"name": "anchor"}, {"name": "prop", "mesh": 1, "skin": 1}]
+    gltf["skins"].append({"joints": [first]})
+    gltf["scenes"][0]["nodes"] += [first, first + 1]
+    return points
+
+
+@pytest.mark.parametrize(
+    ("weight", "size", "said"), [(1.0, 2, "go with the hips: anchor"), (1.0, 5, "go with the hips: anchor"),
+                                 (0.0, 2, "without weights, which are not bent: prop")]
+)  # fmt: skip
+def test_a_prop_on_a_skin_of_its_own_leaves_the_person_its_rig(weight, size, said, whole, model, driving, tmp_path):
+    """Without inverse bind matrices, these are identities: the box is in the frame of its joint."""
+    path = rigs.character(
+        tmp_path / "a.glb", change=lambda draft: box(draft, weight, size), name=renamed("mixamo"), armature=np.eye(4)
+    )
+    result = animate(str(path), str(driving), model)
+    assert result.own is not None
+    assert any(said in note for note in result.notes)
+    person, prop = np.split(np.asarray(result.clip.vertices), [whole.shape[1]], axis=1)
+    shift = (person[0] - whole[0]).mean(axis=0)
+    np.testing.assert_allclose(person - shift, whole, atol=1e-5)
+    edges = np.linalg.norm(np.diff(prop, axis=1), axis=-1)
+    np.testing.assert_allclose(edges, np.tile(edges[0], (len(edges), 1)), atol=1e-5)
+    assert np.ptp(edges[0]) < 0.2  # as it is in the file: 0.1 wide
+
+
+@pytest.mark.parametrize("joint", ["Head", "LeftHand"])
+def test_a_joint_that_is_enlarged_in_its_node_stays_so(joint, whole, model, driving, tmp_path):
+    """The skin is bound with scale 1; the file shows a large head, and so does the result."""
+    path = rigs.character(tmp_path / "a.glb", change=scaled(joint, [1.3] * 3), name=renamed("mixamo"))
+    result = animate(str(path), str(driving), model)
+    assert result.own is not None
+    below = [PERSON.names.index(name) for name in PERSON.names if name.startswith(joint)]
+    part = np.flatnonzero(PERSON.weights[rigs.kept()][:, below].sum(axis=1) > 0.9999)
+    others = np.flatnonzero(PERSON.weights[rigs.kept()][:, PERSON.names.index("LeftUpLeg")] > 0.9)
+    sizes, usual = (np.ptp(clip[:, part], axis=1) for clip in (np.asarray(result.clip.vertices), whole))
+    np.testing.assert_allclose(sizes, 1.3 * usual, rtol=1e-4)
+    shift = (result.clip.vertices[0] - whole[0])[others].mean(axis=0)
+    np.testing.assert_allclose(result.clip.vertices[:, others] - shift, whole[:, others], atol=1e-5)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001])
+def test_a_trace_of_weight_does_not_make_a_root_the_hips(share):
+    """The legs of figures of blocks hang on the root beside the body."""
+    names = ("root", "body", "arm-left", "arm-right", "leg-left", "leg-right", "head")
+    parents = (-1, 0, 1, 1, 0, 0, 1)
+    joints = np.array(
+        [[0, 0, 0], [0, 0.9, 0], [0.2, 1.4, 0], [-0.2, 1.4, 0], [0.1, 0.9, 0], [-0.1, 0.9, 0], [0, 1.5, 0]]
+    )
+    joint_of = np.repeat(np.arange(1, 7), 10)[:, None] * [1, 0]
+    weights = np.tile([1 - share, share], (60, 1))
+    points = joints[joint_of[:, 0]] + np.random.default_rng(0).normal(scale=0.05, size=(60, 3))
+    frames = homogeneous(np.tile(np.eye(3), (7, 1, 1)), joints)
+    mesh = Mesh(points, np.arange(60).reshape(-1, 3))
+    rig = SkinnedCharacter(mesh, names, parents, frames, joint_of, weights, np.repeat(points[:, None], 2, axis=1))
+    assert names[name_limb_joints(rig, "blocks")["Hips"]] == "body"

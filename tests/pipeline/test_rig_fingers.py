@@ -62,3 +62,24 @@ def test_finger_bones_point_where_the_drivings_do(angle, tmp_path):
         expected = np.diff(np.array(at)[..., :3], axis=1)[:, 0]
         cosine = (found * expected).sum(axis=1) / np.linalg.norm(found, axis=1) / np.linalg.norm(expected, axis=1)
         assert np.degrees(np.arccos(cosine.clip(-1, 1))).max() < 1.0, start
+
+
+def numbered(name: str) -> str:
+    """Give finger joints names that say nothing; others keep theirs."""
+    return f"bone_{ALL.index(name) * 7 % 31}" if name in ALL else name
+
+
+@pytest.mark.parametrize("missing", ["", "Thumb", "Pinky"])
+def test_fingers_without_names_are_found_by_place(missing, model, tmp_path):
+    """Hands turn as those whose fingers have names, and their fingers bend as these do."""
+    person = rigs.figure(None, fingers=True)
+    if missing:
+        person = person.without(*(f"{side}Hand{missing}{k}" for side in ("Left", "Right") for k in (3, 2, 1)))
+    frames = rigs.exercise(person, joints=(*rigs.MOVING, *ALL))
+    driving = str(rigs.character(tmp_path / "move.glb", person=person, clips={"move": frames}))
+    rest = rigs.arms_down(person)
+    clips = [
+        animate(str(rigs.character(tmp_path / file, person=person, rest=rest, name=name)), driving, model).clip.vertices
+        for file, name in (("a.glb", unreal), ("b.glb", numbered))
+    ]
+    np.testing.assert_allclose(clips[1], clips[0], atol=1e-5)

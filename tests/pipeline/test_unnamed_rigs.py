@@ -14,6 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.core.errors import InputError
 from mimesh.core.options import Hints
+from mimesh.core.rig import homogeneous
+from mimesh.io.gltf.draft import Draft
 from mimesh.pipeline import animate
 from mimesh.tools.inspect import inspect_file
 
@@ -82,3 +84,54 @@ def test_a_network_with_other_joints_finds_none(driving, tmp_path):
 def test_facts_tell_how_the_joints_are_found(tmp_path):
     path = rigs.character(tmp_path / "a.glb", name=nameless)
     assert "names say nothing" in dict(inspect_file(path).details)["rig"]
+
+
+def with_tail(length: float):
+    """Add a straight tail of a length behind the hips: five joints with a skin of their own, and a ring at each."""
+
+    def change(draft: Draft) -> None:
+        person, gltf = rigs.figure(), draft.gltf
+        hips, first = 2 + person.names.index("Hips"), len(gltf["nodes"])
+        places = (
+            person.joints[person.names.index("Hips")] - [0, 0, 0.1] - np.outer(np.linspace(0, length, 5), [0, 0, 1])
+        )
+        above = rigs.ARMATURE @ np.array(gltf["nodes"][hips]["matrix"]).reshape(4, 4).T
+        gltf["nodes"][hips].setdefault("children", []).append(first)
+        for k, place in enumerate(places):
+            world = homogeneous(np.eye(3), place)
+            local = (np.linalg.inv(above) @ world).T.ravel().tolist()
+            gltf["nodes"].append(
+                {"name": f"joint_{90 + k}", "matrix": local} | ({"children": [first + k + 1]} if k < 4 else {})
+            )
+            above = world
+        ring = 0.05 * np.stack([np.cos(np.arange(6)), np.sin(np.arange(6)), np.zeros(6)], axis=1)
+        points = (places[:, None] + ring).reshape(-1, 3)
+        sides = np.array(
+            [
+                [a, b, a + 6, b, b + 6, a + 6]
+                for k in range(4)
+                for a, b in zip(range(6 * k, 6 * k + 6), [*range(6 * k + 1, 6 * k + 6), 6 * k], strict=True)
+            ]
+        )
+        joints = np.repeat(np.arange(5), 6)[:, None] * [1, 0, 0, 0]
+        place = {"bufferView": draft.add_view(joints.astype("<u1")), "componentType": 5121, "count": 30, "type": "VEC4"}
+        attributes = {"POSITION": draft.add_floats(points, bounds=True), "JOINTS_0": draft.add_accessor(place)}
+        attributes["WEIGHTS_0"] = draft.add_floats(np.tile([1.0, 0, 0, 0], (30, 1)))
+        inverse = draft.add_matrices(homogeneous(np.tile(np.eye(3), (5, 1, 1)), -places))
+        gltf["skins"].append({"joints": list(range(first, first + 5)), "inverseBindMatrices": inverse})
+        gltf["meshes"].append({"primitives": [{"attributes": attributes, "indices": draft.add_indices(sides)}]})
+        gltf["nodes"].append({"name": "tail", "mesh": 1, "skin": 1})
+        gltf["scenes"][0]["nodes"].append(first + 5)
+
+    return change
+
+
+@matrix(("length", "body"), [(0.8, "auto"), (2.5, "auto"), (2.5, "human")], quick=[(0.8, "auto")])
+def test_a_person_with_a_long_tail_keeps_its_rig(length, body, driving, named, tmp_path):
+    """Whose names say nothing; the tail hides its shape, which is found without it."""
+    path = rigs.character(tmp_path / "a.glb", faces=FACES, name=nameless, change=with_tail(length))
+    result = animate(str(path), driving, hints=Hints(body=body))
+    assert result.own is not None
+    person = np.asarray(result.clip.vertices)[:, : named.shape[1]]
+    shift = (person[0] - named[0]).mean(axis=0)
+    assert np.abs(person - named - shift).max() < 1e-4

@@ -47,6 +47,18 @@ rigify-def: DEF-{}, DEF-{}.L, DEF-{}.R; spine spine.001 spine.002 spine.003 spin
   shoulder upper_arm forearm hand thigh shin foot toe
 blender: {}, {}.L, {}.R; Hips - Spine Chest Neck - Head
   Shoulder Arm ForeArm Hand UpLeg Leg Foot Toe
+mmd: {}, 左{}, 右{}; 下半身 - 上半身 上半身2 首 - 頭
+  肩 腕 ひじ 手首 足 ひざ 足首 つま先
+mmd-tools: {}, {}.L, {}.R; 下半身 - 上半身 上半身2 首 - 頭
+  肩 腕 ひじ 手首 足 ひざ 足首 つま先
+synty: {}, {}_L, {}_R; Hips Spine_01 Spine_02 Spine_03 Neck - Head
+  Clavicle Shoulder Elbow Hand UpperLeg LowerLeg Ankle Ball
+genesis9: {}, l_{}, r_{}; hip spine1 spine2 spine3 neck1 neck2 head
+  shoulder upperarm forearm hand thigh shin foot toes
+genesis2: {}, l{}, r{}; hip abdomen abdomen2 chest neck - head
+  Collar Shldr ForeArm Hand Thigh Shin Foot Toe
+segments: {}, L{}, R{}; pelvis - spine thorax neck - head
+  clavicle humerus ulna hand thigh shank foot toes
 daz: {}, l{}, r{}; hip abdomenLower abdomenUpper chestLower neckLower neckUpper head
   Collar ShldrBend ForearmBend Hand ThighBend Shin Foot Toe
 """

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,16 @@ from ..core.geometry import vertex_areas
 from ..core.normalization import bbox_centre
 from ..core.rig import Rig, descendant_matrix, descendants
 from .body_model import load_body
-from .joint_names import ancestors, common_ancestors, named_joints, other_side, parents_first, trunk_joints
+from .joint_names import (
+    FINGERS,
+    ancestors,
+    called_hips,
+    common_ancestors,
+    named_joints,
+    other_side,
+    parents_first,
+    trunk_joints,
+)
 from .skinned_character import SkinnedCharacter
 
 FindJoints = Callable[[SkinnedCharacter], dict[str, int]]
@@ -32,6 +41,9 @@ END_SLICE = 0.2
 """Share of a limb's length over which its end is averaged, where no joint marks the end. Chosen by eye."""
 CARRIED = 0.5
 """A vertex belongs to a limb if the limb's joint and those below it have more than this share of its weight."""
+NO_HIPS = 0.005
+"""Share of all weights up to which a joint above the legs that is not called hips is a root: painting leaves traces on
+roots. Trunks of figures with such roots have 0.2 and more."""
 LOOSE_FOOT = 0.05
 """Largest median movement of a foot relative to its shin over the clips, in heights of the figure.
 
@@ -75,9 +87,10 @@ def name_limb_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, in
         right = ancestors(rig.parents, found["RightUpLeg"])
         found["Hips"] = next((j for j in ancestors(rig.parents, found["LeftUpLeg"]) if j in right), 0)
     # Figures of blocks have a root that moves them and one joint for the trunk, which may turn without the root.
-    weighted = np.unique(rig.joint_of[rig.weights > 0])
-    trunk = [name for name in ("LowerBack", "Spine", "Spine1") if name in found and found[name] in weighted]
-    if found["Hips"] not in weighted and trunk:
+    share = rig.joint_weights().sum(axis=0) / rig.weights.sum()
+    least = 0.0 if known or called_hips(rig.joint_names, found["Hips"]) else NO_HIPS
+    trunk = [name for name in ("LowerBack", "Spine", "Spine1") if name in found and share[found[name]] > least]
+    if share[found["Hips"]] <= least and trunk:
         found["Hips"] = found.pop(trunk[0])
     for side in SIDES:
         for upper, lower in (("Arm", "ForeArm"), ("UpLeg", "Leg")):
@@ -101,11 +114,14 @@ def name_sided_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, i
     Raises:
         UnnamedJoints: an upper arm or a thigh is not found by name.
     """
-    found = dict(known) if known else named_joints(rig.joint_names, rig.parents)
-    for side in SIDES:
-        if f"{side}UpLeg" not in found and f"{side}Leg" in found:
-            found[f"{side}UpLeg"] = found.pop(f"{side}Leg")
+    found = dict(known) if known else limbs_by_name(rig.joint_names, rig.parents)
     moving = moves_vertices(rig)
+    limbs = [f"{side}{part}" for side in SIDES for part in (*TAILS, "Hand", "Foot", "ToeBase")]
+    if not known and any(not moving[found[name]] for name in limbs if name in found):
+        # Controls may have the names of the joints that they drive, and come before them.
+        names = tuple(name if moving[j] else "" for j, name in enumerate(rig.joint_names))
+        driven = limbs_by_name(names, rig.parents)
+        found |= {name: driven[name] for name in limbs if name in driven}
     for name in [f"{side}{part}" for side in SIDES for part in TAILS]:
         if name in found and not moving[found[name]]:
             del found[name]
@@ -114,6 +130,15 @@ def name_sided_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, i
             f"{path}: expected a thigh and an upper arm on both sides by name, each with weights, found none for "
             f"{', '.join(missing)}; rename the joints, for example LeftUpLeg, LeftArm"
         )
+    return found
+
+
+def limbs_by_name(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict[str, int]:
+    """Find joints as `named_joints` does; a leg of one joint is the thigh."""
+    found = named_joints(joint_names, parents)
+    for side in SIDES:
+        if f"{side}UpLeg" not in found and f"{side}Leg" in found:
+            found[f"{side}UpLeg"] = found.pop(f"{side}Leg")
     return found
 
 
@@ -275,8 +300,34 @@ PELVIS = ("Hips", "LHipJoint", "RHipJoint")
 MATCH, NEARNESS = 0.3, 1.5
 """Score of a pair of joints: MATCH, plus their overlap, minus NEARNESS times their distance over the limb's length;
 pairs below 0 are none. Chosen on characters whose names are known (docs/log/rigs.md)."""
+LONG_TAIL, TWIN = 0.3, 0.05
+"""Length in heights from which on a chain of joints may be a tail that hides a person's shape, and the difference of
+lengths up to which two chains are the limbs of both sides."""
+THUMB = 0.75
+"""Distance of the first joint of a thumb from the wrist, over that of the next finger, up to which it is one."""
 BLOCK = 4096
 """Vertices whose weights are compared at once; bounds the memory."""
+
+
+def without_tails(rig: SkinnedCharacter) -> Iterator[SkinnedCharacter]:
+    """Yield a character without what each long chain of joints without a twin carries, the longest first.
+
+    Limbs have twins; a long tail, which has none, hides the shape of a person.
+    """
+    parents, moving = rig.parents, moves_vertices(rig)
+    children = Counter(parent for joint, parent in enumerate(parents) if moving[joint])
+    chains = []
+    for leaf in [joint for joint in range(len(parents)) if moving[joint] and not children[joint]]:
+        chain = [leaf]
+        while parents[chain[-1]] >= 0 and children[parents[chain[-1]]] == 1:
+            chain.append(parents[chain[-1]])
+        chains.append(chain)
+    lengths = [float(np.linalg.norm(np.diff(rig.joints[chain], axis=0), axis=1).sum()) for chain in chains]
+    for k in np.argsort(lengths)[::-1].tolist():
+        twins = [n for n in range(len(chains)) if n != k and abs(lengths[n] / max(lengths[k], 1e-9) - 1) < TWIN]
+        if lengths[k] > LONG_TAIL * np.ptp(rig.mesh.vertices[:, 1]) and not twins:
+            of_chain = (rig.weights * np.isin(rig.joint_of, chains[k])).sum(axis=1) > CARRIED
+            yield rig.part(rig.mesh.faces[~of_chain[rig.mesh.faces].any(axis=1)])
 
 
 def match_joints(rig: SkinnedCharacter, body: Rig, path: object) -> dict[str, int]:
@@ -404,6 +455,36 @@ def _scores(
     """Score the pairs of some of the body's joints with all joints of the rig; 0 for joints that move no vertex."""
     distance = np.linalg.norm(body.joints[joints][:, None] - rig.joints, axis=-1)
     return (MATCH + overlap[joints] - NEARNESS * distance / length) * moves_vertices(rig)
+
+
+def fingers_by_place(rig: SkinnedCharacter, hand: int, side: str) -> dict[str, int]:
+    """Find the finger joints below a hand by place alone; none where four or five chains of joints do not begin there.
+
+    The thumb of five, or of four that are not alike, begins nearest to the wrist; the others follow from its side on,
+    or without it from the front: palms of a T-pose face down.
+
+    Args:
+        rig: a character that faces +z.
+        side: of the hand, Left or Right.
+    """
+    moving, parents = moves_vertices(rig), rig.parents
+    below = [j for j in descendants([hand], parents) if j != hand and moving[j]]
+    ends = [j for j in below if not any(parents[k] == j for k in below)]
+    shared = Counter(j for end in ends for j in ancestors(parents, end))
+    chains = [[j for j in ancestors(parents, end)[::-1] if j in below and shared[j] == 1][-3:] for end in ends]
+    if not 4 <= len(chains) <= len(FINGERS) or min(map(len, chains)) < 2:
+        return {}
+    start = rig.joints[[chain[0] for chain in chains]]
+    reach = np.linalg.norm(start - rig.joints[hand], axis=1)
+    nearest, second = np.sort(reach)[:2]
+    thumb = int(reach.argmin()) if len(chains) == len(FINGERS) or nearest < THUMB * second else None
+    others = [k for k in range(len(chains)) if k != thumb]
+    along = start[others].mean(axis=0) - rig.joints[hand]
+    across = np.array([0.0, 0.0, 1.0]) if thumb is None else start[thumb] - start[others].mean(axis=0)
+    across = across - (across @ along) / (along @ along) * along
+    others.sort(key=lambda k: -float(start[k] @ across))
+    named = dict(zip(FINGERS[1:], others, strict=False)) | ({} if thumb is None else {FINGERS[0]: thumb})
+    return {f"{side}Hand{finger}{k}": j for finger, c in named.items() for k, j in enumerate(chains[c], 1)}
 
 
 def _areas(rig: SkinnedCharacter) -> Float[np.ndarray, " V"]:

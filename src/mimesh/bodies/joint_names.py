@@ -4,12 +4,14 @@ The name of a limb joint contains a side and a part, in either order and many sp
 L_Thigh, thigh.L, J_Bip_L_UpperLeg, "Bip01 L Thigh". Trunk joints are found from the hierarchy, whatever their names:
 the trunk is the chain from the hips to the common ancestor of both arms, the neck the chain from there to the head.
 Finger joints are found among those below a hand: LeftHandIndex1, index_01_l, L_Index1, leftIndexProximal, f_index.01.L,
-finger2-1.L (five fingers counted from 1), "Bip01 L Finger1" (counted from 0), LThumb.
+finger2-1.L (five fingers counted from 1), "Bip01 L Finger1" (counted from 0), LThumb, LeftSecondPP (Xsens).
+The Japanese names of MikuMikuDance are translated first.
 """
 
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeVar
@@ -19,11 +21,11 @@ from ..core.errors import InputError
 T = TypeVar("T")
 PARTS = {
     "HipJoint": "hipjoint",
-    "Leg": "lowerleg lowleg downleg shin calf tibia knee leg",
+    "Leg": "lowerleg lowleg downleg shin shank calf tibia knee leg",
     "UpLeg": "upleg upperleg thigh thighbend femur hip leg",
     "Foot": "ankle foot",
     "ToeBase": "toebase toe toes toe0 ball metatarsals foot",
-    "ForeArm": "forearm lowerarm lowarm forearmbend elbow radius",
+    "ForeArm": "forearm lowerarm lowarm forearmbend elbow radius ulna",
     "Arm": "upperarm uparm humerus shldr shldrbend arm shoulder",
     "Shoulder": "clavicle collar collarbone shoulder",
     "Hand": "wrist hand fist",
@@ -53,8 +55,27 @@ FINGER_WORDS = {
     **{"pinky": 4, "pinkie": 4, "little": 4, "pink": 4, "small": 4},
 }
 """Words for a finger, and its place in FINGERS."""
-NO_PHALANX = {"palm", "metacarpal", "carpal", "end", "tip", "nub", "base", "meta"}
-"""Words of joints below a hand that are none of a finger's three; a thumb's first one may be called metacarpal."""
+ORDINALS = {"first": 0, "second": 1, "third": 2, "fourth": 3, "fifth": 4}
+"""The same where no other word says which finger it is."""
+METACARPAL = {"metacarpal", "mc"}
+NO_PHALANX = {"palm", *METACARPAL, "carpal", "carpus", "end", "tip", "nub", "base", "meta"}
+"""Words of joints below a hand that are none of a finger's three; a thumb's first one may be a metacarpal."""
+JAPANESE = {
+    **{
+        "左": "left",
+        "右": "right",
+        "下半身": "hips",
+        "上半身": "spine",
+        "首": "neck",
+        "頭": "head",
+        "全ての親": "root",
+    },
+    **{"肩": "collar", "腕": "arm", "ひじ": "elbow", "肘": "elbow", "手首": "wrist", "足首": "ankle", "足": "leg"},
+    **{"ひざ": "knee", "膝": "knee", "つま先": "toe", "足先ex": "toe", "捩": "twist", "先": "tip", "親指": "thumb"},
+    **{"人指": "index", "人差指": "index", "人差し指": "index", "中指": "middle", "薬指": "ring", "小指": "pinky"},
+    **{"足d": "leg", "ひざd": "knee", "足首d": "ankle"},
+}
+"""Words in the names of MikuMikuDance. Those with a D are copies of leg joints, which carry the weights."""
 HIPS = ("hips", "hip", "pelvis")
 """Words for the root of trunk and legs."""
 SIDES = {"left": "Left", "l": "Left", "right": "Right", "r": "Right"}
@@ -65,7 +86,19 @@ OTHER_SIDE = {"Left": "Right", "Right": "Left", "L": "R", "R": "L"}
 """Sides in the names of the shipped body's joints, and those that mirror them."""
 _SIDE = re.compile("Left|Right|[LR](?=[A-Z])")
 _RUN = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
-_HAND_WORDS = {*FINGER_WORDS, *NO_PHALANX, *SIDES, "mixamorig", "hand", "finger", "proximal", "intermediate", "distal"}
+_JAPANESE = re.compile("|".join(sorted(JAPANESE, key=len, reverse=True)), re.IGNORECASE)
+_HAND_WORDS = {
+    *FINGER_WORDS,
+    *ORDINALS,
+    *NO_PHALANX,
+    *SIDES,
+    "mixamorig",
+    "hand",
+    "finger",
+    "proximal",
+    "intermediate",
+    "distal",
+}
 _HAND_WORD = re.compile("|".join(sorted(_HAND_WORDS, key=len, reverse=True)) + r"|\d+")
 _STUBS = {stub: {side + stub for side in ("Left", "Right", "L", "R")} for stub in FINGER_STUBS}
 _RIG_PREFIX = re.compile(r"^(mixamorig\d*|jbip|bip\d*|def)")
@@ -82,12 +115,13 @@ def named_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict
     """Find the index of the joint that corresponds to each joint of the shipped body; joints not found are left out.
 
     `parents` come before their children, -1 for roots. Fingers are found by `named_fingers`. If two joints have
-    one name, the first is taken. Of a trunk longer than the shipped body's the first, the middle and the last joint are
+    one name, the first is taken, but of one skeleton: a control rig may have the names of the joints that it drives,
+    in another namespace. Of a trunk longer than the shipped body's the first, the middle and the last joint are
     taken; a shorter one is mapped to the last joints.
     """
-    plain = plain_names(joint_names)
+    plain = _of_one_skeleton(plain_names(joint_names), joint_names)
     found = _limbs(plain)
-    hips = [plain.index(word) for word in (*HIPS, *(f"c{word}" for word in HIPS)) if word in plain]
+    hips = _hips(plain)
     legs = common_ancestors(found, "UpLeg", parents)
     if hips or legs:
         found["Hips"] = hips[0] if hips else legs[0]
@@ -95,6 +129,11 @@ def named_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict
     if chest:
         found |= trunk_joints(chest, _head(plain, parents, chest[0]), found.get("Hips", -1), parents)
     return found
+
+
+def called_hips(joint_names: tuple[str, ...], joint: int) -> bool:
+    """Tell whether a joint is the hips by its name."""
+    return joint in _hips(plain_names(joint_names))
 
 
 def common_ancestors(found: Mapping[str, int], part: str, parents: tuple[int, ...]) -> list[int]:
@@ -113,7 +152,8 @@ def trunk_joints(chest: list[int], head: int | None, hips: int, parents: tuple[i
         head: joint of the head, if it is known.
         hips: joint of the hips; -1 if it is not known.
     """
-    trunk = _below(chest, hips)
+    # Hips beside the trunk: it begins below the joint that carries both.
+    trunk = _below(chest, next((j for j in ancestors(parents, hips) if j in chest), -1))
     spread = [trunk[0], trunk[len(trunk) // 2], trunk[-1]] if len(trunk) > 2 else trunk
     found: dict[str, int] = dict(zip(("LowerBack", "Spine", "Spine1")[3 - len(spread) :], spread, strict=True))
     if head is None:
@@ -175,10 +215,15 @@ def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands:
         hand = hands[f"{side}Hand"]
         below = [j for j in range(len(parents)) if hand in ancestors(parents, j)[1:]]
         # A word of the hand's own name says nothing about a joint below it: base of CC_Base_L_Hand (Character Creator).
-        said = NO_PHALANX.intersection(_hand_words(joint_names[hand].split(":")[-1]))
-        words = {j: [w for w in _hand_words(joint_names[j].split(":")[-1]) if w not in said] for j in below}
+        said = NO_PHALANX.intersection(_hand_words(_own_name(joint_names[hand])))
+        words = {j: [w for w in _hand_words(_own_name(joint_names[j])) if w not in said] for j in below}
         first = 0 if any(_finger_number(parts) == 0 for parts in words.values()) else 1
         places = {j: place for j in below if (place := _finger(words[j], first)) is not None}
+        # Numbers of one chain beside fingers with names are those of its joints: all other fingers in one (Synty).
+        numbered = [j for j in places if _finger_number(words[j]) is not None]
+        chained = all(numbered[0] in ancestors(parents, j) for j in numbered)
+        if chained and 1 < len(numbered) < len(places):
+            places |= dict.fromkeys(numbered, FINGERS.index("Middle"))
         # The shipped body's stubs stand for fingers that no others do: HandFinger1 for all, Thumb for one.
         named = [j for j in places if _finger_number(words[j]) is None]
         for stub, others in (("HandFinger1", named), ("Thumb", [j for j in named if places[j] == 0])):
@@ -242,7 +287,7 @@ def require_joints(found: dict[str, int], needed: Iterable[str], joint_names: tu
 
 def plain_names(joint_names: tuple[str, ...]) -> list[str]:
     """Simplify names: lower case, without separators, namespaces and first or last words that most names share."""
-    words = [[w for w in re.split(r"[._\s-]+", name.split(":")[-1].lower()) if w] for name in joint_names]
+    words = [[w for w in re.split(r"[._\s-]+", _own_name(name).lower()) if w] for name in joint_names]
     # Remove prefixes, then suffixes, until no word is common to most names.
     for end in (0, -1):
         while (common := _common(words, end)) is not None:
@@ -281,10 +326,18 @@ def other_side(name: str) -> str:
 
 def name_words(name: str) -> tuple[int, tuple[str, ...]]:
     """Split the name of any creature's joint: its side (1 left, -1 right, 0 none) and the words that say something."""
-    runs = [run.lower() for run in _RUN.findall(name.split(":")[-1])]
+    runs = [run.lower() for run in _RUN.findall(_own_name(name))]
     side = next(({"Left": 1, "Right": -1}[SIDES[run]] for run in runs if run in SIDES), 0)
     words = [run[:-1] if len(run) > 3 and run.endswith("s") else run for run in runs if not run.isdigit()]
     return side, tuple(word for word in words if word not in SIDES and word not in NO_MEANING and len(word) > 1)
+
+
+def _own_name(name: str) -> str:
+    """Return a name without its namespace, and in Latin letters if it is one of MikuMikuDance."""
+    own = name.split(":")[-1]
+    if own.isascii():
+        return own
+    return _JAPANESE.sub(lambda found: f"{JAPANESE[found[0].lower()]}_", unicodedata.normalize("NFKC", own))
 
 
 def _hand_words(name: str) -> list[str]:
@@ -309,10 +362,10 @@ def _finger_number(parts: list[str]) -> int | None:
 
 def _finger(parts: list[str], first: int) -> int | None:
     """Give the place in FINGERS of a joint by the words of its name; None if it is no joint of a finger."""
-    named = next((FINGER_WORDS[word] for word in parts if word in FINGER_WORDS), None)
+    named = next((words[word] for words in (FINGER_WORDS, ORDINALS) for word in parts if word in words), None)
     number = _finger_number(parts)
     place = number - first if named is None and number is not None else named
-    other = NO_PHALANX.intersection(parts) - ({"metacarpal"} if place == 0 else set())
+    other = NO_PHALANX.intersection(parts) - (METACARPAL if place == 0 else set())
     return None if other else place
 
 
@@ -321,6 +374,19 @@ def _common(words: list[list[str]], end: int) -> str | None:
     counts = Counter(parts[end] for parts in words if len(parts) > 1 and parts[end] not in SIDES)
     word, count = counts.most_common(1)[0] if counts else ("", 0)
     return word if 2 * count > len(words) else None
+
+
+def _of_one_skeleton(plain: list[str], joint_names: tuple[str, ...]) -> list[str]:
+    """Clear the names that the namespace with the most limbs has, too; of equal ones, that of a control rig is left."""
+    spaces = [name.rpartition(":")[0] for name in joint_names]
+    if len({*spaces}) < 2 or len({*plain}) == len(plain):
+        return plain
+    limbs = {
+        space: len(_limbs([p if s == space else "" for p, s in zip(plain, spaces, strict=True)])) for space in spaces
+    }
+    best = max(limbs, key=lambda space: (limbs[space], "ctrl" not in space.lower()))
+    taken = {name for name, space in zip(plain, spaces, strict=True) if space == best}
+    return [name if space == best or name not in taken else "" for name, space in zip(plain, spaces, strict=True)]
 
 
 def _limbs(plain: list[str]) -> dict[str, int]:
@@ -339,6 +405,11 @@ def _limbs(plain: list[str]) -> dict[str, int]:
                 # A name is used once: later rows may have the same word.
                 found[joint] = by_word.pop((side, word))
     return found
+
+
+def _hips(plain: list[str]) -> list[int]:
+    """List the joints that are called hips, the likeliest first."""
+    return [plain.index(word) for word in (*HIPS, *(f"c{word}" for word in HIPS)) if word in plain]
 
 
 def _below(chain: list[int], top: int) -> list[int]:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..core.mesh import Mesh, permute_vertices
 from ..core.rig import homogeneous
@@ -104,6 +104,14 @@ class SkinnedCharacter:
         for j, parent in enumerate(self.parents):
             columns[j] = column_of.get(j, columns[parent])  # parent -1 is the last entry, the world
         return columns
+
+    def part(self, faces: Int[np.ndarray, "F 3"]) -> SkinnedCharacter:
+        """Keep some triangles and their vertices, with all joints."""
+        used: Bool[np.ndarray, " V"] = np.zeros(len(self.weights), bool)
+        used[faces] = True
+        mesh = Mesh(self.mesh.vertices[used], (np.cumsum(used) - 1)[faces], name=self.mesh.name)
+        rows = {name: getattr(self, name)[used] for name in ("joint_of", "weights", "points")}
+        return dataclasses.replace(self, mesh=mesh, **rows)
 
     def permuted(self, order: Int[np.ndarray, " V"]) -> SkinnedCharacter:
         """Reorder the vertices with their weights: new vertex k is old vertex `order[k]`."""

@@ -376,7 +376,7 @@ def save_joint_files(
 ) -> None:
     """Write the joints that were found to the files that were asked for; `frame` is the first driving frame taken."""
     clip = result.driving_clip
-    save_found(result.joints, joints.save_joints, identity, result.mesh)
+    save_found(result.joints, joints.save_joints, identity, result.identity)
     save_found(result.driving_joints, joints.save_driving_joints, driving, None if clip is None else clip.mesh, frame)
 
 
@@ -386,7 +386,7 @@ def save_found(joints: Any, path: Path | None, file: Path, mesh: Mesh | None, fr
     from ..io.joint_file import save_corrections
 
     if path is not None and joints is not None and mesh is not None:
-        save_corrections(JointCorrections(joints, frame, file.name, len(mesh.vertices)), path)
+        save_corrections(JointCorrections.found_on(mesh.vertices, joints, frame, file.name), path)
 
 
 def result_facts(
@@ -415,6 +415,7 @@ def result_facts(
     blended = blend_note(result.report.get("blendshapes_deviation"))
     kept = (*not_kept(mesh, output), *posed_vrm_note(output))
     notes = [*result.notes, *kept, *rate, *blended, *skinned_note(result.report), *driving_notes]
+    notes = [*dict.fromkeys(notes)]  # both the reader and the result have the clip's
     facts: dict[str, Any] = {
         "output": str(output),
         "replaced": replaced,

@@ -146,6 +146,14 @@ class FrameRange:
     fps: float | None = declared(None, "Frame rate of the clip, where its files do not say.")
     """Frame rate of the clip (frames a second), where its file has none or a wrong one."""
 
+    def __post_init__(self) -> None:
+        """Raise InputError if frames are counted from the end."""
+        for name, frame in (("start", self.start), ("stop", self.stop)):
+            if frame is not None and frame < 0:
+                raise InputError(
+                    f"{option(name)}: expected a frame counted from 0, found {frame}; count from the first"
+                )
+
     @property
     def slice(self) -> slice:
         """The frames that are taken."""

@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody
 from ..bodies.body_model import landmarks
-from ..bodies.joint_names import named_joints, require_joints
+from ..bodies.joint_names import ancestors, named_joints, plain_names, require_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.mesh import Mesh
@@ -197,17 +197,28 @@ def _character_pairs(data: Path, split: str) -> list[tuple[SkinnedCharacter, Ski
 
 @cache
 def _skeletons(data: Path) -> list[list[SkinnedCharacter]]:
-    """Read the characters of a folder, sorted by file name, and group them by skeleton (joint names and parents).
+    """Read the characters of a folder, sorted by file name, and group them by skeleton (see `_skeleton`).
 
     Skeletons of one character are left out.
     """
     if not data.is_dir():
         raise InputError(f"{data}: expected a folder of rigged characters, found none; give it with --data")
-    groups: dict[tuple[tuple[str, ...], tuple[int, ...]], dict[Path, SkinnedCharacter]] = {}
+    groups: dict[frozenset[tuple[str, str]], dict[Path, SkinnedCharacter]] = {}
     for path in sorted(path for path in data.iterdir() if path.suffix.lower() in SUFFIXES):
         rig = read_skin(path)
-        groups.setdefault(rig.skeleton, {})[path] = rig
+        groups.setdefault(_skeleton(rig), {})[path] = rig
     return [[check_character(rig, path) for path, rig in group.items()] for group in groups.values() if len(group) > 1]
+
+
+def _skeleton(rig: SkinnedCharacter) -> frozenset[tuple[str, str]]:
+    """Return the names of the joints that are a person's, each with that of the next one above it.
+
+    Namespaces (mixamorig, mixamorig7), the order of joints and others beside a person's do not matter.
+    """
+    plain, known = plain_names(rig.joint_names), {*named_joints(rig.joint_names, rig.parents).values()}
+    known = known or {*range(len(plain))}
+    above = {j: next((k for k in ancestors(rig.parents, j)[1:] if k in known), None) for j in known}
+    return frozenset((plain[j], "" if k is None else plain[k]) for j, k in above.items())
 
 
 def _make_pair(identity: SkinnedCharacter, driving: SkinnedCharacter, rest: Pose, pose: Pose) -> Pair:

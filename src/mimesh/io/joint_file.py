@@ -1,10 +1,10 @@
 """Read and write the positions of joints that a user has picked: a small JSON file beside the mesh.
 
-    {"format": "mimesh joints", "version": 1, "mesh": "hero.glb", "vertices": 5310, "frame": 0,
+    {"format": "mimesh joints", "version": 1, "mesh": "hero.glb", "vertices": 5310, "size": 1.76, "frame": 0,
      "joints": {"LeftLeg": [0.11, 0.52, 0.02]}}
 
-Positions are in the axes, unit and position of the mesh's file. `frame` counts from 0 in a clip. `mesh`, `vertices` and
-`frame` may be missing.
+Positions are in the axes, unit and position of the mesh's file. `frame` counts from 0 in a clip, `size` is the longest
+side of the mesh's bounding box. `mesh`, `vertices`, `size` and `frame` may be missing.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
@@ -58,8 +60,10 @@ def load_corrections(path: str | Path) -> JointCorrections:
     for name, number in (("frame", frame), ("vertices", 0 if vertices is None else vertices)):
         if isinstance(number, bool) or not isinstance(number, int) or number < 0:
             raise InputError(f"{source}: expected a whole number for {name}, found {str(number)[:40]!r}; correct it")
-    mesh = str(values.get("mesh", ""))
-    return JointCorrections.of(values["joints"], source, frame=frame, vertices=vertices, mesh=mesh)
+    mesh, size = str(values.get("mesh", "")), values.get("size")
+    if size is not None and (isinstance(size, bool) or not isinstance(size, (int, float)) or not 0 < size < np.inf):
+        raise InputError(f"{source}: expected a positive number for size, found {str(size)[:40]!r}; correct it")
+    return JointCorrections.of(values["joints"], source, frame=frame, vertices=vertices, mesh=mesh, size=size)
 
 
 def describe_corrections(corrections: JointCorrections) -> dict[str, Any]:
@@ -69,6 +73,8 @@ def describe_corrections(corrections: JointCorrections) -> dict[str, Any]:
         head["mesh"] = corrections.mesh
     if corrections.vertices is not None:
         head["vertices"] = corrections.vertices
+    if corrections.size is not None:
+        head["size"] = float(f"{corrections.size:.7g}")
     joints = {name: [float(f"{x:.7g}") for x in position] for name, position in corrections.positions.items()}
     return {**head, "frame": corrections.frame, "joints": joints}
 

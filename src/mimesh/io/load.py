@@ -21,6 +21,11 @@ from ..core.system import refuse_pipe
 from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, COLLECTIONS, MESH_READERS, MOTIONS, found_suffix
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
+PACKED = (b"PK\3\4", b"Rar!", b"7z\xbc\xaf")
+"""First bytes of archives of several files."""
+ZIPPED = {".npz", ".usdz", *BODY_MODELS}
+"""Suffixes of formats that are such archives, or refused by their own readers."""
+
 
 @public
 def load_mesh(path: str | Path) -> Mesh:
@@ -273,6 +278,13 @@ def _must_exist(path: Path) -> None:
     if not path.exists():
         raise InputError(f"{path}: expected a file or folder, found nothing of that name; check the path")
     refuse_pipe(path)
+    if path.is_file() and path.suffix.lower() not in ZIPPED:
+        with _reading(path), path.open("rb") as file:
+            start = file.read(4)
+        if start.startswith(PACKED):
+            raise InputError(
+                f"{path}: expected a mesh or a clip, found a packed archive; unpack it, and give a file in it"
+            )
 
 
 @contextlib.contextmanager

@@ -1,7 +1,8 @@
 """Read AMASS-style archives (.npz): rotation vectors (radians) of joints and the path of the pelvis (metres).
 
 Arrays: `poses` (T, 66 or more), or `root_orient` (T, 3) with `pose_body` (T, 63); `trans` (T, 3); the frame rate as
-`mocap_framerate`, `mocap_frame_rate` or `fps`.
+`mocap_framerate`, `mocap_frame_rate` or `fps`, a number or text. Without `trans` a person stays in place, with the
+lower foot at one height; without a rate it is 30 frames a second. Both give notes.
 
 `load_amass` reads a skeleton: the first 22 joints, in the order of `JOINTS`, and the fingers of SMPL+H and SMPL-X; face
 and `betas` are not read. The body model is not part of the file, so the rest skeleton is assumed: a T-pose with
@@ -23,7 +24,7 @@ from jaxtyping import Float
 
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core.budgets import FRAMES, POSED_JOINTS
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.npz_archive import POINTS, open_archive, read_array
 from .bvh import Bvh
 
@@ -80,6 +81,8 @@ WITH_FINGERS = (len(JOINTS) + len(FINGERS), len(JOINTS) + len(FACE) + len(FINGER
 """Numbers of joints of SMPL+H and SMPL-X."""
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 """Names of the array with the frame rate."""
+BODY_ALONE = 69
+"""Numbers of SMPL's body without its root: one joint less than the usual 72, so each would be read as the next one."""
 DEFAULT_RATE = 30.0
 """Frames per second of a file without a frame rate."""
 MOTION = ("poses", "root_orient", "pose_body", "trans", *RATES)
@@ -101,6 +104,8 @@ class BodyRecording:
     fps: float
     gender: str
     """Gender of the model that the coefficients belong to; empty if the file does not say."""
+    notes: tuple[str, ...] = ()
+    """What the file lacks, and what is taken instead."""
 
 
 def is_amass(names: Collection[str]) -> bool:
@@ -132,7 +137,8 @@ def load_amass(path: str | Path) -> Bvh:
     names = tuple(skeleton)
     parents = tuple(names.index(parent) if parent else -1 for parent, _ in skeleton.values())
     offsets = HEIGHT * np.array([offset for _, offset in skeleton.values()])
-    return Bvh(path.stem, names, parents, offsets, {}, rotmat, trans @ axes.T, _rate(arrays, path))
+    return Bvh(path.stem, names, parents, offsets, {}, rotmat, trans @ axes.T, _rate(arrays, path),
+                notes=tuple(f"{path.name}: {note}" for note in _lacking(arrays)))  # fmt: skip
 
 
 def load_recording(path: str | Path) -> BodyRecording:
@@ -144,7 +150,8 @@ def load_recording(path: str | Path) -> BodyRecording:
     path = Path(path)
     arrays = _read_arrays(path, (*MOTION, *PARTS, "betas", "gender"))
     rotvec, trans = _joints_and_path(arrays, path)
-    return BodyRecording(rotvec, trans, shape_of(arrays.get("betas"), path), _rate(arrays, path), _gender(arrays))
+    shape, rate = shape_of(arrays.get("betas"), path), _rate(arrays, path)
+    return BodyRecording(rotvec, trans, shape, rate, _gender(arrays), _lacking(arrays))
 
 
 def parse_betas(text: str) -> Float[np.ndarray, " K"]:
@@ -241,6 +248,14 @@ def _joints_and_path(
     arrays: dict[str, np.ndarray], path: Path
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
     """Check rotations and path, and join the parts of a pose that are stored apart."""
+    if "poses" in arrays and np.prod(arrays["poses"].shape[1:]) == BODY_ALONE:
+        if "root_orient" not in arrays:
+            raise InputError(
+                f"{path}: expected 'poses' of the root and 21 joints or more, found {BODY_ALONE} numbers, SMPL's body "
+                "without its root; save the root's rotation before them, or as 'root_orient'"
+            )
+        arrays = {**arrays, "pose_body": arrays["poses"]}
+        del arrays["poses"]
     if "poses" in arrays:
         rotvec = _rows(arrays["poses"], "poses", 3 * len(JOINTS), path)
     else:
@@ -252,19 +267,43 @@ def _joints_and_path(
             if len(rows) != len(root):
                 raise _length_error(path, "root_orient", len(root), name, len(rows))
         rotvec = np.concatenate(list(parts.values()), axis=1)
-    trans = _rows(_get(arrays, "trans", path), "trans", 3, path)[:, :3]
+    if "trans" not in arrays:
+        return poses_of(rotvec, "poses", path), _in_place(rotvec[:, : 3 * len(JOINTS)].reshape(len(rotvec), -1, 3))
+    trans = _rows(arrays["trans"], "trans", 3, path)[:, :3]
     if len(trans) != len(rotvec):
         raise _length_error(path, "trans", len(trans), "poses", len(rotvec))
     return poses_of(rotvec, "poses", path), trans
+
+
+def _in_place(rotvec: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "T 3"]:
+    """Compute a path up and down alone, on which the lower foot stays at one height, in the axes of the file."""
+    rotmat = rotvec_to_rotmat(rotvec)
+    axes = upright(rotmat[:, 0])
+    rotmat[:, 0] = axes @ rotmat[:, 0]
+    names = tuple(JOINTS)
+    parents = tuple(names.index(parent) if parent else -1 for parent, _ in JOINTS.values())
+    offsets = HEIGHT * np.array([offset for _, offset in JOINTS.values()])
+    posed = Bvh("", names, parents, offsets, {}, rotmat, np.zeros((len(rotmat), 3)), DEFAULT_RATE)
+    feet = [names.index(f"{side}_{part}") for side in ("left", "right") for part in ("ankle", "foot")]
+    raised = posed.world()[1][:, feet, 1] - posed.rest()[feet, 1]
+    return np.array([0.0, 1.0, 0.0]) * -raised.min(axis=1, keepdims=True) @ axes
+
+
+def _lacking(arrays: dict[str, np.ndarray]) -> tuple[str, ...]:
+    """Say what an archive lacks, and what is taken instead."""
+    notes = ()
+    if "trans" not in arrays:
+        notes += ("no 'trans': the person stays in place, with the lower foot on the ground",)
+    if not any(name in arrays for name in RATES):
+        notes += (f"no frame rate: {DEFAULT_RATE:g} per second are taken, {option('fps', ...)} gives another",)
+    return notes
 
 
 def _get(arrays: dict[str, np.ndarray], name: str, path: Path) -> np.ndarray:
     """Look up an array; raise InputError if it is missing."""
     if name not in arrays:
         found = ", ".join(arrays) or "none of them"
-        raise InputError(
-            f"{path}: expected poses (or root_orient and pose_body) and trans, found {found}; save '{name}' as well"
-        )
+        raise InputError(f"{path}: expected poses, or root_orient and pose_body, found {found}; save '{name}' as well")
     return arrays[name]
 
 
@@ -289,6 +328,8 @@ def _rows(values: np.ndarray, name: str, width: int, path: Path) -> Float[np.nda
 def _rate(arrays: dict[str, np.ndarray], path: Path) -> float:
     """Read the frame rate; raise InputError if it is not a positive number."""
     found = next((arrays[name] for name in RATES if name in arrays), np.array(DEFAULT_RATE))
+    with contextlib.suppress(ValueError):  # text, which some tools write
+        found = found.astype(np.float64) if found.size == 1 and found.dtype.kind in "US" else found
     if found.size != 1 or found.dtype.kind not in "fiu" or not 0 < found.item() < np.inf:
         wrong = f"{found.item()!r:.60}" if found.size == 1 else f"{found.dtype} {found.shape}"
         raise InputError(f"{path}: expected a positive frame rate, found {wrong}; save one as mocap_framerate")

@@ -5,9 +5,9 @@ Axes, unit and joint names are those of the file; `retarget` transfers the motio
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from decimal import Decimal
-from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,10 @@ from jaxtyping import Float
 from ..core.budgets import DEPTH, FRAMES, JOINTS, POSED_JOINTS
 from ..core.errors import InputError
 
+MOTION = re.compile(r"(?:\}\s*|^[ \t]*)(?P<word>MOTION)(?!\S)", re.MULTILINE)
+"""The word between hierarchy and frames, which may be part of joints' names, too."""
+OFFSETS, MINUS = re.compile(r"OFFSET\s+[-+.\d][^\n}]*"), re.compile(r"(?<=[\d.])-(?=[\d.])")
+"""Numbers of offsets; a minus without a blank before it, as exporters with columns of fixed width write it."""
 SHORTEST, LONGEST = 1e-6, 3600.0
 """Frame times (seconds) between which a file is not damaged."""
 
@@ -77,31 +81,27 @@ def load_bvh(path: str | Path) -> Bvh:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: expected a BVH file, found none; check the name")
-    text = path.read_bytes().decode("utf-8", errors="replace")
-    header, found, rows = text.partition("MOTION")
-    if not found or header.split()[:1] != ["HIERARCHY"]:
+    text = path.read_bytes().decode("utf-8-sig", errors="replace")
+    found = MOTION.search(text)
+    if found is None or text.split(maxsplit=1)[0] != "HIERARCHY":
         raise InputError(f"{path}: expected a BVH file with HIERARCHY and MOTION, found neither; export it as BVH")
-    names, parents, offsets, ends, channels = _read_hierarchy(header.split()[1:], path)
-    fps, values, notes = _read_rows(rows, sum(map(len, channels)), path)
+    names, parents, offsets, ends, channels = _read_hierarchy(text[: found.start("word")], path)
+    start = found.end("word")
+    fps, values, notes = _read_rows(text[start:], text.count("\n", 0, start) + 1, sum(map(len, channels)), path)
     # Joints without channels are posed in every frame, too: what they take is not in proportion to the file.
     POSED_JOINTS.check(len(values) * len(names), path, len(text))
     rotmat, root, moved = _apply_channels(channels, values, offsets)
     return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, fps, moved, notes)
 
 
-def bvh_joints(path: str | Path) -> int:
-    """Count the joints of a BVH file without reading its motion; 0 for other files."""
-    with Path(path).open(encoding="utf-8", errors="replace") as file:
-        header = takewhile(lambda line: not line.startswith("MOTION"), file)
-        return sum(line.split()[0].upper() in ("ROOT", "JOINT") for line in header if line.strip())
-
-
-def _read_hierarchy(tokens: list[str], path: Path):
-    """Parse the tokens of the HIERARCHY section: names, parents, offsets, end sites and channels in file order."""
+def _read_hierarchy(text: str, path: Path):
+    """Parse the HIERARCHY section: names, parents, offsets, end sites and channels in file order."""
+    text = OFFSETS.sub(lambda found: MINUS.sub(" -", found[0]), text)
+    tokens = text.split()
     names, parents, offsets, channels, ends = [], [], [], [], {}
     stack: list[int] = []  # open joints; -1 marks an open End Site
     # A stack machine over the tokens; errors name the token index i.
-    i = 0
+    i = 1
     try:
         while i < len(tokens):
             word, i = tokens[i].upper(), i + 1
@@ -139,19 +139,27 @@ def _read_hierarchy(tokens: list[str], path: Path):
             elif word == "}":
                 stack.pop()
             else:
-                raise InputError(f"{path}: expected ROOT, JOINT, OFFSET, CHANNELS or a brace, found {word[:40]!r}; "
-                                 "the hierarchy is damaged, export it again")  # fmt: skip
+                raise InputError(
+                    f"{path}: expected ROOT, JOINT, OFFSET, CHANNELS or a brace, found {word[:40]!r} in line "
+                    f"{_line_of_word(text, i - 1)}; the hierarchy is damaged, export it again"
+                )
     except (ValueError, IndexError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"{path}: expected a whole HIERARCHY, found damage near word {i} ({' '.join(tokens[i - 1 : i + 3])[:60]}); "
-            "export it again"
+            f"{path}: expected a whole HIERARCHY, found damage in line {_line_of_word(text, i)} "
+            f"({' '.join(tokens[i - 1 : i + 3])[:60]}); export it again"
         ) from None
     JOINTS.check(len(names), path)
     if stack or not names:
         raise InputError(f"{path}: expected a whole HIERARCHY, found {len(stack)} braces open; export it again")
     return names, parents, np.array(offsets), ends, channels
+
+
+def _line_of_word(text: str, number: int) -> int:
+    """Return the line, from 1, of a word of a text, counted from 0."""
+    starts = [word.start() for word in re.finditer(r"\S+", text)]
+    return text.count("\n", 0, starts[min(number, len(starts) - 1)]) + 1
 
 
 def _channel(word: str, path: Path) -> tuple[str, int]:
@@ -162,8 +170,18 @@ def _channel(word: str, path: Path) -> tuple[str, int]:
     return kind, "xyz".index(axis)
 
 
-def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.ndarray, "T C"], tuple[str, ...]]:
-    """Parse the MOTION section: frame rate, one row of channel values per frame, and notes."""
+def _read_rows(
+    text: str, line: int, channels: int, path: Path
+) -> tuple[float, Float[np.ndarray, "T C"], tuple[str, ...]]:
+    """Parse the MOTION section: frame rate, one row of channel values per frame, and notes.
+
+    Args:
+        line: that the text begins in, from 1.
+    """
+    notes = ()
+    if MINUS.search(text):
+        text = MINUS.sub(" -", text)
+        notes = (f"{path.name} has numbers without a blank before a minus: they are read as two",)
     words = text.split()
     try:
         if [w.lower() for w in (words[0], *words[2:4])] != ["frames:", "frame", "time:"]:
@@ -172,8 +190,8 @@ def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.nd
         values = np.fromiter(map(float, words[5:]), float, len(words) - 5)
     except (ValueError, IndexError) as error:
         raise InputError(
-            f"{path}: expected 'Frames: N', 'Frame Time: s' and numbers after MOTION, found damage ({error}); "
-            "export it again"
+            f"{path}: expected 'Frames: N', 'Frame Time: s' and numbers after MOTION, found damage "
+            f"({_row_at_fault(text, line, channels) or error}); export it again"
         ) from None
     if not SHORTEST <= frame_time <= LONGEST or frames < 1:
         raise InputError(
@@ -187,19 +205,37 @@ def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.nd
     FRAMES.check(frames, path)
     if values.size < frames * channels or values.size % channels:
         raise InputError(
-            f"{path}: expected {frames} frames of {channels} values, found {values.size} values; "
+            f"{path}: expected {frames} frames of {channels} values, found {values.size} values "
+            f"({_row_at_fault(text, line, channels) or f'the last frame is {values.size // channels - 1}'}); "
             "the file is cut short or its frame count is wrong, export it again"
         )
     if not np.isfinite(values).all():
         bad = int(np.flatnonzero(~np.isfinite(values))[0]) // channels
-        raise InputError(f"{path}: expected finite numbers, found NaN or infinity in frame {bad}; export it again")
+        place = _row_at_fault(text, line, channels)
+        raise InputError(
+            f"{path}: expected finite numbers, found NaN or infinity in frame {bad} ({place}); export it again"
+        )
     rows = values.size // channels
-    notes = (
-        ()
-        if rows == frames
-        else (f"{path.name} has {rows} rows and states {frames} frames: the first {frames} are read",)
-    )
+    if rows != frames:
+        notes += (f"{path.name} has {rows} rows and states {frames} frames: the first {frames} are read",)
     return _rate(words[4]), values[: frames * channels].reshape(frames, channels), notes
+
+
+def _row_at_fault(text: str, line: int, channels: int) -> str:
+    """Name line and frame of the first row that is not one finite number for each channel; empty if there is none."""
+    frame = None
+    for number, row in enumerate(text.split("\n"), line):
+        if frame is not None and row.strip():
+            try:
+                sound = np.isfinite([float(word) for word in row.split()]).sum() == channels == len(row.split())
+            except ValueError:
+                sound = False
+            if not sound:
+                return f"line {number}, frame {frame}"
+            frame += 1
+        elif row.lower().lstrip().startswith("frame time"):
+            frame = 0
+    return ""
 
 
 def _rate(frame_time: str) -> float:

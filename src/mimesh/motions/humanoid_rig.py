@@ -16,7 +16,15 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody, load_body
 from ..bodies.anatomy import anatomy_of
-from ..bodies.character_limbs import SIDES, Limb, attach_feet, find_limbs, moves_vertices, name_limb_joints
+from ..bodies.character_limbs import (
+    SIDES,
+    Limb,
+    attach_feet,
+    find_limbs,
+    fingers_by_place,
+    moves_vertices,
+    name_limb_joints,
+)
 from ..bodies.hands import body_with_fingers, hand_frames
 from ..bodies.joint_names import ancestors, finger_joints, named_fingers, parents_first
 from ..bodies.skinned_character import SkinnedCharacter
@@ -162,6 +170,10 @@ def humanoid_rig(
     hands = {name: joints[name] for side in unnamed if (name := f"{side}Hand") in joints}
     joints |= named_fingers(facing.joint_names, facing.parents, hands)
     moving = moves_vertices(facing)
+    for name, hand in hands.items():
+        side = name.removesuffix("Hand")
+        if not any(moving[joints[finger]] for finger in finger_joints(side) if finger in joints):
+            joints |= fingers_by_place(facing, hand, side)
     named = joints
     joints = {name: joint for name, joint in named.items() if moving[joint] or name in ("Hips", "Head")}
     limbs = find_limbs(facing, joints, path)

@@ -21,7 +21,7 @@ from ..core.person_motion import KnownJoints, PersonMotion
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from .amass import is_amass, load_amass
-from .bvh import Bvh, bvh_joints, load_bvh
+from .bvh import Bvh, load_bvh
 from .motion import Motion, cut_motion, joint_tracks, leg_length, resample
 from .retarget import rests_standing, retarget
 
@@ -35,9 +35,10 @@ def is_motion_file(path: str | Path) -> bool:
     return path.suffix.lower() == BVH or (path.suffix.lower() == ".npz" and is_amass(archive_names(path)))
 
 
-def motion_joints(path: str | Path) -> int:
-    """Count the joints that are read from a motion file."""
-    return bvh_joints(path) if Path(path).suffix.lower() == BVH else len(load_amass(path).joint_names)
+def motion_joints(path: str | Path) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Return names and parents of the joints that are read from a motion file."""
+    source = _load(path)
+    return source.joint_names, source.parents
 
 
 @dataclass(frozen=True, eq=False)

@@ -93,7 +93,7 @@ def recorded_clip(
     vertices = store_frames(frames, len(motion), len(model.template), np.float32, progress)
     mesh = Mesh(np.asarray(vertices[0], np.float64), model.faces, path.stem, up="+y" if is_archive else None)
     headings = (axes @ motion.rotmat[:, 0])[:, :, 2] if is_archive else None
-    notes = (*pose_notes, *_shape_notes(recording, len(shape), model))
+    notes = (*recording.notes, *pose_notes, *_shape_notes(recording, len(shape), model))
     # Axes of pickles are not known, so neither is where their joints face.
     skeleton = RecordedJoints(model, shape, motion.rotmat, motion.root, axes) if is_archive else None
     return Clip(mesh, vertices, motion.fps, headings, skeleton), tuple(f"{path.name}: {note}" for note in notes)

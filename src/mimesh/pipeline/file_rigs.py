@@ -82,6 +82,7 @@ class Rigs:
             without = f"the rig of {identity.name} is not used, joints are found on its surface"
             if body != OTHER:
                 own, notes, unnamed = if_usable(lambda of: read_own_rig(identity, find[0], of), body, without)
+            notes += () if own is None else own.notes
             shared = shared_motion(identity, clip)
             copied = copied_motion(identity, clip, shared, own)
             if copied is not None and copy:

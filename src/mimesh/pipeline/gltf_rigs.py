@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple, TypeVar
 
 from ..bodies.character_limbs import SIDES, UnnamedJoints
@@ -70,9 +70,7 @@ class RigFacts(NamedTuple):
     used: bool
     text: str
     stands: str | None = None
-    """Axes of a four-legged animal, which the detector for surfaces of people cannot tell."""
-    person: bool = False
-    """Whether its joints are those of a person."""
+    """How a person or a four-legged animal stands, as the rig tells."""
 
 
 def rig_facts(mesh: Mesh) -> RigFacts | None:
@@ -93,11 +91,16 @@ def rig_facts(mesh: Mesh) -> RigFacts | None:
         return RigFacts(True, UNNAMED) if isinstance(error, UnnamedJoints) else RigFacts(False, str(error))
     except InputError as error:
         return RigFacts(False, str(error))
-    fingers = sum(name in finger_joints(side) for side in SIDES for name in humanoid.joints)
-    known = len(humanoid.joints) - fingers
-    joints = len(humanoid.character.parents)
-    text = f"{joints} joints, {known} of a person and {fingers} of fingers known by name"
-    return RigFacts(True, text, person=True)
+    stands = f"up {axis_name(humanoid.turn[1])}, front {axis_name(humanoid.turn[2])}, a person by its rig"
+    known = known_joints(humanoid.joints)
+    return RigFacts(True, f"{len(humanoid.character.parents)} joints, {known}", stands)
+
+
+def known_joints(names: Iterable[str]) -> str:
+    """Say how many joints of a person and of fingers are known."""
+    known = [*names]
+    fingers = sum(name in finger_joints(side) for side in SIDES for name in known)
+    return f"{len(known) - fingers} of a person and {fingers} of fingers known"
 
 
 def beside_person(own: OwnRig, tracks: AnimatedValues) -> AnimatedValues:

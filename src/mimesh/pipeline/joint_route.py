@@ -237,12 +237,21 @@ def joint_route(identity: Mesh, clip: Clip, mime: Mime, known: Known, rigs: Rigs
     """
     first, asked = first_frame(clip), known.asked_body
     subjects = rigs.subjects(identity, first, known.axes)
-    network, looks = agreed(mime, asked, subjects)
-    if any(rigs.unnamed) and finds_joints(network):
+    unnamed = any(rigs.unnamed) and finds_joints(mime)
+    try:
+        network, looks = agreed(mime, asked, subjects)
+    except RefusedMeshError:
+        if not unnamed:
+            raise
+        network, looks = mime, None  # a tail or a dress may hide the shape of who is known by the joints
+    if unnamed and finds_joints(network):
         find = joint_finder(network, known.axes[:2]), joint_finder(network, known.axes[2:])
         rigs = read_rigs(identity, clip, known, find=find).with_notes((identity.name, clip.mesh.name), rigs)
         subjects = rigs.subjects(identity, first, known.axes)
+        if looks is None:
+            network, looks = agreed(mime, asked, subjects)
         looks = known_look(network, subjects[0]), known_look(network, subjects[1])
+    assert looks is not None
     (character, mine), (motion, theirs) = _found(network, clip, subjects, looks, known, rigs)
     if known.body == "auto" and len(mime.bodies) > 1 and not known.corrections.given:
         confidences = character.confidence, motion.confidence

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import load_body
-from ..bodies.character_limbs import FindJoints, match_joints
+from ..bodies.character_limbs import FindJoints, match_joints, without_tails
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError, RefusedMeshError, option
 from ..core.geometry import face_normals
@@ -367,14 +367,14 @@ def joint_finder(mime: Mime, axes: UpFront) -> FindJoints:
     """
 
     def find(rig: SkinnedCharacter) -> dict[str, int]:
-        mesh = dataclasses.replace(rig.mesh, up="+y")
-        norm, body, confidence = predicted_body(mime, mesh, axes)
-        if not confidence.recognised:
-            raise InputError(
-                f"{mesh.name}: expected joints with the names of a person's, or the shape of a person, found neither; "
-                "rename the joints, for example LeftUpLeg, LeftArm"
-            )
-        return match_joints(rig, dataclasses.replace(body, joints=norm.undo(body.joints)), mesh.name)
+        for shown in (rig, *without_tails(rig)):
+            norm, body, confidence = predicted_body(mime, dataclasses.replace(shown.mesh, up="+y"), axes)
+            if confidence.recognised:
+                return match_joints(shown, dataclasses.replace(body, joints=norm.undo(body.joints)), rig.mesh.name)
+        raise InputError(
+            f"{rig.mesh.name}: expected joints with the names of a person's, or the shape of a person, found neither; "
+            "rename the joints, for example LeftUpLeg, LeftArm"
+        )
 
     return find
 

@@ -230,5 +230,8 @@ def describe_file(item: Item) -> dict[str, Any]:
     """Return the contents of the side file with the corrections of an item."""
     corrections = item.corrections or JointCorrections()
     mesh = item.content.mesh if isinstance(item.content, Clip) else item.content
-    count = len(mesh.vertices) if isinstance(mesh, Mesh) else None
-    return describe_corrections(JointCorrections(corrections.positions, corrections.frame, item.name, count))
+    if not isinstance(mesh, Mesh):
+        return describe_corrections(JointCorrections(corrections.positions, corrections.frame, item.name))
+    return describe_corrections(
+        JointCorrections.found_on(mesh.vertices, corrections.positions, corrections.frame, item.name)
+    )

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..bodies.joint_names import person_joints
 from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
 from ..core.printable import printable
 from ..io.beside import missing_images, missing_images_notes
-from ..pipeline.gltf_rigs import RigFacts, rig_facts
+from ..pipeline.gltf_rigs import known_joints, rig_facts
 from ..pipeline.look import KINDS, Subject, recognised_body
 
 PERSON = (1.4, 2.1)
@@ -166,7 +167,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         seconds=float(clip.seconds) if clip is not None and moving else None,
         animations=getattr(mesh.source, "animations", ()),  # not all formats have these three
         details=getattr(mesh.source, "details", ()) + rig_details,
-        stands=(rig and rig.stands) or (_stands(mesh, rig) if len(mesh.faces) else None),
+        stands=(rig and rig.stands) or (_stands(mesh) if len(mesh.faces) else None),
         notes=getattr(mesh.source, "notes", ()) if rig is None or not rig.used else (),
         missing_images=missing_images(mesh),
     )
@@ -251,21 +252,24 @@ def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[s
     from ..io.formats import ANIMATED, COLLECTIONS, is_body_model
     from ..io.gltf.animation import animation_names, document_details
     from ..io.gltf.document import open_document
-    from ..io.gltf.motion import gltf_joints
+    from ..io.gltf.motion import gltf_joints, read_skeleton
     from ..motions.amass import recording_facts
     from ..motions.on_body import BVH, is_motion_file, motion_joints
 
     if path.suffix.lower() in ANIMATED:
         document = open_document(path)
-        return animation_names(document), (_motion_detail(gltf_joints(document)), *document_details(document))
+        skeleton = read_skeleton(document)
+        motion = _motion_detail(gltf_joints(document), skeleton.joint_names, skeleton.parents)
+        return animation_names(document), (motion, *document_details(document))
     if path.suffix.lower() in COLLECTIONS:
         return _clips_of_file(path, clip.fps)
     if path.is_file() and is_body_model(path):
         return (), (("body model", "its mean shape at rest, which these facts describe"),)
     if not is_motion_file(path):
         return (), ()
+    names, parents = motion_joints(path)
     recorded = () if path.suffix.lower() == BVH else recording_facts(path)
-    return (), (_motion_detail(motion_joints(path)), *recorded)
+    return (), (_motion_detail(len(names), names, parents), *recorded)
 
 
 def _clips_of_file(path: Path, fps: float) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
@@ -279,16 +283,14 @@ def _clips_of_file(path: Path, fps: float) -> tuple[tuple[str, ...], tuple[tuple
     return tuple(lengths), (("clips", f"{len(lengths)}, of which these facts describe the first"), *rows)
 
 
-def _motion_detail(joints: int) -> tuple[str, str]:
-    return "motion", f"{_plural(joints, 'joint')}, played on the shipped body, which these facts describe"
+def _motion_detail(joints: int, names: tuple[str, ...], parents: tuple[int, ...]) -> tuple[str, str]:
+    known = known_joints(person_joints(names, parents))
+    return "motion", f"{_plural(joints, 'joint')}, {known}, played on the shipped body, which these facts describe"
 
 
-def _stands(mesh: Mesh, rig: RigFacts | None) -> str:
-    """Say up and front of a mesh, and what it is taken for: by its rig, else as a transfer of it alone would choose."""
-    subject, body = Subject(mesh, (None, None)), "human"
-    norm = subject.norm
-    if rig is None or not rig.person:
-        body, norm = recognised_body(subject)
+def _stands(mesh: Mesh) -> str:
+    """Say up and front of a mesh, and what it is taken for, as a transfer of it alone would choose."""
+    body, norm = recognised_body(Subject(mesh, (None, None)))
     if body is None:
         return "looks neither like a person nor like a four-legged animal, as far as can be told"
     by_file = " (by the file)" if norm.up_from == "file" else ""

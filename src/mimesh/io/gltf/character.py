@@ -10,6 +10,7 @@ they are right. Some makers export -z, others name sides as the viewer sees them
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import re
 from collections.abc import Callable, Collection, Iterable
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from ...bodies.animal_limbs import LEGS, name_animal_joints, named_tail
 from ...bodies.character_limbs import (
@@ -27,6 +28,8 @@ from ...bodies.character_limbs import (
     attach_feet,
     carried_vertices,
     find_limbs,
+    limbs_by_name,
+    missing_limbs,
     name_limb_joints,
     name_sided_joints,
 )
@@ -46,9 +49,9 @@ from ...core.mesh import Mesh, check_mesh
 from .animation import animated_nodes, animation_names, frame_times, read_channels, sample_joints
 from .check import damaged
 from .document import Document, open_document
-from .motion import PLAYED_PATHS, bind_poses, is_motion
+from .motion import PLAYED_PATHS, bind_poses, is_motion, rest_matrices
 from .read import RestScene, read_rest, rig_on_nodes, skin_joints
-from .scene import scene_nodes
+from .scene import node_parents, scene_nodes, sort_parents_first, world_matrices
 from .vrm import read_origin, vrm_bones, vrm_version
 
 CLIP_FPS = 30.0
@@ -67,6 +70,8 @@ SHORTEST_TOES = 0.02
 """Smallest distance from ankle to the middle of the foot that says where a foot points, in heights of the character."""
 APART = 0.1
 """Largest share of the skinning weight on skeletons without any joint of the character: a second character, or LODs."""
+APART_PROP = 0.5
+"""The same on skeletons whose joints are not named as limbs: a prop may have more vertices than who carries it."""
 NOT_STATED = "not stated"
 """Licence of a character whose file and folder name none."""
 PAIRS = ("UpLeg", "Arm")
@@ -214,15 +219,14 @@ def rig_at_rest(
 ) -> tuple[SkinnedCharacter, list[int]]:
     """Read the rig of a mesh with the nodes of `scene` as its rest pose, without scales, and the node of each joint.
 
-    Joints are those of the shown skins, else the nodes that show a mesh or that an animation moves, and `bones`.
+    Joints are those of the shown skins, else the nodes of rigid parts, and `bones`.
 
     Raises:
         InputError: positions that are not finite.
     """
     path, joint_nodes = document.path, skin_joints(document, scene)
     if not joint_nodes:
-        joint_nodes = animated_nodes(document, PLAYED_PATHS)
-        joint_nodes |= {node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]}
+        joint_nodes = _rigid_parts(document)
     rig, nodes = rig_on_nodes(mesh, document, scene, joint_nodes.union(bones))
     if not all(np.isfinite(array).all() for array in (rig.points, rig.T_world_joint)):
         raise damaged(path, "a rest pose of finite numbers", "NaN or infinity")
@@ -231,6 +235,35 @@ def rig_at_rest(
     frames[:, :3, 3] = rig.joints
     at_rest = dataclasses.replace(mesh, vertices=(rig.weights[..., None] * rig.points).sum(axis=1))
     return dataclasses.replace(rig, mesh=at_rest, T_world_joint=frames), nodes
+
+
+def names_person(document: Document) -> bool:
+    """Tell whether the nodes of rigid parts are named as the joints of a person, or listed as such by a VRM file.
+
+    Not where they are at one place, as the parts of a mesh that was cut: these have no joints to turn about.
+    """
+    if vrm_bones(document):
+        return True
+    limbs = _limb_nodes(document, _rigid_parts(document))
+    places = world_matrices(document)[[limbs[side + part] for part in PAIRS for side in SIDES if limbs], :3, 3]
+    return bool(limbs) and bool((np.ptp(places.reshape(2, 2, 3), axis=1).max(axis=-1) > 0).all())
+
+
+def _rigid_parts(document: Document) -> set[int]:
+    """List the nodes that show a mesh or that an animation moves; those above them too, if these name the limbs."""
+    parts = animated_nodes(document, PLAYED_PATHS)
+    parts |= {node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]}
+    node_parent = tuple(node_parents(document))
+    above = {node for part in parts for node in ancestors(node_parent, part)}
+    return above if not _limb_nodes(document, parts) and _limb_nodes(document, above) else parts
+
+
+def _limb_nodes(document: Document, nodes: Collection[int]) -> dict[str, int]:
+    """Find the nodes of limbs by name among some; none where thighs or upper arms are missing."""
+    order = [node for node in sort_parents_first(document, node_parents(document)) if node in nodes]
+    names = tuple(str(document.gltf["nodes"][node].get("name", "")) for node in order)
+    found = limbs_by_name(names, (-1,) * len(names))
+    return {} if missing_limbs(found) else {name: order[joint] for name, joint in found.items()}
 
 
 def standing_facing(rig: SkinnedCharacter, known: dict[str, int], rule: str, path: object) -> str:
@@ -332,7 +365,9 @@ def _check_one_skeleton(rig: SkinnedCharacter, joints: dict[str, int], path: obj
     roots = np.array([ancestors(rig.parents, j)[-1] for j in range(len(rig.parents))])
     named = np.isin(roots, roots[list(joints.values())])
     apart = (rig.weights * ~np.append(named, True)[rig.joint_of]).sum() / rig.weights.sum()
-    if apart > APART:
+    others = [name for name, of_person in zip(rig.joint_names, named, strict=True) if not of_person]
+    prop = bool(missing_limbs(limbs_by_name(tuple(others), (-1,) * len(others))))
+    if apart > (APART_PROP if prop else APART):
         raise InputError(f"{path}: expected one character, found {apart:.0%} of the weights on other skeletons; "
                          "export it alone")  # fmt: skip
 
@@ -341,13 +376,9 @@ def carried_part(rig: SkinnedCharacter) -> SkinnedCharacter:
     """Leave out triangles that no joint carries (a floor, a stand), and vertices without triangles."""
     carried = (rig.weights * (rig.joint_of < len(rig.parents))).sum(axis=1) > 0
     faces = rig.mesh.faces[carried[rig.mesh.faces].all(axis=1)]
-    used: Bool[np.ndarray, " V"] = np.zeros(len(carried), bool)
-    used[faces] = True
-    if not used.any():
+    if not len(faces):
         raise InputError(f"{rig.mesh.name}: expected triangles that joints carry, found none; bind the mesh again")
-    points, weights = rig.points[used], rig.weights[used]
-    mesh = Mesh(rig.mesh.vertices[used], (np.cumsum(used) - 1)[faces], name=rig.mesh.name)
-    return dataclasses.replace(rig, mesh=mesh, joint_of=rig.joint_of[used], weights=weights, points=points)
+    return rig.part(faces)
 
 
 def read_rigged_animal(
@@ -378,15 +409,13 @@ def read_rigged_animal(
 def read_standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> StandingCharacter:
     """Read the rig of a scene in its bind pose, or in the pose of the file's nodes where it stands in none.
 
+    Bind poses of other orientations are not tried: a person who lies has four feet on the ground, too.
+
     Raises:
         InputError: there are no four legs on one skeleton.
     """
-    for T_world_node in bind_poses(document):
-        bound = dataclasses.replace(scene, T_world_node=T_world_node)
-        try:
-            return _standing_animal(mesh, document, bound)
-        except InputError:
-            continue  # the bind pose may have another orientation
+    with contextlib.suppress(InputError):
+        return _standing_animal(mesh, document, dataclasses.replace(scene, T_world_node=rest_matrices(document)))
     return _standing_animal(mesh, document, scene)
 
 

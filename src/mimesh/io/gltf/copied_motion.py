@@ -21,13 +21,14 @@ import numpy as np
 from jaxtyping import Float
 
 from ...bodies.joint_names import ancestors
+from ...core.errors import InputError
 from ...core.geometry import continuous_quaternions, nearest_rotation
 from .animation import AnimatedValues, AnimationChannel, animated_nodes, sample_joints
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS, rest_matrices
-from .own_rig import UNSKINNED, GltfJoints, node_tracks
-from .read import unweighted_vertices
+from .own_rig import GltfJoints, node_tracks
+from .read import unweighted_parts
 from .scene import (
     DEFAULT_TRS,
     local_matrices,
@@ -84,7 +85,9 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
     mine, theirs = identity.document, driving.document
     if mine.damage is not None or theirs.damage is not None:
         return None
-    if unweighted_vertices(mine, identity.rest) > UNSKINNED * len(identity.vertices):
+    try:
+        unweighted_parts(mine, identity.rest)
+    except InputError:
         return None
     joints = _joint_nodes(mine)
     pairs = _pairs(mine, theirs, joints)

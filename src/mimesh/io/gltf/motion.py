@@ -3,7 +3,8 @@
 Joints are the nodes that an animation moves or a skin lists, and those between them; without a skin, all that have a
 root in common with a moving one. Their rest pose is the bind pose
 of the largest skin, where its inverse bind matrices define one, else the nodes' transforms in the file: exporters often
-leave these in some frame of an animation. Rotations are world rotations, so node scales and mirrored joints cancel out.
+leave these in some frame of an animation. Scales of nodes are kept: a head may have been enlarged since it was bound.
+Rotations are world rotations, so node scales and mirrored joints cancel out.
 Animated scales are not played, because a body has a fixed size: joints that a file scales up from zero are there from
 the first frame.
 
@@ -27,7 +28,7 @@ from ..timing import DEFAULT_FPS
 from .animation import AnimationChannel, animated_nodes, frame_rate, frame_times, sample_nodes, select_channels
 from .check import damaged
 from .document import Document
-from .scene import joint_matrices, node_parents, scene_nodes, sort_parents_first, world_matrices
+from .scene import joint_matrices, node_parents, scene_nodes, sort_parents_first, used_skins, world_matrices
 from .vrm import is_vrm_animation, vrm_bones
 
 PLAYED_PATHS = ("translation", "rotation")
@@ -36,6 +37,8 @@ WORLD_NODE = -1
 """Index of an added root joint in files with several roots. It never moves; as an index it is the last node."""
 NEGLIGIBLE = 1e-6
 """Relative size below which the scale of a bind matrix or the change of a bone counts as zero."""
+ENLARGED = 1e-3
+"""Relative change of a joint's scale since its mesh was bound from which on it counts as one, and is kept."""
 SAME_UP_COSINE = 0.7
 """Cosine of the largest angle (about 45 degrees) between two up axes that count as the same."""
 
@@ -88,10 +91,12 @@ def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
     """Yield the world transforms of all nodes in the bind pose of the largest skin, in the likeliest orientation first.
 
     World from bind space, through joint j in the file's pose, is node j times its inverse bind matrix. Undoing it takes
-    a node from that pose into bind space; an orientation and the median scale take bind space back to the world.
-    Nodes that the skin does not list follow the nearest joint above them.
+    a node from that pose into bind space; an orientation and the median scale take bind space back to the world, where
+    each joint gets the scale that its node has in the file. Nodes that the skin does not list follow the nearest joint
+    above them.
 
-    Without usable inverse bind matrices, these are the nodes' transforms in the file.
+    Without usable inverse bind matrices, these are the nodes' transforms in the file. Skins without them have vertices
+    in the frame of their joints (glTF 2.0, 3.7.3.1), which says nothing about a pose.
 
     Raises:
         InputError: the inverse bind matrices have NaN or infinity.
@@ -113,21 +118,53 @@ def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
     parent, nearest_joint = node_parents(document), {WORLD_NODE: invertible[0]}
     order = sort_parents_first(document, parent)
     above_joints = parent[next(node for node in order if node in joint_of_node)]
+    own_scale = _kept_scales(T_world_bind, scale, invertible)
     for orientation in _bind_orientations(T_world_bind[invertible], _append_world(T_world_node)[above_joints]):
         T_rest_bind = np.eye(4)
-        T_rest_bind[:3, :3] = orientation * np.median(scale[invertible])
-        T_rest_node = np.empty_like(T_world_node)
+        T_rest_bind[:3, :3] = orientation * own_scale[invertible[0]]
+        T_bound_node = np.empty_like(T_world_node)
         for node in order:
             nearest_joint[node] = joint_of_node.get(node, nearest_joint[parent[node]])
-            T_rest_node[node] = T_rest_bind @ np.linalg.inv(T_world_bind[nearest_joint[node]]) @ T_world_node[node]
-        yield T_rest_node
+            T_bound_node[node] = T_rest_bind @ np.linalg.inv(T_world_bind[nearest_joint[node]]) @ T_world_node[node]
+        yield _enlarged(T_bound_node, own_scale[[nearest_joint[node] for node in range(len(parent))]], order, parent)
 
 
 def _largest_skin(document: Document) -> int | None:
-    """Return the number of the skin with the most joints among those with inverse bind matrices, if there are any."""
+    """Return the number of the used skin with the most joints; None where that has no inverse bind matrices."""
     skins = document.gltf.get("skins", [])
-    bound = [number for number, skin in enumerate(skins) if "inverseBindMatrices" in skin]
-    return max(bound, key=lambda number: len(skins[number]["joints"]), default=None)
+    sizes = {number: (len(skins[number]["joints"]), "inverseBindMatrices" in skins[number])
+             for number in used_skins(document)}  # fmt: skip
+    largest = max(sizes, key=lambda number: sizes[number], default=None)
+    return None if largest is None or not sizes[largest][1] else largest
+
+
+def _kept_scales(
+    T_world_bind: Float[np.ndarray, "J 4 4"], scale: Float[np.ndarray, " J"], invertible: list[int]
+) -> Float[np.ndarray, " J"]:
+    """Return the scale of each joint since it was bound; the median for joints that are scaled unequally or alike."""
+    usual = np.median(scale[invertible])
+    own = np.full(len(scale), usual)
+    for joint in invertible:
+        axes = T_world_bind[joint, :3, :3] / scale[joint]
+        equal = np.abs(axes.T @ axes - np.eye(3)).max() <= ENLARGED
+        if equal and abs(scale[joint] - usual) > ENLARGED * usual:
+            own[joint] = scale[joint]
+    return own
+
+
+def _enlarged(
+    T_bound_node: Float[np.ndarray, "N 4 4"], scale: Float[np.ndarray, " N"], order: list[int], parent: list[int]
+) -> Float[np.ndarray, "N 4 4"]:
+    """Give nodes their scales since they were bound, each about its own place, with all that is below."""
+    if np.ptp(scale) == 0:
+        return T_bound_node
+    T_rest_node = T_bound_node.copy()
+    for node in order:
+        above = parent[node]
+        if above >= 0:
+            T_rest_node[node] = T_rest_node[above] @ np.linalg.pinv(T_bound_node[above]) @ T_bound_node[node]
+            T_rest_node[node, :3, :3] *= scale[node] / scale[above]
+    return T_rest_node
 
 
 def front_before_placing(document: Document, T_rest_node: Float[np.ndarray, "N 4 4"], front: str) -> str:

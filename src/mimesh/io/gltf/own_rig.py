@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from ...bodies.character_limbs import FindJoints
+from ...bodies.character_limbs import FindJoints, moves_vertices
 from ...bodies.character_pool import facing_rotation, sampled_poses
+from ...bodies.joint_names import ancestors
 from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
 from ...core.geometry import continuous_quaternions, nearest_rotation
@@ -19,16 +20,22 @@ from ...core.person_motion import PersonMotion
 from ...motions.animal_rig import animal_rig
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
 from .animation import AnimatedValues, AnimationChannel, animated_nodes, sample_joints
-from .character import read_clips, read_standing, read_standing_animal, rig_at_rest
+from .character import names_person, read_clips, read_standing, read_standing_animal, rig_at_rest
 from .check import damaged
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS, front_before_placing, rest_matrices
-from .read import RestScene, unweighted_vertices
-from .scene import local_matrices, local_matrix, node_parents, node_properties, sort_parents_first, world_matrices
+from .read import RestScene, check_weights, range_name, skin_joints, unweighted_parts
+from .scene import (
+    local_matrices,
+    local_matrix,
+    node_parents,
+    node_properties,
+    sort_parents_first,
+    used_skins,
+    world_matrices,
+)
 
-UNSKINNED = 0.02
-"""Largest share of vertices without any joint; more of them is a damaged skin."""
 SHEAR = 1e-3
 """Largest deviation of a joint's axes from right angles: node transforms cannot hold shears (glTF 2.0, 3.5.3)."""
 UNCHANGED = 5e-7
@@ -46,6 +53,10 @@ class FileRig:
     """Node of each joint of the character."""
     scene: RestScene
     """The scene in the rest pose of the character."""
+    still: frozenset[int] = field(kw_only=True)
+    """Nodes of joints that move no vertex and that no rotation can be given: they stay as the file has them."""
+    notes: tuple[str, ...] = field(kw_only=True)
+    """What of the file cannot be moved with the rest, one line each."""
 
     def tracks(self, joints: list[int], transforms: Float[np.ndarray, "T K 4 4"]) -> AnimatedValues:
         """Compute the animated values of the file's nodes that give some joints a motion.
@@ -63,7 +74,7 @@ class FileRig:
         extent = np.ptp(self.character.mesh.vertices, axis=0)
         for node in sort_parents_first(document, parent):
             above = world[parent[node]]
-            if node not in moved:
+            if node not in moved or node in self.still:
                 world[node] = above @ static[node]
                 continue
             local = np.linalg.inv(above) @ moved[node] @ self.scene.T_world_node[node]
@@ -99,8 +110,8 @@ def read_file_rig(mesh: Mesh) -> FileRig:
     document = source.document
     scene = dataclasses.replace(source.rest, T_world_node=rest_matrices(document))
     rig, nodes = rig_at_rest(mesh, document, scene)
-    _check_skin(rig, nodes, document, scene)
-    own = FileRig(source, rig, nodes, scene)
+    still, notes = _check_skin(rig, nodes, document, scene)
+    own = FileRig(source, rig, nodes, scene, still=still, notes=notes)
     _check_above(own, list(range(len(nodes))))
     return own
 
@@ -124,7 +135,7 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
     else:
         standing = read_standing(mesh, document, source.rest, find)
     rig, nodes = standing.rig, standing.nodes
-    _check_skin(rig, nodes, document, standing.scene)
+    still, notes = _check_skin(rig, nodes, document, standing.scene)
     turn = facing_rotation(standing.facing)
 
     def poses() -> np.ndarray:
@@ -135,7 +146,9 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
         humanoid, order = animal_rig(rig, turn, path)
     else:
         humanoid, order = humanoid_rig(rig, turn, standing.known, poses, path)
-    own = OwnRig(source, humanoid.character, [nodes[k] for k in order], standing.scene, humanoid)
+    ordered = [nodes[k] for k in order]
+    notes += _apart(humanoid)
+    own = OwnRig(source, humanoid.character, ordered, standing.scene, humanoid, still=still, notes=notes)
     _check_above(own, humanoid.tree()[0])
     hips = own.person["Hips"]
     worlds = np.stack([own.scene.T_world_node[hips], world_matrices(document)[hips]])
@@ -145,11 +158,11 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
 
 
 def has_rig(mesh: Mesh) -> bool:
-    """Return whether a mesh comes from a glTF file with a skin or with several moving parts."""
+    """Return whether a mesh comes from a glTF file with a skin, or with several parts that move or are a person's."""
     if not isinstance(mesh.source, GltfSource):
         return False
     document = mesh.source.document
-    return bool(document.gltf.get("skins")) or len(animated_nodes(document, PLAYED_PATHS)) > 1
+    return bool(used_skins(document)) or len(animated_nodes(document, PLAYED_PATHS)) > 1 or names_person(document)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,17 +224,18 @@ def check_sound(rig: SkinnedCharacter, T_world_joint: Float[np.ndarray, "J 4 4"]
     Raises:
         InputError: they do not, or cannot.
     """
-    _check_share(float((rig.weights * (rig.joint_of == len(rig.parents))).sum(axis=1).mean()), path)
-    _check_scales(T_world_joint[np.unique(rig.joint_of[rig.joint_of < len(rig.parents)])], path)
+    check_weights(_unjointed(rig), 0.0, path)
+    _check_scales(T_world_joint[_weighted(rig)], path)
 
 
-def _check_bound(document: Document) -> None:
-    """Check that skins say where joints were when the mesh was bound, and that joints can be animated from there."""
-    skins = document.gltf.get("skins", [])
-    if any("inverseBindMatrices" not in skin for skin in skins):
-        raise damaged(document.path, "inverse bind matrices in every skin", "none")
-    joints = sorted({joint for skin in skins for joint in skin["joints"]})
-    _check_scales(local_matrices(document)[joints], document.path)
+def _unjointed(rig: SkinnedCharacter) -> float:
+    """Return the share of the weights that no joint has."""
+    return float((rig.weights * (rig.joint_of == len(rig.parents))).sum(axis=1).mean())
+
+
+def _weighted(rig: SkinnedCharacter) -> Int[np.ndarray, " K"]:
+    """List the joints that have weights."""
+    return np.unique(rig.joint_of[(rig.weights > 0) & (rig.joint_of < len(rig.parents))])
 
 
 def _rigged_source(mesh: Mesh) -> GltfSource:
@@ -238,19 +252,44 @@ def _rigged_source(mesh: Mesh) -> GltfSource:
     return source
 
 
-def _check_skin(rig: SkinnedCharacter, nodes: list[int], document: Document, scene: RestScene) -> None:
-    """Check that vertices have joints and weights, and that skins say where joints were when the mesh was bound."""
-    check_sound(rig, scene.T_world_node[nodes], document.path)
-    _check_bound(document)
-    _check_share(unweighted_vertices(document, scene) / len(rig.weights), document.path)
+def _check_skin(
+    rig: SkinnedCharacter, nodes: list[int], document: Document, scene: RestScene
+) -> tuple[frozenset[int], tuple[str, ...]]:
+    """Check that vertices have joints and weights, and that the joints that move them can be animated.
+
+    Returns the nodes of joints that move nothing and cannot be animated, and notes of what is left as it is.
+    """
+    path, local, moving = document.path, local_matrices(document)[nodes], moves_vertices(rig)
+    check_weights(0.0, _unjointed(rig), path)
+    # A rigid part may be scaled unequally, unless others hang on it: these would be sheared.
+    holding = np.isin(np.arange(len(nodes)), [parent for j, parent in enumerate(rig.parents) if moving[j]])
+    skinned = bool(skin_joints(document, scene))
+    weighted = _weighted(rig)
+    _check_scales(scene.T_world_node[nodes][weighted], path, (holding | skinned)[weighted])
+    _check_scales(local[moving], path, (holding | skinned)[moving])
+    unskinned = [span for span in scene.vertex_ranges if rig.joint_of[span.start, 0] == len(nodes)]
+    still: list[int] = []
+    for joint, parent in enumerate(rig.parents):
+        if not moving[joint] and (parent in still or _scale_fault(local[joint, None], True)):
+            still.append(joint)
+    left = {
+        "parts without weights, which are not bent": unweighted_parts(document, scene),
+        "parts without a joint, which stay where they are": dict.fromkeys(
+            range_name(document, span) for span in unskinned
+        ),
+        "joints with an unequal scale or none, which move no vertex": [rig.joint_names[joint] for joint in still],
+    }
+    notes = (f"{path.name} has {what}: {', '.join(names)}" for what, names in left.items() if names)
+    return frozenset(nodes[joint] for joint in still), tuple(notes)
 
 
-def _check_share(bare: float, path: object) -> None:
-    """Check that only a small share of the vertices is without weights."""
-    if bare > UNSKINNED:
-        raise InputError(
-            f"{path}: expected a skin with weights, found {bare:.0%} of the vertices without; bind the mesh again"
-        )
+def _apart(humanoid: HumanoidRig) -> tuple[str, ...]:
+    """Return a note on skeletons beside the person's, which move vertices and go with the hips."""
+    rig = humanoid.character
+    roots = [ancestors(rig.parents, joint)[-1] for joint in range(len(rig.parents))]
+    own = {roots[joint] for joint in humanoid.joints.values()}
+    apart = dict.fromkeys(rig.joint_names[roots[joint]] for joint in _weighted(rig) if roots[joint] not in own)
+    return (f"skeletons beside the person's, which go with the hips: {', '.join(apart)}",) if apart else ()
 
 
 def _check_above(own: FileRig, joints: list[int]) -> None:
@@ -266,18 +305,25 @@ def _check_above(own: FileRig, joints: list[int]) -> None:
     _check_scales(np.stack(above), document.path)
 
 
-def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: object) -> None:
-    """Check that joints have a size, which is the same along all axes."""
+def _check_scales(
+    transforms: Float[np.ndarray, "J 4 4"], path: object, equal: Bool[np.ndarray, " J"] | bool = True
+) -> None:
+    """Check that joints have a size, no shear and, where they are `equal`, the same scale along all axes."""
+    if fault := _scale_fault(transforms, equal):
+        raise InputError(f"{path}: {fault}")
+
+
+def _scale_fault(transforms: Float[np.ndarray, "J 4 4"], equal: Bool[np.ndarray, " J"] | bool) -> str:
+    """Say what is wrong with the scales of joints, and what to do; empty if nothing is."""
     linear = transforms[:, :3, :3]
     scale = np.linalg.norm(linear, axis=1)
     if not (scale > 0).all():
-        raise InputError(f"{path}: expected joints with a size, found one scaled to nothing; give it a size")
+        return "expected joints with a size, found one scaled to nothing; give it a size"
     unit = linear / scale[:, None]
-    if (
-        np.abs(unit.swapaxes(-1, -2) @ unit - np.eye(3)).max(initial=0.0) > SHEAR
-        or (np.ptp(scale, axis=1) > SHEAR * scale.max(axis=1)).any()
-    ):
-        raise InputError(f"{path}: expected joints scaled equally along all axes, found others; apply their scale")
+    unequal = (np.ptp(scale, axis=1) > SHEAR * scale.max(axis=1)) & equal
+    if np.abs(unit.swapaxes(-1, -2) @ unit - np.eye(3)).max(initial=0.0) > SHEAR or unequal.any():
+        return "expected joints scaled equally along all axes, found others; apply their scale"
+    return ""
 
 
 def node_tracks(

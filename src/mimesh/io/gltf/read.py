@@ -46,6 +46,9 @@ POINTS, TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 0, 4, 5, 6
 DEFAULT_MATERIAL = Material("default")
 """Written for parts without a material, and read as no material. The default of glTF 2.0 (3.9.6 Default Material) is a
 polished metal, which looks black in most viewers."""
+UNSKINNED, UNSKINNED_PARTS = 0.02, 0.1
+"""Largest share of vertices without any joint, in parts that have some and in whole parts such as a prop or a floor;
+more of them is a damaged skin."""
 PrimitiveKey = tuple[int, int]
 """A node and the index of one primitive of its mesh."""
 
@@ -369,17 +372,49 @@ def rig_on_nodes(
     return SkinnedCharacter(mesh, names, parents, rest.T_world_node[nodes], joint_of, weights, points), nodes
 
 
-def unweighted_vertices(document: Document, rest: RestScene) -> int:
-    """Count the skinned vertices without finite weights, which follow the first joint (see `read_influences`)."""
-    count = 0
+def unweighted_parts(document: Document, rest: RestScene) -> tuple[str, ...]:
+    """List the parts of a skin that have no finite weights at all; they follow a joint (see `read_influences`).
+
+    Raises:
+        InputError: a large share of the vertices is without weights: a damaged skin.
+    """
+    total = sum(span.stop - span.start for span in rest.vertex_ranges)
+    some, parts = 0, {}
     for span in rest.vertex_ranges:
         if _find_skin(document, span) is None:
             continue
         primitive = get_primitive(document, (span.node, span.primitives[0]))
         sets = [name for name in primitive["attributes"] if name.startswith("WEIGHTS_")]
-        total = np.asarray(sum(read_floats(document, primitive["attributes"][name]).sum(axis=1) for name in sets))
-        count += int((~((total > 0) & np.isfinite(total))).sum())
-    return count
+        weight = np.asarray(sum(read_floats(document, primitive["attributes"][name]).sum(axis=1) for name in sets))
+        bare = ~((weight > 0) & np.isfinite(weight))
+        if bare.all():
+            parts[range_name(document, span)] = parts.get(range_name(document, span), 0) + len(bare)
+        else:
+            some += int(bare.sum())
+    check_weights(some / total, sum(parts.values()) / total, document.path)
+    return tuple(parts)
+
+
+def range_name(document: Document, span: VertexRange) -> str:
+    """Return the name of the node that shows a range of vertices."""
+    return str(document.gltf["nodes"][span.node].get("name", f"node{span.node}"))
+
+
+def check_weights(bare: float, parts: float, path: object) -> None:
+    """Check that only a small share of the vertices is without weights.
+
+    Args:
+        bare: share of vertices without weights, in parts of which others have some.
+        parts: share of the vertices of parts that have none at all, such as a prop.
+
+    Raises:
+        InputError: it is larger: the skin is damaged.
+    """
+    if bare > UNSKINNED or parts > UNSKINNED_PARTS:
+        raise InputError(
+            f"{path}: expected a skin with weights, found {bare + parts:.0%} of the vertices without; "
+            "bind the mesh again"
+        )
 
 
 def _find_skin(document: Document, span: VertexRange) -> int | None:

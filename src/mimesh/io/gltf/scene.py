@@ -97,6 +97,14 @@ def scene_nodes(document: Document) -> list[int]:
     return list(order)
 
 
+def used_skins(document: Document) -> list[int]:
+    """List the skins with which the default scene shows its meshes; all skins with joints where it shows no mesh."""
+    nodes, skins = document.gltf.get("nodes", []), document.gltf.get("skins", [])
+    shown = [nodes[node] for node in scene_nodes(document) if "mesh" in nodes[node]]
+    used = sorted({node["skin"] for node in shown if "skin" in node}) if shown else range(len(skins))
+    return [skin for skin in used if skins[skin]["joints"]]
+
+
 def read_attribute(document: Document, primitive: dict[str, Any], name: str) -> Float[np.ndarray, "V C"] | None:
     """Read a vertex attribute in float64; None where the primitive does not have it."""
     index = primitive["attributes"].get(name)
