@@ -102,7 +102,8 @@ def _bind(skeleton: AnimatedRig, rest: str, axes: Float[np.ndarray, "3 3"]) -> A
     joints = place_joints(old.joints[0], old.joints[1:] - old.joints[above], turn, skeleton.parents)
     mesh = skeleton.mesh
     if rest != "file":
-        vertices = _rest_vertices(mesh.vertices, old, turn, joints)
+        vertices = _rest_vertices(skeleton.points, old, turn, joints)
+        vertices = vertices if skeleton.group is None else vertices[skeleton.group]
         # The soles stay on their ground when legs are straightened.
         rise = axes[:, 1] * ((mesh.vertices @ axes[:, 1]).min() - (vertices @ axes[:, 1]).min())
         joints, mesh = joints + rise, mesh.with_vertices(vertices + rise)
@@ -253,7 +254,9 @@ def _arrange(skeleton: AnimatedRig, scheme: Scheme) -> AnimatedRig:
     new = Rig(rig.rotation[list(source)], np.stack(joints), weights)
     paths = np.stack(paths, axis=1)
     rotation = skeleton.rotation[:, source]
-    return AnimatedRig(skeleton.mesh, names, parents, new, rotation, paths[:, 0], positions=paths)
+    return AnimatedRig(
+        skeleton.mesh, names, parents, new, rotation, paths[:, 0], positions=paths, group=skeleton.group
+    )
 
 
 def _placed_ancestor(parents: tuple[int, ...], joint: int, placed: dict[int, int]) -> int:
@@ -295,4 +298,5 @@ def _with_root(skeleton: AnimatedRig, name: str, up: Float[np.ndarray, " 3"], mo
         np.concatenate([np.tile(rig.rotation[0], (frames, 1, 1, 1)), skeleton.rotation], axis=1),
         path,
         positions=np.concatenate([path[:, None], skeleton.joint_positions()], axis=1),
+        group=skeleton.group,
     )

@@ -228,5 +228,12 @@ def _at_rest(mesh: Mesh, character: Character, norm: Normalization) -> AnimatedR
     """Return the rig of a character at rest, in the axes, unit and position of its file."""
     rig = character.rig_of_file(norm)
     return AnimatedRig(
-        mesh, character.joints, character.parents, rig, rig.rotation[None], rig.joints[:1], character.roles
+        mesh,
+        character.joints,
+        character.parents,
+        rig,
+        rig.rotation[None],
+        rig.joints[:1],
+        character.roles,
+        group=character.shared,
     )

@@ -48,7 +48,7 @@ class _ThinnedRotations:
         quat_xyzw = local_quaternions(skeleton.rotation, skeleton.parents).swapaxes(0, 1)
         limit = KEY_LIMIT * skeleton.size
         rig = skeleton.rig.limited(INFLUENCES)
-        tolerance = rotation_tolerances(skeleton.mesh.vertices, rig, skeleton.parents, limit)
+        tolerance = rotation_tolerances(skeleton.points, rig, skeleton.parents, limit)
         is_key = choose_keys(quat_xyzw, tolerance)
         return cls(quat_xyzw, without_costly_times(is_key))
 
