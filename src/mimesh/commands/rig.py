@@ -86,7 +86,7 @@ def rig(
         pictures, not_drawn = written_beside(picture, lambda: save_picture(rig_picture(rigged), picture))
     facts = joint_facts(rigged, target, replaced, len(rigged.skeleton.names), corrected)
     facts["vertices"] = len(rigged.mesh.vertices)
-    facts["report"]["notes"] += [*not_kept(rigged.mesh, target), *metres_note(rigged.mesh, target), *not_drawn]
+    facts["report"]["notes"] += [*not_kept(rigged.skeleton.mesh, target), *metres_note(rigged.mesh, target), *not_drawn]
     facts["report"]["pictures"] = [*map(str, pictures)]
     then = ("animate", str(target), "walk.bvh") if rigged.body == "human" else ("look", str(target))
     return print_joint_facts(facts, output, then)

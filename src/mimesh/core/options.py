@@ -333,6 +333,9 @@ class ConvertOptions(FrameRange):
     blendshapes: int | None = declared(
         None, "Write K morph targets, not one a frame (.glb, .gltf).", metavar="K", min=1
     )
+    up: str | None = declared(None, "Up axis of IN (OBJ, PLY, STL): formats with y up are written standing.",
+        metavar="AXIS")  # fmt: skip
+    """Axis of IN away from the ground, where its file defines none: formats that have y up are written standing."""
     body_model: str | Path | None = declared(
         None, "SMPL's, SMPL+H's ... (.pkl .npz): AMASS archives become its surface.", kind=Path | None, metavar="FILE"
     )

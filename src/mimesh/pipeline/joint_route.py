@@ -50,7 +50,7 @@ from .look import (
     reorient,
     second_look,
 )
-from .placed import KEYFRAMES, FoundJoints, Moved, Placed, first_frame, keyframes_of, surface_motion, surface_report
+from .placed import KEYFRAMES, FoundJoints, Moved, Placed, first_frame, keyframes_of, surface_motion, surface_report, with_up
 from .refine import Refinement
 from .report import TransferReport, fingered_hands
 from .result import Timer
@@ -262,7 +262,8 @@ def joint_route(identity: Mesh, clip: Clip, mime: Mime, known: Known, rigs: Rigs
     if rigs.humanoid is None and isinstance(motion, CapturedMotion):
         character, motion = network.with_fingers(character, rest, motion, partial(surface_motion, clip, theirs))
     retarget = Retarget.of(character, motion)
-    return JointRoute(identity, clip, (mine, theirs), rest, rigs=rigs, mime=network, retarget=retarget)
+    named = with_up(identity, mine)
+    return JointRoute(named, clip, (mine, theirs), rest, rigs=rigs, mime=network, retarget=retarget)
 
 
 def _found(

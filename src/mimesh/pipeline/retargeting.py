@@ -19,7 +19,7 @@ from ..rigs.retarget import Retarget
 from .capturing import CapturedClip
 from .joint_route import FoundCharacter, FoundMotion, JointRoute
 from .look import KINDS, normalised
-from .placed import surface_motion
+from .placed import surface_motion, with_up
 from .result import ClipResult, Timer
 from .rigging import RiggedMesh
 
@@ -66,14 +66,15 @@ def retarget(
     follow = _follow(mine, theirs, rigged.mesh)
     norms, rigs = (mine.norm, theirs.norm), dataclasses.replace(mine.rigs, driving=theirs.rigs.driving)
     rest = normalised(rigged.mesh, mine.norm)
-    route = JointRoute(rigged.mesh, theirs.clip, norms, rest, rigs=rigs, mime=theirs.network, retarget=follow)
+    identity = with_up(rigged.mesh, mine.norm)
+    route = JointRoute(identity, theirs.clip, norms, rest, rigs=rigs, mime=theirs.network, retarget=follow)
     motion = dataclasses.replace(motion, smooth=math.hypot(motion.smooth, theirs.smooth))  # two Gaussian filters
     timer = Timer()
     moved = route.play(timer, motion, progress, np.float32)
     for which, report in (("identity", rigged.report), ("driving", captured.report)):
         moved.report[which]["up_from"] = report["up_from"]
     notes = captured.notes + moved.notes
-    return moved.clip_result(rigged.mesh, theirs.clip, theirs.network.name, timer, notes)
+    return moved.clip_result(identity, theirs.clip, theirs.network.name, timer, notes)
 
 
 def _follow(mine: FoundCharacter, theirs: FoundMotion, mesh: Mesh) -> Retarget:

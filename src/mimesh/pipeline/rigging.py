@@ -35,7 +35,7 @@ from .file_rigs import read_rigs
 from .joint_route import FoundCharacter, find_character, found_alone
 from .known import Known
 from .look import Look, normalised
-from .placed import check_identity
+from .placed import check_identity, with_up
 from .read import read_mesh
 from .report import RigReport, facing, facing_note, fingered_hands
 from .result import Timer
@@ -211,7 +211,7 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
     source = "file" if rigs.humanoid is not None else "corrected" if known.corrections.given else "found"
     skeleton = _at_rest(mesh, character, norm)
     if rigs.humanoid is not None:
-        skeleton = dataclasses.replace(skeleton, mesh=mesh.with_vertices(rigs.humanoid.character.mesh.vertices))
+        skeleton = dataclasses.replace(skeleton, mesh=skeleton.mesh.with_vertices(rigs.humanoid.character.mesh.vertices))
     return RiggedMesh(
         mesh,
         skeleton,
@@ -228,7 +228,7 @@ def _at_rest(mesh: Mesh, character: Character, norm: Normalization) -> AnimatedR
     """Return the rig of a character at rest, in the axes, unit and position of its file."""
     rig = character.rig_of_file(norm)
     return AnimatedRig(
-        mesh,
+        with_up(mesh, norm),
         character.joints,
         character.parents,
         rig,

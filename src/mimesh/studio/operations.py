@@ -102,7 +102,7 @@ def compute_result(route: Route, identity: Mesh, clip: Clip, options: Options, p
     # The page shows all frames: they are made here, where they can be stopped.
     frames = LazyFrames.stored(moved.frames.every(1, lambda done, total: progress(total + done, 2 * total)))
     return ClipResult(
-        identity.with_vertices(frames.first()),
+        route.identity.with_vertices(frames.first()),
         frames,
         clip.fps,
         model.name,

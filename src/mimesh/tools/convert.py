@@ -14,6 +14,7 @@ from ..bodies.joint_names import ancestors
 from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, RewritableSource, check_cut, cut_clip, spread_clip
+from ..core.normalization import clear_up, parse_axis
 from ..core.options import ConvertOptions
 from ..io import (
     check_writable,
@@ -39,6 +40,8 @@ ALL = "all"
 """Value of `--animation` for all animations of a file."""
 BONES_ONLY = ".vrma"
 """Format that holds the motion of bones and no mesh."""
+Y_UP = (*JOINTED, ".abc")
+"""Formats that have y up, by their specification or by custom, whatever axes a mesh has."""
 RATELESS = (".hdf5", ".npy", ".pc2")
 """Formats whose files have no frame rate, like folders of frames."""
 LARGE = 256 * 2**20
@@ -105,7 +108,7 @@ def convert(
     has_rest = source.is_file() and source.suffix.lower() not in FRAMES_ONLY and options.body_model is None
     if options.frame is None and not holds_clip and has_rest:
         _refuse_options(target, given, f"{suffix} files hold one mesh, at rest", " or choose a --frame")
-        mesh = load_mesh(source)
+        mesh = _with_up(load_mesh(source), options.up, target)
         return _write_mesh(mesh, target, notes=_at_rest_note(mesh, source, target))
     # Reading and writing are half of the progress each.
     chosen = options.slice if options.frame is None else slice(None)
@@ -117,14 +120,41 @@ def convert(
     read = options.body_model, options.fps, options.animation, part(progress, 0, 2), chosen, options.frames, shape
     clip, notes = read_clip(source, *read)
     clip = clip if options.frame is None else _single_frame(clip, options.frame, source)
+    clip = dataclasses.replace(clip, mesh=_with_up(clip.mesh, options.up, target))
     if (len(clip) == 1 and suffix in MESH_WRITERS) or not holds_clip:
         return _write_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip), notes)
     deviation = write_clip(clip, target, frames_as, options.blendshapes, part(progress, 1, 2))
-    notes += not_kept(clip.mesh, target) + rate_note(clip.fps, target) + blend_note(deviation)
+    notes += not_kept(clip.mesh, target) + _lying_note(clip.mesh, target) + rate_note(clip.fps, target) + blend_note(deviation)
     if options.frame is None and options.animation is None:
         notes += animations_note(list_animations(source), source)
     notes += missing_images_notes(missing_images(clip.mesh))
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
+
+
+def _with_up(mesh: Mesh, up: str | None, target: Path) -> Mesh:
+    """Name the up axis of a mesh whose file defines none.
+
+    Raises:
+        InputError: the file defines it, or the format of the target has none.
+    """
+    given = parse_axis(up, option("up"))
+    if given is None:
+        return mesh
+    if mesh.up is not None:
+        raise InputError(f"{mesh.name}: expected a file without an up axis for {option('up', given)}, found {mesh.up}")
+    if target.suffix.lower() not in Y_UP:
+        raise InputError(f"{target}: expected one of {' '.join(Y_UP)} for {option('up', given)}, which have y up")
+    return dataclasses.replace(mesh, up=given)
+
+
+def _lying_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
+    """Return a note that a figure lies in a format with y up, as far as its shape tells."""
+    if mesh.up is not None or path.suffix.lower() not in Y_UP or not len(mesh.faces):
+        return ()
+    up = clear_up(mesh)
+    if up in (None, "+y"):
+        return ()
+    return (f"{path.name} has y up, its shape looks like up {up}: {option('up', up)} turns it",)
 
 
 def _check_options(options: ConvertOptions, target: Path, holds_clip: bool) -> list[str]:
@@ -345,10 +375,11 @@ def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[st
 
 
 def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
-    """Return a note on the attributes of a mesh that the format of a path does not keep."""
+    """Return notes on what the format of a path changes of a mesh: its axes, and attributes that it does not keep."""
     suffix = path.suffix.lower()
     if isinstance(mesh.source, RewritableSource) and mesh.source.suffix == suffix:
         return ()
+    turned = _turned_note(mesh, path)
     materials = {part.material for part in mesh.parts}
     is_image = len(materials) == 1 and any(material and material.texture for material in materials)
     has = {
@@ -364,8 +395,16 @@ def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
     lacks = FORMATS[suffix].lacks if suffix in FORMATS else ()  # movies and folders of frames are none
     missing = [name for name in lacks if has[name]]
     if not missing:
+        return turned
+    return (*turned, f"{suffix} files as written here hold no {' or '.join(missing)}: left out of {path.name}")
+
+
+def _turned_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
+    """Return a note that a mesh is written turned to y up; files that state their axes (USD) are no surprise."""
+    turned = mesh.up not in (None, "+y") and not hasattr(mesh.source, "up_axis")
+    if not turned or path.suffix.lower() not in Y_UP:
         return ()
-    return (f"{suffix} files as written here hold no {' or '.join(missing)}: left out of {path.name}",)
+    return (f"{mesh.name} has up {mesh.up}: {path.name} is turned to +y, which its format has up",)
 
 
 def posed_vrm_note(path: Path) -> tuple[str, ...]:
@@ -466,7 +505,7 @@ def taken_pose_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
 def _write_mesh(mesh: Mesh, target: Path, frames: int = 1, notes: tuple[str, ...] = ()) -> Converted:
     """Write one mesh, the first of so many frames."""
     save_mesh(mesh, target)
-    notes += not_kept(mesh, target)
+    notes += not_kept(mesh, target) + _lying_note(mesh, target)
     if frames > 1:
         notes += (f"{target.suffix} files hold one mesh: {target.name} is the first of {frames} frames",)
     if mesh.source is None or mesh.source.suffix == target.suffix.lower():
