@@ -254,9 +254,7 @@ def _arrange(skeleton: AnimatedRig, scheme: Scheme) -> AnimatedRig:
     new = Rig(rig.rotation[list(source)], np.stack(joints), weights)
     paths = np.stack(paths, axis=1)
     rotation = skeleton.rotation[:, source]
-    return AnimatedRig(
-        skeleton.mesh, names, parents, new, rotation, paths[:, 0], positions=paths, group=skeleton.group
-    )
+    return AnimatedRig(skeleton.mesh, names, parents, new, rotation, paths[:, 0], positions=paths, group=skeleton.group)
 
 
 def _placed_ancestor(parents: tuple[int, ...], joint: int, placed: dict[int, int]) -> int:

@@ -333,6 +333,8 @@ class ConvertOptions(FrameRange):
     blendshapes: int | None = declared(
         None, "Write K morph targets, not one a frame (.glb, .gltf).", metavar="K", min=1
     )
+    morphs: bool = declared(False, "Write a morph target a frame, not bones (.glb, .gltf).", name="--morphs")
+    """Write a .glb or .gltf with a morph target for each frame, where IN has bones, which are kept by default."""
     up: str | None = declared(None, "Up axis of IN (OBJ, PLY, STL): formats with y up are written standing.",
         metavar="AXIS")  # fmt: skip
     """Axis of IN away from the ground, where its file defines none: formats that have y up are written standing."""

@@ -16,7 +16,7 @@ from .load import load_recorded_clip as load_recorded_clip
 from .load import load_recorded_mesh as load_recorded_mesh
 from .save import check_writable as check_writable
 from .save import refuse_vrm as refuse_vrm
-from .save import save_as_fbx as save_as_fbx
+from .save import save_whole as save_whole
 from .save import save_clip as save_clip
 from .save import save_joints as save_joints
 from .save import save_mesh as save_mesh

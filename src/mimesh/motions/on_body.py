@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..bodies import load_body
+from ..core.animated_rig import AnimatedRig
 from ..core.budgets import check_clip_size
 from ..core.frame_buffer import PosedFrames
 from ..core.mesh import Clip, Mesh
@@ -102,6 +103,15 @@ def played(motion: Motion) -> Clip:
     vertices: Any = PosedFrames(skinned, joints.rotation, joints.positions[:, 0])
     mesh = dataclasses.replace(body.mesh(np.asarray(vertices[0], np.float64)), name=motion.name, up="+y")
     return Clip(mesh, vertices, motion.fps, joints.rotation[:, 0, :, 2], KnownJoints(joints))
+
+
+def played_rig(clip: Clip) -> AnimatedRig:
+    """Return the bones of a clip that `played` has made."""
+    assert isinstance(clip.vertices, PosedFrames)
+    body, rotation = load_body(), np.asarray(clip.vertices.rotation, float)
+    rig = Rig(np.tile(np.eye(3), (len(body.parents), 1, 1)), body.joints, body.weights)
+    mesh = dataclasses.replace(clip.mesh, vertices=body.vertices)
+    return AnimatedRig(mesh, body.joint_names, body.parents, rig, rotation, np.asarray(clip.vertices.root, float))
 
 
 def first_frame(motion: Motion) -> Mesh:

@@ -50,7 +50,17 @@ from .look import (
     reorient,
     second_look,
 )
-from .placed import KEYFRAMES, FoundJoints, Moved, Placed, first_frame, keyframes_of, surface_motion, surface_report, with_up
+from .placed import (
+    KEYFRAMES,
+    FoundJoints,
+    Moved,
+    Placed,
+    first_frame,
+    keyframes_of,
+    surface_motion,
+    surface_report,
+    with_up,
+)
 from .refine import Refinement
 from .report import TransferReport, fingered_hands
 from .result import Timer

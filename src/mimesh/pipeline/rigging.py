@@ -211,7 +211,9 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
     source = "file" if rigs.humanoid is not None else "corrected" if known.corrections.given else "found"
     skeleton = _at_rest(mesh, character, norm)
     if rigs.humanoid is not None:
-        skeleton = dataclasses.replace(skeleton, mesh=skeleton.mesh.with_vertices(rigs.humanoid.character.mesh.vertices))
+        skeleton = dataclasses.replace(
+            skeleton, mesh=skeleton.mesh.with_vertices(rigs.humanoid.character.mesh.vertices)
+        )
     return RiggedMesh(
         mesh,
         skeleton,

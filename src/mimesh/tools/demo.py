@@ -52,9 +52,7 @@ def run_demo(folder: Path, progress: Progress | None = None, body: str = "human"
         result.save(files["result.glb"])
     picture, page = folder / "preview.png", folder / "player.html"
     pictures, no_picture = written_beside(picture, lambda: draw(identity, driving, result.clip, picture))
-    pages, no_page = written_beside(
-        page, lambda: result.player(page, output=files["result.glb"], title="mimesh demo")
-    )
+    pages, no_page = written_beside(page, lambda: result.player(page, output=files["result.glb"], title="mimesh demo"))
     return {
         "output": str(files["result.glb"]),
         "motion": driving.mesh.name,
