@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 import mimesh
 from mimesh.bodies.engine_rig import engine_rig
 from mimesh.core.animated_rig import RigAnimation
-from mimesh.io import load_clip, load_mesh, save_whole, save_rig_animations
+from mimesh.io import load_clip, load_mesh, save_rig_animations, save_whole
 from mimesh.io.gltf.animation import animation_names, frame_times, read_channels, sample_nodes
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.scene import node_parents

@@ -103,10 +103,9 @@ def _bind(skeleton: AnimatedRig, rest: str, axes: Float[np.ndarray, "3 3"]) -> A
     mesh = skeleton.mesh
     if rest != "file":
         vertices = _rest_vertices(skeleton.points, old, turn, joints)
-        vertices = vertices if skeleton.group is None else vertices[skeleton.group]
         # The soles stay on their ground when legs are straightened.
-        rise = axes[:, 1] * ((mesh.vertices @ axes[:, 1]).min() - (vertices @ axes[:, 1]).min())
-        joints, mesh = joints + rise, mesh.with_vertices(vertices + rise)
+        rise = axes[:, 1] * ((skeleton.points @ axes[:, 1]).min() - (vertices @ axes[:, 1]).min())
+        joints, mesh = joints + rise, mesh.with_vertices(skeleton.on_mesh(vertices + rise))
     motion = skeleton.rotation @ old.rotation.swapaxes(-1, -2)  # of each joint, from the file's pose to each frame
     rig = Rig(np.tile(axes, (len(joints), 1, 1)), joints, old.weights)
     rotation = motion @ turn.swapaxes(-1, -2) @ axes
@@ -278,7 +277,7 @@ def _with_root(skeleton: AnimatedRig, name: str, up: Float[np.ndarray, " 3"], mo
     It never turns. If it moves, it has the displacement of the hips over the ground, else it stands still.
     """
     rig, frames = skeleton.rig, len(skeleton.root)
-    ground = (skeleton.mesh.vertices @ up).min()
+    ground = (skeleton.points @ up).min()
     joint = rig.joints[0] + (ground - rig.joints[0] @ up) * up
     path = np.tile(joint, (frames, 1))
     if moves:

@@ -43,7 +43,7 @@ def rig(
     output: Annotated[OutputOptions, Without("open")],
     layout: Annotated[Layout, Without("fps")],
     options: RigOptions,
-    hints: Annotated[Hints, Without("driving_up", "driving_front", "driving_joints")],
+    hints: Annotated[Hints, Without("driving_up", "driving_front", "driving_joints", "driving_part")],
     joints: Annotated[JointOptions, Without("save_driving_joints")],
     seed: Seed = 0,
 ) -> dict[str, Any]:

@@ -44,7 +44,8 @@ class AnimatedRig:
     positions: Float[np.ndarray, "T J 3"] | None = None
     """Position of every joint; None: bones keep their lengths, so positions follow from `root` and `rotation`."""
     group: Int[np.ndarray, " V"] | None = None
-    """Row of the weights of each vertex, where vertices share positions; None: each has a row of its own."""
+    """Row of the weights of each vertex, where vertices share positions, -1 for those that no joint moves; None: each
+    has a row of its own."""
 
     def __repr__(self) -> str:
         """Sum up the rig: arrays of thousands of numbers say nothing."""
@@ -94,13 +95,24 @@ class AnimatedRig:
 
     @property
     def size(self) -> float:
-        """Longest side of the bounding box of the mesh at rest."""
-        return float(np.ptp(self.mesh.vertices, axis=0).max())
+        """Longest side of the bounding box of the mesh at rest, without what no joint moves."""
+        return float(np.ptp(self.points, axis=0).max())
 
     def strongest(self) -> tuple[Int[np.ndarray, "V C"], Float[np.ndarray, "V C"]]:
-        """Select the INFLUENCES joints with the largest weights of each vertex, and scale these weights to sum to 1."""
+        """Select the INFLUENCES joints with the largest weights of each vertex, and scale these weights to sum to 1.
+
+        Vertices that no joint moves have all weights zero.
+        """
         joints, weights = self.rig.strongest(INFLUENCES)
-        return (joints, weights) if self.group is None else (joints[self.group], weights[self.group])
+        if self.group is None:
+            return joints, weights
+        return joints[self.group], np.where(self.group[:, None] >= 0, weights[self.group], 0.0)
+
+    def on_mesh(self, points: Float[np.ndarray, "W 3"]) -> Float[np.ndarray, "V 3"]:
+        """Return the vertices of the mesh with other `points`."""
+        if self.group is None:
+            return points
+        return np.where(self.group[:, None] >= 0, points[self.group], self.mesh.vertices)
 
     def deviation(self, frames: LazyFrames) -> float:
         """Measure the error of `strongest`: largest distance of a vertex from `frames`, over the mesh's size.

@@ -410,6 +410,29 @@ def merged_mesh(mesh: Mesh, group: Int[np.ndarray, " V"] | None) -> Mesh:
     )
 
 
+def chosen_faces(mesh: Mesh, faces: Int[np.ndarray, " G"], index: Int[np.ndarray, " U"]) -> Mesh:
+    """Return the surface of some faces, in their order, with the vertices `index`; without a `source`."""
+    place = np.full(len(mesh.vertices), -1)
+    place[index] = np.arange(len(index))
+    starts = np.searchsorted(faces, [part.start for part in mesh.parts])
+    stops = np.searchsorted(faces, [part.stop for part in mesh.parts])
+    parts = [
+        dataclasses.replace(part, start=int(start), stop=int(stop))
+        for part, start, stop in zip(mesh.parts, starts, stops, strict=True)
+        if stop > start
+    ]
+    return Mesh(
+        mesh.vertices[index],
+        place[mesh.faces[faces]],
+        mesh.name,
+        corner_uv=None if mesh.corner_uv is None else mesh.corner_uv[faces],
+        corner_normals=None if mesh.corner_normals is None else mesh.corner_normals[faces],
+        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[index],
+        parts=tuple(parts),
+        up=mesh.up,
+    )
+
+
 def same_colors(mesh: Mesh, group: Int[np.ndarray, " V"] | None) -> Int[np.ndarray, " V"] | None:
     """Return groups of vertices; None where the colours of some differ within one, which would get lost."""
     colors = mesh.vertex_colors

@@ -37,6 +37,7 @@ from .joint_route import FoundMotion, find_motion, found_alone
 from .known import Known
 from .look import Look
 from .odd_frames import far_frames_note
+from .parts import find_part
 from .placed import check_identity, first_frame
 from .read import read_clip
 from .report import CaptureReport, facing, facing_note
@@ -179,6 +180,10 @@ def capture(
     check_identity(first)
     of_driving = {"driving_up": hints.up, "driving_front": hints.front, "driving_joints": hints.joints}
     known = Known.of(Hints(rig="mimesh", body=hints.body, **of_driving), taken, whole)
+    part = find_part(taken.mesh, hints.part)
+    if part is not None:
+        taken = part.clip(taken)
+        known, first = dataclasses.replace(known, corrections=known.corrections.of_part(part.index)), first_frame(taken)
     with timer.step("prepare"):
         rigs = read_rigs(first, taken, known)
         subject = rigs.subjects(first, first, known.axes)[1]

@@ -67,6 +67,7 @@ from .result import Timer
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
+    from .parts import MeshPart
 
 Found = TypeVar("Found", Character, JointMotion)
 
@@ -217,6 +218,8 @@ class FoundCharacter:
     norm: Normalization
     rigs: Rigs
     """The identity's rig."""
+    part: MeshPart | None = None
+    """The part of the mesh that it is; None: it is all of it."""
 
 
 @dataclass(frozen=True, eq=False)

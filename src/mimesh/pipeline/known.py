@@ -27,6 +27,8 @@ class Known:
     """Only models with joints use it."""
     body: str = "auto"
     corrections: Corrections = NO_CORRECTIONS
+    parts: tuple[str | None, str | None] = (None, None)
+    """Names of the parts of identity and driving that are meant; None: see `parts.find_part`."""
 
     @classmethod
     def of(cls, hints: Hints, clip: Clip, whole: Clip | None = None) -> Known:
@@ -40,7 +42,9 @@ class Known:
         """
         corrections = Corrections.read(hints.joints, hints.driving_joints, clip if whole is None else whole)
         up, front = driving_axes(clip, hints.driving_up, hints.driving_front)
-        return cls((hints.up, hints.front, up, front), hints.rig, hints.body, corrections)
+        return cls(
+            (hints.up, hints.front, up, front), hints.rig, hints.body, corrections, (hints.part, hints.driving_part)
+        )
 
     @property
     def asked_body(self) -> str:

@@ -35,6 +35,7 @@ from .file_rigs import read_rigs
 from .joint_route import FoundCharacter, find_character, found_alone
 from .known import Known
 from .look import Look, normalised
+from .parts import find_part
 from .placed import check_identity, with_up
 from .read import read_mesh
 from .report import RigReport, facing, facing_note, fingered_hands
@@ -189,6 +190,9 @@ def rig(
 
 def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -> RiggedMesh:
     """Look at a mesh and find its joints, and those of its fingers if these are wanted."""
+    whole, part = mesh, find_part(mesh, known.parts[0])
+    if part is not None:
+        mesh, known = part.mesh, dataclasses.replace(known, corrections=known.corrections.of_part(None))
     rigs = read_rigs(mesh, Clip.still(mesh), known)
     subject = rigs.subjects(mesh, mesh, known.axes)[0]
 
@@ -215,14 +219,14 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
             skeleton, mesh=skeleton.mesh.with_vertices(rigs.humanoid.character.mesh.vertices)
         )
     return RiggedMesh(
-        mesh,
-        skeleton,
+        whole,
+        skeleton if part is None else part.rig(skeleton),
         seen.body,
         source,
         cast(RigReport, report | {"fingers": fingered_hands(character.roles)}),
         timer,
         notes,
-        FoundCharacter(character, plain, norm, rigs),
+        FoundCharacter(character, plain, norm, rigs, part),
     )
 
 

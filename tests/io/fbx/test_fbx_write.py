@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mimesh.core.errors import InputError
-from mimesh.io import load_clip, load_mesh, save_whole, save_mesh
+from mimesh.io import load_clip, load_mesh, save_mesh, save_whole
 from mimesh.io.fbx import write
 from mimesh.io.fbx.write import GAP, find_blender, joined_animations
 from mimesh.io.gltf.animation import animation_names
