@@ -15,8 +15,8 @@ from ..core.options import Hints, MotionOptions, values_of
 from ..methods.base import Method
 from ..mime.model import Mime
 from ..pipeline.node_route import NodeRoute
-from ..pipeline.result import ClipResult
 from ..pipeline.parts import PartRoute
+from ..pipeline.result import ClipResult
 from ..pipeline.route import Route
 from ..pipeline.vertex_route import VertexRoute
 

@@ -32,11 +32,11 @@ from ..pipeline.capturing import CapturedClip, capture
 from ..pipeline.corrections import Corrections, correctable_joints, shown_bones
 from ..pipeline.known import Known
 from ..pipeline.look import OTHER
+from ..pipeline.parts import PartRoute
 from ..pipeline.read import driving_axes
 from ..pipeline.report import facing
 from ..pipeline.result import ClipResult, Timer
 from ..pipeline.rigging import RiggedMesh, rig
-from ..pipeline.parts import PartRoute
 from ..pipeline.route import Route, find_route
 from ..tools.demo import driving_clip
 from .items import Item, Options

@@ -22,8 +22,8 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import parse_axis
-from ..pipeline.result import ClipResult
 from ..pipeline.parts import PartRoute
+from ..pipeline.result import ClipResult
 from ..pipeline.route import Route
 from . import operations
 from .exports import MAX_EXPORTS, Export, Order, write
