@@ -197,7 +197,8 @@ def capture(
         track = motion.over(taken, norm, SolePoints.of(motion.soles, motion.surface), progress)
     found = FoundMotion(taken, motion, track, smooth, norm, rigs, network.of_body(seen.body))
     report = facing(norm) | _unit(first) | _contacts(track.smoothed(smooth), motion)
-    notes = facing_note(norm, first.name, "front") + rigs.notes + taken.notes + far_frames_note(taken, first.name)
+    notes = () if part is None else part.notes
+    notes += facing_note(norm, first.name, "front") + rigs.notes + taken.notes + far_frames_note(taken, first.name)
     if seen.body != "human":
         notes += (
             f"files of joints alone are read as people's: to move another animal give {first.name} itself, or "

@@ -18,7 +18,9 @@ from jaxtyping import Bool, Float, Int
 from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError, option
 from ..core.frame_buffer import LazyFrames, Progress
+from ..core.geometry import edges, face_areas, links, weld
 from ..core.mesh import Clip, Mesh, chosen_faces
+from ..core.normalization import flat_side, opposite
 from ..core.options import MotionOptions
 from ..io.formats import may_have_joints
 from .placed import FoundJoints, Moved
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
     from .node_route import NodeRoute
     from .vertex_route import VertexRoute
 
+BASE_FLAT = 0.1
+"""Share of the surface of a base that lies in its flat side, at least; of a person on it soles do, 0.02."""
 MOST_NAMED = 12
 """Parts that a message names."""
 
@@ -41,6 +45,8 @@ class MeshPart:
     mesh: Mesh
     index: Int[np.ndarray, " U"]
     """Vertices of the whole that are those of the part."""
+    notes: tuple[str, ...] = ()
+    """What the user should know of the choice."""
 
     def placed(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
         """Return the vertices of the whole, of which those of the part are moved."""
@@ -120,6 +126,8 @@ class PartRoute:
     ) -> Moved:
         """Move the part in all frames, and report."""
         moved = self.route.play(timer, options, progress, dtype)
+        notes = tuple(note for part in (self.part, self.driving) if part is not None for note in part.notes)
+        moved = dataclasses.replace(moved, notes=moved.notes + notes)
         if self.part is None:
             return moved
         skeleton = moved.skeleton and self.part.rig(moved.skeleton)
@@ -141,7 +149,7 @@ def find_part(mesh: Mesh, name: str | None, asked: str = "part") -> MeshPart | N
     if name is not None:
         return _cut(mesh, _named(mesh, name, asked))
     if not may_have_joints(mesh) or not hasattr(mesh.source, "rest"):
-        return None
+        return _without_base(mesh, asked)
     from ..io.gltf.parts import characters, static_parts
     from .gltf_rigs import rig_facts
 
@@ -152,11 +160,37 @@ def find_part(mesh: Mesh, name: str | None, asked: str = "part") -> MeshPart | N
             f"{option(asked, ...)}"
         )
     static = static_parts(mesh)
-    if not static.any() or static.all():
+    if static.any() and not static.all():
+        part = _cut(mesh, ~static)
+        facts = rig_facts(part.mesh)
+        if facts is not None and facts.used:
+            return part
+    return None if mesh.source.document.gltf.get("skins") else _without_base(mesh, asked)
+
+
+def _without_base(mesh: Mesh, asked: str) -> MeshPart | None:
+    """Find the figure on a base that no edge connects with it; None where there is no base, or no figure is left."""
+    side, lying = flat_side(mesh)
+    if side is None or mesh.up not in (None, opposite(side)):
         return None
-    part = _cut(mesh, ~static)
-    facts = rig_facts(part.mesh)
-    return part if facts is not None and facts.used else None
+    from scipy.sparse.csgraph import connected_components
+
+    merged, position = weld(mesh.vertices)
+    faces = position[mesh.faces]
+    component = connected_components(links(edges(faces), len(merged)), directed=False)[1][faces[:, 0]]
+    area = face_areas(mesh.vertices, mesh.faces)
+    flat = np.bincount(component[lying], area[lying], component.max() + 1) / np.bincount(component, area).clip(1e-30)
+    base = flat[component] > BASE_FLAT  # soles on a floor may be in its side, too
+    kept = np.flatnonzero(~base)
+    if len(kept) < len(mesh.faces) / 2:
+        return None
+    note = f"the base of {mesh.name} stays where it is, and is not looked at; {option(asked, ...)} takes another part"
+    if hasattr(mesh.source, "rest"):
+        whole = np.array([not base[part.start : part.stop].any() for part in mesh.parts], bool)
+        pure = all(base[part.start : part.stop].all() for part, kept in zip(mesh.parts, whole, strict=True) if not kept)
+        return dataclasses.replace(_cut(mesh, whole), notes=(note,)) if pure and whole.any() else None
+    index = np.unique(mesh.faces[kept])
+    return MeshPart(mesh, chosen_faces(mesh, kept, index), index, (note,))
 
 
 def part_names(mesh: Mesh) -> tuple[str, ...]:

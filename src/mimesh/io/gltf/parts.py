@@ -40,7 +40,8 @@ def static_parts(mesh: Mesh) -> Bool[np.ndarray, " P"]:
 def characters(mesh: Mesh) -> list[str]:
     """List the characters of a scene of several, by names: skeletons whose surfaces stand side by side.
 
-    A name is that of all parts of a character and of none of the others. Clothes and levels of detail with skeletons of their own are where the body is, and count as one character with it.
+    A name is that of all parts of a character and of none of the others. Clothes and levels of detail with skeletons of
+    their own are where the body is, and count as one character with it.
     """
     source = cast(GltfSource, mesh.source)
     document, parents = source.document, tuple(node_parents(source.document))
