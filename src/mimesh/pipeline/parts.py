@@ -193,23 +193,20 @@ def _without_base(mesh: Mesh, asked: str) -> MeshPart | None:
     return MeshPart(mesh, chosen_faces(mesh, kept, index), index, (note,))
 
 
-def part_names(mesh: Mesh) -> tuple[str, ...]:
-    """List the names of the parts of a mesh."""
-    return tuple(dict.fromkeys(part.name for part in mesh.parts))
-
-
 def _named(mesh: Mesh, name: str, asked: str) -> Bool[np.ndarray, " P"]:
     """Tell which parts of a mesh have a name, or are below a node that has it; case counts only where it decides."""
     above = [(part.name,) for part in mesh.parts]
+    people: dict[str, np.ndarray] = {}
     if hasattr(mesh.source, "rest"):
-        from ..io.gltf.parts import names_above
+        from ..io.gltf.parts import characters, names_above
 
-        above = names_above(mesh)
+        above, people = names_above(mesh), characters(mesh)
     for fold in (str, str.casefold):
-        chosen = np.array([fold(name) in map(fold, names) for names in above], bool)
+        named = [mask for known, mask in people.items() if fold(known) == fold(name)]
+        chosen = named[0] if named else np.array([fold(name) in map(fold, names) for names in above], bool)
         if chosen.any():
             return chosen
-    names = part_names(mesh)
+    names = list(dict.fromkeys([*people, *(known for names in above for known in names)]))
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     found = ", ".join(names[:MOST_NAMED]) + more if names else "it has none"
     raise InputError(f"{mesh.name}: expected one of its parts ({found}) for {option(asked, name)}; name one of them")

@@ -37,29 +37,30 @@ def static_parts(mesh: Mesh) -> Bool[np.ndarray, " P"]:
     )
 
 
-def characters(mesh: Mesh) -> list[str]:
-    """List the characters of a scene of several, by names: skeletons whose surfaces stand side by side.
+def characters(mesh: Mesh) -> dict[str, Bool[np.ndarray, " P"]]:
+    """Find the characters of a scene of several: skeletons whose surfaces stand side by side, by name -> their parts.
 
-    A name is that of all parts of a character and of none of the others. Clothes and levels of detail with skeletons of
-    their own are where the body is, and count as one character with it.
+    A name is that of all parts of a character and of none of the others, else it gets a number. Clothes and levels of
+    detail with skeletons of their own are where the body is, and count as one character with it.
     """
     source = cast(GltfSource, mesh.source)
     document, parents = source.document, tuple(node_parents(source.document))
     every = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
     boxes: dict[int, list[Float[np.ndarray, "2 3"]]] = {}
-    joints, names = dict[int, set[int]](), dict[int, list[str]]()
-    for above, (_, span) in zip(names_above(mesh), _ranges(source.rest).items(), strict=True):
+    joints, names, roots = dict[int, set[int]](), dict[int, list[str]](), np.full(len(mesh.parts), -1)
+    for k, (above, (_, span)) in enumerate(zip(names_above(mesh), _ranges(source.rest).items(), strict=True)):
         skin = find_skin(document, span)
         if skin is None:
             continue
         of_skin = document.gltf["skins"][skin]["joints"]
         root = [node for node in ancestors(parents, of_skin[0]) if node in every][-1]
+        roots[k] = root
         points = mesh.vertices[span.start : span.stop]
         boxes.setdefault(root, []).append(np.stack([points.min(axis=0), points.max(axis=0)]))
         names[root] = [name for name in names.get(root, above) if name in above]
         joints.setdefault(root, set()).update(of_skin)
     if len(boxes) < 2:
-        return []
+        return {}
     whole = {root: (np.min(some, axis=0)[0], np.max(some, axis=0)[1]) for root, some in boxes.items()}
     tallest = max(high[1] - low[1] for low, high in whole.values())
     found: list[int] = []
@@ -67,7 +68,7 @@ def characters(mesh: Mesh) -> list[str]:
         tall = len(joints[root]) >= FEWEST_JOINTS and high[1] - low[1] >= HALF_AS_TALL * tallest
         if tall and all(_apart((low, high), whole[other]) for other in found):
             found.append(root)
-    return [_own_name(root, names) for root in found]
+    return {_own_name(root, names, k): roots == root for k, root in enumerate(found, 1)}
 
 
 def names_above(mesh: Mesh) -> list[tuple[str, ...]]:
@@ -113,10 +114,10 @@ def _ranges(rest: RestScene) -> dict[PrimitiveKey, VertexRange]:
     return {key: of_key[key] for key in rest.faces}
 
 
-def _own_name(root: int, names: dict[int, list[str]]) -> str:
-    """Return the first of the names of a character that no other has; the first if there is none."""
+def _own_name(root: int, names: dict[int, list[str]], number: int) -> str:
+    """Return the first of the names of a character that no other has; the first with a number if there is none."""
     others = {name for other, some in names.items() if other != root for name in some}
-    return next((name for name in names[root] if name not in others), "".join(names[root][:1]) or f"node {root}")
+    return next((name for name in names[root] if name not in others), f"{[*names[root], 'character'][0]} {number}")
 
 
 def _apart(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> bool:
