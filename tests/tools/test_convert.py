@@ -265,7 +265,7 @@ def test_notes_tell_large_deviations_of_skinned_files():
 
 @pytest.fixture
 def walker(tmp_path) -> Path:
-    """Write a skinned character with two animations, one of six frames at 10 per second, and GPU instances of a prop."""
+    """Write a skinned character with two animations of six frames, and GPU instances of a prop."""
 
     def with_instances(draft: Draft) -> None:
         places = draft.add_floats(np.array([[1.0, 0, 0], [2, 0, 0]]))

@@ -33,7 +33,7 @@ FLAT = 0.01
 BASE_AREA, BASE_LEAD = 0.085, 0.25
 """Smallest share of the surface that lies in the side of a base, and largest share of the opposite side over it. Of 316
 people, animals and figures of boxes of 12 makers the largest share is 0.081, the back of a sheep of cubes; bases half
-as wide as a person is tall have 0.09 to 0.36 (docs/log/formats.md)."""
+as wide as a person is tall have 0.09 to 0.36."""
 CONTRARY = 0.95
 """Margin from which a detected up that is not the file's gets a note."""
 GRID = 11

@@ -58,7 +58,7 @@ class _Playable(Protocol):
     identity: Mesh | None
     skeleton: AnimatedRig | None
 
-    def distinct(self) -> tuple[LazyFrames, Int[np.ndarray, " V"] | None]:
+    def _distinct(self) -> tuple[LazyFrames, Int[np.ndarray, " V"] | None]:
         """Return the frames of the result, each position that vertices share once, and the number of each vertex's.
 
         Without such numbers (None) the frames are those of all vertices.
@@ -110,7 +110,7 @@ class _Playable(Protocol):
             return Panel(name, clip, up=axes["up"], front=axes["front"])
 
         step = 1 if most is None else -(-len(driving) // most)
-        frames, group = self.distinct()
+        frames, group = self._distinct()
         shown = merged_mesh(identity, group)
         moved = dataclasses.replace(shown, vertices=frames.first())  # the page makes normals of its own
         result = Clip(moved, frames.every(step), driving.fps / step)
@@ -236,7 +236,7 @@ class Result(_Playable):
         """Vertices of the result, in the axes, unit and order of the identity."""
         return self.mesh.vertices
 
-    def distinct(self) -> tuple[LazyFrames, Int[np.ndarray, " V"] | None]:
+    def _distinct(self) -> tuple[LazyFrames, Int[np.ndarray, " V"] | None]:
         """Return the vertices as a frame, each position once, and the number of the position of each vertex."""
         group = None if self.skeleton is None else same_colors(self.mesh, self.skeleton.group)
         return LazyFrames.stored(merged_mesh(self.mesh, group).vertices[None]), group
@@ -318,7 +318,7 @@ class ClipResult(_Playable):
         """The identity in all frames: `clip.vertices` is (T, V, 3). It is made when it is first asked for, and kept."""
         return Clip(self.mesh, self.frames.every(1), self.fps)
 
-    def distinct(self) -> tuple[LazyFrames, Int[np.ndarray, " V"] | None]:
+    def _distinct(self) -> tuple[LazyFrames, Int[np.ndarray, " V"] | None]:
         """Return the frames, each position that vertices share once, and the number of the position of each vertex."""
         group = same_colors(self.mesh, self.frames.group)
         return (self.frames if group is None else self.frames.distinct), group

@@ -13,7 +13,7 @@ from jaxtyping import Float, UInt8
 
 from ..core.errors import InputError
 from ..core.frame_buffer import evenly_spread
-from ..core.mesh import Clip, Mesh, merged_mesh
+from ..core.mesh import Clip, Mesh, merged_mesh, same_colors
 from ..core.printable import plain
 from ..core.surface_clusters import clustered_mesh
 from ..io.atomic import whole_file, writing
@@ -93,7 +93,8 @@ def result_picture(result: Result | ClipResult) -> Image.Image:
     if isinstance(result, ClipResult):
         assert result.driving is not None
         chosen = evenly_spread(len(result.frames), STRIP)
-        frames, group = result.distinct()
+        group = same_colors(result.mesh, result.frames.group)
+        frames = result.frames if group is None else result.frames.distinct
         moved = Clip(merged_mesh(result.mesh, group), np.stack(list(frames.at(chosen))), result.fps)
         return stack(
             [
