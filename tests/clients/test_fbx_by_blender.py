@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 import mimesh
 from mimesh.bodies.engine_rig import engine_rig
 from mimesh.core.animated_rig import RigAnimation
-from mimesh.io import load_clip, load_mesh, save_as_fbx, save_rig_animations
+from mimesh.io import load_clip, load_mesh, save_rig_animations, save_whole
 from mimesh.io.gltf.animation import animation_names, frame_times, read_channels, sample_nodes
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.scene import node_parents
@@ -142,7 +142,7 @@ def test_frames_become_blend_shapes(tmp_path):
 def test_fbx_is_written_again_as_fbx(tmp_path):
     rig = moving_rig(7)
     save_rig_animations([RigAnimation("dance", rig, FPS)], tmp_path / "a.fbx")
-    save_as_fbx(tmp_path / "a.fbx", tmp_path / "b.fbx")
+    save_whole(tmp_path / "a.fbx", tmp_path / "b.fbx")
     compare(tmp_path / "a.fbx", tmp_path / "b.fbx", rig.names)
 
 
@@ -171,7 +171,7 @@ def test_colours_and_texture_names(tmp_path):
     ]
     sample.gltf["meshes"] += box_meshes
     sample.gltf["nodes"][1]["mesh"], sample.gltf["nodes"][2]["mesh"] = (len(sample.gltf["meshes"]) - k for k in (1, 2))
-    save_as_fbx(sample.text(tmp_path / "a.gltf"), tmp_path / "a.fbx")
+    save_whole(sample.text(tmp_path / "a.gltf"), tmp_path / "a.fbx")
     color = [0.1, 0.2, 0.3]
     beside, inside = ["colour map.png", len(png())], ["image1.jpg", len(other.getvalue())]
     expected = {"flat": (color, []), "unlit": (color, []), "beside": ([1, 1, 1], [beside]), "inside": (color, [inside])}

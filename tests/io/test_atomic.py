@@ -106,13 +106,13 @@ def pair(tmp_path):
 
 
 @matrix("command", ["transfer", "animate"], quick=["transfer"])
-def test_a_result_without_its_page_does_not_appear(command, pair, capsys):
+def test_a_result_without_its_page_appears_with_a_note(command, pair, capsys):
     output = {"transfer": "out.obj", "animate": "out.glb"}[command]
     (pair / "out.preview.html").mkdir()
     arguments = [command, str(pair / "hero.obj"), str(pair / "pose.obj"), "-m", "copy", "-o", str(pair / output)]
-    assert run(arguments) == 2
-    assert "out.preview.html: expected a place" in capsys.readouterr().err
-    assert names(pair) == ["hero.obj", "out.preview.html", "pose.obj"]
+    assert run(arguments) == 0
+    assert "note: out.preview.html was not written (" in capsys.readouterr().out
+    assert names(pair) == sorted(["hero.obj", output, "out.preview.html", "out.preview.png", "pose.obj"])
 
 
 KILLED = """

@@ -163,9 +163,10 @@ def test_two_characters_in_a_file_are_no_identity(model, driving, tmp_path):
         gltf["nodes"][start]["matrix"] = matrix.tolist()
 
     path = rigs.character(tmp_path / "a.glb", change=twice, name=renamed("mixamo"))
-    result = animate(str(path), str(driving), model)
-    assert result.own is None
-    assert any("expected one character" in note for note in result.notes)
+    with pytest.raises(
+        InputError, match=r"^a: expected one character, found 2: body, twin; say which with part=\.\.\."
+    ):
+        animate(str(path), str(driving), model)
 
 
 def extra_skins(draft: Draft) -> None:

@@ -1,9 +1,11 @@
 """Conversion between all formats keeps frames, faces and rates; notes say what is lost."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
+import rigs
 import zoo
 from matrix import matrix
 from motion_files import write_bvh
@@ -12,8 +14,10 @@ from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.core.options import ConvertOptions
-from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+from mimesh.io import list_animations, load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.formats import CLIP_WRITERS, MESH_WRITERS
+from mimesh.io.gltf.document import open_document, read_floats
+from mimesh.io.gltf.draft import Draft
 from mimesh.motions import load_motion, window
 from mimesh.pipeline.odd_frames import far_frames_note, first_frame_note
 from mimesh.tools.convert import (
@@ -257,3 +261,78 @@ def test_notes_tell_large_deviations_of_skinned_files():
         assert f"up to 0.012 of the mesh's size from its {text}" in note
     (note,) = skinned_note({"skinned_deviation": 0.012})
     assert note.endswith("from its frame")
+
+
+@pytest.fixture
+def walker(tmp_path) -> Path:
+    """Write a skinned character with two animations of six frames, and GPU instances of a prop."""
+
+    def with_instances(draft: Draft) -> None:
+        places = draft.add_floats(np.array([[1.0, 0, 0], [2, 0, 0]]))
+        extension = {"attributes": {"TRANSLATION": places}}
+        positions = draft.add_floats(zoo.cube().vertices, 34962, bounds=True)
+        primitive = {"attributes": {"POSITION": positions}, "indices": draft.add_indices(zoo.cube().faces)}
+        draft.gltf["meshes"].append({"primitives": [primitive]})
+        draft.gltf["nodes"].append({"name": "crates", "mesh": 1, "extensions": {"EXT_mesh_gpu_instancing": extension}})
+        draft.gltf["scenes"][0]["nodes"].append(len(draft.gltf["nodes"]) - 1)
+        draft.gltf["extensionsUsed"] = ["EXT_mesh_gpu_instancing"]
+
+    clips = {"walk": rigs.exercise(rigs.figure()), "run": rigs.exercise(rigs.figure(), seed=1)}
+    return rigs.character(tmp_path / "walker.glb", clips=clips, change=with_instances)
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_bones_and_animations_are_kept(suffix, walker, tmp_path):
+    written = convert(walker, tmp_path / f"b{suffix}")
+    assert written.notes == (f"b{suffix} has the animations walk, run",)
+    gltf = open_document(tmp_path / f"b{suffix}").gltf
+    assert (len(gltf["skins"]), len(gltf["animations"])) == (1, 2)
+    assert not any("targets" in primitive for mesh in gltf["meshes"] for primitive in mesh["primitives"])
+    for name in ("walk", "run"):
+        before, after = (load_clip(path, animation=name) for path in (walker, tmp_path / f"b{suffix}"))
+        np.testing.assert_array_equal(after.vertices, before.vertices)
+    (crates,) = [node for node in gltf["nodes"] if node.get("name") == "crates"]
+    index = crates["extensions"]["EXT_mesh_gpu_instancing"]["attributes"]["TRANSLATION"]
+    places = read_floats(open_document(tmp_path / f"b{suffix}"), index)
+    np.testing.assert_array_equal(places, [[1, 0, 0], [2, 0, 0]])
+
+
+def test_chosen_frames_stay_on_the_bones(walker, tmp_path):
+    whole = load_clip(walker, animation="run")
+    convert(walker, tmp_path / "b.glb", ConvertOptions(animation="run"))
+    assert list_animations(tmp_path / "b.glb") == ("run",)
+    np.testing.assert_array_equal(load_clip(tmp_path / "b.glb").vertices, whole.vertices)
+    written = convert(walker, tmp_path / "c.glb", ConvertOptions(animation="run", start=1, step=2))
+    assert (written.frames, written.fps) == (len(whole.vertices[1::2]), whole.fps / 2)
+    assert len(open_document(tmp_path / "c.glb").gltf["skins"]) == 1
+    cut = load_clip(tmp_path / "c.glb", fps=written.fps)
+    np.testing.assert_allclose(cut.vertices, whole.vertices[1::2], atol=1e-4)
+    written = convert(walker, tmp_path / "d.glb", ConvertOptions(animation="run", frames=2))
+    cut = load_clip(tmp_path / "d.glb", fps=written.fps)
+    np.testing.assert_allclose(cut.vertices, whole.vertices[[0, -1]], atol=1e-4)
+
+
+def test_what_another_format_leaves_out_is_said(walker, tmp_path):
+    lost = "bones and their animations and the GPU instances of 1 nodes"
+    notes = convert(walker, tmp_path / "b.obj").notes
+    assert (
+        f"left out of b.obj: {lost}; mimesh convert walker.glb b.glb keeps them, mimesh capture walker.glb writes the "
+        "motion of bones"
+    ) in notes
+    notes = convert(walker, tmp_path / "c.glb", ConvertOptions(morphs=True)).notes
+    assert f"left out of c.glb: {lost}; without options for frames they are kept" in notes
+    assert "skins" not in open_document(tmp_path / "c.glb").gltf
+    with pytest.raises(InputError, match=r"mimesh rig walker.glb -o d.vrm --author NAME --license URL"):
+        convert(walker, tmp_path / "d.vrm")
+    with pytest.raises(InputError, match=r"expected .glb or .gltf for --morphs, found '.usda'"):
+        convert(walker, tmp_path / "d.usda", ConvertOptions(morphs=True))
+
+
+def test_a_capture_becomes_the_body_with_its_bones(tmp_path):
+    path = write_bvh(tmp_path / "a.bvh", load_body(), window(load_motion("jump"), 0.0, 0.2))
+    assert "--morphs writes its surface alone" in convert(path, tmp_path / "a.glb").notes[-1]
+    gltf = open_document(tmp_path / "a.glb").gltf
+    assert len(gltf["skins"]) == 1
+    assert not any("targets" in primitive for mesh in gltf["meshes"] for primitive in mesh["primitives"])
+    difference = load_clip(tmp_path / "a.glb").vertices - np.asarray(load_clip(path).vertices)
+    assert np.linalg.norm(difference, axis=-1).mean() < 1e-3  # four weights a vertex

@@ -102,10 +102,10 @@ def _bind(skeleton: AnimatedRig, rest: str, axes: Float[np.ndarray, "3 3"]) -> A
     joints = place_joints(old.joints[0], old.joints[1:] - old.joints[above], turn, skeleton.parents)
     mesh = skeleton.mesh
     if rest != "file":
-        vertices = _rest_vertices(mesh.vertices, old, turn, joints)
+        vertices = _rest_vertices(skeleton.points, old, turn, joints)
         # The soles stay on their ground when legs are straightened.
-        rise = axes[:, 1] * ((mesh.vertices @ axes[:, 1]).min() - (vertices @ axes[:, 1]).min())
-        joints, mesh = joints + rise, mesh.with_vertices(vertices + rise)
+        rise = axes[:, 1] * ((skeleton.points @ axes[:, 1]).min() - (vertices @ axes[:, 1]).min())
+        joints, mesh = joints + rise, mesh.with_vertices(skeleton.on_mesh(vertices + rise))
     motion = skeleton.rotation @ old.rotation.swapaxes(-1, -2)  # of each joint, from the file's pose to each frame
     rig = Rig(np.tile(axes, (len(joints), 1, 1)), joints, old.weights)
     rotation = motion @ turn.swapaxes(-1, -2) @ axes
@@ -253,7 +253,7 @@ def _arrange(skeleton: AnimatedRig, scheme: Scheme) -> AnimatedRig:
     new = Rig(rig.rotation[list(source)], np.stack(joints), weights)
     paths = np.stack(paths, axis=1)
     rotation = skeleton.rotation[:, source]
-    return AnimatedRig(skeleton.mesh, names, parents, new, rotation, paths[:, 0], positions=paths)
+    return AnimatedRig(skeleton.mesh, names, parents, new, rotation, paths[:, 0], positions=paths, group=skeleton.group)
 
 
 def _placed_ancestor(parents: tuple[int, ...], joint: int, placed: dict[int, int]) -> int:
@@ -277,7 +277,7 @@ def _with_root(skeleton: AnimatedRig, name: str, up: Float[np.ndarray, " 3"], mo
     It never turns. If it moves, it has the displacement of the hips over the ground, else it stands still.
     """
     rig, frames = skeleton.rig, len(skeleton.root)
-    ground = (skeleton.mesh.vertices @ up).min()
+    ground = (skeleton.points @ up).min()
     joint = rig.joints[0] + (ground - rig.joints[0] @ up) * up
     path = np.tile(joint, (frames, 1))
     if moves:
@@ -295,4 +295,5 @@ def _with_root(skeleton: AnimatedRig, name: str, up: Float[np.ndarray, " 3"], mo
         np.concatenate([np.tile(rig.rotation[0], (frames, 1, 1, 1)), skeleton.rotation], axis=1),
         path,
         positions=np.concatenate([path[:, None], skeleton.joint_positions()], axis=1),
+        group=skeleton.group,
     )

@@ -27,7 +27,7 @@ def demo(
 
     with progress("frames", printed.silent) as advance:
         facts = run_demo(output, advance, body)
-    if printed.open:
+    if printed.open and facts["player"]:
         open_page(facts["player"])
     if printed.json:
         print_json(facts)
@@ -35,7 +35,9 @@ def demo(
         seconds = facts["seconds"]["drive"]
         say(f"{facts['motion']}: {facts['frames']} frames moved by {facts['model']} in {seconds:.1f} s")
         say(*facts["files"])
-        say(f"open {facts['player']} in a browser to see it move, or: mimesh demo --open")
+        say(*(f"note: {note}" for note in facts["notes"]))
+        if facts["player"]:
+            say(f"open {facts['player']} in a browser to see it move, or: mimesh demo --open")
         print_next("transfer", output / "identity.obj", output / "driving.obj")
 
 

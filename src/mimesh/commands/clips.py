@@ -83,11 +83,14 @@ def check_rig_layout(
     from ..methods.find import moves_joints
     from ..pipeline.file_rigs import read_rigs
     from ..pipeline.known import Known
+    from ..pipeline.parts import find_part
     from ..pipeline.skinned import check_own_layout
 
     bones = layout.names != "own" or layout.root_bone or layout.rest != "file"
     if not bones or hints.rig != "own" or hints.joints is not None or not moves_joints(model):
         return
+    part = find_part(identity, hints.part)
+    identity = identity if part is None else part.mesh
     rigs = read_rigs(identity, clip, Known(body=hints.body), copy=True)
     if rigs.identity is not None:
         check_own_layout(rigs.identity.person, layout, identity.name)

@@ -90,8 +90,8 @@ def transfer(
     with together():
         result.save(target)
         save_joint_files(result, identity, driving, joints)
-        shown = _write_preview(result, target, output.preview, usual=suffix)
-    if output.open:
+    shown = _write_preview(result, target, output.preview, usual=suffix)
+    if output.open and shown["page"]:
         open_page(shown["page"])
     _log(result, model, hints.body)
     notes += taken_pose_note(mesh, identity)
@@ -186,12 +186,12 @@ def animate(
             save_clips(results, target, names, as_joints, shapes.blendshapes, layout, advance)
         for result, chosen in zip(results, clips, strict=True):
             save_joint_files(result, identity, chosen.path, joints, taken.start)
-        shown = [
-            _write_preview(result, target, output.preview, title) for result, title in zip(results, titles, strict=True)
-        ]
+    shown = [
+        _write_preview(result, target, output.preview, title) for result, title in zip(results, titles, strict=True)
+    ]
     if output.open:
-        for page in shown:
-            open_page(page["page"])
+        for page in filter(None, (page["page"] for page in shown)):
+            open_page(page)
     for result in results:
         _log(result, model, hints.body)
     facts = [
@@ -277,16 +277,16 @@ def _write_preview(
     clip: str | None = None,
     usual: str = ".glb",
 ) -> dict[str, Any]:
-    """Write the picture and the page beside the output with `preview`; return paths.
+    """Write the picture and the page beside the output with `preview`; return paths, and notes on what failed.
 
     `clip` is the name of the result's animation where the output has several; `usual` is the default suffix of outputs.
     """
     if not preview:
-        return {"pictures": [], "page": None}
+        return {"pictures": [], "page": None, "notes": ()}
     from ..tools.preview import write_preview
 
-    picture, page = write_preview(result, output, clip, usual)
-    return {"pictures": [str(picture)], "page": str(page)}
+    pictures, pages, notes = write_preview(result, output, clip, usual)
+    return {"pictures": [*map(str, pictures)], "page": str(pages[0]) if pages else None, "notes": notes}
 
 
 def _previews(output: Path, preview: bool, clip: str | None = None, usual: str = ".glb") -> tuple[Path, ...]:
@@ -400,8 +400,8 @@ def result_facts(
 ) -> dict[str, Any]:
     """Return the facts about a result and its file, with all notes.
 
-    `replaced`: whether a file or a folder of this name was there. `shown`: the paths of the preview. `output_fps`: the
-    rate of the file if it differs from the result's.
+    `replaced`: whether a file or a folder of this name was there. `shown`: see `_write_preview`. `output_fps`: the rate
+    of the file if it differs from the result's.
     """
     from ..core.animated_rig import frames_around
     from ..pipeline.result import Result
@@ -415,7 +415,7 @@ def result_facts(
     blended = blend_note(result.report.get("blendshapes_deviation"))
     kept = (*not_kept(mesh, output), *posed_vrm_note(output))
     notes = [*result.notes, *kept, *rate, *blended, *skinned_note(result.report), *driving_notes]
-    notes = [*dict.fromkeys(notes)]  # both the reader and the result have the clip's
+    notes += shown["notes"]
     facts: dict[str, Any] = {
         "output": str(output),
         "replaced": replaced,
@@ -424,7 +424,7 @@ def result_facts(
         "frames": frames,
         "fps": fps,
         "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
-        "report": {**result.report, "notes": notes, **shown},
+        "report": {**result.report, **shown, "notes": notes},
     }
     if joints:
         facts["report"]["joints"] = list(joints)

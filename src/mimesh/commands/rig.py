@@ -43,7 +43,7 @@ def rig(
     output: Annotated[OutputOptions, Without("open")],
     layout: Annotated[Layout, Without("fps")],
     options: RigOptions,
-    hints: Annotated[Hints, Without("driving_up", "driving_front", "driving_joints")],
+    hints: Annotated[Hints, Without("driving_up", "driving_front", "driving_joints", "driving_part")],
     joints: Annotated[JointOptions, Without("save_driving_joints")],
     seed: Seed = 0,
 ) -> dict[str, Any]:
@@ -60,7 +60,7 @@ def rig(
     from ..pipeline.vrm import vrm_meta
     from ..tools.convert import not_kept
     from ..tools.inspect import metres_note
-    from ..tools.preview import names_beside, rig_picture, save_picture
+    from ..tools.preview import names_beside, rig_picture, save_picture, written_beside
     from .clips import check_suffix
 
     target = output_path(output.output, lambda: file.with_name(f"{file.stem}-rigged.glb"))
@@ -81,11 +81,12 @@ def rig(
     with together():
         rigged.save(target, names=layout.names, root_bone=layout.root_bone, rest=layout.rest, **made_by)
         save_found(rigged.joints, joints.save_joints, file, rigged.mesh)
-        if picture is not None:
-            save_picture(rig_picture(rigged), picture)
+    pictures, not_drawn = (), ()
+    if picture is not None:
+        pictures, not_drawn = written_beside(picture, lambda: save_picture(rig_picture(rigged), picture))
     facts = joint_facts(rigged, target, replaced, len(rigged.skeleton.names), corrected)
     facts["vertices"] = len(rigged.mesh.vertices)
-    facts["report"]["notes"] += [*not_kept(rigged.mesh, target), *metres_note(rigged.mesh, target)]
-    facts["report"]["pictures"] = [] if picture is None else [str(picture)]
+    facts["report"]["notes"] += [*not_kept(rigged.skeleton.mesh, target), *metres_note(rigged.mesh, target), *not_drawn]
+    facts["report"]["pictures"] = [*map(str, pictures)]
     then = ("animate", str(target), "walk.bvh") if rigged.body == "human" else ("look", str(target))
     return print_joint_facts(facts, output, then)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .frame_buffer import LazyFrames, evenly_spread
-from .geometry import slerp
+from .geometry import first_of_each, slerp
 from .mesh import Mesh
 from .rig import Rig, homogeneous, local_rotations
 from .skinning import SkinnedMesh, place_joints
@@ -34,7 +34,7 @@ class AnimatedRig:
     parents: tuple[int, ...]
     """Index of each joint's parent, -1 for the root; parents come before their children."""
     rig: Rig
-    """Joints at rest, and skinning weights of all vertices of the mesh."""
+    """Joints at rest, and skinning weights of all vertices of the mesh, or of the `points` that these are at."""
     rotation: Float[np.ndarray, "T J 3 3"]
     """World rotation of every joint in every frame."""
     root: Float[np.ndarray, "T 3"]
@@ -43,10 +43,18 @@ class AnimatedRig:
     """Index of each joint that is known to be a person's, by our name; None: the names are ours."""
     positions: Float[np.ndarray, "T J 3"] | None = None
     """Position of every joint; None: bones keep their lengths, so positions follow from `root` and `rotation`."""
+    group: Int[np.ndarray, " V"] | None = None
+    """Row of the weights of each vertex, where vertices share positions, -1 for those that no joint moves; None: each
+    has a row of its own."""
 
     def __repr__(self) -> str:
         """Sum up the rig: arrays of thousands of numbers say nothing."""
         return f"AnimatedRig({self.mesh.name!r}, {len(self.names)} joints, {len(self.rotation)} frames)"
+
+    @property
+    def points(self) -> Float[np.ndarray, "W 3"]:
+        """The positions at rest that the weights belong to: the vertices of the mesh, each position once."""
+        return self.mesh.vertices if self.group is None else self.mesh.vertices[first_of_each(self.group)]
 
     def joint_positions(self) -> Float[np.ndarray, "T J 3"]:
         """Return the position of every joint in every frame."""
@@ -87,34 +95,47 @@ class AnimatedRig:
 
     @property
     def size(self) -> float:
-        """Longest side of the bounding box of the mesh at rest."""
-        return float(np.ptp(self.mesh.vertices, axis=0).max())
+        """Longest side of the bounding box of the mesh at rest, without what no joint moves."""
+        return float(np.ptp(self.points, axis=0).max())
 
     def strongest(self) -> tuple[Int[np.ndarray, "V C"], Float[np.ndarray, "V C"]]:
-        """Select the INFLUENCES joints with the largest weights of each vertex, and scale these weights to sum to 1."""
-        return self.rig.strongest(INFLUENCES)
+        """Select the INFLUENCES joints with the largest weights of each vertex, and scale these weights to sum to 1.
+
+        Vertices that no joint moves have all weights zero.
+        """
+        joints, weights = self.rig.strongest(INFLUENCES)
+        if self.group is None:
+            return joints, weights
+        return joints[self.group], np.where(self.group[:, None] >= 0, weights[self.group], 0.0)
+
+    def on_mesh(self, points: Float[np.ndarray, "W 3"]) -> Float[np.ndarray, "V 3"]:
+        """Return the vertices of the mesh with other `points`."""
+        if self.group is None:
+            return points
+        return np.where(self.group[:, None] >= 0, points[self.group], self.mesh.vertices)
 
     def deviation(self, frames: LazyFrames) -> float:
         """Measure the error of `strongest`: largest distance of a vertex from `frames`, over the mesh's size.
 
         Only CHECKED_FRAMES frames are compared.
         """
-        skinned = SkinnedMesh.of(self.mesh.vertices, self.rig.limited(INFLUENCES), self.parents)
+        skinned = SkinnedMesh.of(self.points, self.rig.limited(INFLUENCES), self.parents)
+        kept = slice(None) if self.group is None else first_of_each(self.group)
         chosen = evenly_spread(len(frames), CHECKED_FRAMES)
         positions = None if self.positions is None else self.positions[chosen]
         part = replace(self, rotation=self.rotation[chosen], root=self.root[chosen], positions=positions)
         posed = map(skinned.posed_at, part.rotation, part.joint_positions())
-        differences = [vertices - of_frame for vertices, of_frame in zip(posed, frames.at(chosen), strict=True)]
-        return float(np.linalg.norm(differences, axis=-1).max() / self.size)
+        differences = (points - of_frame[kept] for points, of_frame in zip(posed, frames.at(chosen), strict=True))
+        return float(max(np.linalg.norm(difference, axis=-1).max() for difference in differences) / self.size)
 
     def motion_deviation(self, other: AnimatedRig) -> float:
         """Measure the largest distance of a vertex between this motion and another one of this rig, over the size.
 
         All frames are compared, and about CHECKED_VERTICES vertices.
         """
-        every = max(1, len(self.mesh.vertices) // CHECKED_VERTICES)
+        every = max(1, len(self.points) // CHECKED_VERTICES)
         rig = replace(self.rig, weights=self.rig.weights[::every])
-        skinned = SkinnedMesh.of(self.mesh.vertices[::every], rig, self.parents)
+        skinned = SkinnedMesh.of(self.points[::every], rig, self.parents)
         # Vertices are linear in rotations and positions of the joints: those of the differences are the differences.
         turns = self.rotation - other.rotation
         moves = self.joint_positions() - other.joint_positions()

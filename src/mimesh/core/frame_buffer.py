@@ -164,6 +164,8 @@ class LazyFrames:
     dtype: np.dtype
     array: Float[np.ndarray, "T V 3"] | None = None
     """Stored frames; None where they are made."""
+    group: Int[np.ndarray, " V"] | None = None
+    """Number of the position of each vertex, where some share one in all frames: then `make` makes these positions."""
 
     @classmethod
     def stored(cls, vertices: Frames) -> LazyFrames:
@@ -182,7 +184,8 @@ class LazyFrames:
     def at(self, chosen: Int[np.ndarray, " N"] | Sequence[int]) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield the frames of these numbers, in this order."""
         for points in self.make(np.asarray(chosen, np.int64)):
-            yield points.astype(self.dtype, copy=False)
+            points = points.astype(self.dtype, copy=False)
+            yield points if self.group is None else points.take(self.group, axis=0)
 
     def every(self, step: int, progress: Progress | None = None) -> Float[np.ndarray, "T V 3"]:
         """Return every `step`-th frame in one array; stored ones are not copied."""
@@ -190,6 +193,18 @@ class LazyFrames:
             return self.array[::step]
         chosen = range(0, len(self), step)
         return store_frames(self.at(chosen), len(chosen), self.shape[1], self.dtype, progress)
+
+    @property
+    def distinct(self) -> LazyFrames:
+        """The same frames with one vertex for each position that vertices share in all of them (`merged_mesh`)."""
+        if self.group is None:
+            return self
+        return LazyFrames((self.shape[0], int(self.group.max()) + 1), self.make, self.dtype)
+
+    def kept(self) -> LazyFrames:
+        """Return the same frames, made once."""
+        stored = LazyFrames.stored(self.distinct.every(1))
+        return stored if self.group is None else replace(stored, shape=self.shape, array=None, group=self.group)
 
     def first(self) -> Float[np.ndarray, "V 3"]:
         """Return the first frame in double precision."""

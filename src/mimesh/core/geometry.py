@@ -207,6 +207,13 @@ def weld(vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "W 3"], 
     return vertices[first], index
 
 
+def first_of_each(group: Int[np.ndarray, " V"]) -> Int[np.ndarray, " W"]:
+    """Find the first vertex of each of the groups 0 to W - 1; vertices of number -1 are in none."""
+    first, members = np.empty(int(group.max(initial=-1)) + 1, np.int64), np.flatnonzero(group >= 0)[::-1]
+    first[group[members]] = members  # of several values for one entry the last one stays
+    return first
+
+
 def turn_normals(
     corner_normals: Float[np.ndarray, "F 3 3"],
     faces: Int[np.ndarray, "F 3"],

@@ -19,7 +19,7 @@ from .arguments import as_faces, as_floats, as_frames, as_vertices, check_kind
 from .budgets import FACES, VERTICES, check_clip_size
 from .errors import InputError, option
 from .frame_buffer import Frames, PosedFrames, Progress, each_frame, spread_exactly, store_frames
-from .geometry import face_areas, turn_normals
+from .geometry import face_areas, first_of_each, turn_normals
 from .person_motion import JointSource
 
 UNNAMED = "mesh"
@@ -394,6 +394,51 @@ def spread_clip(clip: Clip, count: int) -> Clip:
     headings = None if clip.headings is None else clip.headings[chosen]
     fps = clip.fps * (count - 1) / (len(clip) - 1) if count > 1 else clip.fps
     return dataclasses.replace(clip, vertices=clip.vertices[chosen], fps=fps, headings=headings, skeleton=None)
+
+
+def merged_mesh(mesh: Mesh, group: Int[np.ndarray, " V"] | None) -> Mesh:
+    """Return the surface of a mesh with one vertex for each group of vertices, which are at one position.
+
+    Triangles, texture coordinates, normals and parts stay; None has no groups. The result has no `source`.
+    """
+    if group is None:
+        return mesh
+    first = first_of_each(group)
+    colors = None if mesh.vertex_colors is None else mesh.vertex_colors[first]
+    return dataclasses.replace(
+        mesh, vertices=mesh.vertices[first], faces=group[mesh.faces], vertex_colors=colors, source=None
+    )
+
+
+def chosen_faces(mesh: Mesh, faces: Int[np.ndarray, " G"], index: Int[np.ndarray, " U"]) -> Mesh:
+    """Return the surface of some faces, in their order, with the vertices `index`; without a `source`."""
+    place = np.full(len(mesh.vertices), -1)
+    place[index] = np.arange(len(index))
+    starts = np.searchsorted(faces, [part.start for part in mesh.parts])
+    stops = np.searchsorted(faces, [part.stop for part in mesh.parts])
+    parts = [
+        dataclasses.replace(part, start=int(start), stop=int(stop))
+        for part, start, stop in zip(mesh.parts, starts, stops, strict=True)
+        if stop > start
+    ]
+    return Mesh(
+        mesh.vertices[index],
+        place[mesh.faces[faces]],
+        mesh.name,
+        corner_uv=None if mesh.corner_uv is None else mesh.corner_uv[faces],
+        corner_normals=None if mesh.corner_normals is None else mesh.corner_normals[faces],
+        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[index],
+        parts=tuple(parts),
+        up=mesh.up,
+    )
+
+
+def same_colors(mesh: Mesh, group: Int[np.ndarray, " V"] | None) -> Int[np.ndarray, " V"] | None:
+    """Return groups of vertices; None where the colours of some differ within one, which would get lost."""
+    colors = mesh.vertex_colors
+    if group is None or colors is None or (colors == colors[first_of_each(group)][group]).all():
+        return group
+    return None
 
 
 def same_mesh(mesh: Mesh, other: Mesh) -> bool:

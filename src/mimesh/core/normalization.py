@@ -28,6 +28,12 @@ UNSURE = 0.9
 
 Chosen on people of the shipped body and on characters of the split `val`, see docs/log/mime.md.
 """
+FLAT = 0.01
+"""Depth of a flat side, over the longest side of the bounding box."""
+BASE_AREA, BASE_LEAD = 0.085, 0.25
+"""Smallest share of the surface that lies in the side of a base, and largest share of the opposite side over it. Of 316
+people, animals and figures of boxes of 12 makers the largest share is 0.081, the back of a sheep of cubes; bases half
+as wide as a person is tall have 0.09 to 0.36."""
 CONTRARY = 0.95
 """Margin from which a detected up that is not the file's gets a note."""
 GRID = 11
@@ -85,10 +91,16 @@ class Normalization:
                 f"{option('up', up)} {option('front', front)}: expected two different axes, found one; change one of "
                 "them"
             )
+        stands_on = flat_side(mesh)[0] if up is None else None
+        standing = None if stands_on is None else opposite(stands_on)
         candidates = [
-            r for r, axes in enumerate(ORIENTATIONS) if (up in (None, axes[0])) and (front in (None, axes[1]))
+            r
+            for r, axes in enumerate(ORIENTATIONS)
+            if (up or standing) in (None, axes[0]) and (front in (None, axes[1]))
         ]
-        detected, shape_up = len(candidates) > 1, None
+        if not candidates:  # the base is a wall in front of or behind the figure
+            candidates = [r for r, axes in enumerate(ORIENTATIONS) if front == axes[1]]
+        detected, shape_up = up is None or len(candidates) > 1, None
         chosen, margin = candidates[0], 1.0
         if detected or up_from == "file":
             scores = orientation_scores(mesh_occupancy(mesh), detector())
@@ -196,11 +208,46 @@ def orientation_scores(features: Float[np.ndarray, "*B C"], model: dict[str, np.
     return hidden @ model["out"]
 
 
+def opposite(axis: str) -> str:
+    """Return the name of the opposite of an axis such as "-z"."""
+    return {"+": "-", "-": "+"}[axis[0]] + axis[1]
+
+
+def flat_side(mesh: Mesh) -> tuple[str | None, Int[np.ndarray, " B"]]:
+    """Find the side of a mesh that is a flat base: a pedestal, a floor; None where there is none.
+
+    The detector of orientations takes what is wide for shoulders and would turn a figure on a base upside down.
+
+    Returns:
+        The axis to that side, and the faces of the base that lie in it.
+    """
+    none = None, np.zeros(0, np.int64)
+    if not len(mesh.faces):
+        return none
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    depth = FLAT * float((high - low).max())
+    lying = {
+        axis: np.flatnonzero((np.abs(mesh.vertices[:, k] - end) <= depth)[mesh.faces].all(axis=1))
+        for ends, sign in ((low, "-"), (high, "+"))
+        for k, end in enumerate(ends)
+        for axis in (sign + "xyz"[k],)
+    }
+    total = face_areas(mesh.vertices, mesh.faces).sum()
+    area = {axis: float(face_areas(mesh.vertices, mesh.faces[faces]).sum() / total) for axis, faces in lying.items()}
+    base = max(area, key=lambda axis: area[axis] - area[opposite(axis)])
+    if area[base] < BASE_AREA or area[opposite(base)] > BASE_LEAD * area[base]:
+        return none
+    return base, lying[base]
+
+
 def clear_up(mesh: Mesh) -> str | None:
     """Detect the axis away from the ground from the shape alone, whatever the front is; None where it is not clear.
 
-    Clear is a probability of CONTRARY or more.
+    Clear is a base on the opposite side, or a probability of CONTRARY or more.
     """
+    base = flat_side(mesh)[0]
+    if base is not None:
+        return opposite(base)
     totals = _up_probabilities(mesh)
     likeliest = max(AXES, key=lambda up: totals[up])
     return likeliest if totals[likeliest] >= CONTRARY else None

@@ -108,6 +108,13 @@ class Hints:
     )
     """The same of the driving, of a clip in its first frame or in the frame that a file of them names."""
 
+    part: str | None = declared(None, "Part of the mesh that is meant: an object, a group, a node.", metavar="NAME")
+    """Name of the part of the identity that is meant, in a file with other people or things: an object, a group, or a
+    node with all that is below it. All else stays where it is. By default all, or in a file with the rig of a
+    character what joints carry."""
+    driving_part: str | None = declared(None, "The same of DRIVING.", metavar="NAME")
+    """The same of the driving; all else is not looked at."""
+
     @property
     def axes(self) -> tuple[str | None, str | None, str | None, str | None]:
         """Up and front of the identity, up and front of the driving; None is detected."""
@@ -122,7 +129,7 @@ class Hints:
         Example:
             >>> mimesh.Hints(up="+y").check_single()
         """
-        for name in ("driving_up", "driving_front", "driving_joints"):
+        for name in ("driving_up", "driving_front", "driving_joints", "driving_part"):
             if getattr(self, name) is not None:
                 raise InputError(f"{name}: expected hints on one mesh or clip, found this; leave `driving_` out")
 
@@ -341,6 +348,11 @@ class ConvertOptions(FrameRange):
     blendshapes: int | None = declared(
         None, "Write K morph targets, not one a frame (.glb, .gltf).", metavar="K", min=1
     )
+    morphs: bool = declared(False, "Write a morph target a frame, not bones (.glb, .gltf).", name="--morphs")
+    """Write a .glb or .gltf with a morph target for each frame, where IN has bones, which are kept by default."""
+    up: str | None = declared(None, "Up axis of IN (OBJ, PLY, STL): formats with y up are written standing.",
+        metavar="AXIS")  # fmt: skip
+    """Axis of IN away from the ground, where its file defines none: formats that have y up are written standing."""
     body_model: str | Path | None = declared(
         None, "SMPL's, SMPL+H's ... (.pkl .npz): AMASS archives become its surface.", kind=Path | None, metavar="FILE"
     )

@@ -16,7 +16,6 @@ from .load import load_recorded_clip as load_recorded_clip
 from .load import load_recorded_mesh as load_recorded_mesh
 from .save import check_writable as check_writable
 from .save import refuse_vrm as refuse_vrm
-from .save import save_as_fbx as save_as_fbx
 from .save import save_clip as save_clip
 from .save import save_joints as save_joints
 from .save import save_mesh as save_mesh
@@ -28,3 +27,4 @@ from .save import save_rig_animations as save_rig_animations
 from .save import save_skinned as save_skinned
 from .save import save_vrm as save_vrm
 from .save import save_vrma as save_vrma
+from .save import save_whole as save_whole

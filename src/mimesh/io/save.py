@@ -323,17 +323,28 @@ def save_vrm(
         write_vrm(glb, bones, meta, turn, temporary)
 
 
-def save_as_fbx(source: Path, path: Path) -> None:
-    """Write a .glb, .gltf, .vrm or .fbx again as .fbx, with its skins, blend shapes and all its animations.
+def save_whole(source: Path, path: Path, animation: str | None = None) -> None:
+    """Write a .glb, .gltf, .vrm or .fbx again as another of these, with its skins, blend shapes and animations.
+
+    Args:
+        source: the file.
+        path: where to write it.
+        animation: name or number of the only animation that is kept; None: all are.
 
     Raises:
-        InputError: a damaged file, no Blender, or a path that cannot be written to.
+        InputError: a damaged file, no such animation, no Blender, or a path that cannot be written to.
     """
+    from .gltf.animation import animation_names, find_animation
     from .gltf.document import open_document
     from .gltf.draft import AccessorCopier
 
+    document = open_document(source)
+    draft = AccessorCopier(document, whole=True).draft
+    if animation is not None:
+        number = find_animation(animation_names(document), animation, source)
+        draft.gltf["animations"] = [draft.gltf["animations"][number]]
     with writing(path), gltf_file(path) as temporary:
-        AccessorCopier(open_document(source), whole=True).draft.save(temporary)
+        draft.save(temporary)
 
 
 def check_writable(path: Path) -> None:

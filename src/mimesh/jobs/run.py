@@ -45,7 +45,7 @@ from ..methods.find import weights_path
 from ..methods.onnx_runtime import THREADS
 from ..mime.kept_results import keep_results
 from ..tools.convert import file_stem
-from ..tools.preview import save_picture
+from ..tools.preview import save_picture, written_beside
 from ..view.camera import fit
 from ..view.raster import render_mesh
 from ..view.shading import BACKGROUND
@@ -105,6 +105,8 @@ class BatchResult:
     workers: int
     files: dict[str, str] = field(default_factory=dict)
     """Paths of the summary (csv, json) and of the contact sheet, as far as they were written."""
+    notes: tuple[str, ...] = ()
+    """Why the contact sheet was not written, if it was not."""
 
     @property
     def counts(self) -> dict[str, int]:
@@ -120,7 +122,7 @@ class BatchResult:
     def facts(self) -> dict[str, Any]:
         """Return everything for JSON."""
         head = {"jobs": len(self.jobs), "seconds": round(self.seconds, 2), "workers": self.workers}
-        return {**head, "counts": self.counts, "files": self.files, "each": self.rows()}
+        return {**head, "counts": self.counts, "files": self.files, "notes": list(self.notes), "each": self.rows()}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for each job."""
@@ -214,9 +216,9 @@ def batch(
     workers = workers or usable_cores()
     count = min(workers, sum(outcome["state"] == NOT_RUN for outcome in outcomes))
 
-    def saved(*kinds: str) -> BatchResult:
+    def saved(*kinds: str, notes: tuple[str, ...] = ()) -> BatchResult:
         paths = {kind: str(files[kind]) for kind in kinds}
-        result = BatchResult(jobs, outcomes, time.perf_counter() - begin, count, paths)
+        result = BatchResult(jobs, outcomes, time.perf_counter() - begin, count, paths, notes)
         result.save(files["csv"], files["json"])
         return result
 
@@ -225,10 +227,11 @@ def batch(
     except KeyboardInterrupt:
         saved("csv", "json")
         raise
+    result = saved("csv", "json")
     if not sheet:
-        return saved("csv", "json")
-    save_sheet(jobs, outcomes, tiles, files["png"])
-    return saved(*files)
+        return result
+    drawn, notes = written_beside(files["png"], lambda: save_sheet(jobs, outcomes, tiles, files["png"]))
+    return saved(*(files if drawn else ("csv", "json")), notes=notes)
 
 
 def _common_folder(jobs: Sequence[BatchJob]) -> Path:
@@ -564,12 +567,12 @@ def shown_jobs(count: int) -> list[int]:
 
 
 def draw_tile(job: BatchJob) -> bytes | None:
-    """Draw the middle frame of a result as a PNG; None where its format cannot be read or drawn."""
+    """Draw the middle frame of a result as a PNG; None where its format cannot be read or drawn, or drawing fails."""
     try:
         clip = load_clip(Path(job.output), fps=1.0 if Path(job.output).is_dir() else None)
         mesh = clip.mesh.with_vertices(clip.vertices[len(clip) // 2].astype(np.float64))
         picture = render_mesh(mesh, TILE, fit(mesh.vertices, TILE, "three-quarter"), background=BACKGROUND)
-    except InputError:
+    except Exception:  # a picture must not cost the result
         return None
     data = io.BytesIO()
     captioned(picture, job.name).save(data, "PNG")

@@ -13,6 +13,7 @@ import numpy as np
 from ..bodies import load_body
 from ..bodies.hands import body_with_fingers
 from ..bodies.joint_names import captured_fingers, named_joints
+from ..core.animated_rig import AnimatedRig
 from ..core.budgets import check_clip_size
 from ..core.frame_buffer import PosedFrames
 from ..core.mesh import Clip, Mesh
@@ -133,6 +134,16 @@ def played(motion: Motion, front: str | None = None) -> Clip:
     vertices: Any = PosedFrames(skinned, joints.rotation, joints.positions[:, 0])
     mesh = dataclasses.replace(body.mesh(np.asarray(vertices[0], np.float64)), name=motion.name, up="+y")
     return Clip(mesh, vertices, motion.fps, joints.rotation[:, 0, :, 2], KnownJoints(joints))
+
+
+def played_rig(clip: Clip) -> AnimatedRig:
+    """Return the bones of a clip that `played` has made."""
+    assert isinstance(clip.vertices, PosedFrames)
+    rotation = np.asarray(clip.vertices.rotation, float)
+    body = next(body for body in (load_body(), body_with_fingers()) if len(body.parents) == rotation.shape[1])
+    rig = Rig(np.tile(np.eye(3), (len(body.parents), 1, 1)), body.joints, body.weights)
+    mesh = dataclasses.replace(clip.mesh, vertices=body.vertices)
+    return AnimatedRig(mesh, body.joint_names, body.parents, rig, rotation, np.asarray(clip.vertices.root, float))
 
 
 def first_frame(whole: BodyMotion) -> Mesh:

@@ -75,7 +75,7 @@ def transfer(
     moved = route.play(timer, motion)
     _name_axis_sources(moved.report, hints)
     return Result(
-        identity.with_vertices(moved.frames.first()),
+        route.identity.with_vertices(moved.frames.first()),
         chosen.name,
         timer,
         moved.report,
@@ -145,7 +145,7 @@ def animate(
         notes += first_frame_note(clip, frames.start, Path(driving).name)
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose: give an animated .glb or a folder of frames",)
-    return moved.clip_result(identity, clip, chosen.name, timer, notes)
+    return moved.clip_result(route.identity, clip, chosen.name, timer, notes)
 
 
 @public

@@ -39,6 +39,7 @@ from .joint_route import FoundMotion, find_motion, found_alone
 from .known import Known
 from .look import Look
 from .odd_frames import far_frames_note
+from .parts import find_part
 from .placed import check_identity, first_frame
 from .read import read_clip
 from .report import CaptureReport, facing, facing_note
@@ -182,6 +183,10 @@ def capture(
     check_identity(first)
     of_driving = {"driving_up": hints.up, "driving_front": hints.front, "driving_joints": hints.joints}
     known = Known.of(Hints(rig="mimesh", body=hints.body, **of_driving), taken, whole)
+    part = find_part(taken.mesh, hints.part)
+    if part is not None:
+        taken = part.clip(taken)
+        known, first = dataclasses.replace(known, corrections=known.corrections.of_part(part.index)), first_frame(taken)
     with timer.step("prepare"):
         rigs = read_rigs(first, taken, known)
         known = known.with_heading(taken, rigs.driving)
@@ -196,7 +201,8 @@ def capture(
         track = motion.over(taken, norm, SolePoints.of(motion.soles, motion.surface), progress)
     found = FoundMotion(taken, motion, track, smooth, norm, rigs, network.of_body(seen.body))
     report = facing(norm) | _unit(first) | _contacts(track.smoothed(smooth), motion)
-    notes = facing_note(norm, first.name, "front") + rigs.notes + taken.notes + far_frames_note(taken, first.name)
+    notes = () if part is None else part.notes
+    notes += facing_note(norm, first.name, "front") + rigs.notes + taken.notes + far_frames_note(taken, first.name)
     if seen.body != "human":
         notes += (
             f"files of joints alone are read as people's: to move another animal give {first.name} itself, or "

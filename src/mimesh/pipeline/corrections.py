@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..bodies import load_body
 from ..core.arguments import described
@@ -73,6 +73,16 @@ class Corrections:
                 f"found {read[1].frame}; correct the joints in another frame"
             )
         return cls(*read, np.asarray(clip.vertices[read[1].frame], np.float64))
+
+    def of_part(self, driving: Int[np.ndarray, " U"] | None) -> Corrections:
+        """Return the corrections of parts of both meshes, whose files have more vertices than these.
+
+        Args:
+            driving: vertices of the driving that are those of its part; None: all.
+        """
+        mine, theirs = (c and dataclasses.replace(c, vertices=None) for c in (self.identity, self.driving))
+        frame = self.driving_frame
+        return Corrections(mine, theirs, frame if driving is None or frame is None else frame[driving])
 
     def of_identity(self, identity: Mesh, joints: tuple[str, ...], norm: Normalization) -> Positions:
         """Return the identity's corrected joints, normalised.

@@ -50,13 +50,24 @@ from .look import (
     reorient,
     second_look,
 )
-from .placed import KEYFRAMES, FoundJoints, Moved, Placed, first_frame, keyframes_of, surface_motion, surface_report
+from .placed import (
+    KEYFRAMES,
+    FoundJoints,
+    Moved,
+    Placed,
+    first_frame,
+    keyframes_of,
+    surface_motion,
+    surface_report,
+    with_up,
+)
 from .refine import Refinement
 from .report import TransferReport, fingered_hands
 from .result import Timer
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
+    from .parts import MeshPart
 
 Found = TypeVar("Found", Character, JointMotion)
 
@@ -111,7 +122,7 @@ class JointRoute(Placed):
             own = self.own_animation(skeleton)
             moved = route.made_frames(posed, shift, own, np.dtype(dtype))
             if len(clip) == 1:
-                moved = LazyFrames.stored(moved.every(1))
+                moved = moved.kept()
             report = surface_report(identity, clip, moved, self.facings)
         report |= {"body": self.mime.body} | ({} if self.rigs.humanoid is None else {"rig": "own"})
         notes = report_confidence(retarget, report, self.names) + self.all_notes(own is not None)
@@ -136,10 +147,18 @@ class JointRoute(Placed):
         if own is not None and (own.morphs or self.rigs.beside):
             return LazyFrames(shape, own.vertices, dtype)
 
-        def make(chosen: Int[np.ndarray, " N"]) -> Iterator[Float[np.ndarray, "V 3"]]:
-            return (self.norms[0].undo(self.turned(posed, t) + shift) for t in chosen.tolist())
+        character = self.retarget.character
+        group = None if self.refinement else character.shared
 
-        return LazyFrames(shape, make, dtype)
+        def points(t: int) -> Float[np.ndarray, "P 3"]:
+            if group is None:
+                return self.turned(posed, t)
+            return character.posed_points(posed.rotation[t], posed.root[t]) @ self.turn.T
+
+        def make(chosen: Int[np.ndarray, " N"]) -> Iterator[Float[np.ndarray, "P 3"]]:
+            return (self.norms[0].undo(points(t) + shift) for t in chosen.tolist())
+
+        return LazyFrames(shape, make, dtype, group=group)
 
     def animated_rig(self, posed: PosedJoints, shift: Float[np.ndarray, " 3"]) -> AnimatedRig:
         """Return the rig and its motion in the identity's axes, unit and position."""
@@ -148,8 +167,9 @@ class JointRoute(Placed):
         rotation, root = undo @ self.turn @ posed.rotation, norm.undo(posed.root @ self.turn.T + shift)
         if self.rigs.humanoid is not None:
             identity = identity.with_vertices(self.rigs.humanoid.character.mesh.vertices)
+        rig, roles = character.rig_of_file(norm), character.roles
         return AnimatedRig(
-            identity, character.joints, character.parents, character.rig_of_file(norm), rotation, root, character.roles
+            identity, character.joints, character.parents, rig, rotation, root, roles, group=character.shared
         )
 
     def own_animation(self, skeleton: AnimatedRig) -> OwnAnimation | None:
@@ -199,6 +219,8 @@ class FoundCharacter:
     norm: Normalization
     rigs: Rigs
     """The identity's rig."""
+    part: MeshPart | None = None
+    """The part of the mesh that it is; None: it is all of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,7 +286,8 @@ def joint_route(identity: Mesh, clip: Clip, mime: Mime, known: Known, rigs: Rigs
         character, motion = network.with_fingers(character, rest, motion, partial(surface_motion, clip, theirs))
     retarget = Retarget.of(character, motion)
     notes = heading_note(rigs.driving, clip.mesh.name, theirs.front)
-    return JointRoute(identity, clip, (mine, theirs), rest, rigs=rigs, notes=notes, mime=network, retarget=retarget)
+    named = with_up(identity, mine)
+    return JointRoute(named, clip, (mine, theirs), rest, rigs=rigs, notes=notes, mime=network, retarget=retarget)
 
 
 def _found(

@@ -28,6 +28,8 @@ class Known:
     """Only models with joints use it."""
     body: str = "auto"
     corrections: Corrections = NO_CORRECTIONS
+    parts: tuple[str | None, str | None] = (None, None)
+    """Names of the parts of identity and driving that are meant; None: see `parts.find_part`."""
 
     @classmethod
     def of(cls, hints: Hints, clip: Clip, whole: Clip | None = None) -> Known:
@@ -41,7 +43,7 @@ class Known:
         """
         corrections = Corrections.read(hints.joints, hints.driving_joints, clip if whole is None else whole)
         axes = hints.up, hints.front, hints.driving_up, hints.driving_front
-        return cls(axes, hints.rig, hints.body, corrections)
+        return cls(axes, hints.rig, hints.body, corrections, (hints.part, hints.driving_part))
 
     def with_heading(self, clip: Clip, driving: PersonMotion | None = None) -> Known:
         """Fill in the driving's axes by where it faces in the first frame of the clip, if its joints tell that.

@@ -6,6 +6,7 @@ smoothing over time, and planting of feet.
 
 from __future__ import annotations
 
+import dataclasses
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
@@ -24,6 +25,7 @@ from ..methods.base import Drive
 from ..rigs.retarget import Retarget
 from .joint_route import JointRoute, report_confidence
 from .node_route import NodeRoute
+from .parts import PartRoute
 from .report import TransferReport
 from .route import Route
 from .vertex_route import VertexRoute
@@ -61,6 +63,8 @@ class LiveSession:
     """Brings the result of the first frame to the identity's position, normalised."""
     _limit: Callable[[], AbstractContextManager] = field(repr=False)
     """Limits the threads of linear algebra."""
+    _parts: PartRoute | None = field(default=None, repr=False)
+    """The parts of both meshes that are meant; None: all."""
 
     def pose(self, driving: ArrayLike | Mesh) -> Float[np.ndarray, "V 3"]:
         """Return the identity's vertices for one driving frame.
@@ -86,10 +90,13 @@ class LiveSession:
             [(502, 3), (502, 3), (502, 3)]
         """
         vertices = self._checked(driving)
-        norms = self._route.norms
+        norms, parts = self._route.norms, self._parts
+        if parts is not None and parts.driving is not None:
+            vertices = vertices[parts.driving.index]
         with self._limit():
             posed = self._pose(norms[1].apply(vertices)) @ self._route.turn.T
-            return norms[0].undo(posed + self._shift)
+            placed = norms[0].undo(posed + self._shift)
+        return placed if parts is None else parts.placed(placed)
 
     def _checked(self, driving: ArrayLike | Mesh) -> Float[np.ndarray, "U 3"]:
         """Return the vertices of a frame in double precision, if they can be used."""
@@ -133,7 +140,7 @@ class LiveSession:
         return vertices
 
 
-def live_session(route: Route, model: str, root: str, threads: int | None) -> LiveSession:
+def live_session(found: Route | PartRoute, model: str, root: str, threads: int | None) -> LiveSession:
     """Make the session of a route.
 
     Args:
@@ -144,6 +151,8 @@ def live_session(route: Route, model: str, root: str, threads: int | None) -> Li
     Raises:
         InputError: the method looks at more than one frame at a time.
     """
+    parts = found if isinstance(found, PartRoute) else None
+    route = found.route if isinstance(found, PartRoute) else found
     assert not isinstance(route, NodeRoute)  # `find_route` makes none for live frames
     first, limit = route.driving_frame(0), limited_threads(threads)
     with limit():
@@ -152,7 +161,9 @@ def live_session(route: Route, model: str, root: str, threads: int | None) -> Li
     report, notes = _report(route)
     clip = route.clip
     driving = Mesh(np.asarray(clip.vertices[0], np.float64), clip.mesh.faces, clip.mesh.name)
-    return LiveSession(route.identity, driving, model, report, notes, route, pose, shift, limit)
+    if parts is not None and parts.driving is not None:
+        driving = dataclasses.replace(parts.driving.whole, source=None)
+    return LiveSession(found.identity, driving, model, report, notes, route, pose, shift, limit, parts)
 
 
 def limited_threads(threads: int | None) -> Callable[[], AbstractContextManager]:

@@ -44,6 +44,8 @@ from ..rigs.confidence import MAX_ENTROPY, MAX_SPREAD, Confidence, if_it_is
 
 UpFront = tuple[str | None, str | None]
 """Up and front of a mesh; None is detected."""
+MOST_PARTS = 12
+"""Parts of a mesh that a message names."""
 OTHER = "other"
 """Choice of `--body` for what is neither a person nor a four-legged animal."""
 KINDS = {"human": "a person", "quadruped": "a four-legged animal"}
@@ -258,9 +260,12 @@ def different_kinds(found: list[str | None], subjects: tuple[Subject, Subject]) 
         odd, other = (0, 1) if found[0] is None else (1, 0)
         body = found[other]
         beside = f", as {names[other]} is {KINDS[body]}" if body else ""
+        parts = list(dict.fromkeys(part.name for part in subjects[odd].mesh.parts))
+        asked = option("driving_part" if odd and subjects[0] is not subjects[1] else "part", ...)
+        scene = f"; of its parts ({', '.join(parts[:MOST_PARTS])}) {asked} takes one" * (len(parts) > 1)
         return (
             f"{names[odd]}: expected a person or a four-legged animal{beside}, found a shape that looks like "
-            f"neither, as far as can be told; {if_it_is()}"
+            f"neither, as far as can be told{scene}; {if_it_is()}"
         )
     first, second = (KINDS[body] for body in found if body is not None)
     return (

@@ -145,6 +145,11 @@ def surface_report(
     return {**shaped, **accelerated, **axes}
 
 
+def with_up(identity: Mesh, norm: Normalization) -> Mesh:
+    """Name the up axis of an identity whose file defines none: formats that define one are then written standing."""
+    return identity if identity.up is not None else dataclasses.replace(identity, up=norm.up)
+
+
 def check_identity(identity: Mesh) -> None:
     """Raise InputError for a mesh to move that has too few points for a pose: they have no volume."""
     if len(identity.vertices) < FEWEST_VERTICES:

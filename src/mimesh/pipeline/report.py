@@ -12,7 +12,7 @@ from ..bodies.joint_names import finger_joints
 from ..core.errors import option
 from ..core.frame_buffer import LazyFrames, evenly_spread
 from ..core.geometry import edges, face_vectors
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, merged_mesh
 from ..core.normalization import Normalization
 
 MOST_FRAMES, MOST_POINTS = 32, 250_000
@@ -189,6 +189,7 @@ def quality(identity: Mesh, moved: LazyFrames) -> dict[str, float]:
     """Measure the worst edge stretch and share of flipped triangles over all frames; empty for a point cloud."""
     if len(identity.faces) == 0:
         return {}
+    identity, moved = merged_mesh(identity, moved.group), moved.distinct
     pairs = edges(identity.faces)
     lengths = edge_lengths(identity.vertices, pairs)
     before = against_neighbours(identity.faces, identity.vertices)
@@ -275,7 +276,7 @@ def accelerations(driving: Clip, moved: LazyFrames) -> dict[str, dict[str, float
     """
     if len(moved) < 3:
         return {}
-    clips = {"result": moved, "driving": LazyFrames.stored(driving.vertices)}
+    clips = {"result": moved.distinct, "driving": LazyFrames.stored(driving.vertices)}
     return {"acceleration": {name: acceleration(frames, driving.fps) for name, frames in clips.items()}}
 
 

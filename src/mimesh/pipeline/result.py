@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import AnimatedRig
 from ..core.arguments import public
 from ..core.errors import InputError
 from ..core.frame_buffer import LazyFrames, Progress
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, merged_mesh, same_colors
 from ..io import refuse_vrm, save_clip, save_mesh, save_own_pose
 from ..io.atomic import scratch_folder, written
 from ..io.formats import JOINTED
@@ -58,8 +58,11 @@ class _Playable(Protocol):
     identity: Mesh | None
     skeleton: AnimatedRig | None
 
-    def _every(self, step: int) -> Clip:
-        """Return every `step`-th frame of the result as a clip; a pose is a clip of one frame."""
+    def _distinct(self) -> tuple[LazyFrames, Int[np.ndarray, " V"] | None]:
+        """Return the frames of the result, each position that vertices share once, and the number of each vertex's.
+
+        Without such numbers (None) the frames are those of all vertices.
+        """
         ...
 
     @property
@@ -107,9 +110,13 @@ class _Playable(Protocol):
             return Panel(name, clip, up=axes["up"], front=axes["front"])
 
         step = 1 if most is None else -(-len(driving) // most)
-        result = panel("result", self._every(step), self.report["identity"])
+        frames, group = self._distinct()
+        shown = merged_mesh(identity, group)
+        moved = dataclasses.replace(shown, vertices=frames.first())  # the page makes normals of its own
+        result = Clip(moved, frames.every(step), driving.fps / step)
+        result = panel("result", result, self.report["identity"])
         return [
-            panel("identity", Clip.still(identity), self.report["identity"]),
+            panel("identity", Clip.still(shown), self.report["identity"]),
             panel("driving", driving, self.report["driving"]).with_every(step),
             dataclasses.replace(result, every=step, whole=len(driving)),
         ]
@@ -229,9 +236,10 @@ class Result(_Playable):
         """Vertices of the result, in the axes, unit and order of the identity."""
         return self.mesh.vertices
 
-    def _every(self, step: int) -> Clip:
-        """Return the result as a clip of one frame."""
-        return Clip.still(self.mesh)
+    def _distinct(self) -> tuple[LazyFrames, Int[np.ndarray, " V"] | None]:
+        """Return the vertices as a frame, each position once, and the number of the position of each vertex."""
+        group = None if self.skeleton is None else same_colors(self.mesh, self.skeleton.group)
+        return LazyFrames.stored(merged_mesh(self.mesh, group).vertices[None]), group
 
     @property
     def driving_clip(self) -> Clip | None:
@@ -308,11 +316,12 @@ class ClipResult(_Playable):
     @cached_property
     def clip(self) -> Clip:
         """The identity in all frames: `clip.vertices` is (T, V, 3). It is made when it is first asked for, and kept."""
-        return self._every(1)
+        return Clip(self.mesh, self.frames.every(1), self.fps)
 
-    def _every(self, step: int, progress: Progress | None = None) -> Clip:
-        """Make every `step`-th frame of the result, as a clip that takes as long."""
-        return Clip(self.mesh, self.frames.every(step, progress), self.fps / step)
+    def _distinct(self) -> tuple[LazyFrames, Int[np.ndarray, " V"] | None]:
+        """Return the frames, each position that vertices share once, and the number of the position of each vertex."""
+        group = same_colors(self.mesh, self.frames.group)
+        return (self.frames if group is None else self.frames.distinct), group
 
     @property
     def driving_clip(self) -> Clip | None:
@@ -349,7 +358,7 @@ class ClipResult(_Playable):
         if Path(path).suffix.lower() == ".vrma":
             return self.save_skinned(path)
         with self.seconds.step("write"):
-            clip = self.__dict__.get("clip") or self._every(1, progress)
+            clip = self.__dict__.get("clip") or Clip(self.mesh, self.frames.every(1, progress), self.fps)
             deviation = write_clip(clip, Path(path), blendshapes=blendshapes, progress=progress)
         if deviation is not None:
             self.report["blendshapes_deviation"] = deviation

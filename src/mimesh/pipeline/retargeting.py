@@ -19,7 +19,8 @@ from ..rigs.retarget import Retarget
 from .capturing import CapturedClip
 from .joint_route import FoundCharacter, FoundMotion, JointRoute
 from .look import KINDS, normalised
-from .placed import surface_motion
+from .parts import PartRoute
+from .placed import surface_motion, with_up
 from .result import ClipResult, Timer
 from .rigging import RiggedMesh
 
@@ -63,17 +64,20 @@ def retarget(
             f"{captured.name}, {rigged.mesh.name}: expected two people or two four-legged animals, found "
             f"{KINDS[captured.body]} and {KINDS[rigged.body]}; give another of the two"
         )
-    follow = _follow(mine, theirs, rigged.mesh)
+    mesh = rigged.mesh if mine.part is None else mine.part.mesh
+    follow = _follow(mine, theirs, mesh)
     norms, rigs = (mine.norm, theirs.norm), dataclasses.replace(mine.rigs, driving=theirs.rigs.driving)
-    rest = normalised(rigged.mesh, mine.norm)
-    route = JointRoute(rigged.mesh, theirs.clip, norms, rest, rigs=rigs, mime=theirs.network, retarget=follow)
+    rest = normalised(mesh, mine.norm)
+    identity = with_up(mesh, mine.norm)
+    route = JointRoute(identity, theirs.clip, norms, rest, rigs=rigs, mime=theirs.network, retarget=follow)
     motion = dataclasses.replace(motion, smooth=math.hypot(motion.smooth, theirs.smooth))  # two Gaussian filters
     timer = Timer()
-    moved = route.play(timer, motion, progress, np.float32)
+    way = route if mine.part is None else PartRoute(route, mine.part, None)
+    moved = way.play(timer, motion, progress, np.float32)
     for which, report in (("identity", rigged.report), ("driving", captured.report)):
         moved.report[which]["up_from"] = report["up_from"]
     notes = captured.notes + moved.notes
-    return moved.clip_result(rigged.mesh, theirs.clip, theirs.network.name, timer, notes)
+    return moved.clip_result(way.identity, theirs.clip, theirs.network.name, timer, notes)
 
 
 def _follow(mine: FoundCharacter, theirs: FoundMotion, mesh: Mesh) -> Retarget:

@@ -35,7 +35,8 @@ from .file_rigs import read_rigs
 from .joint_route import FoundCharacter, find_character, found_alone
 from .known import Known
 from .look import Look, normalised
-from .placed import check_identity
+from .parts import find_part
+from .placed import check_identity, with_up
 from .read import read_mesh
 from .report import RigReport, facing, facing_note, fingered_hands
 from .result import Timer
@@ -189,6 +190,9 @@ def rig(
 
 def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -> RiggedMesh:
     """Look at a mesh and find its joints, and those of its fingers if these are wanted."""
+    whole, part = mesh, find_part(mesh, known.parts[0])
+    if part is not None:
+        mesh, known = part.mesh, dataclasses.replace(known, corrections=known.corrections.of_part(None))
     rigs = read_rigs(mesh, Clip.still(mesh), known)
     subject = rigs.subjects(mesh, mesh, known.axes)[0]
 
@@ -207,20 +211,22 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
     elif character.confidence is not None:
         report |= character.confidence.facts()
         notes = character.confidence.notes(mesh.name) + notes
-    notes += missing_images_notes(missing_images(mesh))
+    notes += missing_images_notes(missing_images(mesh)) + (() if part is None else part.notes)
     source = "file" if rigs.humanoid is not None else "corrected" if known.corrections.given else "found"
     skeleton = _at_rest(mesh, character, norm)
     if rigs.humanoid is not None:
-        skeleton = dataclasses.replace(skeleton, mesh=mesh.with_vertices(rigs.humanoid.character.mesh.vertices))
+        skeleton = dataclasses.replace(
+            skeleton, mesh=skeleton.mesh.with_vertices(rigs.humanoid.character.mesh.vertices)
+        )
     return RiggedMesh(
-        mesh,
-        skeleton,
+        whole,
+        skeleton if part is None else part.rig(skeleton),
         seen.body,
         source,
         cast(RigReport, report | {"fingers": fingered_hands(character.roles)}),
         timer,
         notes,
-        FoundCharacter(character, plain, norm, rigs),
+        FoundCharacter(character, plain, norm, rigs, part),
     )
 
 
@@ -228,5 +234,12 @@ def _at_rest(mesh: Mesh, character: Character, norm: Normalization) -> AnimatedR
     """Return the rig of a character at rest, in the axes, unit and position of its file."""
     rig = character.rig_of_file(norm)
     return AnimatedRig(
-        mesh, character.joints, character.parents, rig, rig.rotation[None], rig.joints[:1], character.roles
+        with_up(mesh, norm),
+        character.joints,
+        character.parents,
+        rig,
+        rig.rotation[None],
+        rig.joints[:1],
+        character.roles,
+        group=character.shared,
     )

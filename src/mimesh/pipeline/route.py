@@ -7,6 +7,7 @@ that moves vertices.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING, TypeAlias
 
 from ..core.errors import InputError, option
@@ -19,6 +20,7 @@ from .file_rigs import Rigs, read_rigs
 from .joint_route import JointRoute, joint_route
 from .known import Known
 from .look import OTHER, finds_joints, looks_like
+from .parts import PartRoute, find_part
 from .placed import check_identity, first_frame
 
 if TYPE_CHECKING:
@@ -36,15 +38,26 @@ Model: TypeAlias = "Mime | NamedMethod | Method"
 
 def find_route(
     identity: Mesh, clip: Clip, model: Model, known: Known, options: MotionOptions, live: bool = False
-) -> Route:
+) -> Route | PartRoute:
     """Choose the way to move a mesh, and do all work that is done once, without refinement.
 
     Args:
         live: frames come later, one by one, and are vertices alone.
 
     Raises:
-        InputError: an axis, the model, its options or the corrections cannot be used.
+        InputError: an axis, a part, the model, its options or the corrections cannot be used.
     """
+    mine, theirs = find_part(identity, known.parts[0]), find_part(clip.mesh, known.parts[1], "driving_part")
+    if mine is None and theirs is None:
+        return _route(identity, clip, model, known, options, live)
+    corrections = known.corrections.of_part(None if theirs is None else theirs.index)
+    identity, clip = identity if mine is None else mine.mesh, clip if theirs is None else theirs.clip(clip)
+    known = dataclasses.replace(known, corrections=corrections)
+    return PartRoute(_route(identity, clip, model, known, options, live), mine, theirs)
+
+
+def _route(identity: Mesh, clip: Clip, model: Model, known: Known, options: MotionOptions, live: bool) -> Route:
+    """Choose the way to move a mesh that is no part of another."""
     check_identity(identity)
     if known.body == OTHER and known.corrections.given:
         raise InputError(

@@ -312,7 +312,7 @@ def _with_all_fingers(skeletons: Sequence[AnimatedRig]) -> tuple[tuple[str, ...]
 
 def _spread_weights(skeleton: AnimatedRig, names: tuple[str, ...]) -> np.ndarray:
     """Return a motion's weights with a column for each of the names, which include its joints."""
-    weights = np.zeros((len(skeleton.mesh.vertices), len(names)))
+    weights = np.zeros((len(skeleton.rig.weights), len(names)))
     weights[:, [names.index(name) for name in skeleton.names]] = skeleton.rig.weights
     return weights
 

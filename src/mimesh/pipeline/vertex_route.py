@@ -21,7 +21,7 @@ from .file_rigs import NO_RIGS, Rigs
 from .known import Known
 from .look import check_known_body, normalised, trained_on_people, turned_as_animal
 from .marked_mesh import MarkedFrame
-from .placed import Moved, Placed, first_frame, keyframes_of, surface_report
+from .placed import Moved, Placed, first_frame, keyframes_of, surface_report, with_up
 from .refine import Refinement
 from .report import MeshReport, TransferReport, facing
 from .result import Timer
@@ -164,4 +164,5 @@ def _prepared(
         method = method.with_sizes((identity.name, norms[0].radius), (clip.mesh.name, norms[1].radius))
     rest = normalised(identity, norms[0])
     drive = method.prepare(rest, keyframes_of(clip, norms[1]))
+    identity = identity if norms[0].unsure else with_up(identity, norms[0])
     return VertexRoute(identity, clip, norms, rest, None, rigs, notes, method=method, drive=drive)

@@ -95,8 +95,9 @@ def _upright(skeleton: AnimatedRig, turn: Float[np.ndarray, "3 3"]) -> AnimatedR
     mesh, rig = skeleton.mesh, skeleton.rig
     metres = stage_axes(mesh)[1]
     moved = mesh.with_vertices(metres * (mesh.vertices @ turn.T))
+    moved = replace(moved, up="+y")
     if not isinstance(mesh.source, GltfSource):
-        moved = replace(moved, source=None)  # which would say that the file has other axes and another unit
+        moved = replace(moved, source=None)  # which would say that the file has another unit
     new = Rig(turn @ rig.rotation, metres * (rig.joints @ turn.T), rig.weights)
     return replace(skeleton, mesh=moved, rig=new, rotation=new.rotation[None], root=new.joints[:1])
 

@@ -106,7 +106,7 @@ def _found_bone_motion(
     joints = check_joints(index, path)
     chosen = [index[joint] for joint in joints]
     rest = skeleton.rig.joints[chosen] @ turn.T
-    floor = float((skeleton.mesh.vertices @ turn.T)[:, 1].min())
+    floor = float((skeleton.points @ turn.T)[:, 1].min())
     straight = straight_hands(skeleton.names, names_above(skeleton.names, skeleton.parents))[chosen]
     frames, rotation = turn @ skeleton.rig.rotation[chosen], turn @ skeleton.rotation[:, chosen] @ straight
     return since_t_pose(name, joints, rest, frames, rotation, skeleton.root @ turn.T, floor, fps)

@@ -108,14 +108,17 @@ class Character:
         )
 
     @property
-    def vertex_rig(self) -> Rig:
-        """The rig with the weights of all vertices of the mesh."""
-        return replace(self.rig, weights=self.rig.weights.take(self.group, axis=0))
+    def shared(self) -> Int[np.ndarray, " V"] | None:
+        """`group`, where vertices share positions; None where none do."""
+        return None if len(self.points) == len(self.group) else self.group
 
     def rig_of_file(self, norm: Normalization) -> Rig:
-        """Return `vertex_rig` in the axes, unit and position of the file; `norm` is that of the character."""
-        rig = self.vertex_rig
-        return replace(rig, rotation=norm.rotation.T @ rig.rotation, joints=norm.undo(rig.joints))
+        """Return the rig in the axes, unit and position of the file; `norm` is that of the character.
+
+        It has the weights of all vertices of the mesh, or of `points` where vertices have `shared` positions.
+        """
+        weights = self.rig.weights if self.shared is not None else self.rig.weights.take(self.group, axis=0)
+        return Rig(norm.rotation.T @ self.rig.rotation, norm.undo(self.rig.joints), weights)
 
     def limited(self, influences: int) -> Character:
         """Keep only the largest weights of each vertex, as files of skinned meshes do."""
@@ -125,6 +128,12 @@ class Character:
     def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
         """Return the vertices for world rotations of the joints and a position of the root joint."""
         return self._posing.posed(rotation, root)
+
+    def posed_points(
+        self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]
+    ) -> Float[np.ndarray, "W 3"]:
+        """Return what `posed` does, each of the distinct positions once."""
+        return self.skinned.posed(rotation, root)
 
     @cached_property
     def _posing(self) -> SkinnedMesh:

@@ -173,7 +173,7 @@ def _write_rig(order: Order, item: Item, options: Options, target: Path, progres
     progress(1, 2)
     made_by = {"author": order.author, "license": order.license}
     rigged.save(path, names=layout.names, root_bone=layout.root_bone, rest=layout.rest, **made_by)
-    return [*rigged.notes, *not_kept(rigged.mesh, path), *metres_note(rigged.mesh, path)]
+    return [*rigged.notes, *not_kept(rigged.skeleton.mesh, path), *metres_note(rigged.mesh, path)]
 
 
 def _write_motion(order: Order, driving: Item, options: Options, target: Path, progress: Progress) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from ..core.options import Hints, MotionOptions, values_of
 from ..methods.base import Method
 from ..mime.model import Mime
 from ..pipeline.node_route import NodeRoute
+from ..pipeline.parts import PartRoute
 from ..pipeline.result import ClipResult
 from ..pipeline.route import Route
 from ..pipeline.vertex_route import VertexRoute
@@ -140,7 +141,7 @@ class Preparation:
     """See `Options`."""
     refine: bool | None
     """Option `refine`; False as it is prepared first."""
-    route: Route
+    route: Route | PartRoute
 
     def serves(self, inputs: tuple, motion_changes: tuple[bool, bool]) -> bool:
         """Whether it is the same with other inputs and options.
@@ -148,8 +149,9 @@ class Preparation:
         A model that was chosen where an animation could be copied is chosen with changed motion, too. Other ways to
         move a mesh do not have all options, and refuse those that they lack.
         """
-        by_reference = isinstance(self.route, VertexRoute) and self.route.reference is not None
-        chosen = not any(self.motion_changes) and not isinstance(self.route, NodeRoute) and not by_reference
+        route = self.route.route if isinstance(self.route, PartRoute) else self.route
+        by_reference = isinstance(route, VertexRoute) and route.reference is not None
+        chosen = not any(self.motion_changes) and not isinstance(route, NodeRoute) and not by_reference
         return self.inputs == inputs and (self.motion_changes == motion_changes or chosen)
 
 

@@ -32,6 +32,7 @@ from ..pipeline.capturing import CapturedClip, capture
 from ..pipeline.corrections import Corrections, correctable_joints, shown_bones
 from ..pipeline.known import Known
 from ..pipeline.look import OTHER
+from ..pipeline.parts import PartRoute
 from ..pipeline.read import driving_axes
 from ..pipeline.report import facing
 from ..pipeline.result import ClipResult, Timer
@@ -82,7 +83,7 @@ def animations(content: Mesh | Clip) -> tuple[str, ...]:
     return tuple(getattr(mesh.source, "animations", ()))
 
 
-def prepare_inputs(identity: Item, driving: Item, options: Options) -> Route:
+def prepare_inputs(identity: Item, driving: Item, options: Options) -> Route | PartRoute:
     """Choose the way to move an identity by a driving clip, which have been read, without refinement."""
     assert isinstance(identity.content, Mesh)
     assert isinstance(driving.content, Clip)
@@ -93,7 +94,9 @@ def prepare_inputs(identity: Item, driving: Item, options: Options) -> Route:
     return find_route(identity.content, driving.content, model, known, options.motion(model))
 
 
-def compute_result(route: Route, identity: Mesh, clip: Clip, options: Options, progress: Progress) -> ClipResult:
+def compute_result(
+    route: Route | PartRoute, identity: Mesh, clip: Clip, options: Options, progress: Progress
+) -> ClipResult:
     """Compute the whole clip, as `pipeline.animate` does, or the one pose, as `pipeline.transfer` does."""
     seconds, model = Timer(), find_model(options.model)
     dtype = np.float64 if len(clip) == 1 else np.float32
@@ -101,7 +104,7 @@ def compute_result(route: Route, identity: Mesh, clip: Clip, options: Options, p
     # The page shows all frames: they are made here, where they can be stopped.
     frames = LazyFrames.stored(moved.frames.every(1, lambda done, total: progress(total + done, 2 * total)))
     return ClipResult(
-        identity.with_vertices(frames.first()),
+        route.identity.with_vertices(frames.first()),
         frames,
         clip.fps,
         model.name,
@@ -207,7 +210,7 @@ def applicable_corrections(model: Mime | Method, identity: Item, driving: Item) 
     return Corrections.read(identity.corrections, driving.corrections, driving.content)
 
 
-def describe_joints(route: Route, identity: Item, driving: Item) -> dict[str, Any]:
+def describe_joints(route: Route | PartRoute, identity: Item, driving: Item) -> dict[str, Any]:
     """Return the joints found on both meshes as JSON values; empty if the model has none."""
     frame = 0 if driving.corrections is None else driving.corrections.frame
     found = route.joints(frame)

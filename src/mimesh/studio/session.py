@@ -22,6 +22,7 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import parse_axis
+from ..pipeline.parts import PartRoute
 from ..pipeline.result import ClipResult
 from ..pipeline.route import Route
 from . import operations
@@ -344,7 +345,7 @@ class Session:
             outcome.progress = progress
             self.changed()
 
-    def _prepare(self, item: Item) -> tuple[Route, Clip]:
+    def _prepare(self, item: Item) -> tuple[Route | PartRoute, Clip]:
         """Return a mesh and the driving clip as the model prepared them, from the cache if the inputs are the same.
 
         Preparation (fitting, normalization) takes most of the time to the first pose and hardly depends on the motion

@@ -12,19 +12,21 @@ import numpy as np
 
 from ..bodies.joint_names import ancestors
 from ..core.errors import InputError, option
-from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh, RewritableSource, check_cut, cut_clip, spread_clip
+from ..core.frame_buffer import PosedFrames, Progress
+from ..core.mesh import Clip, Mesh, RewritableSource, check_cut, cut_clip, spread_clip, stored_clip
+from ..core.normalization import clear_up, parse_axis
 from ..core.options import ConvertOptions
 from ..io import (
     check_writable,
     clip_suffixes,
     list_animations,
-    load_clip,
     load_driving,
     load_mesh,
     load_recorded_clip,
-    save_as_fbx,
     save_mesh,
+    save_own_animations,
+    save_skinned,
+    save_whole,
 )
 from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
@@ -39,6 +41,8 @@ ALL = "all"
 """Value of `--animation` for all animations of a file."""
 BONES_ONLY = ".vrma"
 """Format that holds the motion of bones and no mesh."""
+Y_UP = (*JOINTED, ".abc")
+"""Formats that have y up, by their specification or by custom, whatever axes a mesh has."""
 RATELESS = (".hdf5", ".npy", ".pc2")
 """Formats whose files have no frame rate, like folders of frames."""
 LARGE = 256 * 2**20
@@ -74,7 +78,8 @@ def convert(
 
     A clip is written as a clip if the format allows; in a format of one mesh it becomes the mesh at rest, or a chosen
     `frame`. In the source's own format all contents of the file are kept, except that of a `frame` only points are.
-    From glTF to .fbx joints and all animations are kept, unless frames, a rate or an animation are chosen.
+    From any of .glb, .gltf, .fbx and .vrm to another bones, morph targets and animations are kept, too; captures of
+    joints get the shipped body with its bones. Only `morphs` and `blendshapes` make morph targets of frames.
 
     Args:
         source: a file or a folder of frames.
@@ -99,14 +104,22 @@ def convert(
         raise InputError(f"{target}: expected a folder with --frames-as, found '{target.suffix}'; leave it out")
     given = _check_options(options, target, holds_clip)
     check_writable(target)
-    if suffix == ".fbx" and source.suffix.lower() in JOINTED and not given:
-        return _whole_as_fbx(source, target)
+    if keeps_bones(source, target, options):
+        kept = _with_bones(source, target, options, given)
+        if kept is not None:
+            return kept
+    if suffix == ".vrm":
+        raise InputError(
+            f"{target}: expected a person with bones, an author and a licence for {suffix}, found none of them; write "
+            f"it with mimesh rig {source.name} -o {target.name} --author NAME --license URL"
+        )
     # From mesh to mesh nothing is loaded as a clip, so that the file's own format can keep all its contents.
     has_rest = source.is_file() and source.suffix.lower() not in FRAMES_ONLY and options.body_model is None
     if options.frame is None and not holds_clip and has_rest:
         _refuse_options(target, given, f"{suffix} files hold one mesh, at rest", " or choose a --frame")
-        mesh = load_mesh(source)
-        return _write_mesh(mesh, target, notes=_at_rest_note(mesh, source, target))
+        mesh = _with_up(load_mesh(source), options.up, target)
+        notes = _at_rest_note(mesh, source, target) + _bones_note(mesh, source, target)
+        return _write_mesh(mesh, target, notes=notes)
     # Reading and writing are half of the progress each.
     chosen = options.slice if options.frame is None else slice(None)
     shape = None
@@ -117,14 +130,54 @@ def convert(
     read = options.body_model, options.fps, options.animation, part(progress, 0, 2), chosen, options.frames, shape
     clip, notes = read_clip(source, *read)
     clip = clip if options.frame is None else _single_frame(clip, options.frame, source)
+    clip = dataclasses.replace(clip, mesh=_with_up(clip.mesh, options.up, target))
+    if suffix in JOINTED and isinstance(clip.vertices, PosedFrames) and not frames_are_asked(options):
+        from ..motions.on_body import played_rig
+
+        save_skinned(played_rig(clip), clip.fps, target)
+        notes += (f"{target.name} is mimesh's own body on the bones of the motion; --morphs writes its surface alone",)
+        return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
     if (len(clip) == 1 and suffix in MESH_WRITERS) or not holds_clip:
         return _write_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip), notes)
+    clip = stored_clip(clip)
     deviation = write_clip(clip, target, frames_as, options.blendshapes, part(progress, 1, 2))
-    notes += not_kept(clip.mesh, target) + rate_note(clip.fps, target) + blend_note(deviation)
+    notes += (
+        _bones_note(clip.mesh, source, target)
+        + not_kept(clip.mesh, target)
+        + _lying_note(clip.mesh, target)
+        + rate_note(clip.fps, target)
+        + blend_note(deviation)
+    )
     if options.frame is None and options.animation is None:
         notes += animations_note(list_animations(source), source)
     notes += missing_images_notes(missing_images(clip.mesh))
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
+
+
+def _with_up(mesh: Mesh, up: str | None, target: Path) -> Mesh:
+    """Name the up axis of a mesh whose file defines none.
+
+    Raises:
+        InputError: the file defines it, or the format of the target has none.
+    """
+    given = parse_axis(up, option("up"))
+    if given is None:
+        return mesh
+    if mesh.up is not None:
+        raise InputError(f"{mesh.name}: expected a file without an up axis for {option('up', given)}, found {mesh.up}")
+    if target.suffix.lower() not in Y_UP:
+        raise InputError(f"{target}: expected one of {' '.join(Y_UP)} for {option('up', given)}, which have y up")
+    return dataclasses.replace(mesh, up=given)
+
+
+def _lying_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
+    """Return a note that a figure lies in a format with y up, as far as its shape tells."""
+    if mesh.up is not None or path.suffix.lower() not in Y_UP or not len(mesh.faces):
+        return ()
+    up = clear_up(mesh)
+    if up in (None, "+y"):
+        return ()
+    return (f"{path.name} has y up, its shape looks like up {up}: {option('up', up)} turns it",)
 
 
 def _check_options(options: ConvertOptions, target: Path, holds_clip: bool) -> list[str]:
@@ -135,7 +188,11 @@ def _check_options(options: ConvertOptions, target: Path, holds_clip: bool) -> l
         cut.append("--frames")
     if options.betas is not None and options.body_model is None:
         raise InputError(f"--betas {options.betas}: expected it with --body-model, found it without; name the model")
-    shapes = ["--blendshapes"] * (options.blendshapes is not None)
+    shapes = ["--blendshapes"] * (options.blendshapes is not None) + ["--morphs"] * options.morphs
+    if options.morphs:
+        if target.suffix.lower() not in (".glb", ".gltf"):
+            raise InputError(f"{target}: expected .glb or .gltf for --morphs, found '{target.suffix}'; leave it out")
+        _refuse_options(target, shapes[:-1], "--morphs writes one a frame")
     if options.frame is not None:
         _refuse_options(target, cut + shapes, "--frame takes one frame")
     elif not holds_clip:
@@ -164,7 +221,7 @@ def read_clip(
         InputError: a file cannot be read, or no frame is left.
     """
     if body_model is None:
-        clip = load_clip(path, fps=fps, animation=animation, progress=progress, frames=frames)
+        clip = load_driving(path, fps=fps, animation=animation, progress=progress, frames=frames)
         return clip if count is None else spread_clip(clip, count), clip.notes
     chosen = {"count": count, "betas": betas}
     clip, notes = load_recorded_clip(path, body_model, fps=fps, animation=animation, progress=progress, **chosen)
@@ -283,14 +340,60 @@ def read_driving(
     return (clip if early or whole else cut_clip(clip, frames.start, frames.stop, frames.step)), notes
 
 
-def _whole_as_fbx(source: Path, target: Path) -> Converted:
-    """Write a glTF file as .fbx with its skins, blend shapes and all its animations."""
+def frames_are_asked(options: ConvertOptions) -> bool:
+    """Tell whether surfaces are to be written instead of bones: morph targets, a pose, a recorded person."""
+    given = options.blendshapes, options.frame, options.body_model
+    return options.morphs or any(value is not None for value in given)
+
+
+def keeps_bones(source: Path, target: Path, options: ConvertOptions) -> bool:
+    """Tell whether both files may have bones, and these are to be kept. A .vrm has more than bones: it stays one."""
+    suffix, of_source = target.suffix.lower(), source.suffix.lower()
+    both = of_source in JOINTED and suffix in JOINTED and (suffix != ".vrm" or of_source == suffix)
+    return both and options.up is None and not frames_are_asked(options)
+
+
+def _with_bones(source: Path, target: Path, options: ConvertOptions, given: list[str]) -> Converted | None:
+    """Write a file with bones as another one, with all its contents, or with chosen frames of one animation.
+
+    None where there are no frames to choose, because the file does not move.
+    """
     mesh = load_mesh(source)
-    save_as_fbx(source, target)
-    names = getattr(mesh.source, "animations", ())
-    notes = (f"{target.name} has the animations {', '.join(names)}",) if len(names) > 1 else ()
-    notes += missing_images_notes(missing_images(mesh))
-    return Converted(len(mesh.vertices), 1, None, notes)
+    names, count = getattr(mesh.source, "animations", ()), len(mesh.vertices)
+    notes = missing_images_notes(missing_images(mesh))
+    if not names and given:
+        return None
+    if set(given) <= {"--animation"} or mesh.source is None:  # without a source it is a motion of joints alone
+        _refuse_options(target, given if mesh.source is None else [], "joints without a mesh are written as they are")
+        save_whole(source, target, options.animation)
+        kept = f"{target.name} has the animations {', '.join(names)}"
+        return Converted(count, 1, None, notes + ((kept,) if len(names) > 1 and options.animation is None else ()))
+    from ..io.gltf.own_animation import cut_animation
+
+    cut = cut_animation(mesh.source, options.animation, options.fps, options.slice, options.frames)
+    save_own_animations([cut], target)
+    notes += animations_note(names, source) if options.animation is None else ()
+    return Converted(count, cut.frames, cut.fps, notes)
+
+
+def _bones_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
+    """Return a note on bones, animations and GPU instances of a glTF or FBX file that another format leaves out."""
+    document = getattr(mesh.source, "document", None)
+    if document is None:
+        return ()
+    skins, animations = (len(document.gltf.get(key, [])) for key in ("skins", "animations"))
+    instanced = sum("EXT_mesh_gpu_instancing" in node.get("extensions", {}) for node in document.gltf.get("nodes", []))
+    lost = ["bones" + " and their animations" * bool(animations)] * bool(skins)
+    lost += [f"the GPU instances of {instanced} nodes"] * bool(instanced)
+    if not lost:
+        return ()
+    if target.suffix.lower() in JOINTED:
+        keeps = "without options for frames they are kept"
+    else:
+        kept = target.with_suffix(".glb").name
+        keeps = f"mimesh convert {source.name} {kept} keeps them"
+        keeps += f", mimesh capture {source.name} writes the motion of bones" * bool(skins and animations)
+    return (f"left out of {target.name}: {' and '.join(lost)}; {keeps}",)
 
 
 def _single_frame(clip: Clip, frame: int, source: Path) -> Clip:
@@ -345,10 +448,11 @@ def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[st
 
 
 def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
-    """Return a note on the attributes of a mesh that the format of a path does not keep."""
+    """Return notes on what the format of a path changes of a mesh: its axes, and attributes that it does not keep."""
     suffix = path.suffix.lower()
     if isinstance(mesh.source, RewritableSource) and mesh.source.suffix == suffix:
         return ()
+    turned = _turned_note(mesh, path)
     materials = {part.material for part in mesh.parts}
     is_image = len(materials) == 1 and any(material and material.texture for material in materials)
     has = {
@@ -364,8 +468,16 @@ def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
     lacks = FORMATS[suffix].lacks if suffix in FORMATS else ()  # movies and folders of frames are none
     missing = [name for name in lacks if has[name]]
     if not missing:
+        return turned
+    return (*turned, f"{suffix} files as written here hold no {' or '.join(missing)}: left out of {path.name}")
+
+
+def _turned_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
+    """Return a note that a mesh is written turned to y up; files that state their axes (USD) are no surprise."""
+    turned = mesh.up not in (None, "+y") and not hasattr(mesh.source, "up_axis")
+    if not turned or path.suffix.lower() not in Y_UP:
         return ()
-    return (f"{suffix} files as written here hold no {' or '.join(missing)}: left out of {path.name}",)
+    return (f"{mesh.name} has up {mesh.up}: {path.name} is turned to +y, which its format has up",)
 
 
 def posed_vrm_note(path: Path) -> tuple[str, ...]:
@@ -473,7 +585,7 @@ def taken_pose_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
 def _write_mesh(mesh: Mesh, target: Path, frames: int = 1, notes: tuple[str, ...] = ()) -> Converted:
     """Write one mesh, the first of so many frames."""
     save_mesh(mesh, target)
-    notes += not_kept(mesh, target)
+    notes += not_kept(mesh, target) + _lying_note(mesh, target)
     if frames > 1:
         notes += (f"{target.suffix} files hold one mesh: {target.name} is the first of {frames} frames",)
     if mesh.source is None or mesh.source.suffix == target.suffix.lower():

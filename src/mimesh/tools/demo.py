@@ -19,7 +19,7 @@ from ..motions import DEMO, load_motion, motion_clip
 from ..motions.animal_clips import gait_clip
 from ..pipeline import animate
 from ..view.sheet import DRIVING_TINT, page, stack, strip
-from .preview import save_picture, still
+from .preview import save_picture, still, written_beside
 
 MOTION = DEMO
 """Name of a shipped motion."""
@@ -50,8 +50,9 @@ def run_demo(folder: Path, progress: Progress | None = None, body: str = "human"
         save_mesh(_frame(driving, len(driving) // 2), files["driving.obj"])
         save_clip(driving, files["driving.glb"])
         result.save(files["result.glb"])
-        picture = draw(identity, driving, result.clip, folder / "preview.png")
-        page = result.player(folder / "player.html", output=files["result.glb"], title="mimesh demo")
+    picture, page = folder / "preview.png", folder / "player.html"
+    pictures, no_picture = written_beside(picture, lambda: draw(identity, driving, result.clip, picture))
+    pages, no_page = written_beside(page, lambda: result.player(page, output=files["result.glb"], title="mimesh demo"))
     return {
         "output": str(files["result.glb"]),
         "motion": driving.mesh.name,
@@ -61,8 +62,9 @@ def run_demo(folder: Path, progress: Progress | None = None, body: str = "human"
         "fps": result.fps,
         "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
         "report": result.report,
-        "files": [str(path) for path in (*files.values(), picture, page)],
-        "player": str(page),
+        "notes": [*no_picture, *no_page],
+        "files": [str(path) for path in (*files.values(), *pictures, *pages)],
+        "player": str(page) if pages else None,
     }
 
 

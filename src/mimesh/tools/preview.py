@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from ..core.errors import InputError
 from ..core.frame_buffer import evenly_spread
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, merged_mesh, same_colors
 from ..core.printable import file_name
 from ..core.surface_clusters import clustered_mesh
 from ..io.atomic import whole_file, writing
@@ -40,14 +43,33 @@ DRAWN = 300_000
 
 def write_preview(
     result: Result | ClipResult, output: Path, clip: str | None = None, usual: str = ".glb"
-) -> tuple[Path, Path]:
-    """Write OUTPUT.preview.png and OUTPUT.preview.html, the page that plays the result; return their paths.
+) -> tuple[tuple[Path, ...], tuple[Path, ...], tuple[str, ...]]:
+    """Write OUTPUT.preview.png and OUTPUT.preview.html, the page that plays the result.
 
     `clip` is the name of the result's animation where the output has several; for `usual` see `names_beside`.
+
+    Returns:
+        The pictures and the pages that were written, one each, and a note on each that could not be.
     """
     picture, page = names_beside(output, clip, usual)
-    save_picture(result_picture(result), picture)
-    return picture, result.player(page, output=output, motion=MOTION)
+    pictures, no_picture = written_beside(picture, lambda: save_picture(result_picture(result), picture))
+    pages, no_page = written_beside(page, lambda: result.player(page, output=output, motion=MOTION))
+    return pictures, pages, no_picture + no_page
+
+
+def written_beside(path: Path, write: Callable[[], object]) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """Write a picture or a page beside a result that is there already; return its path, or a note that it failed.
+
+    Whatever fails, even in a library that draws, must not cost the result.
+    """
+    try:
+        write()
+    except Exception as error:
+        logging.getLogger(__package__).debug("%s", path, exc_info=True)
+        found = error if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        line = " ".join(str(found).split())
+        return (), (f"{path.name} was not written ({line}); the result is complete",)
+    return (path,), ()
 
 
 def names_beside(output: Path, clip: str | None = None, usual: str = ".glb") -> tuple[Path, Path]:
@@ -68,7 +90,9 @@ def result_picture(result: Result | ClipResult) -> Image.Image:
     if isinstance(result, ClipResult):
         assert result.driving is not None
         chosen = evenly_spread(len(result.frames), STRIP)
-        moved = Clip(result.mesh, np.stack(list(result.frames.at(chosen))), result.fps)
+        group = same_colors(result.mesh, result.frames.group)
+        frames = result.frames if group is None else result.frames.distinct
+        moved = Clip(merged_mesh(result.mesh, group), np.stack(list(frames.at(chosen))), result.fps)
         return stack(
             [
                 strip(result.driving, STRIP, STRIP_TILE, tint=DRIVING_TINT, **driving_axes),

@@ -130,9 +130,10 @@ def subset(
 ) -> tuple[Int[np.ndarray, " C"], Int[np.ndarray, "G 3"]]:
     """Choose about `count` vertices of a surface, sorted, and faces between them; of a point cloud every n-th point.
 
-    The surface is decimated, welded at its seams so that none opens. Decimation moves vertices, so each is replaced by
-    the nearest vertex there was, whose positions are known in all frames. It takes more than linear time, so surfaces
-    of more than DECIMATED times the number are reduced by clusters first.
+    The surface is decimated, welded at its seams so that none opens; where no more triangles are left than that many
+    positions have, it is welded alone. Decimation moves vertices, so each is replaced by the nearest vertex there was,
+    whose positions are known in all frames. It takes more than linear time, so surfaces of more than DECIMATED times
+    the number are reduced by clusters first.
     """
     import fast_simplification
     from scipy.spatial import KDTree
@@ -146,10 +147,13 @@ def subset(
     welded, index = weld(points)
     first = np.full(len(welded), len(points))
     np.minimum.at(first, index, np.arange(len(points)))
-    decimated = fast_simplification.simplify(welded, index[faces].astype(np.int32), target_count=2 * count)
-    nearest = first[np.asarray(KDTree(welded).query(np.asarray(decimated[0]))[1])]
+    nearest, corners = first, index[faces]
+    if len(faces) > 2 * count:
+        decimated = fast_simplification.simplify(welded, corners.astype(np.int32), target_count=2 * count)
+        nearest = first[np.asarray(KDTree(welded).query(np.asarray(decimated[0]))[1])]
+        corners = np.asarray(decimated[1], np.int64)
     chosen, new_index = np.unique(nearest, return_inverse=True)
-    corners = new_index[np.asarray(decimated[1], np.int64)]
+    corners = new_index[corners]
     distinct = (corners != np.roll(corners, 1, axis=1)).all(axis=1)  # not collapsed to an edge or a point
     return kept[chosen], corners[distinct]
 

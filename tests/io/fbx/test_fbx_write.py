@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mimesh.core.errors import InputError
-from mimesh.io import load_clip, load_mesh, save_as_fbx, save_mesh
+from mimesh.io import load_clip, load_mesh, save_mesh, save_whole
 from mimesh.io.fbx import write
 from mimesh.io.fbx.write import GAP, find_blender, joined_animations
 from mimesh.io.gltf.animation import animation_names
@@ -115,12 +115,12 @@ def test_blender_that_does_not_end_is_stopped(monkeypatch, tmp_path):
     monkeypatch.setattr(write, "SECONDS", 0.5)
     monkeypatch.setattr(write, "SECONDS_PER_MIB", 0.0)
     with pytest.raises(InputError, match="in 0 s, found it still running"):
-        save_as_fbx(samples.hero().glb(tmp_path / "hero.glb"), tmp_path / "out.fbx")
+        save_whole(samples.hero().glb(tmp_path / "hero.glb"), tmp_path / "out.fbx")
 
 
 def test_all_animations_become_parts_of_one_and_the_first_frame_is_at_rest(copier, tmp_path):
     path = samples.hero().glb(tmp_path / "hero.glb")
-    save_as_fbx(path, tmp_path / "out.fbx")
+    save_whole(path, tmp_path / "out.fbx")
     job, document = copier(tmp_path / "out.fbx")
     names = animation_names(open_document(path))
     assert tuple(clip["name"] for clip in job["clips"]) == names
@@ -159,7 +159,7 @@ def test_file_without_animations_has_no_parts(tmp_path):
 
 def test_materials_and_images_are_listed_with_their_names(copier, tmp_path):
     sample = fbx_surfaces(tmp_path)
-    save_as_fbx(sample, tmp_path / "out.fbx")
+    save_whole(sample, tmp_path / "out.fbx")
     job, document = copier(tmp_path / "out.fbx")
     assert Path(job["fbx"]).name == "out.fbx"
     found = [(entry["name"], entry["color"], entry["alpha"], entry["image"]) for entry in job["materials"]]

@@ -115,10 +115,10 @@ def _axis_transform(mesh: Mesh, geometry, imath):
 
     The vertices below it keep their coordinates.
     """
-    z_up, unit = stage_axes(mesh)
+    (axis, angle), unit = stage_axes(mesh)
     sample = geometry.XformSample()
-    if z_up:
-        sample.setXRotation(-90.0)
+    if angle:
+        (sample.setXRotation if axis == "x" else sample.setZRotation)(angle)
     if unit != 1:
         sample.setScale(imath.V3d(unit, unit, unit))
     return sample

@@ -50,10 +50,13 @@ def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[PrimitiveGroup]
 def stage_transform(mesh: Mesh) -> dict[str, list[float]]:
     """Return the rotation and scale of a node that make a mesh y up and in metres (glTF 2.0, 3.4).
 
-    Only files that declare other axes or units (USD) need them. Vertices stay as they are, below the node.
+    Only meshes that are known to have other axes, and files with another unit (USD), need them. Vertices stay as they
+    are, below the node.
     """
-    z_up, unit = stage_axes(mesh)
-    rotation = {"rotation": [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]} if z_up else {}  # -90 degrees about x
+    (axis, angle), unit = stage_axes(mesh)
+    sine, cosine = np.sin(np.radians(angle / 2)), np.cos(np.radians(angle / 2))
+    quaternion = [sine * (axis == "x"), 0.0, sine * (axis == "z"), cosine]
+    rotation = {"rotation": [float(x) for x in quaternion]} if angle else {}
     return rotation | ({"scale": [unit] * 3} if unit != 1 else {})
 
 

@@ -26,7 +26,7 @@ from .animation import animation_names, document_details, fbx_facts
 from .check import ANIMATION_POINTER, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
 from .document import Document, uri_file_name, without_extensions
 from .draft import AccessorCopier, Draft
-from .read import RestScene, VertexRange, get_primitive, read_rest_normals, read_rest_positions
+from .read import TRIANGLES, RestScene, VertexRange, get_primitive, read_rest_normals, read_rest_positions
 from .scene import (
     normal_matrices,
     read_morph_delta,
@@ -112,14 +112,19 @@ class _Edit:
     copier: AccessorCopier
     keep_targets: bool
     """Whether morph targets of the source are written."""
+    skinned: bool
+    """Whether the mesh gets a skin, with which its node moves nothing."""
 
 
-def edit_document(source: GltfSource, mesh: Mesh, keep_targets: bool = True) -> tuple[Draft, list[PrimitiveGroup]]:
+def edit_document(
+    source: GltfSource, mesh: Mesh, keep_targets: bool = True, skinned: bool = False
+) -> tuple[Draft, list[PrimitiveGroup]]:
     """Return the source's document with the vertices of `mesh`, and the primitives that show them.
 
     A mesh that several nodes show becomes one for each, because their vertices may now differ. The vertices are written
     in the frame of their node. Where float32 numbers in that frame are too coarse (a flattened node, or a skinned one
-    far from the origin), the mesh moves to a new node at the root of the scene, and the old node stays without it.
+    far from the origin), the mesh moves to a new node at the root of the scene, and the old node stays without it. So
+    do meshes that get a skin from nodes that mirror them: what a skin moves is not mirrored by its node.
 
     Raises:
         ValueError: `mesh` does not have the vertices and faces of the source.
@@ -139,7 +144,7 @@ def edit_document(source: GltfSource, mesh: Mesh, keep_targets: bool = True) -> 
             meshes[index] = {**entry, "primitives": [_copy_primitive(copier, p) for p in entry["primitives"]]}
     copier.draft.gltf["meshes"] = meshes
     rotations = _surface_rotations(source, mesh, mesh_of_node)
-    edit = _Edit(source.document, source.rest, with_normals(mesh), rotations, copier, keep_targets)
+    edit = _Edit(source.document, source.rest, with_normals(mesh), rotations, copier, keep_targets, skinned)
     groups = []
     for node, mesh_index in mesh_of_node.items():
         T_world_local = _choose_transform(edit, node, vertex_ranges[node])
@@ -206,10 +211,13 @@ def _choose_transform(edit: _Edit, node: int, vertex_ranges: list[VertexRange]) 
     """Choose the world transform of the node that shows the new mesh: the old one if float32 allows, else the root's.
 
     A mirroring node is replaced by a mirroring one, because a negative determinant reverses the winding order (glTF
-    2.0, 3.7.4 Instantiation).
+    2.0, 3.7.4 Instantiation); with a skin the order of corners is reversed instead (`_outward`).
     """
     T_world_node = edit.rest.T_world_node[node]
-    root = np.diag([-1.0 if np.linalg.det(T_world_node) < 0 else 1.0, 1.0, 1.0, 1.0])
+    mirrored = np.linalg.det(T_world_node) < 0
+    if mirrored and edit.skinned:
+        return np.eye(4)
+    root = np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0])
     # Far from the origin float32 is coarse at the root too: then the node may be up to twice as coarse.
     points = np.concatenate([np.zeros((0, 3))] + [edit.mesh.vertices[span.start : span.stop] for span in vertex_ranges])
     allowed = max(LOCAL_TOLERANCE * np.ptp(edit.mesh.vertices, axis=0).max(), 2 * _storage_error(root, points))
@@ -292,12 +300,23 @@ def _edit_primitives(
             attributes, targets = _add_attributes(edit, node, old[members[0]], T_world_local, deformed, positions)
             positions = attributes["POSITION"]
             new |= {p: _replace_attributes(edit.copier, old[p], attributes, targets) for p in members}
+            if np.linalg.det(T_world_local) * np.linalg.det(edit.rest.T_world_node[node]) < 0:
+                new |= {p: _outward(edit, span, p, new[p]) for p in members}
             vertex_of, entries = np.arange(span.start, span.stop), [new[p] for p in members]
             groups.append(PrimitiveGroup(node, entries, vertex_of, corner_of, T_world_local, "NORMAL" in attributes))
     for p in range(len(old)):
         if p not in new:
             new[p] = _rewrite_in_place(edit, node, p, T_world_local)
     return [new[p] for p in range(len(old))], groups
+
+
+def _outward(edit: _Edit, span: VertexRange, index: int, primitive: dict[str, Any]) -> dict[str, Any]:
+    """Write a primitive that its node no longer mirrors with the triangles of the Mesh, which face outwards."""
+    if (span.node, index) not in edit.rest.faces:  # lines and points
+        return primitive
+    start, stop = edit.rest.faces[span.node, index]
+    indices = edit.copier.draft.add_indices((edit.mesh.faces[start:stop] - span.start).ravel())
+    return {**primitive, "indices": indices, "mode": TRIANGLES}
 
 
 def _copy_primitive(copier: AccessorCopier, primitive: dict[str, Any]) -> dict[str, Any]:

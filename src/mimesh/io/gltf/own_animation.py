@@ -25,7 +25,9 @@ from jaxtyping import Float, Int
 
 from ...bodies.joint_names import ancestors, with_named_neck
 from ...core.animated_rig import frames_around
+from ...core.frame_buffer import spread_exactly
 from ...core.geometry import nearest_rotation
+from ...core.mesh import check_cut
 from ..timing import DEFAULT_FPS, frame_count
 from .animation import (
     PATH_WIDTHS,
@@ -33,11 +35,15 @@ from .animation import (
     AnimationChannel,
     UnposedVertices,
     add_animation,
+    animation_names,
+    find_animation,
     frame_rate,
+    frame_times,
     pose_nodes,
     posed_vertices,
     read_channels,
     sample_nodes,
+    select_channels,
     slerp,
     unposed_vertices,
 )
@@ -196,6 +202,36 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> list
     source = animations[0].source
     written = dataclasses.replace(source.document, gltf={**source.document.gltf, "nodes": draft.gltf["nodes"]})
     return [PlayedAnimation(written, source.rest, channels) for channels in played]
+
+
+def cut_animation(
+    source: GltfSource, animation: str | None, fps: float | None, frames: slice, count: int | None
+) -> OwnAnimation:
+    """Sample an animation of a file in some of its frames; the animation is the only one of what it is written to.
+
+    Args:
+        animation: its name or number; None: the first, with those that complement it.
+        fps: frames a second; None: the rate that its keys lie on.
+        frames: those that are taken.
+        count: so many of these, evenly spread; None: all.
+
+    Raises:
+        InputError: no such animation, or no frame is left.
+    """
+    document, names = source.document, animation_names(source.document)
+    channels = select_channels(document, animation)
+    fps = fps or frame_rate(channels) or DEFAULT_FPS
+    times = frame_times(document, channels, fps)
+    check_cut(document.path.name, len(times), frames)
+    times, rate = times[frames], fps / (frames.step or 1)
+    if count is not None:
+        rate = rate * (count - 1) / (len(times) - 1) if count > 1 else rate
+        times = times[spread_exactly(len(times), count, document.path.name)]
+    tracks = {(channel.node, channel.path): channel.sample(times) for channel in channels}
+    bare = {key: value for key, value in document.gltf.items() if key != "animations"}
+    alone = dataclasses.replace(source, document=dataclasses.replace(document, gltf=bare))
+    name = names[0 if animation is None else find_animation(names, animation, document.path)]
+    return OwnAnimation(alone, name, tracks, rate, len(times), {})
 
 
 def write_own_rig(rig: OwnAnimation, path: Path) -> None:

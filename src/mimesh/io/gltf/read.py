@@ -341,7 +341,7 @@ def _read_texture(document: Document, info: dict[str, Any]) -> bytes | None:
 
 def skin_joints(document: Document, rest: RestScene) -> set[int]:
     """List the nodes that are joints of the shown skins."""
-    skins = {skin for span in rest.vertex_ranges if (skin := _find_skin(document, span)) is not None}
+    skins = {skin for span in rest.vertex_ranges if (skin := find_skin(document, span)) is not None}
     return {node for skin in skins for node in document.gltf["skins"][skin]["joints"]}
 
 
@@ -381,7 +381,7 @@ def unweighted_parts(document: Document, rest: RestScene) -> tuple[str, ...]:
     total = sum(span.stop - span.start for span in rest.vertex_ranges)
     some, parts = 0, {}
     for span in rest.vertex_ranges:
-        if _find_skin(document, span) is None:
+        if find_skin(document, span) is None:
             continue
         primitive = get_primitive(document, (span.node, span.primitives[0]))
         sets = [name for name in primitive["attributes"] if name.startswith("WEIGHTS_")]
@@ -417,7 +417,7 @@ def check_weights(bare: float, parts: float, path: object) -> None:
         )
 
 
-def _find_skin(document: Document, span: VertexRange) -> int | None:
+def find_skin(document: Document, span: VertexRange) -> int | None:
     """Return the skin of a range's vertices; None where they are unskinned, by the same rule as `vertex_matrices`."""
     skinned = "JOINTS_0" in get_primitive(document, (span.node, span.primitives[0]))["attributes"]
     return document.gltf["nodes"][span.node].get("skin") if skinned else None
@@ -433,7 +433,7 @@ def _read_range_influences(
     primitive = get_primitive(document, (span.node, span.primitives[0]))
     positions = read_morphed_attribute(document, primitive, "POSITION", read_morph_weights(document, span.node))
     assert positions is not None
-    skin = _find_skin(document, span)
+    skin = find_skin(document, span)
     if skin is None:
         # -1, no joint, becomes J, the world.
         joint_of = np.full((len(positions), 1), joint_of_node[span.node] % (joints + 1))

@@ -48,7 +48,7 @@ class _ThinnedRotations:
         quat_xyzw = local_quaternions(skeleton.rotation, skeleton.parents).swapaxes(0, 1)
         limit = KEY_LIMIT * skeleton.size
         rig = skeleton.rig.limited(INFLUENCES)
-        tolerance = rotation_tolerances(skeleton.mesh.vertices, rig, skeleton.parents, limit)
+        tolerance = rotation_tolerances(skeleton.points, rig, skeleton.parents, limit)
         is_key = choose_keys(quat_xyzw, tolerance)
         return cls(quat_xyzw, without_costly_times(is_key))
 
@@ -82,12 +82,14 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path, animated:
     skeleton = animations[0].skeleton
     mesh = with_normals(skeleton.mesh)
     if isinstance(mesh.source, GltfSource):
-        draft, groups = edit_document(mesh.source, mesh, keep_targets=False)
+        draft, groups = edit_document(mesh.source, mesh, keep_targets=False, skinned=True)
     else:
         draft, groups = build_document(mesh, mesh)
     if not draft.gltf.get("scenes"):  # readers show all roots then, but no longer once there is a scene
         children = {child for node in draft.gltf["nodes"] for child in node.get("children", [])}
         draft.gltf["scenes"] = [{"nodes": [n for n in range(len(draft.gltf["nodes"])) if n not in children]}]
+    if skeleton.group is not None:  # what no joint moves stays as it is
+        groups = [group for group in groups if (skeleton.group[group.vertex_of] >= 0).any()]
     rest = local_quaternions(skeleton.rig.rotation[None], skeleton.parents)[0]
     joint_nodes = _add_joints(draft, skeleton, rest)
     _add_weights(draft, groups, skeleton)
@@ -123,6 +125,7 @@ def _add_joints(draft: Draft, skeleton: AnimatedRig, rest: Float[np.ndarray, "J 
 def _add_weights(draft: Draft, groups: list[PrimitiveGroup], skeleton: AnimatedRig) -> None:
     """Add JOINTS_0 and WEIGHTS_0 to the primitives: the strongest four weights of each vertex."""
     joints, weights = skeleton.strongest()
+    weights[weights.sum(axis=1) == 0, 0] = 1.0  # vertices without triangles, which no joint moves
     padding = ((0, 0), (0, INFLUENCES - joints.shape[1]))  # JOINTS_0 and WEIGHTS_0 are always VEC4
     joints, weights = np.pad(joints, padding), np.pad(weights, padding)
     wide = len(skeleton.names) > 256  # joint indices have 8 bits where these are enough

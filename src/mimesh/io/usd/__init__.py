@@ -65,12 +65,18 @@ def write_usd_clip(clip: Clip, path: Path, progress: Progress | None = None) -> 
             ) from error
 
 
-def stage_axes(mesh: Mesh) -> tuple[bool, float]:
-    """Return whether z is up in the file of a mesh, and the file's unit in metres.
+TO_Y_UP = {"+y": ("x", 0.0), "+z": ("x", -90.0), "-y": ("x", 180.0), "-z": ("x", 90.0), "+x": ("z", 90.0)}
+TO_Y_UP["-x"] = ("z", -90.0)
+"""Up axis -> rotation that takes it to +y: its axis, and its angle in degrees."""
 
-    Only USD sources know both; for all others the answer is y up and one metre.
+
+def stage_axes(mesh: Mesh) -> tuple[tuple[str, float], float]:
+    """Return the rotation that makes a mesh y up (see TO_Y_UP), and the unit of its file in metres.
+
+    Up is what the mesh says, or the file; nothing known is y up. Only USD sources know their unit.
     """
-    return getattr(mesh.source, "up_axis", "Y") == "Z", getattr(mesh.source, "meters_per_unit", 1.0)
+    up = mesh.up or f"+{getattr(mesh.source, 'up_axis', 'Y').lower()}"
+    return TO_Y_UP[up], getattr(mesh.source, "meters_per_unit", 1.0)
 
 
 def _need_library(path: Path, verb: str) -> None:
