@@ -43,7 +43,7 @@ def on_body(source: Bvh, path: str | Path) -> Motion:
     Raises:
         InputError: the hips and limbs are not found by name.
     """
-    return dataclasses.replace(retarget(source, load_body(), str(path)), name=source.name)
+    return dataclasses.replace(retarget(source, load_body(), str(path), stands_at_rest=True), name=source.name)
 
 
 def motion_of_file(path: str | Path) -> Motion:
@@ -96,7 +96,7 @@ def played(motion: Motion) -> Clip:
     """
     body = load_body()
     leg = leg_length(body.joints, body.joint_names)
-    joints = PersonMotion(motion.joint_names, *joint_tracks(body, motion), leg, body.weights)
+    joints = PersonMotion(motion.joint_names, *joint_tracks(body, motion), leg, body.weights, body.vertices)
     rest = Rig(np.tile(np.eye(3), (len(body.parents), 1, 1)), body.joints, body.weights)
     skinned = SkinnedMesh.of(body.vertices, rest, body.parents)
     vertices: Any = PosedFrames(skinned, joints.rotation, joints.positions[:, 0])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -58,6 +58,10 @@ from .result import Timer
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
 
+NO_PATH_NOTE = (
+    "{name} does not move its hips from their place: the lowest sole stands on the floor in every frame; {off} leaves the "
+    "hips at one height"
+)
 Found = TypeVar("Found", Character, JointMotion)
 
 
@@ -76,7 +80,21 @@ class JointRoute(Placed):
         """Make the identity's vertices in frame t only, at their position in the whole clip, without MotionOptions."""
         chosen = [0] if t == 0 else [0, t]  # the first frame fixes the position of the whole clip
         frames = [self.refined(self.retarget.frame(k, self.driving_frame(k))) @ self.turn.T for k in chosen]
-        return self.norms[0].undo(frames[-1] + self.shift(frames[0]))
+        return self.norms[0].undo(frames[-1] + self.shift(frames[0], self.lift_of_frames))
+
+    @property
+    def stride(self) -> float:
+        """Displacement of the result over the driving's, each normalised."""
+        return self.retarget.stride
+
+    def floor(self, lowest: float) -> float:
+        """Return the height of the driving's floor, normalised; `lowest` is that of its lowest vertex in keyframes."""
+        return self.retarget.motion.floor(lowest)
+
+    @cached_property
+    def lift_of_frames(self) -> float | None:
+        """How far up frames go that are made one by one; see `Retarget.lift`."""
+        return self.retarget.lift_of_frames(self.clip, self.norms[1])
 
     def joints(self, t: int) -> FoundJoints:
         """Return the joints of the identity, and of the driving in a frame."""
@@ -102,10 +120,15 @@ class JointRoute(Placed):
             limited = limited and self.rigs.humanoid is None
             retarget = self.retarget.limited(INFLUENCES) if limited else self.retarget
             track = retarget.motion.over(clip, self.norms[1], retarget.driving_soles, progress).smoothed(options.smooth)
+            found, notes = track.positions[0], ()
+            if options.ground:
+                standing = retarget.standing(track)
+                notes = () if standing is track else (NO_PATH_NOTE.format(name=clip.mesh.name, off=option("ground", "no")),)
+                track = standing
             across = self.norms[1].radius / self.norms[0].radius if options.root == "keep" else None
             posed = retarget.posed_joints(track, across, options.root == "drop", options.ground)
             route = dataclasses.replace(self, retarget=retarget)
-            shift = self.shift(route.turned(posed, 0))
+            shift = self.shift(route.turned(posed, 0), retarget.lift(posed, track))
             skeleton = route.animated_rig(posed, shift)
             own = self.own_animation(skeleton)
             moved = route.made_frames(posed, shift, own, np.dtype(dtype))
@@ -113,12 +136,12 @@ class JointRoute(Placed):
                 moved = LazyFrames.stored(moved.every(1))
             report = surface_report(identity, clip, moved, self.facings)
         report |= {"body": self.mime.body} | ({} if self.rigs.humanoid is None else {"rig": "own"})
-        notes = report_confidence(retarget, report, self.names) + self.all_notes(own is not None)
+        notes += report_confidence(retarget, report, self.names) + self.all_notes(own is not None)
         report["fingers"] = fingered_hands(retarget.character.joints)  # elsewhere they follow the hand
         report |= self._skates(retarget, track, posed, across, options)
         if limited:
             report["influence_deviation"] = self._influence_deviation(retarget, posed)
-        positions = self.norms[1].undo(track.positions[0])
+        positions = self.norms[1].undo(found)
         driving_joints = without_fingers(dict(zip(retarget.motion.joints, positions, strict=True)))
         return Moved(moved, skeleton, own, cast(TransferReport, report), notes, driving_joints)
 

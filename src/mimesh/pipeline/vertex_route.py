@@ -17,6 +17,7 @@ from ..core.normalization import Normalization
 from ..core.options import MotionOptions
 from ..methods.base import Drive, Method, SizedMethod
 from ..methods.find import find_method
+from ..rigs.retarget import JointMotion
 from .file_rigs import NO_RIGS, Rigs
 from .known import Known
 from .look import check_known_body, normalised, trained_on_people, turned_as_animal
@@ -59,6 +60,13 @@ class VertexRoute(Placed):
         """Axes of both meshes for the report."""
         return self.found_axes or super().facings
 
+    def floor(self, lowest: float) -> float:
+        """Return the height of the driving's floor, normalised; `lowest` is that of its lowest vertex in keyframes."""
+        if self.rigs.driving is None:
+            return lowest
+        mesh = normalised(first_frame(self.clip), self.norms[1])
+        return JointMotion.of_file(self.rigs.driving, mesh, self.clip.fps, self.norms[1], 0).floor(lowest)
+
     def with_refinement(self, refine: bool | None) -> VertexRoute:
         """Switch refinement on or off; None takes the method's default."""
         wanted = self.method.rough if refine is None else refine
@@ -99,7 +107,7 @@ class VertexRoute(Placed):
         """Yield frames at the identity's place: the first one has its position."""
         frames = (vertices @ self.turn.T for vertices in self._refined(self.drive(driving), timer))
         first = next(frames)
-        shift = self.shift(first)
+        shift = self.shift(first, None)
         return (self.norms[0].undo(vertices + shift) for vertices in itertools.chain([first], frames))
 
     def _refined(self, frames: Iterable[Float[np.ndarray, "V 3"]], timer: Timer) -> Iterator[Float[np.ndarray, "V 3"]]:
