@@ -69,11 +69,12 @@ class FootContacts:
 
     @property
     def height(self) -> float:
-        """Height of the ground: the quantile GROUND_SHARE of the feet that stand, or of the hands where no foot does."""
-        heights, stand = self.soles[:-1, ..., 1].min(axis=2), self.planted.any(axis=2)
+        """Height of the ground: the quantile GROUND_SHARE of the lowest foot that stands, of hands where no foot does."""
+        stand = self.planted.any(axis=2)
         legs = stand.shape[1] - self.hands
         part = slice(legs) if stand[:, :legs].any() else slice(legs, None)
-        return float(np.quantile(heights[:, part][stand[:, part]], GROUND_SHARE))
+        heights = np.where(stand, self.soles[:-1, ..., 1].min(axis=2), np.inf)[:, part].min(axis=1)
+        return float(np.quantile(heights[heights < np.inf], GROUND_SHARE))
 
     def intervals(self, fps: float) -> list[list[tuple[int, int]]]:
         """Return for each foot when it is on the ground: first frame, and the one after the last, of each time."""
@@ -258,7 +259,7 @@ def plant_feet(
             closed = (cyclic, cyclic and closed_root)
             along = _solve(weight, error @ axis, len(soles), track.fps, SLIDES, closed, free_root)
             found += along[..., None] * axis
-    weight, error = _heights(soles, contacts, scale[1], track.fps, leg, feet.hands)
+    weight, error = _heights(soles, contacts, scale[1], track.fps, leg)
     found[..., 1] = _solve(weight, error, len(soles), track.fps, HEIGHTS, (cyclic, cyclic))
     root, steps = found[0], found[1:]
     steps *= np.minimum(1, LARGEST_STEP * leg / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-9))
@@ -283,8 +284,7 @@ def _lowered_hips(
     from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
     missing = np.zeros(len(positions))
-    legs = len(steps) - feet.hands
-    for joints, step in zip(feet.legs[:legs], steps[:legs], strict=True):
+    for joints, step in zip(feet.legs, steps, strict=True):
         line = positions[:, joints[2]] - positions[:, joints[0]] + step
         distance = np.linalg.norm(line, axis=1)
         # Lowering the hips shortens a leg that is not vertical by less.
@@ -353,24 +353,17 @@ def _slides(
 
 
 def _heights(
-    soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts, scale: float, fps: float, leg: float, hands: int
+    soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts, scale: float, fps: float, leg: float
 ) -> tuple[Float[np.ndarray, "T F"], Float[np.ndarray, "T F"]]:
     """Compute the weight of each foot in each frame, and how far it has to be lifted to be as high as the driving's."""
     error = scale * contacts.soles[..., 1].min(axis=2) - soles[..., 1].min(axis=2)
     # Where the ground is does not matter: it is the same for all frames.
-    error = error - (_usual(error, contacts.near > 0.5, hands) or 0.0)
+    near, legs = contacts.near > 0.5, error.shape[1] - contacts.hands
+    part = slice(legs) if near[:, :legs].any() else slice(legs, None)  # feet tell it where any is on the ground
+    error = error - np.median(error[:, part][near[:, part]]) if near.any() else error
     # Divided by the frame rate, as slides are, so that the rate has no influence on the balance with the penalties.
     weight = contacts.near * falling(np.abs(error) / leg, MISREAD_HEIGHT) / (HEIGHT_SECONDS * fps) ** 2
     return weight, np.sign(error) * np.maximum(np.abs(error) - EVEN * leg, 0)
-
-
-def _usual(error: Float[np.ndarray, "T F"], near: Bool[np.ndarray, "T F"], hands: int) -> float | None:
-    """Return the median of the heights that feet on the ground lack; of hands where no foot is; None where none is."""
-    legs = error.shape[1] - hands
-    for part in (slice(legs), slice(legs, None)):
-        if near[:, part].any():
-            return float(np.median(error[:, part][near[:, part]]))
-    return None
 
 
 def ever_upright(track: JointTrack, feet: Feet) -> bool:
@@ -381,21 +374,23 @@ def ever_upright(track: JointTrack, feet: Feet) -> bool:
 
 
 def height_of_soles(posed: PosedJoints, track: JointTrack, feet: Feet, scale: float) -> tuple[float, float]:
-    """Measure how far an identity has to be lifted for its soles to be as high as the driving's, scaled.
+    """Measure how far an identity has to be lifted for its lowest sole to be as high as the driving's, scaled.
 
-    That is the median over the feet on the ground, or over the lowest ones where none stands. The second figure is the
-    height of the driving's planted soles, or of its lowest ones.
+    That is the median over the frames in which feet are on the ground (hands, where feet never are), or over all
+    frames of a clip in which nobody stands. The second figure is the height of the driving's planted soles, or of its
+    lowest ones.
     """
     assert track.soles is not None
-    theirs = track.soles[..., 1].min(axis=2)
-    mine = feet.identity_soles(posed.rotation, posed.root)[..., 1].min(axis=2)
-    contacts = find_contacts(track, feet.driving_leg, feet.hands)
+    theirs, mine = track.soles[..., 1].min(axis=2), feet.identity_soles(posed.rotation, posed.root)[..., 1].min(axis=2)
+    contacts, legs = find_contacts(track, feet.driving_leg, feet.hands), len(feet.legs) - feet.hands
+    part, frames = slice(legs), slice(None)
     if contacts is not None:
-        usual = _usual(scale * theirs - mine, contacts.near > 0.5, feet.hands)
-        if usual is not None:
-            return usual, contacts.height
-    lowest, own = (heights[:, : len(feet.legs) - feet.hands].min(axis=1) for heights in (theirs, mine))
-    return float(np.median(scale * lowest - own)), float(lowest.min())
+        part = part if (contacts.near[:, :legs] > 0.5).any() else slice(legs, None)
+        frames = (contacts.near[:, part] > 0.5).any(axis=1)
+    lowest = theirs[frames, part].min(axis=1)
+    moves = has_path(track.positions[:, 0], feet.driving_leg)  # without a path feet that spread are in the air
+    planted = float(lowest.min()) if contacts is None or not moves else contacts.height
+    return float(np.median(scale * lowest - mine[frames, part].min(axis=1))), planted
 
 
 def has_path(root: Float[np.ndarray, "T 3"], leg: float) -> bool:

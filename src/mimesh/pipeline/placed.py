@@ -32,7 +32,7 @@ MOTION_FRAMES = 120
 FEWEST_VERTICES = 4
 """Vertices of the smallest solid, a tetrahedron; two points and one triangle have no pose."""
 SOLE_ERROR = 0.05
-"""Radii of the identity between the heights of soles and of lowest vertices that are of feet which tilt."""
+"""Radii of a mesh by which its lowest vertex may be below its soles and still be one of them."""
 JointPositions = dict[str, Float[np.ndarray, " 3"]]
 """Joint -> position in the axes, unit and position of a mesh's file."""
 
@@ -117,7 +117,8 @@ class Placed:
             first: its first frame, whose bounding box is centred where the identity's is.
             lift: how far up it goes to stand on the identity's floor (`Retarget.lift`); None: the lowest vertex of the
                 first frame is as high over the identity's lowest as the driving's is over its floor, scaled. So it is
-                in a single pose, too, unless something hangs below the soles: they are means of points.
+                in a single pose without a rest pose, too, unless something hangs below the soles: soles are means of
+                points, over the edges of feet that tilt.
         """
         upright = turn(self.norms[0].heading)  # bounding boxes are those in the axes of the file
         own, moved = self.rest.vertices @ upright.T, first @ upright.T
@@ -126,7 +127,8 @@ class Placed:
             lowest = self.norms[1].apply(self.clip.vertices[chosen])[..., 1].min(axis=1)
             above = self.stride * (lowest[0] - self.floor(float(lowest.min())))
             lowest_on_floor = float(own[:, 1].min() + above - moved[:, 1].min())
-            lift = lowest_on_floor if lift is None or abs(lift - lowest_on_floor) < SOLE_ERROR else lift
+            alike = lift is not None and above == 0 and abs(lift - lowest_on_floor) < SOLE_ERROR
+            lift = lowest_on_floor if lift is None or alike else lift
         x, _, z = bbox_centre(own) - bbox_centre(moved)
         return np.array([x, lift, z]) @ upright
 

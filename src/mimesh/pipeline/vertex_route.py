@@ -22,7 +22,7 @@ from .file_rigs import NO_RIGS, Rigs
 from .known import Known
 from .look import check_known_body, normalised, trained_on_people, turned_as_animal
 from .marked_mesh import MarkedFrame
-from .placed import Moved, Placed, first_frame, keyframes_of, surface_report
+from .placed import SOLE_ERROR, Moved, Placed, first_frame, keyframes_of, surface_report
 from .refine import Refinement
 from .report import MeshReport, TransferReport, facing
 from .result import Timer
@@ -62,10 +62,13 @@ class VertexRoute(Placed):
 
     def floor(self, lowest: float) -> float:
         """Return the height of the driving's floor, normalised; `lowest` is that of its lowest vertex in keyframes."""
-        if self.rigs.driving is None:
+        driving, norm = self.rigs.driving, self.norms[1]
+        if driving is None or driving.rest_vertices is None:
             return lowest
-        mesh = normalised(first_frame(self.clip), self.norms[1])
-        return JointMotion.of_file(self.rigs.driving, mesh, self.clip.fps, self.norms[1], 0).floor(lowest)
+        motion = JointMotion.of_file(driving, normalised(first_frame(self.clip), norm), self.clip.fps, norm, 0)
+        heights = norm.apply(driving.rest_vertices)[:, 1]
+        at_rest = heights[heights > motion.floor(lowest) - SOLE_ERROR].min()
+        return float(at_rest) if motion.floor(lowest) == motion.rest_floor else lowest
 
     def with_refinement(self, refine: bool | None) -> VertexRoute:
         """Switch refinement on or off; None takes the method's default."""
