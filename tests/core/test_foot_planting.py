@@ -343,6 +343,8 @@ def test_hands_stand_where_the_drivings_do(arm):
 
     before, planted = error(posed), plant_feet(posed, track, skinned, feet, (1.0, 1.0))
     assert np.abs(before[:, 2:]).min() > 0.06
-    assert np.abs(error(planted)).max() < 0.012
-    bones = np.linalg.norm(np.diff(skinned.joint_positions(planted.rotation[0], planted.root[0])[list(ARMS[0])], axis=0), axis=1)
+    assert np.abs(error(planted)).max() < 0.02
+    bones = np.linalg.norm(
+        np.diff(skinned.joint_positions(planted.rotation[0], planted.root[0])[list(ARMS[0])], axis=0), axis=1
+    )
     np.testing.assert_allclose(bones, np.linalg.norm(np.diff(own.joints[list(ARMS[0])], axis=0), axis=1), atol=1e-6)

@@ -144,7 +144,9 @@ def astride(path, positions: bool) -> str:
         rotmat[:, BODY.joint(f"{side}Foot")] = turns.swapaxes(-1, -2)
     write_bvh(path, BODY, Motion("astride", BODY.joint_names, rotmat, np.zeros((12, 3))))
     if not positions:
-        head, rows = path.read_text().replace("CHANNELS 6 Xposition Yposition Zposition", "CHANNELS 3").split("Frame Time")
+        head, rows = (
+            path.read_text().replace("CHANNELS 6 Xposition Yposition Zposition", "CHANNELS 3").split("Frame Time")
+        )
         first, *values = rows.strip().split("\n")
         path.write_text("\n".join([f"{head}Frame Time{first}", *(row.split(" ", 3)[3] for row in values)]) + "\n")
     return str(path)
@@ -161,4 +163,3 @@ def test_without_a_path_the_lowest_sole_is_on_the_floor_in_every_frame(positions
     assert np.ptp(hips) < 1e-6
     assert height_of(left.clip.vertices).max() > 0.15
     assert left.notes == ()
-

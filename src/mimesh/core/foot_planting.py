@@ -34,7 +34,7 @@ HIPS_HEIGHT = (0.2, 0.35)
 HIPS_OVER_HANDS = (0.1, 0.2)
 """The same for hands, which stand in push-ups when the hips are at 0.25; those of people who lie are at 0.12."""
 UPRIGHT = 0.7
-"""Leg lengths of the hips over the lowest sole: in a clip that gets there somebody stands, and does not sit or crawl."""
+"""Leg lengths of the hips over the lowest sole: in a clip that gets there somebody stands, not only sits or crawls."""
 NO_PATH = 1e-4
 """Leg lengths: a root that moves less has no path in its file, so its height says nothing."""
 GROUND_SHARE = 0.25
@@ -69,7 +69,7 @@ class FootContacts:
 
     @property
     def height(self) -> float:
-        """Height of the ground: the quantile GROUND_SHARE of the lowest foot that stands, of hands where no foot does."""
+        """Height of the ground: quantile GROUND_SHARE of the lowest foot that stands, of hands where none does."""
         stand = self.planted.any(axis=2)
         legs = stand.shape[1] - self.hands
         part = slice(legs) if stand[:, :legs].any() else slice(legs, None)
@@ -247,7 +247,9 @@ def plant_feet(
     if contacts is None:
         return posed
     if feet.hands and not contacts.near[:, -feet.hands :].any():
-        return plant_feet(posed, track.without_hands(feet.hands), skinned, feet.without_hands(), scale, free_root, slides)
+        return plant_feet(
+            posed, track.without_hands(feet.hands), skinned, feet.without_hands(), scale, free_root, slides
+        )
     leg, cyclic = feet.driving_leg * scale[1], is_cyclic(track, feet.driving_leg)
     soles = feet.identity_soles(posed.rotation, posed.root)
     found = np.zeros((1 + len(feet.legs), *posed.root.shape))

@@ -160,7 +160,7 @@ def limb_alignments(
 
 
 def _rest_height(turned, hips, body):
-    """Return the height of the body's lowest vertex in the rest pose of a source; joints of None go with their parents."""
+    """Return the height of the body's lowest vertex in a source's rest pose; joints of None go with their parents."""
     target = np.empty((1, len(turned), 3, 3))
     for j, parent in enumerate(body.parents):
         target[:, j] = target[:, parent] if turned[j] is None else turned[j]

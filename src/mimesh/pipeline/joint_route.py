@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from ..bodies.anatomy import body_of_joints
 from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import INFLUENCES, AnimatedRig
-from ..core.errors import InputError, RefusedMeshError, option
+from ..core.errors import InputError, RefusedMeshError, on_command_line, option
 from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import LazyFrames, Progress, evenly_spread
 from ..core.joint_tracks import JointTrack
@@ -58,10 +58,6 @@ from .result import Timer
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
 
-NO_PATH_NOTE = (
-    "{name} does not move its hips from their place: the lowest sole stands on the floor in every frame; {off} leaves the "
-    "hips at one height"
-)
 Found = TypeVar("Found", Character, JointMotion)
 
 
@@ -123,7 +119,7 @@ class JointRoute(Placed):
             found, notes = track.positions[0], ()
             if options.ground:
                 standing = retarget.standing(track)
-                notes = () if standing is track else (NO_PATH_NOTE.format(name=clip.mesh.name, off=option("ground", "no")),)
+                notes = () if standing is track else (no_path_note(clip.mesh.name),)
                 track = standing
             across = self.norms[1].radius / self.norms[0].radius if options.root == "keep" else None
             posed = retarget.posed_joints(track, across, options.root == "drop", options.ground)
@@ -237,6 +233,14 @@ class FoundMotion:
     rigs: Rigs
     """The driving's joints."""
     network: Mime
+
+
+def no_path_note(name: str) -> str:
+    """Tell what is done with a driving that has no path of the hips."""
+    return (
+        f"{name} does not move its hips from their place: the lowest sole stands on the floor in every frame; "
+        f"{'--no-ground' if on_command_line() else 'ground=False'} leaves the hips at one height"
+    )
 
 
 def report_confidence(retarget: Retarget, report: dict[str, Any], names: tuple[str, str]) -> tuple[str, ...]:

@@ -197,4 +197,3 @@ def surface_motion(clip: Clip, norm: Normalization, samples: SurfacePoints) -> F
     """Return points of a clip's surface in at most MOTION_FRAMES frames, normalised; of each, only these are read."""
     chosen = evenly_spread(len(clip), MOTION_FRAMES)
     return np.stack([norm.apply(samples.points(clip.vertices[t])) for t in chosen])
-
