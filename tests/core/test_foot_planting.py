@@ -331,9 +331,11 @@ def test_hands_stand_where_the_drivings_do(arm):
     everyone = SurfacePoints(np.repeat(np.arange(len(rest))[:, None], 3, axis=1), np.tile([1.0, 0, 0], (len(rest), 1)))
     mine, theirs = (find_soles(p, r, LEGS, BODY.parents, ARMS) for p, r in ((vertices, own), (rest, rig)))
     feet = Feet.of(LEGS, leg, mine, skinned, theirs, everyone, ARMS)
+    assert feet is not None
     rotation, translation = BODY.skinning_transforms(BODY.joints, motion.rotmat, motion.root)
     positions = (rotation @ BODY.joints[..., None])[..., 0] + translation
     track = JointTrack(rotation, positions, motion.fps, np.stack([feet.driving.in_frame(frame) for frame in frames]))
+    assert track.soles is not None
     driving = track.soles[..., 1].min(axis=2)
     assert np.ptp(driving[0]) < 0.02
     posed = PosedJoints(rotation, positions[:, 0])

@@ -52,6 +52,8 @@ def stride() -> float:
 
 def sizes(result: mimesh.ClipResult) -> float:
     """Return the ratio of the normalised sizes of identity and driving."""
+    assert result.driving is not None
+    assert result.identity is not None
     first = result.driving.vertices[0]
     mine, theirs = (
         np.linalg.norm(points - (points.min(axis=0) + points.max(axis=0)) / 2, axis=1).max()
@@ -159,6 +161,7 @@ def test_without_a_path_the_lowest_sole_is_on_the_floor_in_every_frame(positions
     assert np.abs(height_of(result.clip.vertices)).max() < 0.01
     assert any("does not move its hips" in note for note in result.notes)
     left = mimesh.animate(identity, driving, model, motion=MotionOptions(ground=False))
+    assert left.skeleton is not None
     hips = left.skeleton.root[:, 1]
     assert np.ptp(hips) < 1e-6
     assert height_of(left.clip.vertices).max() > 0.15
