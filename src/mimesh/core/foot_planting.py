@@ -70,7 +70,7 @@ class FootContacts:
     @property
     def height(self) -> float:
         """Height of the ground: quantile GROUND_SHARE of the lowest foot that stands, of hands where none does."""
-        stand = self.planted.any(axis=2)
+        stand = np.any(self.standing > 0.5, axis=2)
         legs = stand.shape[1] - self.hands
         part = slice(legs) if stand[:, :legs].any() else slice(legs, None)
         heights = np.where(stand, self.soles[:-1, ..., 1].min(axis=2), np.inf)[:, part].min(axis=1)
