@@ -303,3 +303,50 @@ def test_contacts_have_no_gaps_and_intervals_that_are_too_short():
     assert contacts.intervals(60.0) == 2 * [[(5, 31), (40, 43), (50, 61)]]
     assert contacts.intervals(100.0) == 2 * [[(5, 31), (50, 61)]]
     assert dataclasses.replace(contacts, standing=0 * standing).intervals(60.0) == [[], []]
+
+
+ARMS = tuple(tuple(BODY.joint(f"{side}{name}") for name in ("Arm", "ForeArm", "Hand")) for side in ("Left", "Right"))
+
+
+def plank():
+    """Somebody supports himself on toes and straight arms, for two thirds of a second."""
+    rotmat = np.tile(np.eye(3), (20, len(BODY.joint_names), 1, 1))
+    rotmat[:, 0] = Rotation.from_euler("x", 73.3, degrees=True).as_matrix()
+    for side, sign in (("Left", 1), ("Right", -1)):
+        for part, axis, angle in (("Arm", "y", -80), ("ForeArm", "y", -10), ("Hand", "z", 75)):
+            rotmat[:, BODY.joint(side + part)] = Rotation.from_euler(axis, sign * angle, degrees=True).as_matrix()
+        rotmat[:, BODY.joint(f"{side}ToeBase")] = Rotation.from_euler("x", -50, degrees=True).as_matrix()
+    return Motion("plank", BODY.joint_names, rotmat, np.zeros((20, 3)))
+
+
+@pytest.mark.parametrize("arm", [0.85, 1.15])
+def test_hands_stand_where_the_drivings_do(arm):
+    """With longer arms they are in the floor, with shorter ones above it: elbows, hips and shoulders make up for it."""
+    motion = plank()
+    frames = motion_clip(BODY, np.zeros(0), motion).vertices.astype(float)
+    (rest, rig), (vertices, own) = rig_of(np.zeros(0)), rig_of(np.zeros(0))
+    for array in (vertices, own.joints):
+        array[:, 0] = np.sign(array[:, 0]) * np.interp(abs(array[:, 0]), [0, 0.2, 2], [0, 0.2, 0.2 + arm * 1.8])
+    skinned, leg = SkinnedMesh.of(vertices, own, BODY.parents), leg_length(rig.joints, LEGS)
+    everyone = SurfacePoints(np.repeat(np.arange(len(rest))[:, None], 3, axis=1), np.tile([1.0, 0, 0], (len(rest), 1)))
+    mine, theirs = (find_soles(p, r, LEGS, BODY.parents, ARMS) for p, r in ((vertices, own), (rest, rig)))
+    feet = Feet.of(LEGS, leg, mine, skinned, theirs, everyone, ARMS)
+    assert feet is not None
+    rotation, translation = BODY.skinning_transforms(BODY.joints, motion.rotmat, motion.root)
+    positions = (rotation @ BODY.joints[..., None])[..., 0] + translation
+    track = JointTrack(rotation, positions, motion.fps, np.stack([feet.driving.in_frame(frame) for frame in frames]))
+    assert track.soles is not None
+    driving = track.soles[..., 1].min(axis=2)
+    assert np.ptp(driving[0]) < 0.02
+    posed = PosedJoints(rotation, positions[:, 0])
+
+    def error(moved):
+        return feet.identity_soles(moved.rotation, moved.root)[..., 1].min(axis=2) - driving
+
+    before, planted = error(posed), plant_feet(posed, track, skinned, feet, (1.0, 1.0))
+    assert np.abs(before[:, 2:]).min() > 0.06
+    assert np.abs(error(planted)).max() < 0.02
+    bones = np.linalg.norm(
+        np.diff(skinned.joint_positions(planted.rotation[0], planted.root[0])[list(ARMS[0])], axis=0), axis=1
+    )
+    np.testing.assert_allclose(bones, np.linalg.norm(np.diff(own.joints[list(ARMS[0])], axis=0), axis=1), atol=1e-6)

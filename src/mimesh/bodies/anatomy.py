@@ -15,6 +15,8 @@ class Anatomy:
 
     legs: tuple[tuple[str, str, str], ...]
     """Of each leg that stands on the ground: hip or shoulder, knee or elbow, ankle or wrist."""
+    arms: tuple[tuple[str, str, str], ...]
+    """Of each arm whose hand may stand on the ground: shoulder, elbow, wrist."""
     hinges: tuple[tuple[str, str, str], ...]
     """Of each arm and leg: its first joint, the elbow or knee, and the wrist or ankle."""
     long_bones: tuple[str, ...]
@@ -34,6 +36,7 @@ def _both(*parts: str) -> tuple[str, ...]:
 
 
 _HUMAN_LEGS = tuple((f"{side}UpLeg", f"{side}Leg", f"{side}Foot") for side in SIDES)
+_ARMS = tuple((f"{side}Arm", f"{side}ForeArm", f"{side}Hand") for side in SIDES)
 _ANIMAL_LEGS = tuple(
     (side + upper, side + middle, side + end)
     for upper, middle, end in (("UpperArm", "Forearm", "Hand"), ("Thigh", "Shin", "Foot"))
@@ -41,7 +44,8 @@ _ANIMAL_LEGS = tuple(
 )
 HUMAN = Anatomy(
     legs=_HUMAN_LEGS,
-    hinges=(*((f"{side}Arm", f"{side}ForeArm", f"{side}Hand") for side in SIDES), *_HUMAN_LEGS),
+    arms=_ARMS,
+    hinges=(*_ARMS, *_HUMAN_LEGS),
     long_bones=_both("Arm", "ForeArm", "UpLeg", "Leg"),
     ends=(
         (*_both("Hand", "FingerBase", "HandFinger1"), "LThumb", "RThumb"),
@@ -69,6 +73,7 @@ HUMAN = Anatomy(
 )
 QUADRUPED = Anatomy(
     legs=_ANIMAL_LEGS,
+    arms=(),
     hinges=_ANIMAL_LEGS,
     long_bones=_both("UpperArm", "Forearm", "Hand", "Thigh", "Shin", "Foot"),
     ends=(_both("Fingers"), _both("Toes")),

@@ -5,12 +5,13 @@ correction of the root, which moves the whole body, and that of its leg. All are
 over the frames of a clip. Where the driving's sole stands, the identity's should not slide more than that one does,
 scaled, and should be as high; the root's correction should be a smooth path, the legs' small and smooth. So the root
 takes what is common and slow, such as a stride of another length, the legs take what is left, and corrections grow and
-fade between contacts by themselves. A leg of two bones follows by inverse kinematics: bones keep their lengths.
+fade between contacts by themselves. A leg of two bones follows by inverse kinematics: bones keep their lengths. Hands
+that stand on the floor are feet of arms.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -30,6 +31,12 @@ NEAR_GROUND = (0.1, 0.35)
 """Leg lengths over the ground: the height of a foot is corrected fully below the first, and not above the second."""
 HIPS_HEIGHT = (0.2, 0.35)
 """Leg lengths over the ground: with the hips below the first, nobody stands: people lie, roll or swim."""
+HIPS_OVER_HANDS = (0.1, 0.2)
+"""The same for hands, which stand in push-ups when the hips are at 0.25; those of people who lie are at 0.12."""
+UPRIGHT = 0.7
+"""Leg lengths of the hips over the lowest sole: in a clip that gets there somebody stands, not only sits or crawls."""
+NO_PATH = 1e-4
+"""Leg lengths: a root that moves less has no path in its file, so its height says nothing."""
 GROUND_SHARE = 0.25
 """The ground is the height that the lowest point has, or is below, in this share of the frames in which it stands."""
 SHORTEST_CONTACT = 0.05
@@ -52,11 +59,22 @@ class FootContacts:
     """In each frame: low."""
     ground_step: Float[np.ndarray, " 3"]
     """Displacement of the ground from frame to frame: zero, but for a person who walks or runs in place."""
+    hands: int
+    """How many of the feet, the last ones, are hands."""
 
     @property
     def planted(self) -> Bool[np.ndarray, "S F C"]:
         """Whether points stand, yes or no."""
         return self.standing > 0.5
+
+    @property
+    def height(self) -> float:
+        """Height of the ground: quantile GROUND_SHARE of the lowest foot that stands, of hands where none does."""
+        stand = np.any(self.standing > 0.5, axis=2)
+        legs = stand.shape[1] - self.hands
+        part = slice(legs) if stand[:, :legs].any() else slice(legs, None)
+        heights = np.where(stand, self.soles[:-1, ..., 1].min(axis=2), np.inf)[:, part].min(axis=1)
+        return float(np.quantile(heights[heights < np.inf], GROUND_SHARE))
 
     def intervals(self, fps: float) -> list[list[tuple[int, int]]]:
         """Return for each foot when it is on the ground: first frame, and the one after the last, of each time."""
@@ -74,10 +92,13 @@ def _intervals(standing: Bool[np.ndarray, " S"], shortest: float) -> list[tuple[
     return [(int(first), int(stop)) for first, stop in rows if stop - first >= shortest]
 
 
-def find_contacts(track: JointTrack, leg: float) -> FootContacts | None:
+def find_contacts(track: JointTrack, leg: float, hands: int = 0) -> FootContacts | None:
     """Detect contacts from the paths of a clip's contact points and of its root joint; None if it has none.
 
-    `leg` is the length of a leg.
+    Args:
+        track: the clip.
+        leg: length of a leg.
+        hands: how many of the feet, the last ones, are hands.
     """
     if track.soles is None or len(track.soles) < FEWEST_FRAMES:
         return None
@@ -86,14 +107,18 @@ def find_contacts(track: JointTrack, leg: float) -> FootContacts | None:
     height = np.maximum(soles[1:, ..., 1], soles[:-1, ..., 1])
     ground = _ground(height, np.linalg.norm(velocity, axis=-1))
     low = falling(height - ground, STANDING_HEIGHT)
-    upright = 1 - falling(root[:, 1] - ground, HIPS_HEIGHT)
+    is_hand = np.arange(soles.shape[1]) >= soles.shape[1] - hands
+    above = root[:, 1:2] - ground
+    upright = 1 - np.where(is_hand, falling(above, HIPS_OVER_HANDS), falling(above, HIPS_HEIGHT))
     moving = _ground_velocity(velocity, low, np.diff(root, axis=0) * track.fps)
     slow = falling(np.linalg.norm(velocity - moving, axis=-1), STANDING_SPEED)
-    standing = low * slow * np.minimum(upright[1:], upright[:-1])[:, None, None]
+    standing = low * slow * np.minimum(upright[1:], upright[:-1])[..., None]
     if not (standing > 0.5).any():
         return None
-    near = falling(soles[..., 1].min(axis=2) - ground, NEAR_GROUND) * upright[:, None]
-    return FootContacts(track.soles, standing, near, moving * leg / track.fps)
+    # Hands that hang or swing low are where the arms are: only those on the floor are corrected.
+    height = soles[..., 1].min(axis=2) - ground
+    near = np.where(is_hand, falling(height, STANDING_HEIGHT), falling(height, NEAR_GROUND)) * upright
+    return FootContacts(track.soles, standing, near, moving * leg / track.fps, hands)
 
 
 def _ground(height: Float[np.ndarray, "S F C"], speed: Float[np.ndarray, "S F C"]) -> float:
@@ -218,9 +243,13 @@ def plant_feet(
             does.
         slides: whether to correct slides, or heights only.
     """
-    contacts = find_contacts(track, feet.driving_leg) if feet.can_be_planted else None
+    contacts = find_contacts(track, feet.driving_leg, feet.hands) if feet.can_be_planted else None
     if contacts is None:
         return posed
+    if feet.hands and not contacts.near[:, -feet.hands :].any():
+        return plant_feet(
+            posed, track.without_hands(feet.hands), skinned, feet.without_hands(), scale, free_root, slides
+        )
     leg, cyclic = feet.driving_leg * scale[1], is_cyclic(track, feet.driving_leg)
     soles = feet.identity_soles(posed.rotation, posed.root)
     found = np.zeros((1 + len(feet.legs), *posed.root.shape))
@@ -239,8 +268,9 @@ def plant_feet(
     positions = skinned.joint_positions(posed.rotation, posed.root)
     lowered = _lowered_hips(positions, feet, steps, FLOATING * leg, track.fps, cyclic)[:, None] * [0.0, 1.0, 0.0]
     rotation = posed.rotation
-    for joints, step in zip(feet.legs, steps, strict=True):
-        rotation = move_ankle(rotation, positions, joints, step + lowered, skinned.parents)
+    bends = [1.0] * (len(steps) - feet.hands) + [-1.0] * feet.hands  # knees to the front, elbows to the back
+    for joints, step, bend in zip(feet.legs, steps, bends, strict=True):
+        rotation = move_ankle(rotation, positions, joints, step + lowered, skinned.parents, bend)
     return PosedJoints(rotation, posed.root + root - lowered)
 
 
@@ -277,7 +307,7 @@ def foot_skate(
 
     The second figure is that of the driving's soles, times the scale. None if they never stand.
     """
-    contacts = None if feet is None else find_contacts(track, feet.driving_leg)
+    contacts = None if feet is None else find_contacts(track, feet.driving_leg, feet.hands)
     if feet is None or contacts is None or not contacts.planted.any():
         return None
     soles = feet.identity_soles(posed.rotation, posed.root)
@@ -330,10 +360,62 @@ def _heights(
     """Compute the weight of each foot in each frame, and how far it has to be lifted to be as high as the driving's."""
     error = scale * contacts.soles[..., 1].min(axis=2) - soles[..., 1].min(axis=2)
     # Where the ground is does not matter: it is the same for all frames.
-    error = error - np.median(error[contacts.near > 0.5]) if (contacts.near > 0.5).any() else error
+    near, legs = contacts.near > 0.5, error.shape[1] - contacts.hands
+    part = slice(legs) if near[:, :legs].any() else slice(legs, None)  # feet tell it where any is on the ground
+    error = error - np.median(error[:, part][near[:, part]]) if near.any() else error
     # Divided by the frame rate, as slides are, so that the rate has no influence on the balance with the penalties.
     weight = contacts.near * falling(np.abs(error) / leg, MISREAD_HEIGHT) / (HEIGHT_SECONDS * fps) ** 2
     return weight, np.sign(error) * np.maximum(np.abs(error) - EVEN * leg, 0)
+
+
+def ever_upright(track: JointTrack, feet: Feet) -> bool:
+    """Whether a driving stands on its feet in any frame; else it sits, crawls, lies or stands on its hands."""
+    assert track.soles is not None
+    lowest = track.soles[:, : len(feet.legs) - feet.hands, :, 1].min(axis=(1, 2))
+    return bool((track.positions[:, 0, 1] - lowest > UPRIGHT * feet.driving_leg).any())
+
+
+def height_of_soles(posed: PosedJoints, track: JointTrack, feet: Feet, scale: float) -> tuple[float, float]:
+    """Measure how far an identity has to be lifted for its lowest sole to be as high as the driving's, scaled.
+
+    That is the median over the frames in which feet are on the ground (hands, where feet never are), or over all
+    frames of a clip in which nobody stands. The second figure is the height of the driving's planted soles, or of its
+    lowest ones.
+    """
+    assert track.soles is not None
+    theirs, mine = track.soles[..., 1].min(axis=2), feet.identity_soles(posed.rotation, posed.root)[..., 1].min(axis=2)
+    contacts, legs = find_contacts(track, feet.driving_leg, feet.hands), len(feet.legs) - feet.hands
+    part, frames = slice(legs), slice(None)
+    if contacts is not None:
+        part = part if (contacts.near[:, :legs] > 0.5).any() else slice(legs, None)
+        frames = (contacts.near[:, part] > 0.5).any(axis=1)
+    lowest = theirs[frames, part].min(axis=1)
+    moves = has_path(track.positions[:, 0], feet.driving_leg)  # without a path feet that spread are in the air
+    planted = float(lowest.min()) if contacts is None or not moves else contacts.height
+    return float(np.median(scale * lowest - mine[frames, part].min(axis=1))), planted
+
+
+def has_path(root: Float[np.ndarray, "T 3"], leg: float) -> bool:
+    """Whether a root moves; where there is one frame, that is not known."""
+    return len(root) == 1 or bool(np.ptp(root, axis=0).max() > NO_PATH * leg)
+
+
+def standing_track(track: JointTrack, leg: float) -> JointTrack:
+    """Put the lowest sole of a motion that has no path at one height in every frame; other motions stay as they are.
+
+    Without a path the hips stay where they are while the legs spread or bend. People who sit are left there.
+
+    Args:
+        track: the motion, with contact points.
+        leg: length of a leg.
+    """
+    assert track.soles is not None
+    root, lowest = track.positions[:, 0], track.soles[..., 1].min(axis=(1, 2))
+    if has_path(root, leg) or np.ptp(lowest) <= EVEN * leg or (root[:, 1] - lowest).max() < UPRIGHT * leg:
+        return track
+    lift = np.zeros((len(root), 1, 3))
+    lift[:, 0, 1] = lowest.min() - lowest
+    return replace(track, positions=track.positions + lift, soles=track.soles + lift[:, None])
 
 
 def _solve(
@@ -399,6 +481,7 @@ def move_ankle(
     leg: tuple[int, ...],
     offset: Float[np.ndarray, "T 3"],
     parents: tuple[int, ...],
+    bend: float = 1.0,
 ) -> Float[np.ndarray, "T J 3 3"]:
     """Turn thigh and shin so that the ankle moves by `offset`, as far as the leg reaches.
 
@@ -411,6 +494,7 @@ def move_ankle(
         leg: hip, knee and ankle.
         offset: displacement of the ankle.
         parents: parent of each joint.
+        bend: -1 for elbows, which bend to the back.
 
     Returns:
         World rotations of all joints.
@@ -422,7 +506,7 @@ def move_ankle(
     shortest = np.abs(upper - lower) + 1e-3 * upper
     distance = np.clip(_length(after), shortest, longest_reach(positions, leg))
     swing = _smallest_rotation(before, after)
-    line, sideways = unit_vectors(before), _knee_direction(thigh, before, rotation[:, hip, :, 2])
+    line, sideways = unit_vectors(before), _knee_direction(thigh, before, bend * rotation[:, hip, :, 2])
     # Law of cosines: where the knee is along the line from hip to ankle, and how far from it.
     along = (distance**2 + upper**2 - lower**2) / (2 * distance)
     across = np.sqrt(np.maximum(upper**2 - along**2, 0))

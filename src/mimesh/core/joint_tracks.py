@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from .geometry import nearest_rotation
 
@@ -19,6 +19,15 @@ class JointTrack:
     fps: float
     soles: Float[np.ndarray, "T F C 3"] | None = None
     """Positions of the contact points on the soles, of the surface itself; smoothing does not change them."""
+
+    def at(self, frames: Int[np.ndarray, " N"], fps: float) -> JointTrack:
+        """Select some frames."""
+        soles = None if self.soles is None else self.soles[frames]
+        return JointTrack(self.rotation[frames], self.positions[frames], fps, soles)
+
+    def without_hands(self, hands: int) -> JointTrack:
+        """Leave out the contact points of the last feet, which are hands."""
+        return self if self.soles is None else replace(self, soles=self.soles[:, : self.soles.shape[1] - hands])
 
     def smoothed(self, seconds: float) -> JointTrack:
         """Average rotations and positions over time with a Gaussian of this standard deviation.

@@ -22,7 +22,8 @@ class PersonMotion:
     """Length of a leg, from hip to ankle."""
     weights: Float[np.ndarray, "V J"] | None = None
     """Weight of each joint on the vertices of the clip; None: not known."""
-
+    rest_vertices: Float[np.ndarray, "V 3"] | None = None
+    """These vertices at rest: their soles stand on the floor of the clip; None: not known."""
     front: str | None = None
     """Axis to the person's front at rest, such as "+z"; None: not known."""
     up: str = "+y"

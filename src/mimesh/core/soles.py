@@ -1,8 +1,11 @@
-"""Contact points on the soles of feet: which points of a surface they are, and where they are in a pose or frame."""
+"""Contact points on soles and palms: which points of a surface they are, and where they are in a pose or frame.
+
+Hands that stand on the floor (push-ups, crawling, handstands) are feet like others, whose length is along x.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -25,10 +28,14 @@ LOWEST_PART = 0.2
 """Of a leg without an ankle, the foot is the part below this share of the height of its last joint's surface."""
 FEWEST = 4
 """A foot with fewer points than this is not found."""
-
+REST_FLOOR = (-0.25, 0.9)
+"""Leg lengths over the soles of the rest pose between which the lowest soles of a clip are: in the air, on a seat, with
+toes in the ground. Elsewhere the rest pose stands on no floor of the clip, as where its hips are at the origin: planted
+soles are then at least 1.1 over it, the height of hips."""
 
 Soles = tuple[Int[np.ndarray, "C M"] | None, ...]
-"""For each leg, the C contact points of its foot, each as the indices of M points whose mean it is; None: no foot."""
+"""For each leg, then for each arm, the C contact points of its foot or hand, each as the indices of M points whose mean
+it is; None: no foot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +84,8 @@ class Feet:
     """Contact points of the driving."""
     identity: SkinnedMesh
     """The F * C * M points of the identity whose means are its contact points."""
+    hands: int = 0
+    """How many of the feet, the last ones, are hands."""
 
     @classmethod
     def of(
@@ -87,6 +96,7 @@ class Feet:
         skinned: SkinnedMesh,
         driving: Soles,
         surface: SurfacePoints,
+        arms: tuple[tuple[int, ...], ...] = (),
     ) -> Feet | None:
         """Select the feet that both meshes have; None if there is none.
 
@@ -97,13 +107,15 @@ class Feet:
             skinned: the identity.
             driving: contact points as indices of the points of `surface`.
             surface: points of the driving.
+            arms: joints of each arm that may stand, from shoulder to wrist.
         """
         both = [
             (leg, mine, other)
-            for leg, mine, other in zip(legs, identity, driving, strict=True)
+            for leg, mine, other in zip(legs + arms, identity, driving, strict=True)
             if mine is not None and other is not None
         ]
-        if not both:
+        hands = sum(leg in arms for leg, _, _ in both)
+        if len(both) == hands:
             return None
         theirs = SolePoints.of(tuple(other for _, _, other in both), surface)
         assert theirs is not None
@@ -112,6 +124,21 @@ class Feet:
             driving_leg,
             theirs,
             skinned.part(np.concatenate([mine.ravel() for _, mine, _ in both])),
+            hands,
+        )
+
+    def without_hands(self) -> Feet:
+        """Leave out the hands."""
+        points = (len(self.legs) - self.hands) * CONTACTS * MEAN_OF
+        driving = self.driving.surface
+        return replace(
+            self,
+            legs=self.legs[: len(self.legs) - self.hands],
+            driving=SolePoints(
+                len(self.legs) - self.hands, SurfacePoints(driving.corners[:points], driving.barycentric[:points])
+            ),
+            identity=self.identity.part(np.arange(points)),
+            hands=0,
         )
 
     @property
@@ -129,14 +156,51 @@ class Feet:
 
 
 def find_soles(
-    points: Float[np.ndarray, "N 3"], rig: Rig, legs: tuple[tuple[int, ...], ...], parents: tuple[int, ...]
+    points: Float[np.ndarray, "N 3"],
+    rig: Rig,
+    legs: tuple[tuple[int, ...], ...],
+    parents: tuple[int, ...],
+    arms: tuple[tuple[int, ...], ...] = (),
 ) -> Soles:
-    """Find the contact points of the foot of each leg; see `sole_points`."""
-    return tuple(sole_points(points, rig, leg[-1], parents, len(leg) == 3) if leg else None for leg in legs)
+    """Find the contact points of the foot of each leg, and of the hand of each arm; see `sole_points`."""
+    feet = tuple(sole_points(points, rig, leg[-1], parents, len(leg) == 3) if leg else None for leg in legs)
+    return feet + tuple(_palm_points(points, rig, arm, parents) if len(arm) == 3 else None for arm in arms)
+
+
+def _palm_points(
+    points: Float[np.ndarray, "N 3"], rig: Rig, arm: tuple[int, ...], parents: tuple[int, ...]
+) -> Int[np.ndarray, "C M"] | None:
+    """Find the contact points of a hand: those of a foot along x, of what is no prop in it."""
+    _, elbow, wrist = rig.joints[list(arm)]
+    near = np.linalg.norm(points - wrist, axis=1) < np.linalg.norm(wrist - elbow)  # a hand is shorter than its forearm
+    hand = replace(rig, weights=np.where(near[:, None], rig.weights, 0.0))
+    return sole_points(points, hand, arm[-1], parents, along=0)
+
+
+def sole_height(points: Float[np.ndarray, "N 3"], soles: Soles, legs: int) -> float | None:
+    """Return the height of the lowest contact point of the first `legs` feet; None if there is none."""
+    feet = [points[indices].mean(axis=1)[:, 1].min() for indices in soles[:legs] if indices is not None]
+    return float(min(feet)) if feet else None
+
+
+def floor_height(at_rest: float, lowest: float, leg: float) -> float:
+    """Return the height of the floor of a clip: that of the soles at rest, unless the clip does not stand on it.
+
+    Args:
+        at_rest: height of the soles at rest.
+        lowest: that of the soles that stand in the clip, or of its lowest ones.
+        leg: length of a leg.
+    """
+    return at_rest if REST_FLOOR[0] <= (lowest - at_rest) / leg <= REST_FLOOR[1] else lowest
 
 
 def sole_points(
-    points: Float[np.ndarray, "N 3"], rig: Rig, ankle: int, parents: tuple[int, ...], whole: bool = True
+    points: Float[np.ndarray, "N 3"],
+    rig: Rig,
+    ankle: int,
+    parents: tuple[int, ...],
+    whole: bool = True,
+    along: int = 2,
 ) -> Int[np.ndarray, "C M"] | None:
     """Find the contact points of a foot: indices of the M points whose mean each of them is (some repeated).
 
@@ -146,6 +210,7 @@ def sole_points(
     Args:
         ankle: the joint, or the last one of a leg that has no ankle.
         whole: whether it is an ankle; else its surface is that of a leg, of which the lowest part is the foot.
+        along: axis of its length, from heel to toes.
     """
     below = descendants([ankle], parents)
     on_foot = np.flatnonzero(rig.weights[:, below].sum(axis=1) > 0.5)
@@ -162,12 +227,12 @@ def sole_points(
     if not whole:
         low = straight[:, 1] <= straight[:, 1].min() + LOWEST_PART * np.ptp(straight[:, 1])
         on_foot, straight = on_foot[low], straight[low]
-    heel, toe = np.percentile(straight[:, 2], (1, 99))
+    heel, toe = np.percentile(straight[:, along], (1, 99))
     length = max(toe - heel, 1e-9)
     part = length / CONTACTS
     chosen = []
     for k in range(CONTACTS):
-        outside = np.maximum(np.abs(straight[:, 2] - heel - (k + 0.5) * part) - part / 2, 0)
+        outside = np.maximum(np.abs(straight[:, along] - heel - (k + 0.5) * part) - part / 2, 0)
         height = straight[:, 1] + OUTSIDE * outside
         lowest = np.argsort(height, kind="stable")[:MEAN_OF]
         lowest = lowest[height[lowest] <= height[lowest[0]] + DEPTH * length]

@@ -123,6 +123,12 @@ class Mime:
         return [self.joints.index(name) for name in anatomy_of(self.body).optional_trunk if name in self.joints]
 
     @property
+    def arms(self) -> tuple[tuple[int, ...], ...]:
+        """Joints of each arm whose hand may stand, from shoulder to wrist, those of them that the network has."""
+        chains = anatomy_of(self.body).arms
+        return tuple(tuple(self.joints.index(name) for name in arm if name in self.joints) for arm in chains)
+
+    @property
     def bodies(self) -> tuple[str, ...]:
         """Names of the bodies that there are networks for."""
         return (self.body, *self.other_bodies)
@@ -157,7 +163,8 @@ class Mime:
             above=names_above(self.joints, self.parents),
             legs=self.legs,
             leg=leg_length(rig.joints, self.legs),
-            soles=find_soles(points, rig, self.legs, self.parents),
+            soles=find_soles(points, rig, self.legs, self.parents, self.arms),
+            arms=self.arms,
             confidence=_without_shares(confidence, mesh),
         )
 
@@ -355,7 +362,8 @@ class Mime:
             confidence = self._with_weights(confidence, rig.weights)
         # Without a fit the median over all keyframes is more reliable than the reference alone.
         leg = leg_length(rig.joints, self.legs) if self.fits_body else best.leg
-        soles = find_soles(sample.points, _nearest_weights(sample.points, best.points, rig), self.legs, self.parents)
+        near = _nearest_weights(sample.points, best.points, rig)
+        soles = find_soles(sample.points, near, self.legs, self.parents, self.arms)
         best = dataclasses.replace(best, consensus=rig, leg=leg, confidence=confidence, soles=soles)
         tracker = PartTracker.of(best.points, rig.weights, rig.joints, self.parents)
 

@@ -69,8 +69,15 @@ class HumanoidRig:
     @property
     def legs(self) -> tuple[tuple[int, ...], ...]:
         """Of each leg hip, knee and ankle, those of them that it has; of forelegs shoulder, elbow and wrist."""
-        chains = anatomy_of(self.body_name).legs
-        return tuple(tuple(self.joints[name] for name in leg if name in self.joints) for leg in chains)
+        return self._chains(anatomy_of(self.body_name).legs)
+
+    @property
+    def arms(self) -> tuple[tuple[int, ...], ...]:
+        """Of each arm of a person shoulder, elbow and wrist, those of them that it has."""
+        return self._chains(anatomy_of(self.body_name).arms)
+
+    def _chains(self, limbs: tuple[tuple[str, str, str], ...]) -> tuple[tuple[int, ...], ...]:
+        return tuple(tuple(self.joints[name] for name in limb if name in self.joints) for limb in limbs)
 
     @property
     def leg(self) -> float:
@@ -111,7 +118,8 @@ class HumanoidRig:
         weights = character.summed_weights(character.nearest_columns(column_of, 0), len(names))
         up, front = axis_name(self.turn[1]), axis_name(self.turn[2])
         at_rest = self.turn @ frames, rest[:, :3, 3] @ self.turn.T
-        return PersonMotion(names, moved @ frames, world[..., :3, 3], self.leg, weights, front, up, at_rest)
+        surface = character.mesh.vertices
+        return PersonMotion(names, moved @ frames, world[..., :3, 3], self.leg, weights, surface, front, up, at_rest)
 
     def tree(self) -> tuple[list[int], tuple[int, ...]]:
         """Select the joints that move with the hips, the hips first, and the parent of each among them.

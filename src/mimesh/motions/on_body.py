@@ -65,8 +65,11 @@ def on_body(source: Bvh, path: str | Path) -> BodyMotion:
     known = named_joints(source.joint_names, source.parents)
     fingered = captured_fingers(source.joint_names, source.parents, known)
     body = body_with_fingers() if fingered else load_body()
-    motion = dataclasses.replace(retarget(source, body, str(path), hands=True), name=source.name)
-    if rests_standing(source.rest(), known):
+    standing = rests_standing(source.rest(), known)
+    motion = dataclasses.replace(
+        retarget(source, body, str(path), hands=True, stands_at_rest=standing), name=source.name
+    )
+    if standing:
         return BodyMotion(motion, "+z", source.notes)
     note = (
         f"{source.name} does not stand in its rest pose: its frames show how its joints are turned, with hips and head "
@@ -128,7 +131,9 @@ def played(motion: Motion, front: str | None = None) -> Clip:
     """
     body = next(body for body in (load_body(), body_with_fingers()) if body.joint_names == motion.joint_names)
     leg = leg_length(body.joints, body.joint_names)
-    joints = PersonMotion(motion.joint_names, *joint_tracks(body, motion), leg, body.weights, front)
+    joints = PersonMotion(
+        motion.joint_names, *joint_tracks(body, motion), leg, body.weights, rest_vertices=body.vertices, front=front
+    )
     rest = Rig(np.tile(np.eye(3), (len(body.parents), 1, 1)), body.joints, body.weights)
     skinned = SkinnedMesh.of(body.vertices, rest, body.parents)
     vertices: Any = PosedFrames(skinned, joints.rotation, joints.positions[:, 0])

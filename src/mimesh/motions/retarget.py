@@ -27,6 +27,7 @@ from ..core.errors import InputError
 from ..core.geometry import nearest_rotation, rotation_between, rotations_between, unit_vectors
 from ..core.mesh import LARGEST
 from ..core.rig import local_rotations
+from ..core.soles import floor_height
 from .bvh import Bvh
 from .motion import LEG, Motion, leg_length, lowest
 
@@ -41,10 +42,17 @@ FLOOR_QUANTILE = 0.2
 """The floor is this quantile, over frames, of the lowest vertex's height: most takes are on it for longer."""
 FLOOR_FRAMES = 400
 """Frames, evenly spread, that are used to find the floor."""
+SAME_FLOOR = 0.1
+"""Leg lengths between this height and the soles of the rest pose up to which both are one floor."""
 
 
 def retarget(
-    source: Bvh, body: RiggedBody, name: str | None = None, grounded: bool = True, hands: bool = False
+    source: Bvh,
+    body: RiggedBody,
+    name: str | None = None,
+    grounded: bool = True,
+    hands: bool = False,
+    stands_at_rest: bool = False,
 ) -> Motion:
     """Retarget a motion to `body` (mean shape), at the source's frame rate; errors name `name`.
 
@@ -56,6 +64,7 @@ def retarget(
         grounded: find the floor, which poses every vertex; without, only the rotations of the result are meant.
         hands: rotate hands and fingers as those of the source are at rest (`bodies.hands.hand_frames`); without, hands
             rest as the body's, relaxed, and fingers follow them.
+        stands_at_rest: where the take is not on the floor of the rest pose (it jumps, or sits), that is the floor.
 
     Raises:
         InputError: the hips or a limb joint are not found by name, a limb bone has no length at rest, or numbers are
@@ -93,7 +102,13 @@ def retarget(
     source_leg = [rest[index[joint]] for joint in LEG]
     scale = leg_length(body.joints, body.joint_names) / leg_length(np.array(source_leg), LEG)
     path = position[:, index["Hips"]] @ axes.T * scale
-    path = _grounded(path, target, body) if grounded else path
+    if grounded:
+        at_rest = None
+        if stands_at_rest and np.ptp(path, axis=0).max() > 0:  # hips that never move say nothing about the floor
+            hips = (source.offsets[0] + rest[index["Hips"]]) @ axes.T * scale
+            turned = [axes @ rest_rotation[joint] if joint in index else None for joint in body.joint_names]
+            at_rest = _rest_height(turned, hips, body)
+        path = _grounded(path, target, body, at_rest)
     return Motion(name or source.name, body.joint_names, local_rotations(target, body.parents), path, source.fps)
 
 
@@ -170,11 +185,23 @@ def _hand_rotations(rest, index, rest_rotation):
     return found
 
 
-def _grounded(path, target, body):
+def _rest_height(turned, hips, body):
+    """Return the height of the body's lowest vertex in a source's rest pose; joints of None go with their parents."""
+    target = np.empty((1, len(turned), 3, 3))
+    for j, parent in enumerate(body.parents):
+        target[:, j] = target[:, parent] if turned[j] is None else turned[j]
+    return float(lowest(body, local_rotations(target, body.parents), hips[None])[0])
+
+
+def _grounded(path, target, body, at_rest):
     """Shift the path to start at x = z = 0, with the floor at y = 0."""
     path = path - path[0] * [1.0, 0.0, 1.0]
     step = slice(None, None, max(len(path) // FLOOR_FRAMES, 1))
     floor = np.quantile(lowest(body, local_rotations(target[step], body.parents), path[step]), FLOOR_QUANTILE)
+    leg = leg_length(body.joints, body.joint_names)
+    # Rest poses of captures stand some centimetres beside their floor: they only tell the air from the ground.
+    if at_rest is not None and abs(floor - at_rest) > SAME_FLOOR * leg:
+        floor = floor_height(at_rest, float(floor), leg)
     return path - [0.0, floor, 0.0]
 
 

@@ -191,7 +191,8 @@ def _scaled(clip: Clip, motion: PersonMotion, scale: float) -> tuple[Clip, Perso
     mesh = replace(clip.mesh, vertices=scale * clip.mesh.vertices)
     for frame in clip.vertices:  # may be on disk
         frame *= scale
-    motion = replace(motion, positions=scale * motion.positions, leg=scale * motion.leg)
+    at_rest = None if motion.rest_vertices is None else scale * motion.rest_vertices
+    motion = replace(motion, positions=scale * motion.positions, leg=scale * motion.leg, rest_vertices=at_rest)
     return replace(clip, mesh=mesh, skeleton=KnownJoints(motion)), motion
 
 

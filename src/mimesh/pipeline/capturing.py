@@ -260,7 +260,7 @@ def _contacts(track: JointTrack, motion: JointMotion) -> dict[str, dict[str, lis
     """Return when feet are on the ground, as the report has it; empty where that cannot be told."""
     if track.soles is None or len(track.soles) < FEWEST_FRAMES:
         return {}
-    feet = [ankle for ankle, sole in zip(motion.ankles, motion.soles, strict=True) if sole is not None]
-    found = find_contacts(track, motion.leg)
+    feet = [ankle for ankle, sole in zip(motion.ankles, motion.soles, strict=False) if sole is not None]
+    found = find_contacts(track.without_hands(track.soles.shape[1] - len(feet)), motion.leg)
     intervals = [[] for _ in feet] if found is None else found.intervals(track.fps)
     return {"contacts": dict(zip(feet, intervals, strict=True))}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from ..bodies.anatomy import body_of_joints
 from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import INFLUENCES, AnimatedRig
-from ..core.errors import InputError, RefusedMeshError, option
+from ..core.errors import InputError, RefusedMeshError, on_command_line, option
 from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import LazyFrames, Progress, evenly_spread
 from ..core.joint_tracks import JointTrack
@@ -87,7 +87,21 @@ class JointRoute(Placed):
         """Make the identity's vertices in frame t only, at their position in the whole clip, without MotionOptions."""
         chosen = [0] if t == 0 else [0, t]  # the first frame fixes the position of the whole clip
         frames = [self.refined(self.retarget.frame(k, self.driving_frame(k))) @ self.turn.T for k in chosen]
-        return self.norms[0].undo(frames[-1] + self.shift(frames[0]))
+        return self.norms[0].undo(frames[-1] + self.shift(frames[0], self.lift_of_frames))
+
+    @property
+    def stride(self) -> float:
+        """Displacement of the result over the driving's, each normalised."""
+        return self.retarget.stride
+
+    def floor(self, lowest: float) -> float:
+        """Return the height of the driving's floor, normalised; `lowest` is that of its lowest vertex in keyframes."""
+        return self.retarget.motion.floor(lowest)
+
+    @cached_property
+    def lift_of_frames(self) -> float | None:
+        """How far up frames go that are made one by one; see `Retarget.lift`."""
+        return self.retarget.lift_of_frames(self.clip, self.norms[1])
 
     def joints(self, t: int) -> FoundJoints:
         """Return the joints of the identity, and of the driving in a frame."""
@@ -113,11 +127,15 @@ class JointRoute(Placed):
             limited = limited and self.rigs.humanoid is None
             retarget = self.retarget.limited(INFLUENCES) if limited else self.retarget
             measured = retarget.motion.over(clip, self.norms[1], retarget.driving_soles, progress)
-            track = measured.smoothed(options.smooth)
+            track, notes = measured.smoothed(options.smooth), ()
+            if options.ground:
+                standing = retarget.standing(track)
+                notes = () if standing is track else (no_path_note(clip.mesh.name),)
+                track = standing
             across = self.norms[1].radius / self.norms[0].radius if options.root == "keep" else None
             posed = retarget.posed_joints(track, across, options.root == "drop", options.ground)
             route = dataclasses.replace(self, retarget=retarget)
-            shift = self.shift(route.turned(posed, 0))
+            shift = self.shift(route.turned(posed, 0), retarget.lift(posed, track))
             skeleton = route.animated_rig(posed, shift)
             own = self.own_animation(skeleton)
             moved = route.made_frames(posed, shift, own, np.dtype(dtype))
@@ -125,7 +143,7 @@ class JointRoute(Placed):
                 moved = moved.kept()
             report = surface_report(identity, clip, moved, self.facings)
         report |= {"body": self.mime.body} | ({} if self.rigs.humanoid is None else {"rig": "own"})
-        notes = report_confidence(retarget, report, self.names) + self.all_notes(own is not None)
+        notes += report_confidence(retarget, report, self.names) + self.all_notes(own is not None)
         report["fingers"] = fingered_hands(retarget.character.joints)  # elsewhere they follow the hand
         report |= self._skates(retarget, track, posed, across, options)
         if limited:
@@ -237,6 +255,14 @@ class FoundMotion:
     rigs: Rigs
     """The driving's joints."""
     network: Mime
+
+
+def no_path_note(name: str) -> str:
+    """Tell what is done with a driving that has no path of the hips."""
+    return (
+        f"{name} does not move its hips from their place: the lowest sole stands on the floor in every frame; "
+        f"{'--no-ground' if on_command_line() else 'ground=False'} leaves the hips at one height"
+    )
 
 
 def report_confidence(retarget: Retarget, report: dict[str, Any], names: tuple[str, str]) -> tuple[str, ...]:

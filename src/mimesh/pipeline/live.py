@@ -157,7 +157,8 @@ def live_session(found: Route | PartRoute, model: str, root: str, threads: int |
     first, limit = route.driving_frame(0), limited_threads(threads)
     with limit():
         pose = _pose_function(route, first, root)
-        shift = route.shift(pose(first) @ route.turn.T)
+        lift = route.lift_of_frames if isinstance(route, JointRoute) else None
+        shift = route.shift(pose(first) @ route.turn.T, lift)
     report, notes = _report(route)
     clip = route.clip
     driving = Mesh(np.asarray(clip.vertices[0], np.float64), clip.mesh.faces, clip.mesh.name)

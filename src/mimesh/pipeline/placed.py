@@ -13,7 +13,7 @@ from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
 from ..core.frame_buffer import LazyFrames, evenly_spread
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import Normalization, turn
+from ..core.normalization import Normalization, bbox_centre, turn
 from ..core.surface_points import SurfacePoints
 from ..core.threads import both
 from ..io.beside import missing_images, missing_images_notes
@@ -31,6 +31,8 @@ MOTION_FRAMES = 120
 """Largest number of frames, evenly spread, in which points of the surface are followed to tell whether fingers move."""
 FEWEST_VERTICES = 4
 """Vertices of the smallest solid, a tetrahedron; two points and one triangle have no pose."""
+SOLE_ERROR = 0.05
+"""Radii of a mesh by which its lowest vertex may be below its soles and still be one of them."""
 JointPositions = dict[str, Float[np.ndarray, " 3"]]
 """Joint -> position in the axes, unit and position of a mesh's file."""
 
@@ -99,10 +101,36 @@ class Placed:
         """The turn of results about y: results have the driving's heading, not the identity's."""
         return turn(self.norms[1].heading - self.norms[0].heading)
 
-    def shift(self, first: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
-        """Return the displacement that brings the first frame of a result to the identity's position; normalised."""
+    @property
+    def stride(self) -> float:
+        """Displacement of the result over the driving's, each normalised."""
+        return 1.0
+
+    def floor(self, lowest: float) -> float:
+        """Return the height of the driving's floor, normalised; `lowest` is that of its lowest vertex in keyframes."""
+        return lowest
+
+    def shift(self, first: Float[np.ndarray, "V 3"], lift: float | None) -> Float[np.ndarray, " 3"]:
+        """Return the displacement that brings a result to the identity's position; normalised.
+
+        Args:
+            first: its first frame, whose bounding box is centred where the identity's is.
+            lift: how far up it goes to stand on the identity's floor (`Retarget.lift`); None: the lowest vertex of the
+                first frame is as high over the identity's lowest as the driving's is over its floor, scaled. So it is
+                in a single pose without a rest pose, too, unless something hangs below the soles: soles are means of
+                points, over the edges of feet that tilt.
+        """
         upright = turn(self.norms[0].heading)  # bounding boxes are those in the axes of the file
-        return (_ground_point(self.rest.vertices @ upright.T) - _ground_point(first @ upright.T)) @ upright
+        own, moved = self.rest.vertices @ upright.T, first @ upright.T
+        if lift is None or len(self.clip) == 1:
+            chosen = evenly_spread(len(self.clip), KEYFRAMES)
+            lowest = self.norms[1].apply(self.clip.vertices[chosen])[..., 1].min(axis=1)
+            above = self.stride * (lowest[0] - self.floor(float(lowest.min())))
+            lowest_on_floor = float(own[:, 1].min() + above - moved[:, 1].min())
+            alike = lift is not None and above == 0 and abs(lift - lowest_on_floor) < SOLE_ERROR
+            lift = lowest_on_floor if lift is None or alike else lift
+        x, _, z = bbox_centre(own) - bbox_centre(moved)
+        return np.array([x, lift, z]) @ upright
 
     def refined(self, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
         """Refine a frame of a result, if results are refined."""
@@ -174,9 +202,3 @@ def surface_motion(clip: Clip, norm: Normalization, samples: SurfacePoints) -> F
     """Return points of a clip's surface in at most MOTION_FRAMES frames, normalised; of each, only these are read."""
     chosen = evenly_spread(len(clip), MOTION_FRAMES)
     return np.stack([norm.apply(samples.points(clip.vertices[t])) for t in chosen])
-
-
-def _ground_point(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
-    """Return the centre of the bounding box in x and z, at its lowest y."""
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    return np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])

@@ -17,11 +17,12 @@ from ..core.normalization import Normalization
 from ..core.options import MotionOptions
 from ..methods.base import Drive, Method, SizedMethod
 from ..methods.find import find_method
+from ..rigs.retarget import JointMotion
 from .file_rigs import NO_RIGS, Rigs
 from .known import Known
 from .look import check_known_body, normalised, trained_on_people, turned_as_animal
 from .marked_mesh import MarkedFrame
-from .placed import Moved, Placed, first_frame, keyframes_of, surface_report, with_up
+from .placed import SOLE_ERROR, Moved, Placed, first_frame, keyframes_of, surface_report, with_up
 from .refine import Refinement
 from .report import MeshReport, TransferReport, facing
 from .result import Timer
@@ -58,6 +59,16 @@ class VertexRoute(Placed):
     def facings(self) -> tuple[MeshReport, MeshReport]:
         """Axes of both meshes for the report."""
         return self.found_axes or super().facings
+
+    def floor(self, lowest: float) -> float:
+        """Return the height of the driving's floor, normalised; `lowest` is that of its lowest vertex in keyframes."""
+        driving, norm = self.rigs.driving, self.norms[1]
+        if driving is None or driving.rest_vertices is None:
+            return lowest
+        motion = JointMotion.of_file(driving, normalised(first_frame(self.clip), norm), self.clip.fps, norm, 0)
+        heights = norm.apply(driving.rest_vertices)[:, 1]
+        at_rest = heights[heights > motion.floor(lowest) - SOLE_ERROR].min()
+        return float(at_rest) if motion.floor(lowest) == motion.rest_floor else lowest
 
     def with_refinement(self, refine: bool | None) -> VertexRoute:
         """Switch refinement on or off; None takes the method's default."""
@@ -99,7 +110,7 @@ class VertexRoute(Placed):
         """Yield frames at the identity's place: the first one has its position."""
         frames = (vertices @ self.turn.T for vertices in self._refined(self.drive(driving), timer))
         first = next(frames)
-        shift = self.shift(first)
+        shift = self.shift(first, None)
         return (self.norms[0].undo(vertices + shift) for vertices in itertools.chain([first], frames))
 
     def _refined(self, frames: Iterable[Float[np.ndarray, "V 3"]], timer: Timer) -> Iterator[Float[np.ndarray, "V 3"]]:

@@ -19,7 +19,7 @@ from ..core.geometry import rotate_between, unit_vectors
 from ..core.normalization import Normalization
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
-from ..core.soles import Soles, find_soles
+from ..core.soles import Soles, find_soles, sole_height
 from .confidence import Confidence
 
 if TYPE_CHECKING:
@@ -54,7 +54,9 @@ class Character:
     leg: float
     """Length of a leg."""
     soles: Soles
-    """Contact points of the feet, as indices of `points`."""
+    """Contact points of the feet, then of the hands, as indices of `points`."""
+    arms: tuple[tuple[int, ...], ...] = ()
+    """Of each arm of a person shoulder, elbow and wrist, those of them that it has."""
     confidence: Confidence | None = None
     """How certainly the joints were found; None: they are those of a file."""
     whole: Mapping[str, str] = field(default_factory=dict)
@@ -84,7 +86,7 @@ class Character:
         weights = character.summed_weights(columns, len(kept))
         rig = Rig(norm.rotation @ frames, norm.apply(character.joints[kept]), weights)
         points = norm.apply(character.points.reshape(-1, 3)).reshape(character.points.shape)
-        legs = tuple(tuple(place[j] for j in leg) for leg in humanoid.legs)
+        legs, arms = (tuple(tuple(place[j] for j in limb) for limb in of) for of in (humanoid.legs, humanoid.arms))
         body = humanoid.body
         ends = {
             name: body.joints[body.joint(end)] - body.joints[body.joint(name)]
@@ -101,7 +103,8 @@ class Character:
             above=above,
             legs=legs,
             leg=humanoid.leg / norm.radius,
-            soles=find_soles(vertices, rig, legs, parents),
+            soles=find_soles(vertices, rig, legs, parents, arms),
+            arms=arms,
             whole=humanoid.whole_limbs,
             directions={name: end / np.linalg.norm(end) for name, end in ends.items()},
             standing={name: humanoid.turn @ humanoid.frames[name] for name in humanoid.stands & humanoid.joints.keys()},
@@ -111,6 +114,11 @@ class Character:
     def shared(self) -> Int[np.ndarray, " V"] | None:
         """`group`, where vertices share positions; None where none do."""
         return None if len(self.points) == len(self.group) else self.group
+
+    @property
+    def floor(self) -> float | None:
+        """Height of the floor that it stands on: that of its lowest sole; None: it has no feet."""
+        return sole_height(self.points, self.soles, len(self.legs))
 
     def rig_of_file(self, norm: Normalization) -> Rig:
         """Return the rig in the axes, unit and position of the file; `norm` is that of the character.

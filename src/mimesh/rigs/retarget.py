@@ -17,14 +17,14 @@ from ..bodies.anatomy import anatomy_of_joints, body_of_joints
 from ..bodies.character_limbs import SIDES
 from ..bodies.hands import straight_hands
 from ..bodies.joint_names import ancestors, finger_joints
-from ..core.foot_planting import PosedJoints, plant_feet
-from ..core.frame_buffer import Progress, counted, each_frame
+from ..core.foot_planting import PosedJoints, ever_upright, has_path, height_of_soles, plant_feet, standing_track
+from ..core.frame_buffer import Progress, counted, each_frame, evenly_spread
 from ..core.joint_tracks import JointTrack, root_path
 from ..core.mesh import Clip, Mesh, check_size
 from ..core.normalization import Normalization
 from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
-from ..core.soles import Feet, SolePoints, Soles, find_soles
+from ..core.soles import Feet, SolePoints, Soles, find_soles, floor_height, sole_height
 from ..core.surface_points import SurfacePoints, generator
 from .character import Character, LinkedJoints, RestPose
 from .confidence import Confidence
@@ -37,6 +37,11 @@ SurfaceMotion = Callable[[SurfacePoints], Float[np.ndarray, "T N 3"]]
 """Maps points of the driving's surface to their positions in frames of the whole clip, normalised."""
 SOLE_SAMPLES = 8192
 """Points of a driving's surface among which those of the soles are, where its joints are known."""
+
+
+FLOOR_FRAMES = 120
+"""Largest number of frames, evenly spread, in which the floor of a clip is looked for where its frames are made one by
+one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +57,15 @@ class JointMotion:
     surface: SurfacePoints
     """Points of the clip's surface."""
     soles: Soles
-    """Contact points of the feet, as indices of these."""
+    """Contact points of the feet, then of the hands, as indices of these."""
     ankles: tuple[str, ...]
     """Joint that moves each of these feet."""
     track: JointTrack | None = None
     """The joints in all frames, where the file has them."""
     rest: RestPose | None = None
     """The joints at rest, where the file has them."""
+    rest_floor: float | None = None
+    """Height of the soles at rest, where the file has a rig whose hips move."""
     confidence: Confidence | None = None
     """How certainly the joints were found; None: they are those of a file."""
 
@@ -70,15 +77,25 @@ class JointMotion:
         surface = SurfacePoints.of(mesh, SOLE_SAMPLES, generator(seed, 1))
         soles: Soles = ()
         ankles: tuple[str, ...] = ()
+        floor = None
         if motion.weights is not None:
             weights = (surface.barycentric[..., None] * motion.weights[surface.corners]).sum(axis=1)
             index = {name: k for k, name in enumerate(motion.joints)}
-            chains = anatomy_of_joints(motion.joints).legs
-            legs = tuple(tuple(index[name] for name in leg if name in index) for leg in chains)
+            anatomy = anatomy_of_joints(motion.joints)
+            legs, arms = (
+                tuple(tuple(index[name] for name in limb if name in index) for limb in limbs)
+                for limbs in (anatomy.legs, anatomy.arms)
+            )
             ankles = tuple(motion.joints[leg[-1]] if leg else "" for leg in legs)
             rig = Rig(track.rotation[0], track.positions[0], weights)
-            soles = find_soles(surface.points(mesh.vertices), rig, legs, body_parents(motion.joints))
-        return cls(motion.joints, None, motion.leg / norm.radius, surface, soles, ankles, track, motion.rest)
+            soles = find_soles(surface.points(mesh.vertices), rig, legs, body_parents(motion.joints), arms)
+            if motion.rest_vertices is not None and has_path(motion.positions[:, 0], motion.leg):
+                floor = sole_height(surface.points(norm.apply(motion.rest_vertices)), soles, len(legs))
+        return cls(motion.joints, None, motion.leg / norm.radius, surface, soles, ankles, track, motion.rest, floor)
+
+    def floor(self, lowest: float) -> float:
+        """Return the height of the floor; `lowest` is that of the clip's planted soles, or of its lowest ones."""
+        return lowest if self.rest_floor is None else floor_height(self.rest_floor, lowest, self.leg)
 
     def over(
         self, clip: Clip, norm: Normalization, soles: SolePoints | None, progress: Progress | None = None
@@ -181,6 +198,36 @@ class Retarget:
         # In place, feet slide as they should: only heights are corrected.
         return plant_feet(posed, track, self.character.skinned, self.feet, scale, across is None, not in_place)
 
+    def lift(self, posed: PosedJoints, track: JointTrack) -> float | None:
+        """Return how far up a motion of the character's joints must go to stand on the floor that the character is on.
+
+        Its soles are then as high over that floor as the driving's are over theirs, scaled. This is where the height of
+        results is decided. None where soles do not tell: of meshes without feet, and of clips in which nobody is
+        upright.
+        """
+        own = self.character.floor
+        if self.feet is None or own is None or track.soles is None:
+            return None
+        if self.motion.rest_floor is None and not ever_upright(track, self.feet):
+            return None
+        higher, lowest = height_of_soles(posed, track, self.feet, self.stride)
+        return higher + own - self.stride * self.motion.floor(lowest)
+
+    def lift_of_frames(self, clip: Clip, norm: Normalization) -> float | None:
+        """Return the `lift` of frames that are made one by one, from at most FLOOR_FRAMES of the clip."""
+        chosen = evenly_spread(len(clip), FLOOR_FRAMES)
+        fps = clip.fps * len(chosen) / len(clip)
+        known = self.motion.track
+        motion = self.motion if known is None else replace(self.motion, track=known.at(chosen, fps))
+        track = motion.over(Clip(clip.mesh, clip.vertices[chosen], fps), norm, self.driving_soles)
+        return self.lift(self.posed_joints(track, None, False, False), track)
+
+    def standing(self, track: JointTrack) -> JointTrack:
+        """Put the lowest sole of a driving without a path on the floor in every frame; others stay as they are."""
+        if self.feet is None or track.soles is None:
+            return track
+        return standing_track(track, self.motion.leg)
+
     def frame(self, t: int, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
         """Make the character's vertices in frame t of the driving, which has these vertices; nothing is planted."""
         rotation, positions = self.motion.pose(t, vertices)
@@ -191,6 +238,7 @@ class Retarget:
 def _feet(character: Character, motion: JointMotion) -> Feet | None:
     """Find the contact points of the feet that both have; None where a leg was not found."""
     lacking = any(of.confidence is not None and of.confidence.lacks_leg for of in (character, motion))
-    if lacking or len(character.legs) != len(motion.soles):
+    legs, arms = character.legs, character.arms
+    if lacking or len(legs + arms) != len(motion.soles):
         return None
-    return Feet.of(character.legs, motion.leg, character.soles, character.skinned, motion.soles, motion.surface)
+    return Feet.of(legs, motion.leg, character.soles, character.skinned, motion.soles, motion.surface, arms)
