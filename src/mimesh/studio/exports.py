@@ -156,15 +156,15 @@ def _write_result(order: Order, result: ClipResult, driving: str, target: Path, 
         from ..io import save_clip
 
         save_clip(result.clip, path, suffix=order.suffix.removeprefix("frames"), progress=progress)
+        written = ()
     elif jointed:
-        save_skinned([result], path, animations=[driving], layout=order.layout)
+        (deviations,) = save_skinned([result], path, animations=[driving], layout=order.layout).deviations
+        written = skinned_note({**result.report, **deviations})
+        written += resampled_note(len(result.frames), result.fps, order.layout.fps)
     else:
-        result.save(path, blendshapes=order.blendshapes, progress=progress)
-    blend_notes = blend_note(result.report.get("blendshapes_deviation")) if order.blendshapes else ()
-    joint_notes = skinned_note(result.report) if jointed else ()
-    if jointed:
-        joint_notes += resampled_note(len(result.frames), result.fps, order.layout.fps)
-    return [*not_kept(result.mesh, path), *rate_note(result.fps, path), *blend_notes, *joint_notes]
+        (deviations,) = result.save(path, blendshapes=order.blendshapes, progress=progress).deviations
+        written = blend_note(deviations.get("blendshapes_deviation"))
+    return [*not_kept(result.mesh, path), *rate_note(result.fps, path), *written]
 
 
 def _write_rig(order: Order, item: Item, options: Options, target: Path, progress: Progress) -> list[str]:
