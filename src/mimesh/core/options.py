@@ -321,7 +321,27 @@ class RenderOptions:
 
 
 @dataclass(frozen=True)
-class ConvertOptions(FrameRange):
+class RecordedRange(FrameRange):
+    """Which frames of a clip are taken, and the body model of archives that have none."""
+
+    body_model: Path | None = declared(
+        None, "SMPL's, SMPL+H's ... (.pkl .npz): AMASS archives become its surface.", metavar="FILE"
+    )
+    """File of a body model, with which a file is read as the recorded surface (`load_recorded_clip`)."""
+
+
+@dataclass(frozen=True)
+class BlendShapes:
+    """How many morph targets a clip is written with."""
+
+    blendshapes: int | None = declared(
+        None, "Write K morph targets, not one a frame (.glb, .gltf).", metavar="K", min=1
+    )
+    """None is one for each frame."""
+
+
+@dataclass(frozen=True)
+class ConvertOptions(BlendShapes, RecordedRange):
     """Which clip of a file `mimesh convert` reads, which of its frames, and what it writes."""
 
     fps: float | None = declared(None, "Of IN, where it does not say; else to sample it at.")
@@ -330,13 +350,6 @@ class ConvertOptions(FrameRange):
     frame: int | None = declared(None, "This frame alone, counted from 0.")
     frames: int | None = declared(None, "So many frames, evenly spread from first to last.", min=1)
     frames_as: str | None = declared(None, "In a folder: obj or ply.", metavar="SUFFIX")
-    blendshapes: int | None = declared(
-        None, "Write K morph targets, not one a frame (.glb, .gltf).", metavar="K", min=1
-    )
-    body_model: str | Path | None = declared(
-        None, "SMPL's, SMPL+H's ... (.pkl .npz): AMASS archives become its surface.", kind=Path | None, metavar="FILE"
-    )
-    """File of a body model, with which a file is read as the recorded surface (`load_recorded_clip`)."""
     betas: str | None = declared(
         None, "Person who moves, with --body-model: numbers with commas, or an .npz.", metavar="B"
     )

@@ -15,7 +15,7 @@ from typing import Literal, cast
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies.engine_names import SCHEMES, root_name
+from ..bodies.engine_names import SCHEMES
 from ..bodies.engine_rig import engine_rig
 from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import AnimatedRig
@@ -26,7 +26,6 @@ from ..core.normalization import Normalization
 from ..core.options import Hints, Layout
 from ..io import save_own_rig, save_rig
 from ..io.beside import missing_images, missing_images_notes
-from ..io.gltf.own_animation import OwnAnimation
 from ..io.gltf.own_rig import OwnRig
 from ..methods.find import find_mime
 from ..mime.model import Mime
@@ -39,7 +38,7 @@ from .placed import check_identity
 from .read import read_mesh
 from .report import RigReport, facing, facing_note, fingered_hands
 from .result import Timer
-from .skinned import check_own_layout
+from .skinned import check_own_layout, own_pose
 from .vrm import save_as_vrm
 
 BONES = (".glb", ".gltf", ".fbx", ".vrm")
@@ -144,8 +143,7 @@ class RiggedMesh:
                 save_as_vrm(self, layout, author, license, Path(path))
             elif self.own is not None:
                 check_own_layout(self.own.person, layout, self.mesh.name)
-                kept = OwnAnimation(self.own.source, self.mesh.name, {}, 30.0, 1, self.own.person)
-                save_own_rig(kept.with_layout(SCHEMES[names].bones, root_name(layout), root_bone), path)
+                save_own_rig(own_pose(self.own, self.mesh.name, layout), path)
             else:
                 axes = {"up": self.report["up"], "front": self.report["front"]}
                 save_rig(engine_rig(self.skeleton, names, root_bone, rest, **axes), path)

@@ -19,12 +19,16 @@ from ..core.errors import InputError, option
 from ..core.options import Layout, needs_joints
 from ..core.rig import Rig, descendants
 from ..io import save_own_animations, save_rig_animations
+from ..io.gltf.own_animation import OwnAnimation
+from ..io.timing import DEFAULT_FPS
 from .report import Deviations, SavedClip
 from .vrma import save_bone_motions
 
 if TYPE_CHECKING:
+    from ..io.gltf.animation import AnimatedValues
     from ..io.gltf.document import Document
-    from ..io.gltf.own_animation import OwnAnimation, PlayedAnimation
+    from ..io.gltf.own_animation import PlayedAnimation
+    from ..io.gltf.own_rig import OwnRig
     from .result import ClipResult
 
 AS_IT_IS = Layout()
@@ -171,6 +175,16 @@ def check_own_layout(person: Mapping[str, int], layout: Layout, name: str) -> No
         )
 
 
+def laid_out(animation: OwnAnimation, layout: Layout) -> OwnAnimation:
+    """Give the bones of a file the names and the root bone of a layout."""
+    return animation.with_layout(SCHEMES[layout.names].bones, root_name(layout), layout.root_bone)
+
+
+def own_pose(own: OwnRig, name: str, layout: Layout, tracks: AnimatedValues | None = None) -> OwnAnimation:
+    """Return the bones of a file in a layout, in one pose: that of its nodes, but for the values in `tracks`."""
+    return laid_out(OwnAnimation(own.source, name, tracks or {}, DEFAULT_FPS, 1, own.person), layout)
+
+
 def _check_same_rig(results: Sequence[ClipResult], names: Sequence[str]) -> None:
     """Raise InputError if results are not all on the own rig of one identity."""
     moved = {result.own is not None: name for result, name in zip(results, names, strict=True)}
@@ -201,9 +215,7 @@ def _save_on_own_rig(
     for name, result in zip(names, results, strict=True):
         assert result.own is not None
         check_own_layout(result.own.joints, layout, result.own.source.document.path.name)
-        own = dataclasses.replace(result.own, name=name).with_layout(
-            SCHEMES[layout.names].bones, root_name(layout), layout.root_bone
-        )
+        own = laid_out(dataclasses.replace(result.own, name=name), layout)
         animations.append(own if layout.fps is None else own.resampled(layout.fps))
     with results[0].seconds.step("write"):
         written = save_own_animations(animations, path)

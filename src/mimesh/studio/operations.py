@@ -101,19 +101,8 @@ def compute_result(route: Route, identity: Mesh, clip: Clip, options: Options, p
     moved = route.play(seconds, options.motion(model), lambda done, total: progress(done, 2 * total), dtype)
     # The page shows all frames: they are made here, where they can be stopped.
     frames = LazyFrames.stored(moved.frames.every(1, lambda done, total: progress(total + done, 2 * total)))
-    return ClipResult(
-        identity.with_vertices(frames.first()),
-        frames,
-        clip.fps,
-        model.name,
-        seconds,
-        moved.report,
-        moved.notes,
-        moved.skeleton,
-        identity=identity,
-        driving=clip,
-        own=moved.own,
-    )
+    shown = dataclasses.replace(moved, frames=frames)
+    return shown.clip_result(identity, clip, model.name, seconds, moved.notes)
 
 
 def rig_mesh(item: Item, options: Options) -> RiggedMesh:
