@@ -331,7 +331,7 @@ class RecordedRange(FrameRange):
 
 
 @dataclass(frozen=True)
-class BlendShapes:
+class BlendShapeOptions:
     """How many morph targets a clip is written with."""
 
     blendshapes: int | None = declared(
@@ -341,7 +341,7 @@ class BlendShapes:
 
 
 @dataclass(frozen=True)
-class ConvertOptions(BlendShapes, RecordedRange):
+class ConvertOptions(BlendShapeOptions, RecordedRange):
     """Which clip of a file `mimesh convert` reads, which of its frames, and what it writes."""
 
     fps: float | None = declared(None, "Of IN, where it does not say; else to sample it at.")

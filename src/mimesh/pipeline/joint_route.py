@@ -321,6 +321,15 @@ def find_character(
     return _settled(mime, subject, seen, character)
 
 
+def found_character(
+    mime: Mime, subject: Subject, asked: str, rigs: Rigs, corrections: Corrections
+) -> tuple[Look, Character, Normalization]:
+    """Decide which body a single mesh has, and find its joints, as `found_alone`; for `mimesh rig` and `look`."""
+    return found_alone(
+        mime, subject, asked, lambda network, seen: find_character(network, subject, seen, rigs, corrections)
+    )
+
+
 def find_motion(
     mime: Mime, clip: Clip, subject: Subject, seen: Look, rigs: Rigs, corrections: Corrections
 ) -> tuple[JointMotion, Normalization]:

@@ -31,9 +31,9 @@ from ..methods.find import find_mime
 from ..mime.model import Mime
 from ..rigs.character import Character
 from .file_rigs import read_rigs
-from .joint_route import FoundCharacter, find_character, found_alone
+from .joint_route import FoundCharacter, found_character
 from .known import Known
-from .look import Look, normalised
+from .look import normalised
 from .placed import check_identity
 from .read import read_mesh
 from .report import RigReport, facing, facing_note, fingered_hands
@@ -189,11 +189,7 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
     """Look at a mesh and find its joints, and those of its fingers if these are wanted."""
     rigs = read_rigs(mesh, Clip.still(mesh), known)
     subject = rigs.subjects(mesh, mesh, known.axes)[0]
-
-    def find(network: Mime, seen: Look) -> tuple[Character, Normalization]:
-        return find_character(network, subject, seen, rigs, known.corrections)
-
-    seen, plain, norm = found_alone(mime, subject, known.asked_body, find)
+    seen, plain, norm = found_character(mime, subject, known.asked_body, rigs, known.corrections)
     character = plain
     if fingers and rigs.humanoid is None:
         character = mime.of_body(seen.body).with_all_fingers(plain, normalised(mesh, norm))

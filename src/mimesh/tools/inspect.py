@@ -10,12 +10,17 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..core.errors import RefusedMeshError
 from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
 from ..core.printable import printable
 from ..io.beside import missing_images, missing_images_notes
+from ..methods.find import find_mime
+from ..pipeline.corrections import Corrections
+from ..pipeline.file_rigs import NO_RIGS
 from ..pipeline.gltf_rigs import RigFacts, rig_facts
-from ..pipeline.look import KINDS, Subject, recognised_body
+from ..pipeline.joint_route import found_character
+from ..pipeline.look import KINDS, Subject
 
 PERSON = (1.4, 2.1)
 """Longest side (metres) of a standing person, arms spread or not: smallest and largest."""
@@ -284,13 +289,15 @@ def _motion_detail(joints: int) -> tuple[str, str]:
 
 
 def _stands(mesh: Mesh, rig: RigFacts | None) -> str:
-    """Say up and front of a mesh, and what it is taken for: by its rig, else as a transfer of it alone would choose."""
+    """Say up and front of a mesh, and what it is taken for: by its rig, else as `mimesh rig` takes it."""
     subject, body = Subject(mesh, (None, None)), "human"
     norm = subject.norm
     if rig is None or not rig.person:
-        body, norm = recognised_body(subject)
-    if body is None:
-        return "looks neither like a person nor like a four-legged animal, as far as can be told"
+        try:
+            seen, _, norm = found_character(find_mime("mime"), subject, "auto", NO_RIGS, Corrections())
+        except RefusedMeshError:
+            return "looks neither like a person nor like a four-legged animal, as far as can be told"
+        body = seen.body
     by_file = " (by the file)" if norm.up_from == "file" else ""
     guess = " (a guess)" if norm.unsure else ""
     return f"up {norm.up}{by_file}, front {norm.front}, taken for {KINDS[body]}{guess}"
