@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from people import person, walk
@@ -50,6 +52,17 @@ def test_a_mesh_with_a_rig_moves_on_it(captured, tmp_path):
 def test_joints_of_a_file_are_followed(tmp_path):
     path = own_rig(tmp_path)
     assert difference(mimesh.capture(path), path, person(0)) < 1e-6
+
+
+def test_what_other_processes_send_is_the_same(captured):
+    """Frames that are made when they are asked for are made to be pickled."""
+    rigged, again = mimesh.rig(person(0)), pickle.loads(pickle.dumps(captured))
+    moved = mimesh.retarget(captured, rigged)
+    sent = pickle.loads(pickle.dumps(moved))
+    np.testing.assert_array_equal(sent.clip.vertices, moved.clip.vertices)
+    assert (sent.report, sent.notes) == (moved.report, moved.notes)
+    followed = mimesh.retarget(again, pickle.loads(pickle.dumps(rigged)))
+    np.testing.assert_array_equal(followed.clip.vertices, moved.clip.vertices)
 
 
 def test_filters_of_capture_and_retarget_add_up(captured):

@@ -370,3 +370,20 @@ class MeasureOptions:
     """Height of the identities of a list at rest, in the unit of its files; see `ListedPairs.height`."""
     fps: float | None = declared(None, "Lists: frames per second of the clips.")
     """Frames per second of the clips of a list; None: those of the files."""
+
+
+@dataclass(frozen=True)
+class TrainingFiles:
+    """What the user brings to a training."""
+
+    characters: Path | None = declared(
+        None, "Folder of rigged .glb, .gltf, .vrm, .fbx or of a pool to train on.", metavar="DIR"
+    )
+    clips: Path | None = declared(None, "Folder of .glb, .fbx, .bvh or AMASS motions to train mime on.", metavar="DIR")
+    leave_out: list[str] | None = declared(None, "Pack (sub-folder) of --characters that is not used.", metavar="PACK")
+    meshes: Path | None = declared(
+        None,
+        "Folder of registered meshes (npt) or clips (aniformer), or an .hdf5 of clips, to train on.",
+        metavar="DIR",
+    )
+    pattern: str = declared("", "How the files of --meshes are named, such as '{person}-{pose}.ply'.")
