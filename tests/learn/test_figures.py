@@ -181,7 +181,9 @@ def test_a_pack_is_left_out_by_one_option(pool, tmp_path, monkeypatch):
     found = read_user_data(config, TrainingFiles(pool), no_bar)
     assert found.facts["left_out"] == {"toys": 1}
     with pytest.raises(InputError, match=r"--leave-out toys: expected it with --characters"):
-        train_command("mime", "small", tmp_path / "other", None, 0.001, TINY[1:], None, None, None, ["toys"])
+        train_command(
+            "mime", "small", tmp_path / "other", None, 0.001, TINY[1:], None, TrainingFiles(leave_out=["toys"])
+        )
 
 
 @pytest.mark.slow

@@ -253,7 +253,9 @@ def _arrange(skeleton: AnimatedRig, scheme: Scheme) -> AnimatedRig:
     new = Rig(rig.rotation[list(source)], np.stack(joints), weights)
     paths = np.stack(paths, axis=1)
     rotation = skeleton.rotation[:, source]
-    return AnimatedRig(skeleton.mesh, names, parents, new, rotation, paths[:, 0], positions=paths)
+    return AnimatedRig(
+        skeleton.mesh, names, parents, new, rotation, paths[:, 0], positions=paths, influences=skeleton.influences
+    )
 
 
 def _placed_ancestor(parents: tuple[int, ...], joint: int, placed: dict[int, int]) -> int:
@@ -295,4 +297,5 @@ def _with_root(skeleton: AnimatedRig, name: str, up: Float[np.ndarray, " 3"], mo
         np.concatenate([np.tile(rig.rotation[0], (frames, 1, 1, 1)), skeleton.rotation], axis=1),
         path,
         positions=np.concatenate([path[:, None], skeleton.joint_positions()], axis=1),
+        influences=skeleton.influences,
     )

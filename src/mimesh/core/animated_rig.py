@@ -15,7 +15,8 @@ from .rig import Rig, homogeneous, local_rotations
 from .skinning import SkinnedMesh, place_joints
 
 INFLUENCES = 4
-"""Joints per vertex in a written file. Readers of glTF 2.0 must support 4, and many game engines support no more."""
+"""Joints per vertex in a written file, unless more are asked for. Readers of glTF 2.0 must support 4, and many game
+engines support no more."""
 CHECKED_FRAMES = 16
 """Frames, evenly spread, in which the reduced weights are compared with the full ones."""
 CHECKED_VERTICES = 1000
@@ -43,6 +44,8 @@ class AnimatedRig:
     """Index of each joint that is known to be a person's, by our name; None: the names are ours."""
     positions: Float[np.ndarray, "T J 3"] | None = None
     """Position of every joint; None: bones keep their lengths, so positions follow from `root` and `rotation`."""
+    influences: int = INFLUENCES
+    """Largest number of joints per vertex in a written file."""
 
     def __repr__(self) -> str:
         """Sum up the rig: arrays of thousands of numbers say nothing."""
@@ -91,15 +94,15 @@ class AnimatedRig:
         return float(np.ptp(self.mesh.vertices, axis=0).max())
 
     def strongest(self) -> tuple[Int[np.ndarray, "V C"], Float[np.ndarray, "V C"]]:
-        """Select the INFLUENCES joints with the largest weights of each vertex, and scale these weights to sum to 1."""
-        return self.rig.strongest(INFLUENCES)
+        """Select the joints per vertex that a file has, by the largest weights, and scale these to sum to 1."""
+        return self.rig.strongest(self.influences)
 
     def deviation(self, frames: LazyFrames) -> float:
         """Measure the error of `strongest`: largest distance of a vertex from `frames`, over the mesh's size.
 
         Only CHECKED_FRAMES frames are compared.
         """
-        skinned = SkinnedMesh.of(self.mesh.vertices, self.rig.limited(INFLUENCES), self.parents)
+        skinned = SkinnedMesh.of(self.mesh.vertices, self.rig.limited(self.influences), self.parents)
         chosen = evenly_spread(len(frames), CHECKED_FRAMES)
         positions = None if self.positions is None else self.positions[chosen]
         part = replace(self, rotation=self.rotation[chosen], root=self.root[chosen], positions=positions)

@@ -180,13 +180,19 @@ class MotionOptions:
         False, "Write joints (.glb, .gltf, .fbx; the default of mime) also of a single pose.", name="--skinned",
         kind=bool,
     )  # fmt: skip
-    """Move each vertex by its four largest weights only, so that the frames are those of the file that `save_skinned`
+    """Move each vertex by its largest weights only, so that the frames are those of the file that `save_skinned`
     writes, and raise an error at once if the model has no joints. How far vertices are then from where all weights
     take them, over the mesh's size, is in the report ("influence_deviation"). None does so for clips of more than one
     frame, if the model has joints."""
+    influences: int = declared(
+        4, "Weights a vertex of joints found: 4, or 8 where the engine reads so many (mime).", metavar="N"
+    )
+    """Weights a vertex of joints that were found, in files: 4, which all readers of glTF support, or 8, of which four
+    are in a second set of attributes. A file's own rig keeps its weights."""
 
     def __post_init__(self) -> None:
-        """Raise InputError if a time is not allowed."""
+        """Raise InputError if a time or a number of weights is not allowed."""
+        check_influences(self.influences)
         if not 0 <= self.smooth < float("inf"):
             raise InputError(f"{option('smooth')}: expected seconds, 0 or more, found {self.smooth}; try 0.05")
 
@@ -210,6 +216,12 @@ class MotionOptions:
         for field in dataclasses.fields(self):
             if field.name != "ground" and getattr(self, field.name) not in (field.default, None):
                 raise needs_joints(field.name, model)
+
+
+def check_influences(count: int) -> None:
+    """Raise InputError for another number of weights a vertex than files of joints may have."""
+    if count not in (4, 8):
+        raise InputError(f"{option('influences')}: expected 4 or 8 weights a vertex, found {count}; choose one of them")
 
 
 def needs_joints(name: str, model: str) -> InputError:

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from ..bodies.anatomy import body_of_joints
 from ..bodies.joint_names import without_fingers
-from ..core.animated_rig import INFLUENCES, AnimatedRig
+from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError, RefusedMeshError, option
 from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import LazyFrames, Progress, evenly_spread
@@ -100,13 +100,13 @@ class JointRoute(Placed):
             limited = len(clip) > 1 if options.skinned is None else options.skinned
             # The weights of an identity's own file stay as they are.
             limited = limited and self.rigs.humanoid is None
-            retarget = self.retarget.limited(INFLUENCES) if limited else self.retarget
+            retarget = self.retarget.limited(options.influences) if limited else self.retarget
             track = retarget.motion.over(clip, self.norms[1], retarget.driving_soles, progress).smoothed(options.smooth)
             across = self.norms[1].radius / self.norms[0].radius if options.root == "keep" else None
             posed = retarget.posed_joints(track, across, options.root == "drop", options.ground)
             route = dataclasses.replace(self, retarget=retarget)
             shift = self.shift(route.turned(posed, 0))
-            skeleton = route.animated_rig(posed, shift)
+            skeleton = dataclasses.replace(route.animated_rig(posed, shift), influences=options.influences)
             own = self.own_animation(skeleton)
             moved = route.made_frames(posed, shift, own, np.dtype(dtype))
             if len(clip) == 1:

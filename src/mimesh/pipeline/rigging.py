@@ -18,12 +18,12 @@ from jaxtyping import Float
 from ..bodies.engine_names import SCHEMES
 from ..bodies.engine_rig import engine_rig
 from ..bodies.joint_names import without_fingers
-from ..core.animated_rig import AnimatedRig
+from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.arguments import public
 from ..core.errors import InputError, option
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
-from ..core.options import Hints, Layout
+from ..core.options import Hints, Layout, check_influences
 from ..io import save_own_rig, save_rig
 from ..io.beside import missing_images, missing_images_notes
 from ..io.gltf.own_rig import OwnRig
@@ -103,6 +103,7 @@ class RiggedMesh:
         rest: str = "file",
         author: str | Sequence[str] | None = None,
         license: str | None = None,
+        influences: int = INFLUENCES,
     ) -> Path:
         """Write the mesh with its bones, without an animation: .glb, .gltf, .vrm, or .fbx where Blender is installed.
 
@@ -118,6 +119,7 @@ class RiggedMesh:
             author: who made the character, or several who did; a .vrm needs it.
             license: URL of the licence, which a .vrm needs. Any but that of the VRM Public License,
                 https://vrm.dev/licenses/1.0/, is written beside that one, as VRM demands.
+            influences: weights a vertex of joints that were found: 4, or 8 for engines that read so many (not .vrm).
 
         Returns:
             The path.
@@ -129,12 +131,15 @@ class RiggedMesh:
         Example:
             >>> path = rigged.save("hero-rigged.glb", names="mixamo", rest="T")
         """
+        check_influences(influences)
         layout = Layout(names, root_bone, rest)
         if Path(path).suffix.lower() not in BONES:
             found = f"found '{Path(path).suffix}'"
             raise InputError(f"{path}: expected one of {' '.join(BONES)} for bones, {found}; rename it")
         if (author or license) and Path(path).suffix.lower() != ".vrm":
             raise InputError(f"{path}: expected a .vrm for {option('author')} and {option('license')}, found none")
+        if influences != INFLUENCES and Path(path).suffix.lower() == ".vrm":
+            raise InputError(f"{path}: expected 4 weights a vertex in a .vrm, found {influences}; write a .glb")
         if self.body != "human" and (SCHEMES[names].bones or rest != "file"):
             asked = f"{option('names')}, {option('rest')}"
             raise InputError(f"{asked}: expected a person, found a four-legged animal; leave the options out")
@@ -146,7 +151,8 @@ class RiggedMesh:
                 save_own_rig(own_pose(self.own, self.mesh.name, layout), path)
             else:
                 axes = {"up": self.report["up"], "front": self.report["front"]}
-                save_rig(engine_rig(self.skeleton, names, root_bone, rest, **axes), path)
+                skeleton = dataclasses.replace(self.skeleton, influences=influences)
+                save_rig(engine_rig(skeleton, names, root_bone, rest, **axes), path)
         return Path(path)
 
 

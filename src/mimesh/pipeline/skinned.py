@@ -48,7 +48,7 @@ def save_skinned(
     """Write results of one identity as one .glb, .gltf or .vrma: its mesh at rest with joints, an animation for each.
 
     An identity that moved on its own bones keeps its file, to which the animations are added. Otherwise joints have
-    four weights a vertex and their rotations as keys, thinned where interpolation gives the others. A .vrma has the
+    four weights a vertex, or as many as `MotionOptions.influences` says, and their rotations as keys, thinned where interpolation gives the others. A .vrma has the
     motion alone: the humanoid bones of VRM in a T-pose, their rotations and the path of the hips.
 
     Args:
