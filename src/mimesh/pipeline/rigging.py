@@ -140,9 +140,7 @@ class RiggedMesh:
             raise InputError(f"{path}: expected a .vrm for {option('author')} and {option('license')}, found none")
         if influences != INFLUENCES and Path(path).suffix.lower() == ".vrm":
             raise InputError(f"{path}: expected 4 weights a vertex in a .vrm, found {influences}; write a .glb")
-        if self.body != "human" and (SCHEMES[names].bones or rest != "file"):
-            asked = f"{option('names')}, {option('rest')}"
-            raise InputError(f"{asked}: expected a person, found a four-legged animal; leave the options out")
+        self._check_layout(layout)
         with self.seconds.step("write"):
             if Path(path).suffix.lower() == ".vrm":
                 save_as_vrm(self, layout, author, license, Path(path))
@@ -150,10 +148,28 @@ class RiggedMesh:
                 check_own_layout(self.own.person, layout, self.mesh.name)
                 save_own_rig(own_pose(self.own, self.mesh.name, layout), path)
             else:
-                axes = {"up": self.report["up"], "front": self.report["front"]}
-                skeleton = dataclasses.replace(self.skeleton, influences=influences)
-                save_rig(engine_rig(skeleton, names, root_bone, rest, **axes), path)
+                save_rig(dataclasses.replace(self.laid_out(layout), influences=influences), path)
         return Path(path)
+
+    def laid_out(self, layout: Layout) -> AnimatedRig:
+        """Return the joints and weights with the bone names, the root bone and the rest pose of a layout.
+
+        Raises:
+            InputError: names or a pose of people, for an animal.
+
+        Example:
+            >>> rigged.laid_out(mimesh.Layout("mixamo")).names[0]
+            'mixamorig:Hips'
+        """
+        self._check_layout(layout)
+        axes = {"up": self.report["up"], "front": self.report["front"]}
+        return engine_rig(self.skeleton, layout.names, layout.root_bone, layout.rest, **axes)
+
+    def _check_layout(self, layout: Layout) -> None:
+        """Raise InputError for names or a pose of people, where this is an animal."""
+        if self.body != "human" and (SCHEMES[layout.names].bones or layout.rest != "file"):
+            asked = f"{option('names')}, {option('rest')}"
+            raise InputError(f"{asked}: expected a person, found a four-legged animal; leave the options out")
 
 
 @public

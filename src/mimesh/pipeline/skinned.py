@@ -47,9 +47,10 @@ def save_skinned(
 ) -> SavedClip:
     """Write results of one identity as one .glb, .gltf or .vrma: its mesh at rest with joints, an animation for each.
 
-    An identity that moved on its own bones keeps its file, to which the animations are added. Otherwise joints have
-    four weights a vertex, or as many as `MotionOptions.influences` says, and their rotations as keys, thinned where interpolation gives the others. A .vrma has the
-    motion alone: the humanoid bones of VRM in a T-pose, their rotations and the path of the hips.
+    An identity that moved on its own bones keeps its file, to which the animations are added. Otherwise joints have as
+    many weights a vertex as `MotionOptions.influences` says, and their rotations as keys, thinned where interpolation
+    gives the others. A .vrma has the motion alone: the humanoid bones of VRM in a T-pose, their rotations and the path
+    of the hips.
 
     Args:
         results: of `animate` with one identity and the same options of the identity. Fingers that only some of them
@@ -275,7 +276,9 @@ def on_common_rig(skeletons: Sequence[AnimatedRig]) -> list[AnimatedRig]:
         names, parents, rig = first.names, first.parents, first.rig
     else:
         names, parents, rig = _with_all_fingers(skeletons)
-    return [_moved_onto(skeleton, names, parents, rig) for skeleton in skeletons]
+    influences = max(skeleton.influences for skeleton in skeletons)
+    moved = [_moved_onto(skeleton, names, parents, rig) for skeleton in skeletons]
+    return [dataclasses.replace(skeleton, influences=influences) for skeleton in moved]
 
 
 def _body_names(skeleton: AnimatedRig) -> list[str]:
