@@ -152,7 +152,10 @@ class RiggedMesh:
         return Path(path)
 
     def laid_out(self, layout: Layout) -> AnimatedRig:
-        """Return the joints and weights with the bone names, the root bone and the rest pose of a layout.
+        """Return `skeleton` with the bone names, the root bone and the rest pose of a layout, its mesh in that pose.
+
+        Args:
+            layout: names and arrangement of the bones; its frame rate is not used.
 
         Raises:
             InputError: names or a pose of people, for an animal.
@@ -163,7 +166,9 @@ class RiggedMesh:
         """
         self._check_layout(layout)
         axes = {"up": self.report["up"], "front": self.report["front"]}
-        return engine_rig(self.skeleton, layout.names, layout.root_bone, layout.rest, **axes)
+        laid_out = engine_rig(self.skeleton, layout.names, layout.root_bone, layout.rest, **axes)
+        rest = laid_out.rig
+        return dataclasses.replace(laid_out, rotation=rest.rotation[None], root=rest.joints[:1], positions=None)
 
     def _check_layout(self, layout: Layout) -> None:
         """Raise InputError for names or a pose of people, where this is an animal."""

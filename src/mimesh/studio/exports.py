@@ -171,8 +171,8 @@ def _write_rig(order: Order, item: Item, options: Options, target: Path, progres
     """Find the rig of a mesh and write it; returns notes on both."""
     rigged, path, layout = rig_mesh(item, options), _with_suffix(target, order), order.layout
     progress(1, 2)
-    made_by = {"author": order.author, "license": order.license}
-    rigged.save(path, names=layout.names, root_bone=layout.root_bone, rest=layout.rest, **made_by)
+    bones = {"names": layout.names, "root_bone": layout.root_bone, "rest": layout.rest}
+    rigged.save(path, **bones, author=order.author, license=order.license)
     return [*rigged.notes, *not_kept(rigged.mesh, path), *metres_note(rigged.mesh, path)]
 
 
