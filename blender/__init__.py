@@ -17,7 +17,7 @@ from .operator import (
     MIMESH_OT_rig,
     MIMESH_OT_show_joints,
 )
-from .panel import MIMESH_PT_axes, MIMESH_PT_joints, MIMESH_PT_main, MIMESH_PT_motion
+from .panel import MIMESH_PT_axes, MIMESH_PT_joints, MIMESH_PT_main, MIMESH_PT_motion, MIMESH_PT_rig
 from .properties import MimeshProgress, MimeshSettings
 
 CLASSES = (
@@ -32,6 +32,7 @@ CLASSES = (
     MIMESH_PT_main,
     MIMESH_PT_joints,
     MIMESH_PT_motion,
+    MIMESH_PT_rig,
     MIMESH_PT_axes,
 )
 

@@ -8,6 +8,7 @@ in `scene.mimesh`.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import time
 from collections.abc import Generator, Iterator
 from typing import TYPE_CHECKING
@@ -69,7 +70,7 @@ def rig(context: Context) -> Generator[Step, None, tuple[str, ...]]:
     yield 0.0, READING
     identity, model = reading.read_identity(context, settings.identity), settings.model
     axes = {"up": settings.identity_up, "front": settings.front("identity")}
-    hints = Hints(**axes, body=settings.body, joints=joints.of_identity(context))
+    hints, layout = Hints(**axes, body=settings.body, joints=joints.of_identity(context)), settings.layout()
 
     def find(progress: Progress) -> RiggedMesh:
         import mimesh
@@ -78,8 +79,10 @@ def rig(context: Context) -> Generator[Step, None, tuple[str, ...]]:
 
     rigged = yield from _finished(Job(find), "mimesh: finding joints")
     yield 1.0, BUILDING
-    copy = building.Copy(settings.identity, identity, f"{settings.identity.name} at rest", range(1), single_pose=True)
-    building.build_armature(context, copy, rigged.skeleton)
+    skeleton = rigged.laid_out(layout)
+    posed = dataclasses.replace(identity, mesh=skeleton.mesh)
+    copy = building.Copy(settings.identity, posed, f"{settings.identity.name} at rest", range(1), single_pose=True)
+    building.build_armature(context, copy, skeleton)
     return rigged.notes
 
 

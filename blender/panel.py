@@ -65,6 +65,18 @@ class MIMESH_PT_motion(_Sidebar, Panel):
         layout.prop(settings, "smooth")
 
 
+class MIMESH_PT_rig(_Sidebar, Panel):
+    bl_label = "Rig"
+    bl_parent_id = "MIMESH_PT_main"
+    bl_options = frozenset({"DEFAULT_CLOSED"})
+
+    def draw(self, context: Context) -> None:
+        layout, settings = _form(self.layout, context)
+        layout.enabled = settings.model == "mime"
+        layout.prop(settings, "names")
+        layout.prop(settings, "rest")
+
+
 class MIMESH_PT_axes(_Sidebar, Panel):
     bl_label = "Facing"
     bl_parent_id = "MIMESH_PT_main"

@@ -9,7 +9,7 @@ from bpy.types import Context, Object, PropertyGroup
 from . import bones, reading
 
 if TYPE_CHECKING:
-    from mimesh import MotionOptions
+    from mimesh import Layout, MotionOptions
 
 MODELS = (
     (
@@ -36,6 +36,19 @@ BODIES = (
     ("auto", "Detected", "By their bones or their shapes"),
     ("human", "People", "Two people"),
     ("quadruped", "Four-legged animals", "Two four-legged animals"),
+)
+NAMES = (
+    ("own", "mimesh", "The joints' own names"),
+    ("mixamo", "Mixamo", "Names and hierarchy of Mixamo"),
+    ("unreal", "Unreal", "Names and hierarchy of Unreal Engine 5"),
+    ("vrm", "VRM", "Names of VRM's humanoid bones"),
+    ("godot", "Godot", "Names and hierarchy of Godot 4"),
+    ("rigify", "Rigify", "Names of the deform bones of Rigify"),
+)
+RESTS = (
+    ("file", "As it is", "The pose that the identity is in"),
+    ("T", "T-pose", "Arms to the sides"),
+    ("A", "A-pose", "Arms obliquely down"),
 )
 AXES = tuple((axis, axis.upper(), f"{axis} of world space") for axis in ("+x", "-x", "+y", "-y", "+z", "-z"))
 FRONTS = (("auto", "Detected", "Detected from the shape"), *AXES)
@@ -108,6 +121,12 @@ class MimeshSettings(PropertyGroup):
         precision=3,
         description="Average rotations and positions over so many seconds (mime only)",
     )
+    names: EnumProperty(
+        name="Bone names", items=NAMES, default="own", description="Bones of what Rig makes of a person, for an engine"
+    )
+    rest: EnumProperty(
+        name="Rest pose", items=RESTS, default="file", description="Pose that Rig binds the copy of a person in"
+    )
     identity_up: EnumProperty(name="Up", items=AXES, default="+z", description="Up of the identity in world space")
     identity_front: EnumProperty(
         name="Front", items=FRONTS, default="auto", description="Where the identity faces in world space"
@@ -127,6 +146,12 @@ class MimeshSettings(PropertyGroup):
         """Return the front of identity or driving; None: it is to be detected."""
         front = getattr(self, f"{which}_front")
         return None if front == "auto" else front
+
+    def layout(self) -> "Layout":
+        """Return how the bones that Rig makes are arranged."""
+        from mimesh import Layout
+
+        return Layout(self.names, rest=self.rest)
 
     def hints(self) -> dict:
         """Return what is known of both meshes, as `mimesh.Hints` has it."""

@@ -34,9 +34,10 @@ def main(argv: list[str] | None = None) -> None:
     skinned = result.save_skinned(options.output / "skinned.glb")
     # One morph target per frame: exact for any deformation, and independent of a skeleton.
     morph = result.save(options.output / "morph.glb")
-    for path in (skinned, morph):
+    for path in (skinned.path, morph.path):
         print(f"wrote {path}: {path.stat().st_size / 2**20:.2f} MiB")
-    print("largest difference between the two:", f"{100 * result.report['skinned_deviation']:.2f} % of the size")
+    difference = skinned.deviations[0]["skinned_deviation"]
+    print(f"largest difference between the two: {100 * difference:.2f} % of the size")
 
     # The joints are also available in Python.
     skeleton = result.skeleton

@@ -7,7 +7,7 @@ rig                     give a mesh a skeleton and skinning weights; gives a Rig
 capture                 read the motion of joints out of a clip; gives a CapturedClip
 retarget                let a RiggedMesh move as a CapturedClip; gives a ClipResult
 transfer, animate       move a mesh (Mesh or path) by a pose or a clip; give a Result or a ClipResult
-save_skinned            write several motions of one mesh into one file
+save_skinned            write several motions of one mesh into one file; gives a SavedClip
 batch                   many meshes by many clips, resumable
 prepare, LiveSession    pose a mesh frame by frame
 load_mesh, load_clip, save_mesh, save_clip, Mesh, Clip    files and arrays
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .pipeline import animate, prepare, transfer
     from .pipeline.capturing import CapturedClip, capture
     from .pipeline.live import LiveSession
+    from .pipeline.report import SavedClip
     from .pipeline.result import ClipResult, Result
     from .pipeline.retargeting import retarget
     from .pipeline.rigging import RiggedMesh, rig
@@ -53,6 +54,7 @@ __all__ = [
     "MotionOptions",
     "Result",
     "RiggedMesh",
+    "SavedClip",
     "animate",
     "batch",
     "capture",
@@ -78,6 +80,7 @@ _MODULES = {
     "pipeline": ("animate", "prepare", "transfer"),
     "pipeline.capturing": ("CapturedClip", "capture"),
     "pipeline.live": ("LiveSession",),
+    "pipeline.report": ("SavedClip",),
     "pipeline.result": ("ClipResult", "Result"),
     "pipeline.retargeting": ("retarget",),
     "pipeline.rigging": ("RiggedMesh", "rig"),

@@ -290,7 +290,13 @@ def drawn():
     from bl_ext.user_default.mimesh import panel
 
     texts = []
-    for one in (panel.MIMESH_PT_main, panel.MIMESH_PT_joints, panel.MIMESH_PT_motion, panel.MIMESH_PT_axes):
+    for one in (
+        panel.MIMESH_PT_main,
+        panel.MIMESH_PT_joints,
+        panel.MIMESH_PT_motion,
+        panel.MIMESH_PT_rig,
+        panel.MIMESH_PT_axes,
+    ):
         layout = Layout()
         one.draw(SimpleNamespace(layout=layout), bpy.context)
         texts += [text if layout.enabled and part.enabled else f"({text})" for text, part in layout.shown]

@@ -224,7 +224,13 @@ def drawn():
     from bl_ext.user_default.mimesh import panel
 
     layout = Layout()
-    for one in (panel.MIMESH_PT_main, panel.MIMESH_PT_joints, panel.MIMESH_PT_motion, panel.MIMESH_PT_axes):
+    for one in (
+        panel.MIMESH_PT_main,
+        panel.MIMESH_PT_joints,
+        panel.MIMESH_PT_motion,
+        panel.MIMESH_PT_rig,
+        panel.MIMESH_PT_axes,
+    ):
         one.draw(SimpleNamespace(layout=layout), bpy.context)
     return layout.shown
 
@@ -245,9 +251,10 @@ def modified(kind):
     return facts
 
 
-def rigged():
+def rigged(name, names="own", rest="file"):
     """Press Rig; save the bones and weights of the copy, and return facts about it."""
-    identity = bpy.context.scene.mimesh.identity
+    settings = bpy.context.scene.mimesh
+    identity, settings.names, settings.rest = settings.identity, names, rest
     before = state(identity)
     outcome = bpy.ops.mimesh.rig()
     (made,) = (one for one in results() if one.type == "MESH")
@@ -257,7 +264,7 @@ def rigged():
     for vertex in made.data.vertices:
         for entry in vertex.groups:
             weights[vertex.index, names.index(made.vertex_groups[entry.group].name)] = entry.weight
-    np.savez(FOLDER / "rigged.npz", shown=shown(made), weights=weights, heads=heads(armature, names))
+    np.savez(FOLDER / f"{name}.npz", shown=shown(made), weights=weights, heads=heads(armature, names))
     facts = {"outcome": list(outcome), "unchanged": before == state(identity), "bones": names}
     facts["modifiers"] = [(one.type, one.object == armature) for one in made.modifiers]
     facts |= {"keys": bool(made.data.shape_keys), "animated": bool(armature.animation_data), "made": made.name}
@@ -369,7 +376,8 @@ def main():
     facts["no joints"] = refusal(model="npt-maxpool", result="ARMATURE")
     facts["no rig"] = refusal(bpy.ops.mimesh.rig, model="npt")
     facts["no capture"] = refusal(bpy.ops.mimesh.capture, model="npt")
-    facts["rigged"], facts["captured"] = rigged(), captured(driving)
+    facts["rigged"], facts["captured"] = rigged("rigged"), captured(driving)
+    facts["rigged for mixamo"] = rigged("rigged for mixamo", "mixamo", "T")
     facts["keys"] = case("keys", driving, [driving])
     facts["other"] = case("other", driving, [driving], model="npt-maxpool")
     facts["bones"] = case("bones", driving, [driving], model="mime", result="ARMATURE", root="keep", ground=True)

@@ -121,6 +121,19 @@ def test_rig_button_makes_a_copy_at_rest_with_the_weights_of_rig(outcome, facts)
     assert np.abs(made["weights"][:, order] - expected).sum(axis=1).mean() < 1e-3
 
 
+def test_rig_button_has_the_names_and_the_rest_pose_of_an_engine(outcome, facts):
+    made, scene, fact = np.load(outcome / "rigged for mixamo.npz"), np.load(outcome / "scene.npz"), "rigged for mixamo"
+    identity = mimesh.Mesh(scene["identity"], scene["faces"].astype(np.int64), name="hero")
+    skeleton = mimesh.rig(identity, hints=mimesh.Hints(up="+z")).laid_out(mimesh.Layout("mixamo", rest="T"))
+    names = facts[fact]["bones"]
+    assert sorted(names) == sorted(skeleton.names)
+    order = [names.index(name) for name in skeleton.names]
+    np.testing.assert_allclose(made["heads"][order], skeleton.rig.joints, atol=1e-4)
+    apart = np.abs(made["shown"] - skeleton.mesh.vertices)
+    assert apart.max() < 1e-3, "Blender's own NumPy makes slightly other weights"
+    assert apart.mean() < 1e-5
+
+
 def test_capture_button_plays_the_joints_where_the_driving_is(outcome, facts):
     found, result = run_mimesh(outcome, "captured", "driving")
     captured = mimesh.capture(result.driving, hints=mimesh.Hints(up="+z"))
@@ -139,7 +152,7 @@ def test_capture_button_plays_the_joints_where_the_driving_is(outcome, facts):
 
 def test_identity_object_is_unchanged(facts):
     cases = [fact for fact in facts.values() if "unchanged" in fact]
-    assert len(cases) == 7
+    assert len(cases) == 8
     assert all(case["unchanged"] and case["outcome"] == ["FINISHED"] for case in cases)
 
 

@@ -13,6 +13,7 @@ from trainings import edge_lengths
 from mimesh.bodies.character_limbs import SIDES
 from mimesh.bodies.character_pool import read_pool
 from mimesh.bodies.sampling import rotvec_to_rotmat
+from mimesh.core.options import TrainingFiles
 from mimesh.learn import checkpoint
 from mimesh.learn.data.characters import (
     CharacterSurface,
@@ -149,7 +150,7 @@ def test_npt_takes_rigged_animals_beside_the_shipped_quadruped(folder):
 
 @pytest.mark.slow
 def test_a_training_on_animals_takes_steps(folder, tmp_path):
-    out = train_command("mime", "small", tmp_path / "run", None, 0.001, TINY, None, folder)
+    out = train_command("mime", "small", tmp_path / "run", None, 0.001, TINY, None, TrainingFiles(folder))
     state = checkpoint.load(out / "last.safetensors")
     assert state.pairs >= 8
     assert all(torch.isfinite(value).all() for value in state.tensors.values() if value.is_floating_point())

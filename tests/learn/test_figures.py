@@ -9,13 +9,14 @@ from motion_files import write_bvh
 from pools import write_character
 
 from mimesh.core.errors import InputError
+from mimesh.core.options import TrainingFiles
 from mimesh.learn import checkpoint
 from mimesh.learn.config import load_config
 from mimesh.learn.data.bodies import posed_joints, skinned
 from mimesh.learn.data.characters import TrainingCharacters
 from mimesh.learn.data.figures import FigureSampler
 from mimesh.learn.data.surfaces import repeat_visible, scanned
-from mimesh.learn.data.user_data import Folders, read_user_data
+from mimesh.learn.data.user_data import read_user_data
 from mimesh.learn.mime import MimeData, SurfaceSource, mime_loss
 from mimesh.learn.start import new_config, no_bar, train_command
 from mimesh.learn.task import shipped_body
@@ -123,7 +124,7 @@ def test_characters_are_for_some_networks_and_wide_data_only(pool):
     with pytest.raises(InputError, match=r"expected data.characters with data.kind wide only"):
         load_config("table", "mime", ["data.characters=0.5"])
     with pytest.raises(InputError, match=r"--characters: expected a model that is trained on them, found aniformer"):
-        train_command("aniformer", "small", None, None, None, [], None, pool)
+        train_command("aniformer", "small", None, None, None, [], None, TrainingFiles(pool))
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +138,7 @@ def clips(tmp_path_factory):
 def test_a_training_on_characters_says_whose_they_are_and_resumes_with_the_same(pool, clips, tmp_path):
     """Augmentations and clips may begin where it is resumed."""
     out, other = tmp_path / "run", tmp_path / "other"
-    train_command("mime", "small", out, None, 0.001, TINY, None, pool)
+    train_command("mime", "small", out, None, 0.001, TINY, None, TrainingFiles(pool))
     lines = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
     told = next(line["text"] for line in lines if line["kind"] == "characters")
     assert told.startswith("1 of we: people (CC0-1.0), 1 of we: toys (CC0-1.0); 6 poses of their clips")
@@ -145,7 +146,7 @@ def test_a_training_on_characters_says_whose_they_are_and_resumes_with_the_same(
     assert before.characters["makers"] == {"we: people (CC0-1.0)": 1, "we: toys (CC0-1.0)": 1}
 
     def resume(changes=(), *brought):
-        train_command("mime", "small", None, out, 0.001, list(changes), None, *brought)
+        train_command("mime", "small", None, out, 0.001, list(changes), None, TrainingFiles(*brought))
         return checkpoint.load(out / "last.safetensors")
 
     with pytest.raises(InputError, match=r"--characters: expected a folder with data.characters 0.5, found none"):
@@ -174,13 +175,15 @@ def test_a_training_on_characters_says_whose_they_are_and_resumes_with_the_same(
 def test_a_pack_is_left_out_by_one_option(pool, tmp_path, monkeypatch):
     """A folder alone gives characters half of every batch."""
     monkeypatch.chdir(tmp_path)
-    config, out = new_config("mime", "small", None, TINY[1:], Folders(pool), ["toys"])
+    config, out = new_config("mime", "small", None, TINY[1:], TrainingFiles(pool, leave_out=["toys"]))
     assert out.name.endswith("-without-toys")
     assert (config.data.characters, config.data.leave_out) == (0.5, ("toys",))
-    found = read_user_data(config, Folders(pool), no_bar)
+    found = read_user_data(config, TrainingFiles(pool), no_bar)
     assert found.facts["left_out"] == {"toys": 1}
     with pytest.raises(InputError, match=r"--leave-out toys: expected it with --characters"):
-        train_command("mime", "small", tmp_path / "other", None, 0.001, TINY[1:], None, None, None, ["toys"])
+        train_command(
+            "mime", "small", tmp_path / "other", None, 0.001, TINY[1:], None, TrainingFiles(leave_out=["toys"])
+        )
 
 
 @pytest.mark.slow

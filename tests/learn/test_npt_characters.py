@@ -9,6 +9,7 @@ from trainings import TINY, assert_steps_are_pure, edge_lengths, length_changes
 
 from mimesh.__main__ import run
 from mimesh.core.errors import InputError
+from mimesh.core.options import TrainingFiles
 from mimesh.learn import checkpoint
 from mimesh.learn.data.bodies import numbers_of_step
 from mimesh.learn.data.characters import TrainingCharacters
@@ -99,4 +100,4 @@ def test_tables_and_whole_meshes_take_no_characters(pool):
         (["data.kind=wide", "data.vertices=0"], "0.5 with wide and all"),
     ):
         with pytest.raises(InputError, match=f"up to 1024 data.vertices, found {found}"):
-            train_command("npt", "table", None, None, None, changes, None, pool)
+            train_command("npt", "table", None, None, None, changes, None, TrainingFiles(pool))

@@ -18,6 +18,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.geometry import edges
 from mimesh.core.mesh import Mesh
 from mimesh.core.normalization import bbox_centre, radius
+from mimesh.core.options import TrainingFiles
 from mimesh.evaluate.measure import TRAINED_ON, training_facts
 from mimesh.evaluate.protocols import HUMAN_NPT
 from mimesh.io import load_mesh, save_mesh
@@ -284,7 +285,7 @@ def test_options_that_do_not_go_together_are_refused(folder, tmp_path):
         ("aniformer", [], {"meshes": folder}, "expected clips of 3 frames or more, found at most 1"),
     ):
         with pytest.raises(InputError) as error:
-            train_command(model, "small", tmp_path / "run", None, 0.001, changes, **options)
+            train_command(model, "small", tmp_path / "run", None, 0.001, changes, brought=TrainingFiles(**options))
         assert message in str(error.value)
     assert not (tmp_path / "run").exists()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from people import person, walk
@@ -21,7 +23,7 @@ def captured() -> mimesh.CapturedClip:
 
 def own_rig(folder) -> str:
     """Write a person with a rig of its own, in a walk, and return the path."""
-    return str(mimesh.animate(person(1), walk(faces=600)).save_skinned(folder / "own.glb", names="mixamo"))
+    return str(mimesh.animate(person(1), walk(faces=600)).save_skinned(folder / "own.glb", names="mixamo").path)
 
 
 def difference(captured: mimesh.CapturedClip, clip, mesh, **motion) -> float:
@@ -44,12 +46,23 @@ def test_a_mesh_with_a_rig_moves_on_it(captured, tmp_path):
     assert difference(captured, walk(faces=600), path) == 0.0
     moved = mimesh.retarget(captured, mimesh.rig(path))
     assert moved.report["rig"] == "own"
-    assert moved.save_skinned(tmp_path / "moved.glb").is_file()
+    assert moved.save_skinned(tmp_path / "moved.glb").path.is_file()
 
 
 def test_joints_of_a_file_are_followed(tmp_path):
     path = own_rig(tmp_path)
     assert difference(mimesh.capture(path), path, person(0)) < 1e-6
+
+
+def test_what_other_processes_send_is_the_same(captured):
+    """Frames that are made when they are asked for are made to be pickled."""
+    rigged, again = mimesh.rig(person(0)), pickle.loads(pickle.dumps(captured))
+    moved = mimesh.retarget(captured, rigged)
+    sent = pickle.loads(pickle.dumps(moved))
+    np.testing.assert_array_equal(sent.clip.vertices, moved.clip.vertices)
+    assert (sent.report, sent.notes) == (moved.report, moved.notes)
+    followed = mimesh.retarget(again, pickle.loads(pickle.dumps(rigged)))
+    np.testing.assert_array_equal(followed.clip.vertices, moved.clip.vertices)
 
 
 def test_filters_of_capture_and_retarget_add_up(captured):

@@ -16,6 +16,7 @@ from mimesh.bodies.animals import animal
 from mimesh.bodies.hands import body_with_fingers
 from mimesh.bodies.joint_names import finger_joints
 from mimesh.core.errors import InputError, RefusedMeshError
+from mimesh.core.frame_buffer import LazyFrames
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.own_rig import has_rig
@@ -66,6 +67,10 @@ def test_bones_are_called_and_bound_as_a_program_expects(rigged, tmp_path):
     path = rigged.save(tmp_path / "mixamo.glb", names="mixamo", rest="T", root_bone=True)
     assert {"mixamorig:Hips", "mixamorig:LeftForeArm", "mixamorig:RightFoot"} <= node_names(path)
     arms = mimesh.load_mesh(path).vertices
+    laid_out = rigged.laid_out(mimesh.Layout("mixamo", root_bone=True, rest="T"))
+    assert set(laid_out.names) <= node_names(path)
+    np.testing.assert_allclose(laid_out.mesh.vertices, arms, atol=1e-5)
+    assert laid_out.deviation(LazyFrames.stored(arms[None])) < 1e-5, "its one frame is that pose"
     assert np.ptp(arms[:, 0]) > 0.9 * np.ptp(arms[:, 1]), "arms are horizontal"
     with pytest.raises(InputError, match="names: expected one of"):
         rigged.save(tmp_path / "other.glb", names="maya")

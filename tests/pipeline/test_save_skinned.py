@@ -1,5 +1,6 @@
 """Several results in one skinned file: names, rates, fingers that only some of them have."""
 
+import copy
 import dataclasses
 
 import numpy as np
@@ -28,19 +29,22 @@ def results(tmp_path_factory):
 
 
 def test_each_result_becomes_an_animation(results, tmp_path):
-    path = mimesh.save_skinned(results, tmp_path / "hero.glb", animations=["walk", "run"])
-    for name, result in zip(("walk", "run"), results, strict=True):
-        clip = load_clip(path, animation=name)
+    before = copy.deepcopy([result.report for result in results])
+    saved = mimesh.save_skinned(results, tmp_path / "hero.glb", animations=["walk", "run"])
+    assert saved.path == tmp_path / "hero.glb"
+    assert [result.report for result in results] == before, "frozen"
+    for name, result, deviations in zip(("walk", "run"), results, saved.deviations, strict=True):
+        clip = load_clip(saved.path, animation=name)
         assert (len(clip), clip.fps) == (len(result.clip), result.fps)
         assert np.allclose(clip.vertices, result.clip.vertices, atol=1e-4)
-        assert result.report["skinned_deviation"] < 1e-4
-        assert result.report["keys_deviation"] < 1e-4
+        assert deviations["skinned_deviation"] < 1e-4
+        assert deviations["keys_deviation"] < 1e-4
 
 
 def test_animations_have_the_names_of_their_driving_clips(results, tmp_path):
-    path = mimesh.save_skinned([results[0], results[0]], tmp_path / "hero.glb")
+    saved = mimesh.save_skinned([results[0], results[0]], tmp_path / "hero.glb")
     name = results[0].driving.mesh.name
-    assert mimesh.load_mesh(path).source.animations == (name, f"{name}-2")
+    assert mimesh.load_mesh(saved.path).source.animations == (name, f"{name}-2")
     assert distinct_names(["a", "b", "a", "a-2", "a"]) == ["a", "b", "a-2", "a-2-2", "a-3"]
 
 

@@ -23,6 +23,7 @@ from mimesh.pipeline import transfer
 from mimesh.pipeline.look import REJECTION_THRESHOLD, Subject, predicted_body, same_after_half_turn, second_look
 from mimesh.pipeline.rigging import rig
 from mimesh.rigs.confidence import MAX_OTHER_KIND
+from mimesh.tools.inspect import facts_of
 
 pytestmark = pytest.mark.usefixtures("kept")
 
@@ -153,3 +154,11 @@ def test_look_says_what_a_mesh_without_a_rig_is_taken_for(files, capsys):
     ):
         assert run(["look", files[name]]) == 0
         assert said in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_look_takes_a_mesh_for_what_rig_takes_it_for():
+    """A short, high cow looks like a person to the networks alone; the fits tell."""
+    cow = Mesh(MESHES["cow"].vertices * [1.3, 1.3, 0.45], MESHES["cow"].faces, name="cow")
+    assert rig(cow).body == "quadruped"
+    assert "taken for a four-legged animal" in (facts_of(cow).stands or "")

@@ -255,7 +255,7 @@ def test_a_vrm_in_a_pose_has_a_note(tmp_path):
 def test_notes_tell_large_deviations_of_skinned_files():
     assert skinned_note({}) == skinned_note({"influence_deviation": 0.019, "skinned_deviation": 1e-5}) == ()
     (note,) = skinned_note({"influence_deviation": 0.031, "skinned_deviation": 1e-5})
-    assert note.startswith("four weights a vertex, as files of joints have, move a vertex by up to 0.031")
+    assert note.startswith("the few weights a vertex that files of joints have move a vertex by up to 0.031")
     for cause, text in (("fingers", "frame: fingers that only"), ("rest", "frame: the mesh is bound in another pose")):
         (note,) = skinned_note({"skinned_deviation": 0.012, "deviation_cause": cause})
         assert f"up to 0.012 of the mesh's size from its {text}" in note

@@ -253,7 +253,17 @@ def _arrange(skeleton: AnimatedRig, scheme: Scheme) -> AnimatedRig:
     new = Rig(rig.rotation[list(source)], np.stack(joints), weights)
     paths = np.stack(paths, axis=1)
     rotation = skeleton.rotation[:, source]
-    return AnimatedRig(skeleton.mesh, names, parents, new, rotation, paths[:, 0], positions=paths, group=skeleton.group)
+    return AnimatedRig(
+        skeleton.mesh,
+        names,
+        parents,
+        new,
+        rotation,
+        paths[:, 0],
+        positions=paths,
+        group=skeleton.group,
+        influences=skeleton.influences,
+    )
 
 
 def _placed_ancestor(parents: tuple[int, ...], joint: int, placed: dict[int, int]) -> int:
@@ -296,4 +306,5 @@ def _with_root(skeleton: AnimatedRig, name: str, up: Float[np.ndarray, " 3"], mo
         path,
         positions=np.concatenate([path[:, None], skeleton.joint_positions()], axis=1),
         group=skeleton.group,
+        influences=skeleton.influences,
     )

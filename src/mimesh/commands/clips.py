@@ -12,6 +12,7 @@ from .terminal import output_beside, tell_size
 
 if TYPE_CHECKING:
     from ..core.mesh import Clip, Mesh
+    from ..pipeline.report import SavedClip
     from ..pipeline.result import ClipResult
 
 JOINT_SUFFIXES = (".glb", ".gltf", ".fbx")
@@ -143,7 +144,7 @@ def save_clips(
     blendshapes: int | None,
     layout: Layout,
     progress: Callable[[int, int], None] | None,
-) -> None:
+) -> SavedClip:
     """Write results as joints, with `skinned` None where they move or are the file's own; else the one as frames."""
     from ..pipeline.skinned import save_skinned
 
@@ -151,6 +152,5 @@ def save_clips(
     jointed = first.skeleton is not None or first.own is not None
     moving = len(first.frames) > 1 or first.own is not None  # the pose of a file's own bones keeps its skin
     if skinned or (skinned is None and jointed and moving):
-        save_skinned(results, output, animations=names, layout=layout)
-    else:
-        first.save(output, blendshapes=blendshapes, progress=progress)
+        return save_skinned(results, output, animations=names, layout=layout)
+    return first.save(output, blendshapes=blendshapes, progress=progress)

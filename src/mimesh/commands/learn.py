@@ -2,33 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ..core.options import declared
+from ..core.options import TrainingFiles
 from ..core.printable import say
 from .options import with_options
 from .terminal import Json, print_json, print_next, progress, require
-
-
-@dataclass(frozen=True)
-class TrainingFiles:
-    """What the user brings to a training."""
-
-    characters: Path | None = declared(
-        None, "Folder of rigged .glb, .gltf, .vrm, .fbx or of a pool to train on.", metavar="DIR"
-    )
-    clips: Path | None = declared(None, "Folder of .glb, .fbx, .bvh or AMASS motions to train mime on.", metavar="DIR")
-    leave_out: list[str] | None = declared(None, "Pack (sub-folder) of --characters that is not used.", metavar="PACK")
-    meshes: Path | None = declared(
-        None,
-        "Folder of registered meshes (npt) or clips (aniformer), or an .hdf5 of clips, to train on.",
-        metavar="DIR",
-    )
-    pattern: str = declared("", "How the files of --meshes are named, such as '{person}-{pose}.ply'.")
 
 
 @with_options
@@ -69,12 +51,8 @@ def train(
         max_minutes,
         change or [],
         weights,
-        brought.characters,
-        brought.clips,
-        brought.leave_out or [],
+        brought,
         lambda title: progress(title, json),
-        brought.meshes,
-        brought.pattern,
     )
     if not is_first_process():
         return

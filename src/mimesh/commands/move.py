@@ -39,6 +39,7 @@ from .terminal import (
 if TYPE_CHECKING:
     from ..core.joint_corrections import JointCorrections
     from ..core.mesh import Mesh
+    from ..pipeline.report import Deviations
     from ..pipeline.result import ClipResult, Result
     from ..tools.convert import DrivingClip
 
@@ -183,7 +184,7 @@ def animate(
     with together():
         with progress("writing", output.silent) as advance:
             names = [clip.name for clip in clips]
-            save_clips(results, target, names, as_joints, shapes.blendshapes, layout, advance)
+            saved = save_clips(results, target, names, as_joints, shapes.blendshapes, layout, advance)
         for result, chosen in zip(results, clips, strict=True):
             save_joint_files(result, identity, chosen.path, joints, taken.start)
     shown = [
@@ -195,8 +196,8 @@ def animate(
     for result in results:
         _log(result, model, hints.body)
     facts = [
-        result_facts(result, target, replaced, paths, notes, described, layout.fps)
-        for (result, notes, described), paths in zip(moved, shown, strict=True)
+        result_facts(result, target, replaced, paths, notes, described, layout.fps, deviations)
+        for (result, notes, described), paths, deviations in zip(moved, shown, saved.deviations, strict=True)
     ]
     return print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), output)
 
@@ -397,11 +398,12 @@ def result_facts(
     driving_notes: tuple[str, ...] = (),
     joints: tuple[str, ...] = (),
     output_fps: float | None = None,
+    deviations: Deviations | None = None,
 ) -> dict[str, Any]:
     """Return the facts about a result and its file, with all notes.
 
     `replaced`: whether a file or a folder of this name was there. `shown`: see `_write_preview`. `output_fps`: the rate
-    of the file if it differs from the result's.
+    of the file if it differs from the result's. `deviations`: those of the file from the frames of a clip.
     """
     from ..core.animated_rig import frames_around
     from ..pipeline.result import Result
@@ -412,9 +414,10 @@ def result_facts(
     if fps is not None and output_fps is not None:
         fps, frames = output_fps, len(frames_around(frames, fps, output_fps)[0])
     rate = () if fps is None else (*rate_note(fps, output), *size_note(output))
-    blended = blend_note(result.report.get("blendshapes_deviation"))
+    report = {**result.report, **(deviations or {})}
     kept = (*not_kept(mesh, output), *posed_vrm_note(output))
-    notes = [*result.notes, *kept, *rate, *blended, *skinned_note(result.report), *driving_notes]
+    blended = blend_note(report.get("blendshapes_deviation"))
+    notes = [*result.notes, *kept, *rate, *blended, *skinned_note(report), *driving_notes]
     notes += shown["notes"]
     facts: dict[str, Any] = {
         "output": str(output),
@@ -424,7 +427,7 @@ def result_facts(
         "frames": frames,
         "fps": fps,
         "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
-        "report": {**result.report, **shown, "notes": notes},
+        "report": {**report, **shown, "notes": notes},
     }
     if joints:
         facts["report"]["joints"] = list(joints)

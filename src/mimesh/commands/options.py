@@ -7,15 +7,17 @@ import dataclasses
 import functools
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import typer
 
-from ..core.options import FrameRange, declared
+from ..core.options import BlendShapeOptions, RecordedRange, declared
 from .terminal import lift_limits
+
+T = TypeVar("T")
 
 
 class Without:
@@ -34,22 +36,34 @@ def with_options(function: Callable[..., Any]) -> Callable[..., Any]:
             parameters.append(parameter.replace(annotation=hints[parameter.name], kind=parameter.KEYWORD_ONLY))
             continue
         left_out = {name for extra in extras if isinstance(extra, Without) for name in extra.names}
-        flags = {_flag(field): field for field in dataclasses.fields(kind) if field.name not in left_out}
-        groups[parameter.name] = kind, {flag: field.name for flag, field in flags.items()}
+        fields = [field for field in dataclasses.fields(kind) if field.name not in left_out]
+        groups[parameter.name] = kind, [_flag(field) for field in fields]
         parameters += [
-            inspect.Parameter(flag, parameter.KEYWORD_ONLY, default=field.default, annotation=_option(kind, field))
-            for flag, field in flags.items()
+            inspect.Parameter(
+                _flag(field), parameter.KEYWORD_ONLY, default=field.default, annotation=_option(kind, field)
+            )
+            for field in fields
         ]
 
     @functools.wraps(function)
     def command(**values: Any) -> Any:
         for name, (kind, flags) in groups.items():
-            values[name] = kind(**{field: values.pop(flag) for flag, field in flags.items()})
+            values[name] = options_of(kind, {flag: values.pop(flag) for flag in flags})
         return function(**values)
 
     command.__signature__ = inspect.Signature(parameters)  # type: ignore
     command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return command
+
+
+def options_of(kind: type[T], values: Mapping[str, Any]) -> T:
+    """Return the options of a class among a command's parsed values; those that it does not have are the defaults.
+
+    Args:
+        values: parameter of the command -> value.
+    """
+    flags = {_flag(field): field.name for field in dataclasses.fields(kind)}  # type: ignore
+    return kind(**{name: values[flag] for flag, name in flags.items() if flag in values})
 
 
 def _flag(field: dataclasses.Field) -> str:
@@ -112,16 +126,13 @@ class OutputOptions:
 
 
 @dataclass(frozen=True)
-class ClipOptions(FrameRange):
+class ClipOptions(RecordedRange):
     """Which clip of a file is read, and which of its frames."""
 
     animation: list[str] | None = declared(
         None,
         "Animation of a GLB or clip of an HDF5 file: its name or number; animate takes several, or all.",
         metavar="NAME",
-    )
-    body_model: Path | None = declared(
-        None, "SMPL's, SMPL+H's ... (.pkl .npz): AMASS archives become its surface.", metavar="FILE"
     )
 
 
@@ -137,10 +148,7 @@ class JointOptions:
 
 
 @dataclass(frozen=True)
-class ShapeOptions:
+class ShapeOptions(BlendShapeOptions):
     """What is written instead of joints."""
 
     morphs: bool = declared(False, "Write a morph target for each frame, not joints (.glb, .gltf).", name="--morphs")
-    blendshapes: int | None = declared(
-        None, "Write K morph targets, not one a frame (.glb, .gltf).", metavar="K", min=1
-    )

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from ..core.options import Hints, Layout, declared
+from ..core.options import Hints, Layout, MotionOptions, declared
 from .joint_facts import joint_facts, print_joint_facts
 from .move import check_joint_outputs, save_found, with_joint_files
 from .options import JointOptions, OutputOptions, Without, with_options
@@ -21,9 +21,6 @@ from .terminal import (
     refuse_existing,
     refuse_inputs,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)
@@ -43,6 +40,7 @@ def rig(
     output: Annotated[OutputOptions, Without("open")],
     layout: Annotated[Layout, Without("fps")],
     options: RigOptions,
+    weights: Annotated[MotionOptions, Without("root", "ground", "smooth", "skinned")],
     hints: Annotated[Hints, Without("driving_up", "driving_front", "driving_joints", "driving_part")],
     joints: Annotated[JointOptions, Without("save_driving_joints")],
     seed: Seed = 0,
@@ -79,7 +77,8 @@ def rig(
     replaced = target.is_file()
     made_by = {"author": options.author, "license": options.license}
     with together():
-        rigged.save(target, names=layout.names, root_bone=layout.root_bone, rest=layout.rest, **made_by)
+        bones = {"names": layout.names, "root_bone": layout.root_bone, "rest": layout.rest}
+        rigged.save(target, **bones, **made_by, influences=weights.influences)
         save_found(rigged.joints, joints.save_joints, file, rigged.mesh)
     pictures, not_drawn = (), ()
     if picture is not None:

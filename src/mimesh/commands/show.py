@@ -114,7 +114,7 @@ def convert(
     from ..view.movie import MOVIES
 
     refuse_existing(printed.no_clobber, target)
-    refuse_inputs(target, source, None if options.body_model is None else Path(options.body_model))
+    refuse_inputs(target, source, options.body_model)
     options = dataclasses.replace(options, animation=single("--animation", taken.animation))
     with progress("frames", printed.silent) as advance:
         written = convert_file(source, target, options, advance)

@@ -15,7 +15,8 @@ from .rig import Rig, homogeneous, local_rotations
 from .skinning import SkinnedMesh, place_joints
 
 INFLUENCES = 4
-"""Joints per vertex in a written file. Readers of glTF 2.0 must support 4, and many game engines support no more."""
+"""Joints per vertex in a written file, unless more are asked for. Readers of glTF 2.0 must support 4, and many game
+engines support no more."""
 CHECKED_FRAMES = 16
 """Frames, evenly spread, in which the reduced weights are compared with the full ones."""
 CHECKED_VERTICES = 1000
@@ -46,6 +47,8 @@ class AnimatedRig:
     group: Int[np.ndarray, " V"] | None = None
     """Row of the weights of each vertex, where vertices share positions, -1 for those that no joint moves; None: each
     has a row of its own."""
+    influences: int = INFLUENCES
+    """Largest number of joints per vertex in a written file."""
 
     def __repr__(self) -> str:
         """Sum up the rig: arrays of thousands of numbers say nothing."""
@@ -99,11 +102,11 @@ class AnimatedRig:
         return float(np.ptp(self.points, axis=0).max())
 
     def strongest(self) -> tuple[Int[np.ndarray, "V C"], Float[np.ndarray, "V C"]]:
-        """Select the INFLUENCES joints with the largest weights of each vertex, and scale these weights to sum to 1.
+        """Select the joints per vertex that a file has, by the largest weights, and scale these to sum to 1.
 
         Vertices that no joint moves have all weights zero.
         """
-        joints, weights = self.rig.strongest(INFLUENCES)
+        joints, weights = self.rig.strongest(self.influences)
         if self.group is None:
             return joints, weights
         return joints[self.group], np.where(self.group[:, None] >= 0, weights[self.group], 0.0)
@@ -119,7 +122,7 @@ class AnimatedRig:
 
         Only CHECKED_FRAMES frames are compared.
         """
-        skinned = SkinnedMesh.of(self.points, self.rig.limited(INFLUENCES), self.parents)
+        skinned = SkinnedMesh.of(self.points, self.rig.limited(self.influences), self.parents)
         kept = slice(None) if self.group is None else first_of_each(self.group)
         chosen = evenly_spread(len(frames), CHECKED_FRAMES)
         positions = None if self.positions is None else self.positions[chosen]

@@ -173,6 +173,10 @@ class LazyFrames:
         array = None if isinstance(vertices, PosedFrames) else vertices
         return cls(vertices.shape[:2], lambda chosen: (vertices[t] for t in chosen), vertices.dtype, array)
 
+    def __reduce__(self) -> tuple[Callable[[Frames], LazyFrames], tuple[Frames]]:
+        """Make all frames to be pickled: what makes them stays in its process."""
+        return LazyFrames.stored, (self.every(1),)
+
     def __repr__(self) -> str:
         """Sum up the frames: arrays of thousands of numbers say nothing."""
         return f"LazyFrames({self.shape[0]} frames, {self.shape[1]} vertices)"

@@ -195,13 +195,19 @@ class MotionOptions:
         False, "Write joints (.glb, .gltf, .fbx; the default of mime) also of a single pose.", name="--skinned",
         kind=bool,
     )  # fmt: skip
-    """Move each vertex by its four largest weights only, so that the frames are those of the file that `save_skinned`
+    """Move each vertex by its largest weights only, so that the frames are those of the file that `save_skinned`
     writes, and raise an error at once if the model has no joints. How far vertices are then from where all weights
     take them, over the mesh's size, is in the report ("influence_deviation"). None does so for clips of more than one
     frame, if the model has joints."""
+    influences: int = declared(
+        4, "Weights a vertex of joints found: 4, or 8 where the engine reads so many (mime).", metavar="N"
+    )
+    """Weights a vertex of joints that were found, in files: 4, which all readers of glTF support, or 8, of which four
+    are in a second set of attributes. A file's own rig keeps its weights."""
 
     def __post_init__(self) -> None:
-        """Raise InputError if a time is not allowed."""
+        """Raise InputError if a time or a number of weights is not allowed."""
+        check_influences(self.influences)
         if not 0 <= self.smooth < float("inf"):
             raise InputError(f"{option('smooth')}: expected seconds, 0 or more, found {self.smooth}; try 0.05")
 
@@ -225,6 +231,12 @@ class MotionOptions:
         for field in dataclasses.fields(self):
             if field.name != "ground" and getattr(self, field.name) not in (field.default, None):
                 raise needs_joints(field.name, model)
+
+
+def check_influences(count: int) -> None:
+    """Raise InputError for another number of weights a vertex than files of joints may have."""
+    if count not in (4, 8):
+        raise InputError(f"{option('influences')}: expected 4 or 8 weights a vertex, found {count}; choose one of them")
 
 
 def needs_joints(name: str, model: str) -> InputError:
@@ -336,7 +348,27 @@ class RenderOptions:
 
 
 @dataclass(frozen=True)
-class ConvertOptions(FrameRange):
+class RecordedRange(FrameRange):
+    """Which frames of a clip are taken, and the body model of archives that have none."""
+
+    body_model: Path | None = declared(
+        None, "SMPL's, SMPL+H's ... (.pkl .npz): AMASS archives become its surface.", metavar="FILE"
+    )
+    """File of a body model, with which a file is read as the recorded surface (`load_recorded_clip`)."""
+
+
+@dataclass(frozen=True)
+class BlendShapeOptions:
+    """How many morph targets a clip is written with."""
+
+    blendshapes: int | None = declared(
+        None, "Write K morph targets, not one a frame (.glb, .gltf).", metavar="K", min=1
+    )
+    """None is one for each frame."""
+
+
+@dataclass(frozen=True)
+class ConvertOptions(BlendShapeOptions, RecordedRange):
     """Which clip of a file `mimesh convert` reads, which of its frames, and what it writes."""
 
     fps: float | None = declared(None, "Of IN, where it does not say; else to sample it at.")
@@ -345,18 +377,11 @@ class ConvertOptions(FrameRange):
     frame: int | None = declared(None, "This frame alone, counted from 0.")
     frames: int | None = declared(None, "So many frames, evenly spread from first to last.", min=1)
     frames_as: str | None = declared(None, "In a folder: obj or ply.", metavar="SUFFIX")
-    blendshapes: int | None = declared(
-        None, "Write K morph targets, not one a frame (.glb, .gltf).", metavar="K", min=1
-    )
     morphs: bool = declared(False, "Write a morph target a frame, not bones (.glb, .gltf).", name="--morphs")
     """Write a .glb or .gltf with a morph target for each frame, where IN has bones, which are kept by default."""
     up: str | None = declared(None, "Up axis of IN (OBJ, PLY, STL): formats with y up are written standing.",
         metavar="AXIS")  # fmt: skip
     """Axis of IN away from the ground, where its file defines none: formats that have y up are written standing."""
-    body_model: str | Path | None = declared(
-        None, "SMPL's, SMPL+H's ... (.pkl .npz): AMASS archives become its surface.", kind=Path | None, metavar="FILE"
-    )
-    """File of a body model, with which a file is read as the recorded surface (`load_recorded_clip`)."""
     betas: str | None = declared(
         None, "Person who moves, with --body-model: numbers with commas, or an .npz.", metavar="B"
     )
@@ -377,3 +402,20 @@ class MeasureOptions:
     """Height of the identities of a list at rest, in the unit of its files; see `ListedPairs.height`."""
     fps: float | None = declared(None, "Lists: frames per second of the clips.")
     """Frames per second of the clips of a list; None: those of the files."""
+
+
+@dataclass(frozen=True)
+class TrainingFiles:
+    """What the user brings to a training."""
+
+    characters: Path | None = declared(
+        None, "Folder of rigged .glb, .gltf, .vrm, .fbx or of a pool to train on.", metavar="DIR"
+    )
+    clips: Path | None = declared(None, "Folder of .glb, .fbx, .bvh or AMASS motions to train mime on.", metavar="DIR")
+    leave_out: list[str] | None = declared(None, "Pack (sub-folder) of --characters that is not used.", metavar="PACK")
+    meshes: Path | None = declared(
+        None,
+        "Folder of registered meshes (npt) or clips (aniformer), or an .hdf5 of clips, to train on.",
+        metavar="DIR",
+    )
+    pattern: str = declared("", "How the files of --meshes are named, such as '{person}-{pose}.ply'.")

@@ -22,13 +22,13 @@ import typer
 from ..commands import move
 from ..commands.capture import capture
 from ..commands.clips import check_clip_output, check_suffix
-from ..commands.options import ShapeOptions
+from ..commands.options import ShapeOptions, options_of
 from ..commands.rig import rig
 from ..commands.terminal import refuse_inputs
 from ..core.arguments import described
 from ..core.errors import InputError, did_you_mean, option
 from ..core.normalization import parse_axis
-from ..core.options import Hints, Layout, MotionOptions
+from ..core.options import Hints, Layout, ModelOptions, MotionOptions
 from ..core.system import refuse_pipe
 from ..io import mesh_suffixes
 from ..io.formats import ANIMATED, CLIP_READERS, COLLECTIONS, MESH_WRITERS
@@ -328,10 +328,9 @@ def option_values(command: str, options: tuple[tuple[str, str], ...]) -> dict[st
         raise InputError(f"{message}; see mimesh {command} --help") from error
     for name in AXIS_OPTIONS:
         parse_axis(values.get(name), f"--{name.replace('_', '-')}")
-    given = {name: values[name] for name in ("ensemble", "seed", "pairing") if name in values}
-    model = find_model(values["model"], **given)
-    motion = MotionOptions(**{name: values[name] for name in ("root", "ground", "smooth") if name in values})
-    Hints(rig=values.get("rig", "own"), body=values["body"])
+    options_of(Hints, values)
+    given, motion = options_of(ModelOptions, values), options_of(MotionOptions, values)
+    model = find_model(values["model"], ensemble=given.ensemble, seed=given.seed, pairing=given.pairing)
     if command in ("rig", "capture"):
         find_mime(values["model"], values["seed"])
     elif not isinstance(model, Mime):
@@ -387,8 +386,7 @@ def _check_job(job: BatchJob) -> None:
     for path in job.outputs():
         refuse_inputs(path, *job.inputs().values())
     if job.command == "animate":
-        layout = Layout(values["names"], values["root_bone"], values["rest"], values["output_fps"])
-        shapes = ShapeOptions(values["morphs"], values["blendshapes"])
+        shapes, layout = options_of(ShapeOptions, values), options_of(Layout, values)
         check_clip_output(output, 1, values["skinned"], shapes, layout)
     elif job.command in ("rig", "capture"):
         check_suffix(output, BONES if job.command == "rig" else JOINT_FILES)

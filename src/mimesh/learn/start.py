@@ -8,17 +8,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..core.errors import InputError
+from ..core.options import TrainingFiles
 from . import checkpoint
 from .config import changed_config, config_differences, load_config, options_of
 from .cost import operations_of
 from .data.characters import CharacterOptions
-from .data.user_data import Folders, ProgressBar, read_user_data
+from .data.user_data import ProgressBar, check_files, mesh_settings, read_user_data
 from .export import load_start
 from .loop import TrainingRun, train
 from .models import find_task
 from .processes import joined_processes
 from .task import TrainConfig, UserData
 
+NOTHING = TrainingFiles()
 CHARACTER_SHARE = 0.5
 """Share of every batch that characters of a folder have, unless the configuration says otherwise."""
 
@@ -36,35 +38,27 @@ def train_command(
     max_minutes: float | None,
     changes: Sequence[str] = (),
     weights: Path | None = None,
-    characters: Path | None = None,
-    clips: Path | None = None,
-    leave_out: Sequence[str] = (),
+    brought: TrainingFiles = NOTHING,
     bar: ProgressBar = no_bar,
-    meshes: Path | None = None,
-    pattern: str = "",
 ) -> Path:
     """Do what `mimesh train` does, and give the folder with checkpoints and logs.
 
     Args:
         changes: "key=value" on top of the configuration, such as "seed=1" or "model.blocks=conv".
         weights: checkpoint, or `.onnx` file with its card, whose network a new training begins with.
-        characters: folder of characters to train on, where the configuration asks for them.
-        clips: folder of motions whose poses mime is trained on.
-        leave_out: packs of the folder of characters that are not used.
+        brought: what the user brings: characters and motions, or registered meshes.
         bar: makes a progress bar with a title.
-        meshes: folder of registered meshes or clips to train on instead of the shipped body.
-        pattern: how its files are named (`registered.LAYOUTS`); empty: found.
     """
     find_task(model)  # which refuses unknown ones
-    folders = Folders(characters, clips, meshes, pattern)
     with joined_processes() as processes:
         if resume is not None:
-            fixed = [f"--weights {weights}"] * bool(weights) + [f"--leave-out {pack}" for pack in leave_out]
-            fixed += [f"--pattern {pattern}"] * bool(pattern)
+            fixed = [f"--weights {weights}"] * bool(weights)
+            fixed += [f"--leave-out {pack}" for pack in brought.leave_out or ()]
+            fixed += [f"--pattern {brought.pattern}"] * bool(brought.pattern)
             settings, folder = resumed_config(model, resume, changes, fixed), resume
         else:
-            settings, folder = new_config(model, config, out, changes, folders, leave_out)
-        user_data = read_user_data(settings, folders, bar)
+            settings, folder = new_config(model, config, out, changes, brought)
+        user_data = read_user_data(settings, brought, bar)
         if weights is not None:
             processes.largest(0.0)  # all have seen that the folder is empty before the first one writes there
             processes.of_first(lambda: begin_with(settings, weights, folder, user_data))
@@ -72,17 +66,18 @@ def train_command(
 
 
 def new_config(
-    model: str, config: str, out: Path | None, changes: Sequence[str], folders: Folders, leave_out: Sequence[str]
+    model: str, config: str, out: Path | None, changes: Sequence[str], brought: TrainingFiles = NOTHING
 ) -> tuple[TrainConfig, Path]:
     """Read the configuration of a new training, and name its folder, which must hold none."""
-    folders.check(model, options_of(model))
-    settings = load_config(config, model, [*folders.settings(), *changes])
-    more = [f"data.leave_out={json.dumps(list(leave_out))}"] if leave_out else []
-    if folders.characters and isinstance(settings.data, CharacterOptions) and not settings.data.characters:
+    check_files(brought, model, options_of(model))
+    settings = load_config(config, model, [*mesh_settings(brought), *changes])
+    leave_out = brought.leave_out or []
+    more = [f"data.leave_out={json.dumps(leave_out)}"] if leave_out else []
+    if brought.characters and isinstance(settings.data, CharacterOptions) and not settings.data.characters:
         more.append(f"data.characters={CHARACTER_SHARE}")
     settings = changed_config(settings, more) if more else settings
     words = [*(change.partition("=")[2] for change in changes), *(f"without-{pack}" for pack in leave_out)]
-    words += ["meshes"] if folders.meshes else []
+    words += ["meshes"] if brought.meshes else []
     folder = out or Path("runs") / "-".join([model, Path(config).stem, *words])
     if (folder / "last.safetensors").exists():
         raise InputError(

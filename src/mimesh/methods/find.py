@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -204,12 +204,14 @@ def find_mime(model: str, seed: int = 0) -> Mime:
 
 def _with_other_bodies(mime: Mime, seed: int) -> Mime:
     """Return the shipped mime with the networks of the other shipped bodies."""
-
-    def opener(model: str) -> Callable[[], Mime]:
-        return cache(lambda: find_mime(model, seed))  # the choice of a body asks for it again
-
-    others = {body: opener(model) for body, model in NETWORK_OF_BODY.items() if body != mime.body}
+    others = {body: partial(_kept_mime, model, seed) for body, model in NETWORK_OF_BODY.items() if body != mime.body}
     return dataclasses.replace(mime, other_bodies=others)
+
+
+@lru_cache(maxsize=4)
+def _kept_mime(model: str, seed: int) -> Mime:
+    """Return the shipped network of a body; the choice of a body asks for it again."""
+    return find_mime(model, seed)
 
 
 def find_model(

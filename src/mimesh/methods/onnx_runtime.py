@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -55,5 +56,12 @@ def _opened(path: Path, modified: int, size: int, threads: int) -> InferenceSess
     options.intra_op_num_threads = threads
     options.log_severity_level = 3  # warnings about graph clean-up are not for users
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads would take time from others
+
+    class Session(onnxruntime.InferenceSession):
+        """A network that another process opens again where what holds it is unpickled."""
+
+        def __reduce__(self) -> tuple[Callable[[Path], InferenceSession], tuple[Path]]:
+            return open_session, (path,)
+
     # Without a fallback, as there is no other provider: it would print the error of a damaged file.
-    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0)
+    return Session(str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0)

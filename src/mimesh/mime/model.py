@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -366,12 +366,7 @@ class Mime:
         soles = find_soles(sample.points, near, self.legs, self.parents, self.arms)
         best = dataclasses.replace(best, consensus=rig, leg=leg, confidence=confidence, soles=soles)
         tracker = PartTracker.of(best.points, rig.weights, rig.joints, self.parents)
-
-        def follow(vertices: Float[np.ndarray, "U 3"]) -> Pose:
-            rotation, joints = tracker.follow(tracked.points(vertices))
-            return rotation @ rig.rotation, joints
-
-        return follow, best
+        return partial(_tracked_pose, tracker, tracked, rig.rotation), best
 
     def body_pairs(self, identity: Mesh, driving: Mesh) -> SurfacePoints:
         """Find the point of the driving for each distinct position of the identity, by rank (`canonical_order`).
@@ -417,6 +412,17 @@ def _with_weights_of(character: Character, mesh: Mesh) -> WeightedMesh:
     """Return the mesh of a character, in which its hands are looked for."""
     faces = character.group[face_outward(mesh).faces]
     return WeightedMesh(character.points, faces, character.rig, character.rig.weights)
+
+
+def _tracked_pose(
+    tracker: PartTracker,
+    tracked: SurfacePoints,
+    frames: Float[np.ndarray, "J 3 3"],
+    vertices: Float[np.ndarray, "U 3"],
+) -> Pose:
+    """Return the pose of the joints in a frame of a clip, from the points of its surface that are tracked."""
+    rotation, joints = tracker.follow(tracked.points(vertices))
+    return rotation @ frames, joints
 
 
 def _with_hands(character: Character, hands: Sequence[tuple[FingeredHand, Bends]]) -> Character:

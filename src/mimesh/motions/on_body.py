@@ -65,11 +65,9 @@ def on_body(source: Bvh, path: str | Path) -> BodyMotion:
     known = named_joints(source.joint_names, source.parents)
     fingered = captured_fingers(source.joint_names, source.parents, known)
     body = body_with_fingers() if fingered else load_body()
-    standing = rests_standing(source.rest(), known)
-    motion = dataclasses.replace(
-        retarget(source, body, str(path), hands=True, stands_at_rest=standing), name=source.name
-    )
-    if standing:
+    found = retarget(source, body, str(path), hands=True, stands_at_rest=True)
+    motion = dataclasses.replace(found, name=source.name)
+    if rests_standing(source.rest(), known):
         return BodyMotion(motion, "+z", source.notes)
     note = (
         f"{source.name} does not stand in its rest pose: its frames show how its joints are turned, with hips and head "

@@ -84,7 +84,7 @@ def retarget(
             f"{name or source.name}: expected limbs with a length at rest, found none for {', '.join(zero_length)}; "
             "export the skeleton with its bones"
         )
-    if rests_standing(rest, index):
+    if standing := rests_standing(rest, index):
         axes = axes_from_rest(rest, index)
         aligned = alignments(rest @ axes.T, index, body)
         rest_rotation = {joint: axes.T @ aligned.get(joint, np.eye(3)) for joint in index}
@@ -104,7 +104,9 @@ def retarget(
     path = position[:, index["Hips"]] @ axes.T * scale
     if grounded:
         at_rest = None
-        if stands_at_rest and np.ptp(path, axis=0).max() > 0:  # hips that never move say nothing about the floor
+        if (
+            stands_at_rest and standing and np.ptp(path, axis=0).max() > 0
+        ):  # hips that never move say nothing about the floor
             hips = (source.offsets[0] + rest[index["Hips"]]) @ axes.T * scale
             turned = [axes @ rest_rotation[joint] if joint in index else None for joint in body.joint_names]
             at_rest = _rest_height(turned, hips, body)

@@ -126,7 +126,7 @@ def animate(
         >>> moving = mimesh.animate("hero.glb", "walk.npz", frames=mimesh.FrameRange(stop=4))
         >>> moving.clip.vertices.shape  # (T, V, 3)
         (4, 502, 3)
-        >>> path = moving.save_skinned("walking.glb")
+        >>> saved = moving.save_skinned("walking.glb")
     """
     from .odd_frames import far_frames_note, first_frame_note
 

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from ..bodies.anatomy import body_of_joints
 from ..bodies.joint_names import without_fingers
-from ..core.animated_rig import INFLUENCES, AnimatedRig
+from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError, RefusedMeshError, on_command_line, option
 from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import LazyFrames, Progress, evenly_spread
@@ -125,7 +125,7 @@ class JointRoute(Placed):
             limited = len(clip) > 1 if options.skinned is None else options.skinned
             # The weights of an identity's own file stay as they are.
             limited = limited and self.rigs.humanoid is None
-            retarget = self.retarget.limited(INFLUENCES) if limited else self.retarget
+            retarget = self.retarget.limited(options.influences) if limited else self.retarget
             measured = retarget.motion.over(clip, self.norms[1], retarget.driving_soles, progress)
             track, notes = measured.smoothed(options.smooth), ()
             if options.ground:
@@ -136,7 +136,7 @@ class JointRoute(Placed):
             posed = retarget.posed_joints(track, across, options.root == "drop", options.ground)
             route = dataclasses.replace(self, retarget=retarget)
             shift = self.shift(route.turned(posed, 0), retarget.lift(posed, track))
-            skeleton = route.animated_rig(posed, shift)
+            skeleton = dataclasses.replace(route.animated_rig(posed, shift), influences=options.influences)
             own = self.own_animation(skeleton)
             moved = route.made_frames(posed, shift, own, np.dtype(dtype))
             if len(clip) == 1:
@@ -379,6 +379,15 @@ def find_character(
         return mime.rig(mesh, corrections.of_identity(subject.mesh, mime.joints, norm))
 
     return _settled(mime, subject, seen, character)
+
+
+def found_character(
+    mime: Mime, subject: Subject, asked: str, rigs: Rigs, corrections: Corrections
+) -> tuple[Look, Character, Normalization]:
+    """Decide which body a single mesh has, and find its joints, as `found_alone`; for `mimesh rig` and `look`."""
+    return found_alone(
+        mime, subject, asked, lambda network, seen: find_character(network, subject, seen, rigs, corrections)
+    )
 
 
 def find_motion(

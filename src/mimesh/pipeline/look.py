@@ -384,16 +384,16 @@ def joint_finder(mime: Mime, axes: UpFront) -> FindJoints:
     return find
 
 
-def recognised_body(subject: Subject) -> tuple[str | None, Normalization]:
-    """Say which body a mesh has by its shape alone, and its normalisation as that; None: it looks like none."""
+def recognised_body(subject: Subject) -> str | None:
+    """Say which body a mesh has by its shape alone; None: it looks like none.
+
+    Nothing is fitted to what looks like a person: for a note that would cost more than the transfer.
+    """
     mime = find_mime(NETWORK_OF_BODY["human"])
     shown = look(mime, subject, None, quick=True)
     if shown.body == "human" and shown.entropy <= MAX_ENTROPY and not same_after_half_turn(subject.mesh):
-        return shown.body, shown.norm
-    body = second_look(mime, shown.body, subject)
-    if body not in (None, shown.body):
-        shown = look(mime, subject, body)
-    return body, shown.norm
+        return shown.body
+    return second_look(mime, shown.body, subject)
 
 
 def check_known_body(model: Mime | Method, asked: str) -> None:
@@ -421,7 +421,7 @@ def trained_on_people(method: Method, asked: str, subjects: tuple[Subject, Subje
         return ()
     notes = []
     for subject in subjects:
-        body = recognised_body(subject)[0]
+        body = recognised_body(subject)
         if body != "human":
             looks = f"looks like {KINDS[body]}" if body else "looks neither like a person nor like a four-legged animal"
             mime = option("model", "mime")

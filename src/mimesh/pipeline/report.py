@@ -1,8 +1,10 @@
-"""The report of a result: its keys, and the measurements of the moved surface that are in it."""
+"""The report of a result and of its files: their keys, and the measurements of the moved surface."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
@@ -175,14 +177,44 @@ class TransferReport(TypedDict):
     """The same of the driving's, in the same unit."""
     influence_deviation: NotRequired[float]
     """With `skinned`: largest distance of a vertex from where all weights take it, as a share of the mesh's size."""
+
+
+class Deviations(TypedDict):
+    """How far a written file is from the frames of a result, which `SavedClip` has; keys that do not apply are absent.
+
+    Example:
+        >>> saved = moving.save_skinned("walking.glb")
+        >>> sorted(saved.deviations[0])
+        ['deviation_cause', 'keys_deviation', 'skinned_deviation']
+    """
+
     skinned_deviation: NotRequired[float]
-    """After `save_skinned`: largest distance of a vertex from its frame, as a share of the mesh's size."""
+    """Of joints: largest distance of a vertex from its frame, as a share of the mesh's size."""
     keys_deviation: NotRequired[float]
     """The part of it that thinned keys cause, as a share of the mesh's size."""
     deviation_cause: NotRequired[str]
-    """Which step adds most to it: "weights", "fingers" or "rest"."""
+    """Which step adds most to it for joints found on the surface: "weights", "fingers" or "rest"."""
     blendshapes_deviation: NotRequired[float]
-    """After `save` with `blendshapes`: largest distance of a vertex from its frame, as a share of the mesh's size."""
+    """Of `blendshapes`: largest distance of a vertex from its frame, as a share of the mesh's size."""
+
+
+@dataclass(frozen=True)
+class SavedClip:
+    """What was written of one `ClipResult` or of several; usable as the path.
+
+    Example:
+        >>> saved = moving.save_skinned("walking.glb")
+        >>> saved.path.name, saved.deviations[0]["skinned_deviation"] < 0.1  # share of the size
+        ('walking.glb', True)
+    """
+
+    path: Path
+    """The file or folder."""
+    deviations: tuple[Deviations, ...]
+    """For each result how far the file is from its frames."""
+
+    def __fspath__(self) -> str:
+        return str(self.path)
 
 
 def quality(identity: Mesh, moved: LazyFrames) -> dict[str, float]:

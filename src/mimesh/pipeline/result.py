@@ -23,7 +23,7 @@ from ..core.mesh import Clip, Mesh, merged_mesh, same_colors
 from ..io import refuse_vrm, save_clip, save_mesh, save_own_pose
 from ..io.atomic import scratch_folder, written
 from ..io.formats import JOINTED
-from .report import MeshReport, TransferReport
+from .report import MeshReport, SavedClip, TransferReport
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
@@ -329,7 +329,7 @@ class ClipResult(_Playable):
         return self.driving
 
     @public
-    def save(self, path: str | Path, *, blendshapes: int | None = None, progress: Progress | None = None) -> Path:
+    def save(self, path: str | Path, *, blendshapes: int | None = None, progress: Progress | None = None) -> SavedClip:
         """Write the clip in the format of the suffix: a file, a movie, or without a suffix a folder of meshes.
 
         A .glb or .gltf has a morph target for each frame; `save_skinned` writes joints, as `mimesh animate` does. A
@@ -337,19 +337,18 @@ class ClipResult(_Playable):
 
         Args:
             path: the file or folder.
-            blendshapes: write a .glb or .gltf with this many morph targets instead of one a frame. The largest distance
-                of a vertex from its frame, over the mesh's size, is then in `report` ("blendshapes_deviation").
+            blendshapes: write a .glb or .gltf with this many morph targets instead of one a frame.
             progress: is called with the frames done and the frames in all.
 
         Returns:
-            The path.
+            The path, and with `blendshapes` how far they are from the frames ("blendshapes_deviation").
 
         Raises:
             InputError: a format that cannot contain a clip, or a path that cannot be written to.
 
         Example:
-            >>> path = moving.save("walking.glb", blendshapes=3)
-            >>> moving.report["blendshapes_deviation"] < 0.1  # share of the size
+            >>> saved = moving.save("walking.glb", blendshapes=3)
+            >>> saved.deviations[0]["blendshapes_deviation"] < 0.1  # share of the size
             True
         """
         from ..view.movie import write_clip
@@ -360,9 +359,7 @@ class ClipResult(_Playable):
         with self.seconds.step("write"):
             clip = self.__dict__.get("clip") or Clip(self.mesh, self.frames.every(1, progress), self.fps)
             deviation = write_clip(clip, Path(path), blendshapes=blendshapes, progress=progress)
-        if deviation is not None:
-            self.report["blendshapes_deviation"] = deviation
-        return Path(path)
+        return SavedClip(Path(path), ({} if deviation is None else {"blendshapes_deviation": deviation},))
 
     @public
     def save_skinned(
@@ -373,12 +370,11 @@ class ClipResult(_Playable):
         root_bone: bool = False,
         rest: str = "file",
         fps: float | None = None,
-    ) -> Path:
+    ) -> SavedClip:
         """Write a .glb, .gltf or .fbx of the identity at rest with joints, four weights a vertex and joint rotations.
 
         Such files are small for any length of clip, and game engines read them; see `skinned.save_skinned`, which also
-        writes several results to one file. The deviation from the frames is then in `report` ("skinned_deviation"). A
-        .vrma has the motion of the humanoid bones of VRM alone.
+        writes several results to one file. A .vrma has the motion of the humanoid bones of VRM alone.
 
         Args:
             path: the file.
@@ -390,14 +386,14 @@ class ClipResult(_Playable):
             fps: frame rate of the file, sampled from this result's; None keeps it.
 
         Returns:
-            The path.
+            The path, and how far the file is from the frames ("skinned_deviation" and others).
 
         Raises:
             InputError: the model has no joints, or not those of a person; no such names, pose or rate.
 
         Example:
-            >>> path = moving.save_skinned("walking.glb", names="mixamo")
-            >>> moving.report["skinned_deviation"] < 0.1  # share of the size
+            >>> saved = moving.save_skinned("walking.glb", names="mixamo")
+            >>> saved.deviations[0]["skinned_deviation"] < 0.1  # share of the size
             True
         """
         from ..core.options import Layout

@@ -51,7 +51,7 @@ def retarget(
 
     Example:
         >>> captured, rigged = mimesh.capture("walk.npz"), mimesh.rig("hero.obj")
-        >>> path = mimesh.retarget(captured, rigged).save_skinned("hero-walk.glb")
+        >>> saved = mimesh.retarget(captured, rigged).save_skinned("hero-walk.glb")
     """
     theirs, mine = getattr(captured, "found", None), getattr(rigged, "found", None)
     if not isinstance(theirs, FoundMotion) or not isinstance(mine, FoundCharacter):

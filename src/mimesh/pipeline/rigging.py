@@ -15,32 +15,31 @@ from typing import Literal, cast
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies.engine_names import SCHEMES, root_name
+from ..bodies.engine_names import SCHEMES
 from ..bodies.engine_rig import engine_rig
 from ..bodies.joint_names import without_fingers
-from ..core.animated_rig import AnimatedRig
+from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.arguments import public
 from ..core.errors import InputError, option
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
-from ..core.options import Hints, Layout
+from ..core.options import Hints, Layout, check_influences
 from ..io import save_own_rig, save_rig
 from ..io.beside import missing_images, missing_images_notes
-from ..io.gltf.own_animation import OwnAnimation
 from ..io.gltf.own_rig import OwnRig
 from ..methods.find import find_mime
 from ..mime.model import Mime
 from ..rigs.character import Character
 from .file_rigs import read_rigs
-from .joint_route import FoundCharacter, find_character, found_alone
+from .joint_route import FoundCharacter, found_character
 from .known import Known
-from .look import Look, normalised
+from .look import normalised
 from .parts import find_part
 from .placed import check_identity, with_up
 from .read import read_mesh
 from .report import RigReport, facing, facing_note, fingered_hands
 from .result import Timer
-from .skinned import check_own_layout
+from .skinned import check_own_layout, own_pose
 from .vrm import save_as_vrm
 
 BONES = (".glb", ".gltf", ".fbx", ".vrm")
@@ -105,6 +104,7 @@ class RiggedMesh:
         rest: str = "file",
         author: str | Sequence[str] | None = None,
         license: str | None = None,
+        influences: int = INFLUENCES,
     ) -> Path:
         """Write the mesh with its bones, without an animation: .glb, .gltf, .vrm, or .fbx where Blender is installed.
 
@@ -120,6 +120,7 @@ class RiggedMesh:
             author: who made the character, or several who did; a .vrm needs it.
             license: URL of the licence, which a .vrm needs. Any but that of the VRM Public License,
                 https://vrm.dev/licenses/1.0/, is written beside that one, as VRM demands.
+            influences: weights a vertex of joints that were found: 4, or 8 for engines that read so many (not .vrm).
 
         Returns:
             The path.
@@ -131,26 +132,50 @@ class RiggedMesh:
         Example:
             >>> path = rigged.save("hero-rigged.glb", names="mixamo", rest="T")
         """
+        check_influences(influences)
         layout = Layout(names, root_bone, rest)
         if Path(path).suffix.lower() not in BONES:
             found = f"found '{Path(path).suffix}'"
             raise InputError(f"{path}: expected one of {' '.join(BONES)} for bones, {found}; rename it")
         if (author or license) and Path(path).suffix.lower() != ".vrm":
             raise InputError(f"{path}: expected a .vrm for {option('author')} and {option('license')}, found none")
-        if self.body != "human" and (SCHEMES[names].bones or rest != "file"):
-            asked = f"{option('names')}, {option('rest')}"
-            raise InputError(f"{asked}: expected a person, found a four-legged animal; leave the options out")
+        if influences != INFLUENCES and Path(path).suffix.lower() == ".vrm":
+            raise InputError(f"{path}: expected 4 weights a vertex in a .vrm, found {influences}; write a .glb")
+        self._check_layout(layout)
         with self.seconds.step("write"):
             if Path(path).suffix.lower() == ".vrm":
                 save_as_vrm(self, layout, author, license, Path(path))
             elif self.own is not None:
                 check_own_layout(self.own.person, layout, self.mesh.name)
-                kept = OwnAnimation(self.own.source, self.mesh.name, {}, 30.0, 1, self.own.person)
-                save_own_rig(kept.with_layout(SCHEMES[names].bones, root_name(layout), root_bone), path)
+                save_own_rig(own_pose(self.own, self.mesh.name, layout), path)
             else:
-                axes = {"up": self.report["up"], "front": self.report["front"]}
-                save_rig(engine_rig(self.skeleton, names, root_bone, rest, **axes), path)
+                save_rig(dataclasses.replace(self.laid_out(layout), influences=influences), path)
         return Path(path)
+
+    def laid_out(self, layout: Layout) -> AnimatedRig:
+        """Return `skeleton` with the bone names, the root bone and the rest pose of a layout, its mesh in that pose.
+
+        Args:
+            layout: names and arrangement of the bones; its frame rate is not used.
+
+        Raises:
+            InputError: names or a pose of people, for an animal.
+
+        Example:
+            >>> rigged.laid_out(mimesh.Layout("mixamo")).names[0]
+            'mixamorig:Hips'
+        """
+        self._check_layout(layout)
+        axes = {"up": self.report["up"], "front": self.report["front"]}
+        laid_out = engine_rig(self.skeleton, layout.names, layout.root_bone, layout.rest, **axes)
+        rest = laid_out.rig
+        return dataclasses.replace(laid_out, rotation=rest.rotation[None], root=rest.joints[:1], positions=None)
+
+    def _check_layout(self, layout: Layout) -> None:
+        """Raise InputError for names or a pose of people, where this is an animal."""
+        if self.body != "human" and (SCHEMES[layout.names].bones or layout.rest != "file"):
+            asked = f"{option('names')}, {option('rest')}"
+            raise InputError(f"{asked}: expected a person, found a four-legged animal; leave the options out")
 
 
 @public
@@ -195,11 +220,7 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
         mesh, known = part.mesh, dataclasses.replace(known, corrections=known.corrections.of_part(None))
     rigs = read_rigs(mesh, Clip.still(mesh), known)
     subject = rigs.subjects(mesh, mesh, known.axes)[0]
-
-    def find(network: Mime, seen: Look) -> tuple[Character, Normalization]:
-        return find_character(network, subject, seen, rigs, known.corrections)
-
-    seen, plain, norm = found_alone(mime, subject, known.asked_body, find)
+    seen, plain, norm = found_character(mime, subject, known.asked_body, rigs, known.corrections)
     character = plain
     if fingers and rigs.humanoid is None:
         character = mime.of_body(seen.body).with_all_fingers(plain, normalised(mesh, norm))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,11 +20,16 @@ from ..core.options import Layout, needs_joints
 from ..core.printable import file_name
 from ..core.rig import Rig, descendants
 from ..io import save_own_animations, save_rig_animations
+from ..io.gltf.own_animation import OwnAnimation
+from ..io.timing import DEFAULT_FPS
+from .report import Deviations, SavedClip
 from .vrma import save_bone_motions
 
 if TYPE_CHECKING:
+    from ..io.gltf.animation import AnimatedValues
     from ..io.gltf.document import Document
-    from ..io.gltf.own_animation import OwnAnimation, PlayedAnimation
+    from ..io.gltf.own_animation import PlayedAnimation
+    from ..io.gltf.own_rig import OwnRig
     from .result import ClipResult
 
 AS_IT_IS = Layout()
@@ -40,15 +45,13 @@ def save_skinned(
     *,
     animations: Sequence[str] | None = None,
     layout: Layout = AS_IT_IS,
-) -> Path:
+) -> SavedClip:
     """Write results of one identity as one .glb, .gltf or .vrma: its mesh at rest with joints, an animation for each.
 
-    An identity that moved on its own bones keeps its file, to which the animations are added. Otherwise joints have
-    four weights a vertex and their rotations as keys, thinned where interpolation gives the others. A .vrma has the
-    motion alone: the humanoid bones of VRM in a T-pose, their rotations and the path of the hips. The deviation of a
-    file with a mesh from the frames of a result is then in its `report`: "skinned_deviation", largest distance of a
-    vertex over the mesh's size, "keys_deviation", the part of it that thinned keys cause, and "deviation_cause" (see
-    `_deviation_cause`).
+    An identity that moved on its own bones keeps its file, to which the animations are added. Otherwise joints have as
+    many weights a vertex as `MotionOptions.influences` says, and their rotations as keys, thinned where interpolation
+    gives the others. A .vrma has the motion alone: the humanoid bones of VRM in a T-pose, their rotations and the path
+    of the hips.
 
     Args:
         results: of `animate` with one identity and the same options of the identity. Fingers that only some of them
@@ -57,12 +60,15 @@ def save_skinned(
         animations: names of the animations; by default those of the driving clips. Equal ones get a number.
         layout: names and arrangement of the bones.
 
+    Returns:
+        The path, and how far a file with a mesh is from the frames of each result.
+
     Raises:
         InputError: a model without joints, several identities, results of which only some are on the identity's own
             rig, another format, or a path that cannot be written to.
 
     Example:
-        >>> path = mimesh.save_skinned([moving, moving], "hero-moves.glb", animations=["walk", "again"])
+        >>> saved = mimesh.save_skinned([moving, moving], "hero-moves.glb", animations=["walk", "again"])
     """
     _check_results(results, path, animations)
     if not isinstance(layout, Layout):
@@ -72,9 +78,16 @@ def save_skinned(
     if own:
         _check_same_rig(results, found)
     if Path(path).suffix.lower() == ".vrma":
-        return save_bone_motions(results, Path(path), distinct_names(found), layout)
-    if own:
-        return _save_on_own_rig(results, Path(path), distinct_names(found), layout)
+        save_bone_motions(results, Path(path), distinct_names(found), layout)
+        return SavedClip(Path(path), tuple(Deviations() for _ in results))
+    save = _save_on_own_rig if own else _save_on_found_rig
+    return SavedClip(Path(path), tuple(save(results, Path(path), distinct_names(found), layout)))
+
+
+def _save_on_found_rig(
+    results: Sequence[ClipResult], path: Path, names: Sequence[str], layout: Layout
+) -> Iterator[Deviations]:
+    """Write the joints that were found on a surface, with an animation for each result; yield its deviations."""
     skeletons = []
     for result in results:
         if result.skeleton is None:
@@ -89,17 +102,18 @@ def save_skinned(
         ]
         motions = [
             RigAnimation(name, skeleton, result.fps).resampled(layout.fps)
-            for name, skeleton, result in zip(distinct_names(found), moved, results, strict=True)
+            for name, skeleton, result in zip(names, moved, results, strict=True)
         ]
         written = save_rig_animations(motions, path)
     for k, (result, animation, thinned) in enumerate(zip(results, motions, written, strict=True)):
         # Frames at another rate have no counterpart: the thinned keys are then left out of the deviation.
         checked = thinned if layout.fps is None else moved[k]
         deviation = checked.deviation(result.frames)
-        result.report["skinned_deviation"] = deviation
-        result.report["keys_deviation"] = thinned.motion_deviation(animation.skeleton)
-        result.report["deviation_cause"] = _deviation_cause(result, deviation, skeletons[k], common[k], layout)
-    return Path(path)
+        yield {
+            "skinned_deviation": deviation,
+            "keys_deviation": thinned.motion_deviation(animation.skeleton),
+            "deviation_cause": _deviation_cause(result, deviation, skeletons[k], common[k], layout),
+        }
 
 
 def _check_results(results: Sequence[ClipResult], path: str | Path, names: Sequence[str] | None) -> None:
@@ -163,6 +177,16 @@ def check_own_layout(person: Mapping[str, int], layout: Layout, name: str) -> No
         )
 
 
+def laid_out(animation: OwnAnimation, layout: Layout) -> OwnAnimation:
+    """Give the bones of a file the names and the root bone of a layout."""
+    return animation.with_layout(SCHEMES[layout.names].bones, root_name(layout), layout.root_bone)
+
+
+def own_pose(own: OwnRig, name: str, layout: Layout, tracks: AnimatedValues | None = None) -> OwnAnimation:
+    """Return the bones of a file in a layout, in one pose: that of its nodes, but for the values in `tracks`."""
+    return laid_out(OwnAnimation(own.source, name, tracks or {}, DEFAULT_FPS, 1, own.person), layout)
+
+
 def _check_same_rig(results: Sequence[ClipResult], names: Sequence[str]) -> None:
     """Raise InputError if results are not all on the own rig of one identity."""
     moved = {result.own is not None: name for result, name in zip(results, names, strict=True)}
@@ -185,28 +209,24 @@ def _same_file(first: Document, other: Document) -> bool:
     return first is other or (first.gltf == other.gltf and bytes(first.binary) == bytes(other.binary))
 
 
-def _save_on_own_rig(results: Sequence[ClipResult], path: Path, names: Sequence[str], layout: Layout) -> Path:
-    """Write the identity's own file with new animations of its bones."""
+def _save_on_own_rig(
+    results: Sequence[ClipResult], path: Path, names: Sequence[str], layout: Layout
+) -> Iterator[Deviations]:
+    """Write the identity's own file with new animations of its bones; yield the deviations of each."""
     animations = []
     for name, result in zip(names, results, strict=True):
         assert result.own is not None
         check_own_layout(result.own.joints, layout, result.own.source.document.path.name)
-        own = dataclasses.replace(result.own, name=name).with_layout(
-            SCHEMES[layout.names].bones, root_name(layout), layout.root_bone
-        )
+        own = laid_out(dataclasses.replace(result.own, name=name), layout)
         animations.append(own if layout.fps is None else own.resampled(layout.fps))
     with results[0].seconds.step("write"):
         written = save_own_animations(animations, path)
     for result, animation, played in zip(results, animations, written, strict=True):
-        deviations = _own_deviations(result, animation, played)
-        result.report["skinned_deviation"], result.report["keys_deviation"] = deviations
-    return path
+        yield _own_deviations(result, animation, played)
 
 
-def _own_deviations(result: ClipResult, animation: OwnAnimation, played: PlayedAnimation) -> tuple[float, float]:
+def _own_deviations(result: ClipResult, animation: OwnAnimation, played: PlayedAnimation) -> Deviations:
     """Measure the largest distances of a vertex, over the mesh's size, between a written animation and its result.
-
-    The first is that from the result, the second the part that thinned keys cause.
 
     Only CHECKED_FRAMES frames are compared. Frames at another rate have no counterpart in the result: the keys are then
     left out of the deviation from it.
@@ -226,7 +246,7 @@ def _own_deviations(result: ClipResult, animation: OwnAnimation, played: PlayedA
         chosen = np.unique(np.linspace(0, len(result.frames) - 1, CHECKED_FRAMES).round().astype(int))
         for sampled, vertices in zip(result.own.vertices(chosen), result.frames.at(chosen), strict=True):
             skinned = max(skinned, np.linalg.norm(sampled - vertices, axis=1).max())
-    return float(skinned / size), float(keys / size)
+    return {"skinned_deviation": float(skinned / size), "keys_deviation": float(keys / size)}
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:
@@ -256,7 +276,9 @@ def on_common_rig(skeletons: Sequence[AnimatedRig]) -> list[AnimatedRig]:
         names, parents, rig = first.names, first.parents, first.rig
     else:
         names, parents, rig = _with_all_fingers(skeletons)
-    return [_moved_onto(skeleton, names, parents, rig) for skeleton in skeletons]
+    influences = max(skeleton.influences for skeleton in skeletons)
+    moved = [_moved_onto(skeleton, names, parents, rig) for skeleton in skeletons]
+    return [dataclasses.replace(skeleton, influences=influences) for skeleton in moved]
 
 
 def _body_names(skeleton: AnimatedRig) -> list[str]:

@@ -19,13 +19,14 @@ from ..core.normalization import ORIENTATIONS, ROTATIONS
 from ..core.rig import Rig
 from ..io import save_own_rig, save_vrm
 from ..io.gltf.edit import GltfSource
-from ..io.gltf.own_animation import OwnAnimation
 from ..io.gltf.vrm import PUBLIC_LICENSE, VrmMeta, vrm_version
 from ..io.usd import stage_axes
 from ..motions.bone_motion import bone_names
+from .skinned import own_pose
 from .vrma import check_joints
 
 if TYPE_CHECKING:
+    from ..io.gltf.own_animation import OwnAnimation
     from ..io.gltf.own_rig import OwnRig
     from .rigging import RiggedMesh
 
@@ -66,18 +67,17 @@ def save_as_vrm(
         found = f"{option('rest', 'A')} or {option('root_bone')}"
         raise InputError(f"{path}: expected a T-pose without a root bone, found {found}; leave it out")
     if own is not None and vrm_version(own.source.document) is not None:
-        kept = OwnAnimation(own.source, rigged.mesh.name, {}, 30.0, 1, own.person)
-        save_own_rig(kept.with_layout(SCHEMES[layout.names].bones, None, False), path)
+        save_own_rig(own_pose(own, rigged.mesh.name, layout), path)
         return
     meta = vrm_meta(rigged.mesh.name, author, license, path)
     turn = ROTATIONS[ORIENTATIONS.index((report["up"], report["front"]))]
     if own is not None:
-        posed = _own_t_pose(rigged, own, turn[1])
+        posed = _own_t_pose(rigged, own, layout, turn[1])
         names = [str(node.get("name", "")) for node in own.source.document.gltf["nodes"]]
         person = with_named_neck(own.person, names)
         joints = check_joints(person, path)
         bones = {bone: person[joint] for bone, joint in zip(bone_names(joints), joints, strict=True)}
-        save_vrm(posed.with_layout(SCHEMES[layout.names].bones, None, False), bones, meta, turn, path)
+        save_vrm(posed, bones, meta, turn, path)
         return
     rig = engine_rig(_upright(rigged.skeleton, turn), layout.names, layout.root_bone, "T")
     bone_of = SCHEMES[layout.names].bones
@@ -102,13 +102,13 @@ def _upright(skeleton: AnimatedRig, turn: Float[np.ndarray, "3 3"]) -> AnimatedR
     return replace(skeleton, mesh=moved, rig=new, rotation=new.rotation[None], root=new.joints[:1])
 
 
-def _own_t_pose(rigged: RiggedMesh, own: OwnRig, up: Float[np.ndarray, " 3"]) -> OwnAnimation:
+def _own_t_pose(rigged: RiggedMesh, own: OwnRig, layout: Layout, up: Float[np.ndarray, " 3"]) -> OwnAnimation:
     """Return the T-pose of the bones of a file, with the soles on the ground that they are on at rest."""
     posed = t_posed(rigged.skeleton, rigged.report["up"], rigged.report["front"])
 
     def animation(skeleton: AnimatedRig) -> OwnAnimation:
         tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms())
-        return OwnAnimation(own.source, rigged.mesh.name, tracks, 30.0, 1, own.person)
+        return own_pose(own, rigged.mesh.name, layout, tracks)
 
     ground = (rigged.skeleton.mesh.vertices @ up).min() - (next(animation(posed).vertices()) @ up).min()
     return animation(replace(posed, root=posed.root + ground * up))

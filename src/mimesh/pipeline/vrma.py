@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from .result import ClipResult
 
 
-def save_bone_motions(results: Sequence[ClipResult], path: Path, names: Sequence[str], layout: Layout) -> Path:
+def save_bone_motions(results: Sequence[ClipResult], path: Path, names: Sequence[str], layout: Layout) -> None:
     """Write the bones of results of one identity as a .vrma with an animation for each.
 
     Args:
@@ -43,7 +43,6 @@ def save_bone_motions(results: Sequence[ClipResult], path: Path, names: Sequence
     motions = [_bone_motion(result, name, layout.fps, path) for result, name in zip(results, names, strict=True)]
     with results[0].seconds.step("write"):
         save_vrma(motions, path)
-    return path
 
 
 def check_bones_layout(layout: Layout, path: Path) -> None:

@@ -156,23 +156,23 @@ def _write_result(order: Order, result: ClipResult, driving: str, target: Path, 
         from ..io import save_clip
 
         save_clip(result.clip, path, suffix=order.suffix.removeprefix("frames"), progress=progress)
+        written = ()
     elif jointed:
-        save_skinned([result], path, animations=[driving], layout=order.layout)
+        (deviations,) = save_skinned([result], path, animations=[driving], layout=order.layout).deviations
+        written = skinned_note({**result.report, **deviations})
+        written += resampled_note(len(result.frames), result.fps, order.layout.fps)
     else:
-        result.save(path, blendshapes=order.blendshapes, progress=progress)
-    blend_notes = blend_note(result.report.get("blendshapes_deviation")) if order.blendshapes else ()
-    joint_notes = skinned_note(result.report) if jointed else ()
-    if jointed:
-        joint_notes += resampled_note(len(result.frames), result.fps, order.layout.fps)
-    return [*not_kept(result.mesh, path), *rate_note(result.fps, path), *blend_notes, *joint_notes]
+        (deviations,) = result.save(path, blendshapes=order.blendshapes, progress=progress).deviations
+        written = blend_note(deviations.get("blendshapes_deviation"))
+    return [*not_kept(result.mesh, path), *rate_note(result.fps, path), *written]
 
 
 def _write_rig(order: Order, item: Item, options: Options, target: Path, progress: Progress) -> list[str]:
     """Find the rig of a mesh and write it; returns notes on both."""
     rigged, path, layout = rig_mesh(item, options), _with_suffix(target, order), order.layout
     progress(1, 2)
-    made_by = {"author": order.author, "license": order.license}
-    rigged.save(path, names=layout.names, root_bone=layout.root_bone, rest=layout.rest, **made_by)
+    bones = {"names": layout.names, "root_bone": layout.root_bone, "rest": layout.rest}
+    rigged.save(path, **bones, author=order.author, license=order.license)
     return [*rigged.notes, *not_kept(rigged.skeleton.mesh, path), *metres_note(rigged.mesh, path)]
 
 

@@ -94,28 +94,15 @@ def prepare_inputs(identity: Item, driving: Item, options: Options) -> Route | P
     return find_route(identity.content, driving.content, model, known, options.motion(model))
 
 
-def compute_result(
-    route: Route | PartRoute, identity: Mesh, clip: Clip, options: Options, progress: Progress
-) -> ClipResult:
+def compute_result(route: Route | PartRoute, clip: Clip, options: Options, progress: Progress) -> ClipResult:
     """Compute the whole clip, as `pipeline.animate` does, or the one pose, as `pipeline.transfer` does."""
     seconds, model = Timer(), find_model(options.model)
     dtype = np.float64 if len(clip) == 1 else np.float32
     moved = route.play(seconds, options.motion(model), lambda done, total: progress(done, 2 * total), dtype)
     # The page shows all frames: they are made here, where they can be stopped.
     frames = LazyFrames.stored(moved.frames.every(1, lambda done, total: progress(total + done, 2 * total)))
-    return ClipResult(
-        route.identity.with_vertices(frames.first()),
-        frames,
-        clip.fps,
-        model.name,
-        seconds,
-        moved.report,
-        moved.notes,
-        moved.skeleton,
-        identity=identity,
-        driving=clip,
-        own=moved.own,
-    )
+    shown = dataclasses.replace(moved, frames=frames)
+    return shown.clip_result(route.identity, clip, model.name, seconds, moved.notes)
 
 
 def rig_mesh(item: Item, options: Options) -> RiggedMesh:

@@ -55,7 +55,7 @@ NOTED_DEVIATION = 1e-3
 DEVIATION_CAUSES = {
     "rest": ": the mesh is bound in another pose than the file's; that of the file is exact",
     "fingers": ": fingers that only other clips move follow the hand",
-    "weights": ": files of joints have four weights a vertex",
+    "weights": ": files of joints have few weights a vertex",
 }
 """What a note says about the `deviation_cause` of a report."""
 
@@ -416,8 +416,8 @@ def skinned_note(report: Mapping[str, Any]) -> tuple[str, ...]:
     notes = ()
     if limited >= NOTED_LIMITING:
         notes += (
-            f"four weights a vertex, as files of joints have, move a vertex by up to {limited:.2g} of the mesh's size; "
-            "--morphs writes frames of all weights",
+            f"the few weights a vertex that files of joints have move a vertex by up to {limited:.2g} of the mesh's "
+            "size; --influences 8 keeps more, --morphs writes frames of all weights",
         )
     if written >= NOTED_DEVIATION:
         cause = DEVIATION_CAUSES.get(report.get("deviation_cause", ""), "")

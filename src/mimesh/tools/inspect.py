@@ -11,12 +11,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies.joint_names import person_joints
+from ..core.errors import RefusedMeshError
 from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
 from ..core.printable import printable
 from ..io.beside import missing_images, missing_images_notes
+from ..methods.find import find_mime
+from ..pipeline.corrections import Corrections
+from ..pipeline.file_rigs import NO_RIGS
 from ..pipeline.gltf_rigs import known_joints, rig_facts
-from ..pipeline.look import KINDS, Subject, recognised_body
+from ..pipeline.joint_route import found_character
+from ..pipeline.look import KINDS, Subject
 
 PERSON = (1.4, 2.1)
 """Longest side (metres) of a standing person, arms spread or not: smallest and largest."""
@@ -289,10 +294,13 @@ def _motion_detail(joints: int, names: tuple[str, ...], parents: tuple[int, ...]
 
 
 def _stands(mesh: Mesh) -> str:
-    """Say up and front of a mesh, and what it is taken for, as a transfer of it alone would choose."""
-    body, norm = recognised_body(Subject(mesh, (None, None)))
-    if body is None:
+    """Say up and front of a mesh, and what it is taken for, as `mimesh rig` takes it."""
+    subject = Subject(mesh, (None, None))
+    try:
+        seen, _, norm = found_character(find_mime("mime"), subject, "auto", NO_RIGS, Corrections())
+    except RefusedMeshError:
         return "looks neither like a person nor like a four-legged animal, as far as can be told"
+    body = seen.body
     by_file = " (by the file)" if norm.up_from == "file" else ""
     guess = " (a guess)" if norm.unsure else ""
     return f"up {norm.up}{by_file}, front {norm.front}, taken for {KINDS[body]}{guess}"

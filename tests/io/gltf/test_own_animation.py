@@ -65,10 +65,10 @@ def test_nodes_with_a_matrix_move_in_memory_as_in_the_written_file(model, drivin
     assert distance(np.stack(list(result.own.vertices())), result.clip.vertices) < EXACT
     saved_as_computed(result, tmp_path / "out.glb")
     moved = dataclasses.replace(result, frames=LazyFrames.stored(result.clip.vertices + 0.1))
-    moved.save_skinned(tmp_path / "out.glb")
+    (deviations,) = moved.save_skinned(tmp_path / "out.glb").deviations
     size = np.ptp(result.own.source.vertices, axis=0).max()
-    assert moved.report["skinned_deviation"] == pytest.approx(0.1 * 3**0.5 / size, rel=1e-3), "it shows what is wrong"
-    assert moved.report["keys_deviation"] < 2e-4
+    assert deviations["skinned_deviation"] == pytest.approx(0.1 * 3**0.5 / size, rel=1e-3), "it shows what is wrong"
+    assert deviations["keys_deviation"] < 2e-4
 
 
 def test_a_copy_onto_nodes_with_a_matrix_moves(model, driving, tmp_path):
@@ -267,19 +267,19 @@ def test_keys_of_a_part_or_of_other_frames_are_not_copied(cut, model, tmp_path):
 @pytest.mark.parametrize(
     ("copied", "layouts"), [(True, ({}, {"root_bone": True})), (False, ({"names": "unreal"}, {"fps": 60.0}))]
 )
-def test_the_deviation_of_a_written_file_is_in_the_report(copied, layouts, model, driving, tmp_path):
+def test_saving_returns_the_deviation_of_the_file(copied, layouts, model, driving, tmp_path):
     name = str if copied else renamed("mixamo")
     result = animate(str(rigs.of_kind(tmp_path / "a.glb", "T-pose", name=name)[0]), str(driving), model)
     assert result.report.get("copied", False) == copied
     size = np.ptp(result.own.source.vertices, axis=0).max()
     for options in layouts:
-        result.save_skinned(tmp_path / "out.glb", **options)
-        assert 0 <= result.report["keys_deviation"] < 2e-4
-        assert 0 < result.report["skinned_deviation"] < 2e-4
+        (deviations,) = result.save_skinned(tmp_path / "out.glb", **options).deviations
+        assert 0 <= deviations["keys_deviation"] < 2e-4
+        assert 0 < deviations["skinned_deviation"] < 2e-4
         if "fps" not in options:
             vertices = load_clip(tmp_path / "out.glb").vertices
             expected = np.linalg.norm(vertices - result.clip.vertices, axis=-1).max() / size
-            assert abs(result.report["skinned_deviation"] - expected) < 2e-7
+            assert abs(deviations["skinned_deviation"] - expected) < 2e-7
 
 
 def furnish(draft: Draft) -> None:

@@ -20,8 +20,9 @@ def test_skinned_frames_equal_the_frames_of_the_result(model, tmp_path, suffix):
     mesh = person(0)
     save_mesh(mesh, tmp_path / "hero.glb")
     result = animate(tmp_path / "hero.glb" if suffix == ".glb" else mesh, walk(faces=600), model)
-    path = result.save_skinned(tmp_path / f"moved{suffix}")
-    assert result.report["skinned_deviation"] < 1e-5  # three joints are fewer than four
+    saved = result.save_skinned(tmp_path / f"moved{suffix}")
+    path = saved.path
+    assert saved.deviations[0]["skinned_deviation"] < 1e-5  # three joints are fewer than four
     assert np.allclose(load_mesh(path).vertices, mesh.vertices, atol=1e-5)
     assert np.allclose(load_clip(path).vertices, result.clip.vertices, atol=1e-4)
     document = open_document(path)

@@ -1,4 +1,4 @@
-"""Writes a skinned mesh: joints, a skin with four weights a vertex, and animations of rotations and the root's path.
+"""Writes a skinned mesh: joints, a skin with weights of vertices, and animations of rotations and the root's path.
 
 Rotations have the keys that interpolation needs (see `keys`), the root's path has one for each frame: it costs 16 bytes
 a frame, and from it readers know the frame rate and the number of frames.
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...core.animated_rig import INFLUENCES, AnimatedRig, RigAnimation
+from ...core.animated_rig import AnimatedRig, RigAnimation
 from .animation import AnimationChannel, add_animation
 from .build import build_document, stage_transform
 from .check import ARRAY_BUFFER
@@ -30,6 +30,8 @@ from .edit import GltfSource, PrimitiveGroup, edit_document, with_normals
 from .keys import KEY_LIMIT, choose_keys, local_quaternions, played_values, rotation_tolerances, without_costly_times
 from .scene import DEFAULT_TRS
 
+PER_SET = 4
+"""Joints and weights in each of JOINTS_n and WEIGHTS_n, which are always VEC4 (glTF 2.0, 3.7.3.3)."""
 STILL = 1e-7
 """Largest change of a joint's position in the frame of its parent that is not written, in sizes of the mesh: float32
 stores positions no better."""
@@ -47,7 +49,7 @@ class _ThinnedRotations:
         """Choose the keys of a motion. Joints whose own key times would take more room than they save have all keys."""
         quat_xyzw = local_quaternions(skeleton.rotation, skeleton.parents).swapaxes(0, 1)
         limit = KEY_LIMIT * skeleton.size
-        rig = skeleton.rig.limited(INFLUENCES)
+        rig = skeleton.rig.limited(skeleton.influences)
         tolerance = rotation_tolerances(skeleton.points, rig, skeleton.parents, limit)
         is_key = choose_keys(quat_xyzw, tolerance)
         return cls(quat_xyzw, without_costly_times(is_key))
@@ -123,18 +125,21 @@ def _add_joints(draft: Draft, skeleton: AnimatedRig, rest: Float[np.ndarray, "J 
 
 
 def _add_weights(draft: Draft, groups: list[PrimitiveGroup], skeleton: AnimatedRig) -> None:
-    """Add JOINTS_0 and WEIGHTS_0 to the primitives: the strongest four weights of each vertex."""
+    """Add JOINTS_0 and WEIGHTS_0 to the primitives, and further sets of four where vertices have more weights."""
     joints, weights = skeleton.strongest()
     weights[weights.sum(axis=1) == 0, 0] = 1.0  # vertices without triangles, which no joint moves
-    padding = ((0, 0), (0, INFLUENCES - joints.shape[1]))  # JOINTS_0 and WEIGHTS_0 are always VEC4
+    padding = ((0, 0), (0, -joints.shape[1] % PER_SET))
     joints, weights = np.pad(joints, padding), np.pad(weights, padding)
     wide = len(skeleton.names) > 256  # joint indices have 8 bits where these are enough
     for group in groups:
         group_joints, group_weights = joints[group.vertex_of], weights[group.vertex_of].astype("<f4")
         # Joints of weight zero should be 0 (glTF 2.0, 3.7.3.3 Skinned Mesh Attributes).
         group_joints = np.where(group_weights > 0, group_joints, 0).astype("<u2" if wide else "u1")
-        joints_0 = draft.add_array(group_joints, "VEC4", ARRAY_BUFFER)
-        attributes = {"JOINTS_0": joints_0, "WEIGHTS_0": draft.add_floats(group_weights, ARRAY_BUFFER)}
+        attributes = {}
+        for number in range(-(-int((group_weights > 0).sum(axis=1).max()) // PER_SET)):
+            columns = slice(number * PER_SET, (number + 1) * PER_SET)
+            attributes[f"JOINTS_{number}"] = draft.add_array(group_joints[:, columns], "VEC4", ARRAY_BUFFER)
+            attributes[f"WEIGHTS_{number}"] = draft.add_floats(group_weights[:, columns], ARRAY_BUFFER)
         for primitive in group.primitives:
             primitive["attributes"] = {**primitive["attributes"], **attributes}
 

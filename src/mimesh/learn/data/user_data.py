@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ...bodies import load_body
 from ...core.errors import InputError
 from ...core.frame_buffer import Progress
+from ...core.options import TrainingFiles
 from ..task import DataConfig, TrainConfig, UserData
 from .characters import CharacterOptions, TrainingCharacters
 from .clips import TrainingClips
@@ -20,65 +20,56 @@ ProgressBar = Callable[[str], AbstractContextManager[Progress | None]]
 """Makes a progress bar with a title."""
 
 
-@dataclass(frozen=True)
-class Folders:
-    """The folders that the options of `mimesh train` name."""
-
-    characters: Path | None = None
-    clips: Path | None = None
-    meshes: Path | None = None
-    pattern: str = ""
-    """How the files of `meshes` are named."""
-
-    def settings(self) -> list[str]:
-        """Give the changes of a configuration that a folder of meshes stands for."""
-        if self.meshes is None:
-            return []
-        pattern = [f"data.pattern={self.pattern}"] if self.pattern else []
-        return ["data.kind=meshes", "data.between=0", "data.recombine=0", "data.mix_people=0", *pattern]
-
-    def check(self, network: str, options: type[DataConfig]) -> None:
-        """Check that a model, whose data have some options, takes data of the folders, and that these go together."""
-        if self.pattern and self.meshes is None:
-            raise InputError(f"--pattern {self.pattern}: expected it with --meshes, found it without; name the folder")
-        if self.meshes is not None and (self.characters or self.clips):
-            raise InputError("--meshes: expected it without --characters and --clips, found both; leave one out")
-        of_characters = issubclass(options, CharacterOptions)
-        takes = {
-            "meshes": issubclass(options, MeshOptions),
-            "characters": of_characters,
-            "clips": of_characters and bool(options.clip_kinds),
-        }
-        for option, taken in takes.items():
-            if getattr(self, option) is not None and not taken:
-                raise InputError(f"--{option}: expected a model that is trained on them, found {network}; leave it out")
+def mesh_settings(brought: TrainingFiles) -> list[str]:
+    """Give the changes of a configuration that a folder of meshes stands for."""
+    if brought.meshes is None:
+        return []
+    pattern = [f"data.pattern={brought.pattern}"] if brought.pattern else []
+    return ["data.kind=meshes", "data.between=0", "data.recombine=0", "data.mix_people=0", *pattern]
 
 
-def read_user_data(config: TrainConfig, folders: Folders, bar: ProgressBar) -> UserData | None:
+def check_files(brought: TrainingFiles, network: str, options: type[DataConfig]) -> None:
+    """Check that a model, whose data have some options, takes what is brought, and that it goes together."""
+    if brought.pattern and brought.meshes is None:
+        raise InputError(f"--pattern {brought.pattern}: expected it with --meshes, found it without; name the folder")
+    if brought.meshes is not None and (brought.characters or brought.clips):
+        raise InputError("--meshes: expected it without --characters and --clips, found both; leave one out")
+    of_characters = issubclass(options, CharacterOptions)
+    takes = {
+        "meshes": issubclass(options, MeshOptions),
+        "characters": of_characters,
+        "clips": of_characters and bool(options.clip_kinds),
+    }
+    for option, taken in takes.items():
+        if getattr(brought, option) is not None and not taken:
+            raise InputError(f"--{option}: expected a model that is trained on them, found {network}; leave it out")
+
+
+def read_user_data(config: TrainConfig, brought: TrainingFiles, bar: ProgressBar) -> UserData | None:
     """Read the data that a configuration asks for; None for none.
 
     Raises:
         InputError: a folder is needed and not given, or given and not needed, or it has nothing to train on.
     """
     data = config.data
-    folders.check(config.network, type(data))
+    check_files(brought, config.network, type(data))
     if isinstance(data, MeshOptions) and data.kind == "meshes":
-        if folders.meshes is None:
+        if brought.meshes is None:
             raise InputError(
                 "--meshes: expected the folder of meshes that this training is on, found none; add --meshes FOLDER"
             )
         with bar("reading meshes") as progress:
-            return RegisteredMeshes.read(folders.meshes, data, config.window, progress)
-    if folders.meshes is not None:
+            return RegisteredMeshes.read(brought.meshes, data, config.window, progress)
+    if brought.meshes is not None:
         raise InputError(
-            f"--meshes {folders.meshes}: expected a training on meshes, found one on {data.kind}; leave it out"
+            f"--meshes {brought.meshes}: expected a training on meshes, found one on {data.kind}; leave it out"
         )
-    return read_characters(data, folders, bar) if isinstance(data, CharacterOptions) else None
+    return read_characters(data, brought, bar) if isinstance(data, CharacterOptions) else None
 
 
-def read_characters(data: CharacterOptions, folders: Folders, bar: ProgressBar) -> TrainingCharacters | None:
+def read_characters(data: CharacterOptions, brought: TrainingFiles, bar: ProgressBar) -> TrainingCharacters | None:
     """Read the characters that a configuration asks for, and the clips of a folder; None for neither."""
-    folder, clips = folders.characters, folders.clips
+    folder, clips = brought.characters, brought.clips
     if clips is not None and data.kind not in data.clip_kinds:
         raise InputError(f"--clips: expected data.kind {', '.join(data.clip_kinds)}, found {data.kind}; leave it out")
     if data.leave_out and folder is None:
