@@ -324,8 +324,7 @@ class Session:
                 self._report_progress(outcome, done / total)
 
             route, clip = self._prepare(item)
-            assert isinstance(item.content, Mesh)
-            return operations.compute_result(route, item.content, clip, options, report)
+            return operations.compute_result(route, clip, options, report)
 
         self.worker.submit(("result", item.number), work).add_done_callback(partial(self._finish_result, outcome))
 
