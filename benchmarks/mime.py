@@ -10,6 +10,7 @@ joints.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -72,7 +73,8 @@ def mime_times(identity: Mesh, clip: Clip) -> dict[str, float]:
         return retarget.motion.tracked(iter(frames), clip.fps, clip.mesh.name, retarget.driving_soles)
 
     track = follow()
-    rig = retarget.character.vertex_rig
+    character = retarget.character
+    rig = dataclasses.replace(character.rig, weights=character.rig.weights.take(character.group, axis=0))
     transforms = np.concatenate([track.rotation @ rig.rotation.mT, track.positions[..., None]], axis=-1)
     times |= {
         "frame_ms": milliseconds(lambda: [retarget.frame(t, frame) for t, frame in enumerate(frames)]) / FRAMES,

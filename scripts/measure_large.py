@@ -204,7 +204,7 @@ def run(case: str, size: int, folder: Path) -> dict[str, Any]:
     with timed(seconds, "write"):
         save(output)
     with timed(seconds, "preview"):
-        _, page = write_preview(result, output)
+        _, (page,), _ = write_preview(result, output)
     total = sum(seconds[step] for step in ("read", "moved", "write", "preview"))
     figures: dict[str, Any] = {name: round(value, 2) for name, value in seconds.items()}
     start = sum(resource.getrusage(resource.RUSAGE_SELF)[:2]) - total

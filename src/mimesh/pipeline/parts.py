@@ -148,11 +148,14 @@ def find_part(mesh: Mesh, name: str | None, asked: str = "part") -> MeshPart | N
     """
     if name is not None:
         return _cut(mesh, _named(mesh, name, asked))
-    if not may_have_joints(mesh) or not hasattr(mesh.source, "rest"):
+    if not may_have_joints(mesh):
         return _without_base(mesh, asked)
+    from ..io.gltf.edit import GltfSource
     from ..io.gltf.parts import characters, static_parts
     from .gltf_rigs import rig_facts
 
+    if not isinstance(mesh.source, GltfSource):
+        return _without_base(mesh, asked)
     people = characters(mesh)
     if len(people) > 1:
         raise InputError(

@@ -368,8 +368,10 @@ def _with_bones(source: Path, target: Path, options: ConvertOptions, given: list
         save_whole(source, target, options.animation)
         kept = f"{target.name} has the animations {', '.join(names)}"
         return Converted(count, 1, None, notes + ((kept,) if len(names) > 1 and options.animation is None else ()))
+    from ..io.gltf.edit import GltfSource
     from ..io.gltf.own_animation import cut_animation
 
+    assert isinstance(mesh.source, GltfSource)
     cut = cut_animation(mesh.source, options.animation, options.fps, options.slice, options.frames)
     save_own_animations([cut], target)
     notes += animations_note(names, source) if options.animation is None else ()
