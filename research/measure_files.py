@@ -1,7 +1,7 @@
 """Measure whether files of many makers are moved: each is looked at, rigged, animated, and read back by another reader.
 
     python research/measure_files.py FOLDER --bvh FILE --gltf FILE --animal FILE [-o docs/files.json]
-        [--sheets FOLDER] [--written FOLDER] [--only WORD ...]
+        [--sheets FOLDER] [--written FOLDER] [--only WORD ...] [--resume]
 
 FOLDER has a `list.json`: a list of objects with `file` (within FOLDER), `maker`, `kind` (person, animal, thing, scene)
 and more facts, which go into the report as they are. Files are measured in another process, each within --seconds.
@@ -23,24 +23,28 @@ import multiprocessing
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from mimesh import FrameRange, InputError, animate, load_mesh, rig
+from mimesh.core.animated_rig import AnimatedRig
 from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.rig import descendants
 from mimesh.evaluate.provenance import commit, machine
 from mimesh.io.atomic import whole_file
 from mimesh.pipeline.gltf_rigs import rig_facts
 from mimesh.pipeline.result import ClipResult
+from mimesh.pipeline.rigging import RiggedMesh
 from mimesh.tools.inspect import inspect_file
 
 SAME = 1e-4
 """Largest distance, over the diagonal of the mesh, of what another reader reads from what the tool has in memory."""
 FLOOR = 0.012
-"""Largest height of a person's lowest vertex over the floor or below it, over the height: 2 cm of 1.7 m."""
+"""Largest median distance of a person's soles from the floor that they have at rest, over the height: 2 cm of 1.7 m."""
 FRAMES = 24
 """Frames of each driving clip."""
 COMPARED = 5
@@ -66,24 +70,18 @@ def main() -> None:
     parser.add_argument("--written", type=Path, help="keep the written files here")
     parser.add_argument("--seconds", type=float, default=180.0, help="time limit of each file")
     parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="files with one of these in their paths")
+    parser.add_argument("--resume", action="store_true", help="keep what the report has, of a measurement that stopped")
     args = parser.parse_args()
     listed = json.loads((args.folder / "list.json").read_text())
     listed = [row for row in listed if not args.only or any(word in row["file"] for word in args.only)]
     with tempfile.TemporaryDirectory() as scratch:
         written = args.written or Path(scratch)
         written.mkdir(parents=True, exist_ok=True)
-        rows, worker = [], _worker()
-        for entry in listed:
-            drivings = {"bvh": args.bvh, "gltf": args.animal if entry["kind"] == "animal" else args.gltf}
-            begin = time.perf_counter()
-            try:
-                words = (args.folder / entry["file"], drivings, _stem(entry, written), entry["kind"] == "person")
-                asked = worker.apply_async(measure_file, words)
-                row = asked.get(args.seconds)
-            except multiprocessing.TimeoutError:  # a process that crashed is found so, too
-                worker.terminate()
-                row, worker = {"verdict": "wrong", "why": [f"crashed, or took more than {args.seconds:g} s"]}, _worker()
-            rows.append(entry | row | {"seconds": round(time.perf_counter() - begin, 2)})
+        rows = json.loads(args.output.read_text())["files"] if args.resume else []
+        done, worker = {row["file"] for row in rows}, _worker()
+        for entry in (entry for entry in listed if entry["file"] not in done):
+            row, worker = _measured(entry, args, written, worker)
+            rows.append(entry | row)
             print(f"{row['verdict']:8} {entry['file']}: {'; '.join(row['why'])[:160]}", flush=True)
             report = {"commit": commit(), "machine": machine(), "makers": _table(rows), "files": rows}
             with whole_file(args.output) as temporary:
@@ -91,12 +89,25 @@ def main() -> None:
         worker.terminate()
         if args.sheets:
             draw_sheets(rows, written, args.sheets)
-    print(json.dumps(report["makers"], indent=1))
+    print(json.dumps(_table(rows), indent=1))
 
 
 def _worker():
     """Return a pool of one process, in which a crash does not end the measurement."""
     return multiprocessing.get_context("spawn").Pool(1)
+
+
+def _measured(entry: dict[str, Any], args: argparse.Namespace, written: Path, worker) -> tuple[dict[str, Any], Any]:
+    """Measure a file in the worker; return its verdict, and the worker, a new one after a crash or the time limit."""
+    drivings = {"bvh": args.bvh, "gltf": args.animal if entry["kind"] == "animal" else args.gltf}
+    words = (args.folder / entry["file"], drivings, _stem(entry, written), entry["kind"] == "person")
+    begin = time.perf_counter()
+    try:
+        row = worker.apply_async(measure_file, words).get(args.seconds)
+    except multiprocessing.TimeoutError:  # a process that crashed is found so, too
+        worker.terminate()
+        row, worker = {"verdict": "wrong", "why": [f"crashed, or took more than {args.seconds:g} s"]}, _worker()
+    return row | {"seconds": round(time.perf_counter() - begin, 2)}, worker
 
 
 def _stem(entry: dict[str, Any], written: Path) -> str:
@@ -107,16 +118,17 @@ def _stem(entry: dict[str, Any], written: Path) -> str:
 def measure_file(path: Path, drivings: dict[str, Path], stem: str, person: bool) -> dict[str, Any]:
     """Look at a file, rig it where it has no rig, animate it by both clips, and judge each step."""
     steps: dict[str, dict[str, Any]] = {}
-    mesh, facts = _step(steps, "look", lambda: _look(path))
+    mesh = _step(steps, "look", lambda: _look(path))
     pictures = [] if mesh is None else [_picture(Clip.still(mesh), 1, "y", None)]
     if mesh is not None:
+        facts = rig_facts(mesh)
         if facts is None or not facts.used:
             _step(steps, "rig", lambda: _rig(mesh, Path(f"{stem}.rig.glb")))
         for name, driving in drivings.items():
             if "refused" in steps.get("rig", {}) and name == "gltf":
                 continue  # one refusal of a shape tells as much as three
             output = Path(f"{stem}.{name}.glb")
-            result, _ = _step(steps, name, lambda d=driving, o=output: _animate(mesh, d, o, person))
+            result = _step(steps, name, lambda d=driving, o=output: _animate(mesh, d, o, person))
             if result is not None:
                 facing = result.report["identity"]
                 clip = Clip(result.mesh, _frames(result, SHOWN), result.fps)
@@ -129,40 +141,42 @@ def measure_file(path: Path, drivings: dict[str, Path], stem: str, person: bool)
     return {"verdict": verdict, "why": why or refused, "steps": steps}
 
 
-def _step(steps: dict[str, dict[str, Any]], name: str, run) -> tuple[Any, Any]:
-    """Take one step: `run` returns two things and its figures. An exception other than `InputError` is wrong."""
-    begin, row, found = time.perf_counter(), {"why": []}, (None, None)
+def _step(steps: dict[str, dict[str, Any]], name: str, run: Callable[[], tuple[Any, dict[str, Any]]]) -> Any:
+    """Take one step: `run` returns what is used further, and figures. An exception other than `InputError` is wrong."""
+    begin = time.perf_counter()
+    row: dict[str, Any] = {"why": []}
+    found = None
     try:
-        *found, figures = run()
+        found, figures = run()
         row |= figures
     except InputError as error:
         row["refused"] = str(error)
     except Exception as error:  # that there is none is what is measured
         row["why"].append(repr(error))
     steps[name] = row | {"seconds": round(time.perf_counter() - begin, 2)}
-    return tuple(found)
+    return found
 
 
-def _look(path: Path) -> tuple[Mesh, Any, dict[str, Any]]:
+def _look(path: Path) -> tuple[Mesh, dict[str, Any]]:
     facts = inspect_file(path)
     mesh = load_mesh(path)
     known = rig_facts(mesh)
     text = None if known is None else known.text
     figures = {"vertices": facts.vertices, "rig": text, "stands": facts.stands, "warnings": facts.warnings()}
     why = [] if np.isfinite(mesh.vertices).all() else ["vertices that are not finite"]
-    return mesh, known, figures | {"why": why}
+    return mesh, figures | {"why": why}
 
 
-def _rig(mesh: Mesh, output: Path) -> tuple[Any, Any, dict[str, Any]]:
+def _rig(mesh: Mesh, output: Path) -> tuple[RiggedMesh, dict[str, Any]]:
     """Rig a mesh, write it, and compare what is read back at rest with the mesh."""
     rigged = rig(mesh)
     rigged.save(output)
     apart = _apart(read_frames(output, [None])[0], rigged.skeleton.mesh.vertices)
     why = [] if apart <= SAME else [f"at rest {apart:.2g} of the size apart"]
-    return rigged, None, {"body": rigged.body, "apart": apart, "why": why, "notes": rigged.notes}
+    return rigged, {"body": rigged.body, "apart": apart, "why": why, "notes": rigged.notes}
 
 
-def _animate(mesh: Mesh, driving: Path, output: Path, person: bool) -> tuple[ClipResult, Any, dict[str, Any]]:
+def _animate(mesh: Mesh, driving: Path, output: Path, person: bool) -> tuple[ClipResult, dict[str, Any]]:
     """Animate a mesh, write it, and judge what is read back."""
     result = animate(mesh, driving, frames=_range(driving))
     result.save_skinned(output)
@@ -175,11 +189,11 @@ def _animate(mesh: Mesh, driving: Path, output: Path, person: bool) -> tuple[Cli
     why += [] if all(np.isfinite(frame).all() for frame in (*read, *truth)) else ["vertices that are not finite"]
     low = _floor(mesh, result)
     if person and np.median(np.abs(low)) > FLOOR:
-        why.append(f"lowest vertex {np.median(low):+.3f} of the height from the floor")
+        why.append(f"soles {np.median(low):+.3f} of the height from the floor")
     figures = {"apart": apart, "told": told, "own": result.own is not None, "fps": result.fps}
     figures |= {"cause": result.report.get("deviation_cause")}
     figures |= {"low": np.round(low, 4).tolist(), "stretch": _stretch(mesh, truth), "notes": result.notes}
-    return result, None, figures | {"why": why}
+    return result, figures | {"why": why}
 
 
 def _range(driving: Path) -> FrameRange:
@@ -189,12 +203,23 @@ def _range(driving: Path) -> FrameRange:
 
 
 def _floor(mesh: Mesh, result: ClipResult) -> Float[np.ndarray, " T"]:
-    """Return the height of the lowest vertex over that at rest in every frame, over the height."""
+    """Return the height of the lowest vertex of the feet over that at rest in every frame, over the mesh's height."""
     up = result.report["identity"]["up"]
     axis, sign = "xyz".index(up[-1]), -1.0 if up.startswith("-") else 1.0
+    feet = _feet(result.skeleton)
     rest = sign * mesh.vertices[:, axis]
-    lowest = np.array([(sign * np.asarray(frame)[:, axis]).min() for frame in _frames(result, len(result.frames))])
-    return (lowest - rest.min()) / np.ptp(rest)
+    lowest = [(sign * frame[feet, axis]).min() for frame in _frames(result, len(result.frames))]
+    return (np.array(lowest) - rest[feet].min()) / np.ptp(rest)
+
+
+def _feet(skeleton: AnimatedRig | None) -> Int[np.ndarray, " N"] | slice:
+    """Return the vertices that feet and toes move: hands and weapons may hang lower. All, if none are known."""
+    if skeleton is None:
+        return slice(None)
+    roles = skeleton.person or {name: j for j, name in enumerate(skeleton.names)}
+    below = descendants([roles[name] for name in ("LeftFoot", "RightFoot") if name in roles], skeleton.parents)
+    found = np.flatnonzero(np.isin(skeleton.rig.weights.argmax(axis=1), below))
+    return found if len(found) else slice(None)
 
 
 def _stretch(mesh: Mesh, frames: list[Float[np.ndarray, "V 3"]]) -> float:
@@ -221,11 +246,11 @@ def _size(vertices: Float[np.ndarray, "V 3"]) -> float:
 
 def _apart(read: Float[np.ndarray, "U 3"], ours: Float[np.ndarray, "V 3"]) -> float:
     """Return the largest distance from a vertex to the nearest of the other set, both ways, over the size."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     if not len(read) or not np.isfinite(read).all():
         return float("inf")
-    there, back = cKDTree(ours).query(read)[0].max(), cKDTree(read).query(ours)[0].max()
+    there, back = KDTree(ours).query(read)[0].max(), KDTree(read).query(ours)[0].max()
     return float(max(there, back) / _size(ours))
 
 
@@ -233,7 +258,8 @@ def read_frames(path: Path, seconds: list[float | None]) -> list[Float[np.ndarra
     """Return all vertices of the scene of a .glb in its first animation at each time; None is the file at rest."""
     import pygltflib
 
-    gltf = pygltflib.GLTF2().load(str(path))
+    gltf = pygltflib.GLTF2.load_binary(str(path))
+    assert gltf is not None, f"{path} is no .glb"
     file = _File(gltf, gltf.binary_blob() or b"")
     return [file.vertices(None if t is None else max(t, 0.0)) for t in seconds]
 
@@ -420,9 +446,14 @@ def _table(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     return {
         maker: {"files": len(some)}
         | dict(Counter(row["verdict"] for row in some))
+        | {"wrong by the floor alone": sum(row["verdict"] == "wrong" and _floor_alone(row) for row in some)}
         | {"seconds": round(sum(row["seconds"] for row in some), 1)}
         for maker, some in makers.items()
     }
+
+
+def _floor_alone(row: dict[str, Any]) -> bool:
+    return all("from the floor" in why for why in row["why"])
 
 
 if __name__ == "__main__":
