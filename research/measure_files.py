@@ -185,7 +185,7 @@ def _animate(mesh: Mesh, driving: Path, output: Path, person: bool) -> tuple[Cli
     read = read_frames(output, [k / result.fps for k in chosen])
     apart = max(_apart(theirs, ours) for theirs, ours in zip(read, truth, strict=True))
     told = result.report.get("skinned_deviation") or 0.0
-    why = [] if apart <= max(SAME, 1.01 * told) else [f"{apart:.2g} of the size from the result's frames"]
+    why = [] if apart <= max(SAME, 1.1 * told) else [f"{apart:.2g} of the size from the result's frames"]
     why += [] if all(np.isfinite(frame).all() for frame in (*read, *truth)) else ["vertices that are not finite"]
     low = _floor(mesh, result)
     if person and np.median(np.abs(low)) > FLOOR:
