@@ -56,6 +56,16 @@ def test_inverted_faces_do_not_change_the_result(method):
     assert np.array_equal(*results)
 
 
+def test_backs_of_faces_do_not_change_the_result(method):
+    # Each face a second time, in the opposite winding, as programs for interiors write people.
+    backed = [dataclasses.replace(m, faces=np.concatenate([m.faces, m.faces[:, ::-1]])) for m in (IDENTITY, DRIVING)]
+    results = [
+        moved_from(method, Clip.still(driving), [DRIVING.vertices], identity)[0]
+        for identity, driving in ((IDENTITY, DRIVING), backed)
+    ]
+    assert np.array_equal(*results)
+
+
 def test_other_poses_give_other_results(path):
     clip = walk(faces=600)
     result = animate(IDENTITY, clip, path).clip.vertices

@@ -24,7 +24,7 @@ from jaxtyping import Float, Int
 
 from ..bodies.joint_names import other_side
 from ..core.canonical_order import CanonicalOrder, canonical_order
-from ..core.geometry import MIRROR, angles_between, edges, face_vectors, links, mirrored_rotations
+from ..core.geometry import MIRROR, angles_between, distinct_rows, edges, face_vectors, links, mirrored_rotations, weld
 from ..core.mesh import Mesh
 from ..core.normalization import ORIENTATIONS, ROTATIONS
 from ..core.rig import Rig, leg_length
@@ -364,12 +364,26 @@ def _adjacent_faces(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "P 2"]:
 
 
 def face_outward(mesh: Mesh) -> Mesh:
-    """Reverse all faces of a mesh that is inside out, as meshes are after a mirroring."""
+    """Reverse all faces of a mesh that is inside out, as after a mirroring, and keep one of faces drawn twice."""
+    mesh = _without_copies(mesh)
     vectors = face_vectors(mesh.vertices - mesh.vertices.mean(axis=0), mesh.faces)
     corners = mesh.vertices[mesh.faces[:, 0]] - mesh.vertices.mean(axis=0)
     # The signed volumes of the tetrahedra from the centroid to each face add up to the enclosed volume.
     volume, area = (corners * vectors).sum() / 6, np.linalg.norm(vectors, axis=1).sum() / 2
     return dataclasses.replace(mesh, faces=mesh.faces[:, ::-1]) if volume < INVERTED * area**1.5 else mesh
+
+
+def _without_copies(mesh: Mesh) -> Mesh:
+    """Keep the first of faces between the same three positions, without texture coordinates.
+
+    Programs for interiors write each face with its back, in the opposite winding: half of the normals would point
+    inwards, and those of vertices cancel.
+    """
+    corners = np.sort(weld(mesh.vertices)[1][mesh.faces], axis=1)
+    first, _ = distinct_rows(list(corners.T))
+    if len(first) == len(corners):
+        return mesh
+    return dataclasses.replace(mesh, faces=mesh.faces[np.sort(first)], corner_uv=None, corner_normals=None, parts=())
 
 
 def softmax(scores: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "V J"]:

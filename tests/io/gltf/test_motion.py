@@ -1,6 +1,7 @@
 """Motions, glTF files of joints without a mesh: the body's limb directions equal those of the file in every frame."""
 
 import base64
+import json
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ from mimesh.core.errors import InputError
 from mimesh.core.rig import Rig
 from mimesh.io import load_clip, load_mesh, save_skinned
 from mimesh.io.gltf.document import open_document
-from mimesh.io.gltf.motion import gltf_joints, read_skeleton
+from mimesh.io.gltf.motion import bind_poses, gltf_joints, read_skeleton
+from mimesh.io.gltf.scene import world_matrices
 from mimesh.io.gltf.skin_file import read_skin
 from mimesh.motions import load_motion, window
 from mimesh.motions.motion import joint_tracks
@@ -150,6 +152,38 @@ def test_rest_pose_comes_from_inverse_bind_matrices_not_from_nodes(heading, rigg
     rotation = Rotation.from_quat(QUATERNION_30_DEGREES).as_matrix()
     assert angle(limbs(body, played), limbs(body, motion) @ rotation.T) < 1e-5
     np.testing.assert_allclose(hip_path(body, played), hip_path(body, motion) @ rotation.T, atol=1e-5)
+
+
+def test_rest_pose_is_that_of_the_file_where_it_is_the_bind_pose(tmp_path):
+    """Bound z up, below a node that is turned about the vertical, as the roots of 3ds Max's bipeds are."""
+    upright = Rotation.from_quat(QUARTER)
+    above = (upright * Rotation.from_euler("z", 90, True)).as_quat().tolist()
+    nodes = [
+        {"rotation": above, "children": [1]},
+        {"translation": [0, 0, 1], "children": [2]},
+        {"translation": [0, 1, 0]},
+    ]
+    T_world_bind = np.eye(4)
+    T_world_bind[:3, :3] = upright.as_matrix()
+    gltf = {"asset": {"version": "2.0"}, "nodes": nodes, "skins": [{"joints": [1, 2], "inverseBindMatrices": 0}]}
+    path = tmp_path / "biped.gltf"
+    path.write_text(json.dumps(gltf | {"scenes": [{"nodes": [0]}]} | _matrices(np.eye(4)[None].repeat(2, axis=0))))
+    world = world_matrices(open_document(path))
+    path.write_text(
+        json.dumps(gltf | {"scenes": [{"nodes": [0]}]} | _matrices(np.linalg.inv(world[1:]) @ T_world_bind))
+    )
+    np.testing.assert_allclose(next(bind_poses(open_document(path))), world, atol=1e-6)
+
+
+def _matrices(matrices):
+    """The accessor 0 of a glTF file with matrices (N, 4, 4)."""
+    content = matrices.transpose(0, 2, 1).astype("<f4").tobytes()
+    uri = "data:application/octet-stream;base64," + base64.b64encode(content).decode()
+    return {
+        "buffers": [{"uri": uri, "byteLength": len(content)}],
+        "bufferViews": [{"buffer": 0, "byteLength": len(content)}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": len(matrices), "type": "MAT4"}],
+    }
 
 
 def test_motion_joints_are_found_under_other_names_and_among_other_nodes(rigged, body, motion, tmp_path):

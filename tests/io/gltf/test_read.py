@@ -256,7 +256,9 @@ def test_animation_whose_keys_are_before_zero_has_one_frame(tmp_path):
     np.testing.assert_allclose(clip.vertices[0], read_gltf(still.glb(tmp_path / "b.glb")).vertices, atol=1e-6)
 
 
-@pytest.mark.parametrize(("node", "times"), [(1.0, [0, 1]), (True, [0, 1]), (1, [np.nan]), (1, [0, np.inf])])
+@pytest.mark.parametrize(
+    ("node", "times"), [(1.0, [0, 1]), (True, [0, 1]), (1, [np.nan]), (1, [0, np.inf]), (1, [1, 0])]
+)
 def test_nodes_and_times_of_channels_are_checked(node, times, tmp_path):
     sample = samples.hero()
     animation = sample.gltf["animations"][0]

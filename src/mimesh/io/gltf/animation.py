@@ -285,11 +285,14 @@ def _read_channel(document: Document, target: dict[str, Any], sampler: dict[str,
     width = rows_per_key * PATH_WIDTHS[target["path"]]
     fits = per_key == width or (target["path"] == "weights" and per_key and not per_key % rows_per_key)
     node_exists = type(target["node"]) is int and 0 <= target["node"] < len(document.gltf.get("nodes", []))
-    rising = np.isfinite(times).all() and (np.diff(times) > 0).all()
+    rising = np.isfinite(times).all() and (np.diff(times) >= 0).all()
     if not (fits and node_exists and rising and values.size == keys * per_key):
         found = f"{keys} times and {values.size} numbers"
         raise damaged(document.path, "rising times with a value each", found)
-    return AnimationChannel(target["node"], target["path"], times, values.reshape(keys, per_key), interpolation)
+    # Sketchfab's exporter rounds times of 60 Hz to 30 Hz: of keys at one time the last one counts.
+    last = np.append(np.diff(times) > 0, True)[:keys]
+    values = values.reshape(keys, per_key)[last]
+    return AnimationChannel(target["node"], target["path"], times[last], values, interpolation)
 
 
 def slerp(

@@ -39,6 +39,8 @@ NEGLIGIBLE = 1e-6
 """Relative size below which the scale of a bind matrix or the change of a bone counts as zero."""
 ENLARGED = 1e-3
 """Relative change of a joint's scale since its mesh was bound from which on it counts as one, and is kept."""
+SAME_ROTATION_COSINE = np.cos(np.radians(1.0))
+"""Cosine of the largest angle between the rotations from bind space of joints that are in their bind pose."""
 SAME_UP_COSINE = 0.7
 """Cosine of the largest angle (about 45 degrees) between two up axes that count as the same."""
 
@@ -197,13 +199,16 @@ def _bind_orientations(
 ) -> list[Float[np.ndarray, "3 3"]]:
     """List axis-aligned rotations from bind space to the world, the likeliest first.
 
-    Candidates, in the order that exporters use them: the rotation of the node above the joints, and the identity. The
-    first one with about the same up axis as the mean rotation of the joints is the likeliest; what remains is the
+    Where the file's pose is the bind pose, all joints have one rotation, and the nearest axis-aligned one to it is the
+    likeliest. Else candidates are, in the order that exporters use them, the rotation of the node above the joints, and
+    the identity: the first one with about the same up axis as the mean rotation of the joints. What remains is the
     joints' pose. If none fits, it is the axis-aligned rotation nearest to that mean.
     """
-    mean = nearest_rotation(nearest_rotation(T_world_bind[:, :3, :3]).sum(axis=0))
+    rotations = nearest_rotation(T_world_bind[:, :3, :3])
+    mean = nearest_rotation(rotations.sum(axis=0))
     candidates = [_nearest_axis_rotation(nearest_rotation(T_world_above[:3, :3])), np.eye(3)]
-    likely = [candidate for candidate in candidates if (mean @ candidate.T)[1, 1] > SAME_UP_COSINE]
+    posed = np.einsum("jkl,kl->j", rotations, mean).min() < 1 + 2 * SAME_ROTATION_COSINE  # the trace of a rotation
+    likely = [candidate for candidate in candidates if posed and (mean @ candidate.T)[1, 1] > SAME_UP_COSINE]
     first = (likely or [_nearest_axis_rotation(mean)])[0]
     return [first, *(candidate for candidate in candidates if not np.array_equal(candidate, first))]
 
