@@ -34,7 +34,7 @@ def main(argv: list[str] | None = None) -> None:
     skinned = result.save_skinned(options.output / "skinned.glb")
     # One morph target per frame: exact for any deformation, and independent of a skeleton.
     morph = result.save(options.output / "morph.glb")
-    for path in (skinned.path, morph.path):
+    for path in (skinned, morph):
         print(f"wrote {path}: {path.stat().st_size / 2**20:.2f} MiB")
     difference = skinned.deviations[0]["skinned_deviation"]
     print(f"largest difference between the two: {100 * difference:.2f} % of the size")

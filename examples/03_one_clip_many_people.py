@@ -33,7 +33,7 @@ def main(argv: list[str] | None = None) -> None:
     for identity in identities:
         # An identity needs no rig, no correspondence, no particular vertex count and no particular rest pose.
         result = mimesh.animate(identity, driving, frames=mimesh.FrameRange(stop=options.frames))
-        path = result.save(options.output / f"{identity.name}.glb").path
+        path = result.save(options.output / f"{identity.name}.glb")
         print(f"wrote {path}: {len(identity.vertices)} vertices, {sum(result.seconds.values()):.1f} s")
         rows.append(sheet.strip(result.clip, options.columns, tile))
     picture = options.output / "picture.png"

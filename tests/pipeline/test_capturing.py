@@ -129,7 +129,7 @@ def test_joints_of_a_file_are_taken_as_they_are(captured, tmp_path):
 
 def test_joints_of_a_character_become_a_t_pose_in_any_order(captured, clip, tmp_path):
     """Its file lists children before parents."""
-    moving = mimesh.animate(clip.mesh, clip).save_skinned(tmp_path / "moving.glb", names="unreal").path
+    moving = mimesh.animate(clip.mesh, clip).save_skinned(tmp_path / "moving.glb", names="unreal")
     found = mimesh.capture(moving)
     assert "confidence" not in found.report
     assert all(parent < j for j, parent in enumerate(found.parents))

@@ -143,7 +143,7 @@ def test_joints_found_on_a_surface_become_bones(up, front, tmp_path):
         expected = positions[:, joint] - positions[:, parent]
         cosine = (expected * bones).sum(axis=1) / np.linalg.norm(expected, axis=1) / np.linalg.norm(bones, axis=1)
         assert np.degrees(np.arccos(cosine.min().clip(-1, 1))) < 5, name
-    read = load_clip(result.save(tmp_path / "walk.vrma").path)
+    read = load_clip(result.save(tmp_path / "walk.vrma"))
     assert (len(read), read.fps) == (len(frames), 24.0)
     person = read.skeleton.person()
     shared = [name for name in motion.joints if name in person.joints]

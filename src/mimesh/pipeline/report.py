@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NotRequired, TypedDict
 
@@ -198,23 +197,24 @@ class Deviations(TypedDict):
     """Of `blendshapes`: largest distance of a vertex from its frame, as a share of the mesh's size."""
 
 
-@dataclass(frozen=True)
-class SavedClip:
-    """What was written of one `ClipResult` or of several; usable as the path.
+class SavedClip(type(Path())):
+    """The path of the file or folder that was written of one `ClipResult` or of several.
 
     Example:
         >>> saved = moving.save_skinned("walking.glb")
-        >>> saved.path.name, saved.deviations[0]["skinned_deviation"] < 0.1  # share of the size
+        >>> saved.name, saved.deviations[0]["skinned_deviation"] < 0.1  # share of the size
         ('walking.glb', True)
     """
 
-    path: Path
-    """The file or folder."""
-    deviations: tuple[Deviations, ...]
+    deviations: tuple[Deviations, ...] = ()
     """For each result how far the file is from its frames."""
 
-    def __fspath__(self) -> str:
-        return str(self.path)
+
+def saved_clip(path: str | Path, *deviations: Deviations) -> SavedClip:
+    """Return the path of a written clip with its deviations."""
+    saved = SavedClip(path)
+    saved.deviations = deviations
+    return saved
 
 
 def quality(identity: Mesh, moved: LazyFrames) -> dict[str, float]:

@@ -23,7 +23,7 @@ from ..core.mesh import Clip, Mesh, merged_mesh, same_colors
 from ..io import refuse_vrm, save_clip, save_mesh, save_own_pose
 from ..io.atomic import scratch_folder, written
 from ..io.formats import JOINTED
-from .report import MeshReport, SavedClip, TransferReport
+from .report import MeshReport, SavedClip, TransferReport, saved_clip
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
@@ -359,7 +359,7 @@ class ClipResult(_Playable):
         with self.seconds.step("write"):
             clip = self.__dict__.get("clip") or Clip(self.mesh, self.frames.every(1, progress), self.fps)
             deviation = write_clip(clip, Path(path), blendshapes=blendshapes, progress=progress)
-        return SavedClip(Path(path), ({} if deviation is None else {"blendshapes_deviation": deviation},))
+        return saved_clip(path, {} if deviation is None else {"blendshapes_deviation": deviation})
 
     @public
     def save_skinned(

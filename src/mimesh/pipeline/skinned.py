@@ -22,7 +22,7 @@ from ..core.rig import Rig, descendants
 from ..io import save_own_animations, save_rig_animations
 from ..io.gltf.own_animation import OwnAnimation
 from ..io.timing import DEFAULT_FPS
-from .report import Deviations, SavedClip
+from .report import Deviations, SavedClip, saved_clip
 from .vrma import save_bone_motions
 
 if TYPE_CHECKING:
@@ -79,9 +79,9 @@ def save_skinned(
         _check_same_rig(results, found)
     if Path(path).suffix.lower() == ".vrma":
         save_bone_motions(results, Path(path), distinct_names(found), layout)
-        return SavedClip(Path(path), tuple(Deviations() for _ in results))
+        return saved_clip(path, *(Deviations() for _ in results))
     save = _save_on_own_rig if own else _save_on_found_rig
-    return SavedClip(Path(path), tuple(save(results, Path(path), distinct_names(found), layout)))
+    return saved_clip(path, *save(results, Path(path), distinct_names(found), layout))
 
 
 def _save_on_found_rig(

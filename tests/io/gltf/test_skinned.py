@@ -21,7 +21,7 @@ def test_skinned_frames_equal_the_frames_of_the_result(model, tmp_path, suffix):
     save_mesh(mesh, tmp_path / "hero.glb")
     result = animate(tmp_path / "hero.glb" if suffix == ".glb" else mesh, walk(faces=600), model)
     saved = result.save_skinned(tmp_path / f"moved{suffix}")
-    path = saved.path
+    path = saved
     assert saved.deviations[0]["skinned_deviation"] < 1e-5  # three joints are fewer than four
     assert np.allclose(load_mesh(path).vertices, mesh.vertices, atol=1e-5)
     assert np.allclose(load_clip(path).vertices, result.clip.vertices, atol=1e-4)
