@@ -8,7 +8,7 @@ import rigs
 from people import rigged
 
 from mimesh.bodies import load_body
-from mimesh.bodies.character_limbs import match_chain, match_joints
+from mimesh.bodies.character_limbs import match_chain, match_joints, without_tails
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
 from mimesh.core.rig import Rig
@@ -71,3 +71,12 @@ def test_a_chain_takes_the_best_descendants_in_order():
     assert match_chain(score, parents) == {0: 1, 1: 3}  # 0.9 at joint 4 has nothing below it
     assert match_chain(np.array([[0.0, 0, 0, 0, 0.2], [0.1, 0, 0, 0, 0]]), parents) == {0: 4}
     assert match_chain(-score, parents) == {}
+
+
+def test_a_chain_that_carries_all_of_a_mesh_is_no_tail():
+    """As a skinned rod: without the chain nothing would be left to look at."""
+    mesh = Mesh(BODY.vertices, load_body().faces)
+    joints = np.linspace([0.0, 0.0, 0.0], [0.0, 1.7, 0.0], 4)
+    nearest = np.abs(mesh.vertices[:, None, 1] - joints[:, 1]).argmin(axis=1)
+    rod = rigged(mesh, ("a", "b", "c", "d"), (-1, 0, 1, 2), joints, np.eye(4)[nearest])
+    assert [*without_tails(rod)] == []

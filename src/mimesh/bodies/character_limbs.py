@@ -327,7 +327,9 @@ def without_tails(rig: SkinnedCharacter) -> Iterator[SkinnedCharacter]:
         twins = [n for n in range(len(chains)) if n != k and abs(lengths[n] / max(lengths[k], 1e-9) - 1) < TWIN]
         if lengths[k] > LONG_TAIL * np.ptp(rig.mesh.vertices[:, 1]) and not twins:
             of_chain = (rig.weights * np.isin(rig.joint_of, chains[k])).sum(axis=1) > CARRIED
-            yield rig.part(rig.mesh.faces[~of_chain[rig.mesh.faces].any(axis=1)])
+            rest = rig.mesh.faces[~of_chain[rig.mesh.faces].any(axis=1)]
+            if len(rest):
+                yield rig.part(rest)
 
 
 def match_joints(rig: SkinnedCharacter, body: Rig, path: object) -> dict[str, int]:
