@@ -188,12 +188,12 @@ def test_a_pack_is_left_out_by_one_option(pool, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_clips_alone_join_the_poses_of_people(clips, tmp_path):
-    out = train_command("mime", "small", tmp_path / "run", None, 0.001, TINY[1:], None, None, clips)
+    out = train_command("mime", "small", tmp_path / "run", None, 0.001, TINY[1:], None, TrainingFiles(clips=clips))
     state = checkpoint.load(out / "last.safetensors")
     assert state.characters.keys() == {"clips"}
     assert state.config.data.characters == 0
     with pytest.raises(InputError, match=r"--clips: expected a model that is trained on them, found npt"):
-        train_command("npt", "small", tmp_path / "npt", None, None, [], None, None, clips)
+        train_command("npt", "small", tmp_path / "npt", None, None, [], None, TrainingFiles(clips=clips))
 
 
 def test_low_poly_people_have_few_normals():

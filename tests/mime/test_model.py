@@ -58,10 +58,12 @@ def test_inverted_faces_do_not_change_the_result(method):
 
 def test_backs_of_faces_do_not_change_the_result(method):
     # Each face a second time, in the opposite winding, as programs for interiors write people.
-    backed = [dataclasses.replace(m, faces=np.concatenate([m.faces, m.faces[:, ::-1]])) for m in (IDENTITY, DRIVING)]
+    distinct = [np.sort(np.unique(np.sort(m.faces), axis=0, return_index=True)[1]) for m in (IDENTITY, DRIVING)]
+    plain = [dataclasses.replace(m, faces=m.faces[f]) for m, f in zip((IDENTITY, DRIVING), distinct, strict=True)]
+    backed = [dataclasses.replace(m, faces=np.concatenate([m.faces, m.faces[:, ::-1]])) for m in plain]
     results = [
         moved_from(method, Clip.still(driving), [DRIVING.vertices], identity)[0]
-        for identity, driving in ((IDENTITY, DRIVING), backed)
+        for identity, driving in (plain, backed)
     ]
     assert np.array_equal(*results)
 

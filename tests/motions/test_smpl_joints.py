@@ -86,7 +86,8 @@ def test_recorded_joints_are_those_of_the_motion(joints, walk, tmp_path):
         if name != "Head":  # archives have no joint between neck and head, the body has one
             np.testing.assert_allclose(from_hips[:, k], true_from_hips[:, j], atol=0.001)
         turned = Rotation.from_matrix(person.rotation[:, k] @ np.swapaxes(rotation[:, j], -1, -2))
-        assert np.degrees(turned.magnitude()).max() < 0.5, name
+        if joints > 24 or "Hand" not in name:  # hands without fingers are taken as flat, those of the body are relaxed
+            assert np.degrees(turned.magnitude()).max() < 0.5, name
     cut = skeleton.cut(slice(START, None)).person()
     np.testing.assert_allclose(cut.positions, person.positions[START:])
 

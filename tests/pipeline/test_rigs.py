@@ -96,9 +96,9 @@ def test_size_and_place_of_the_identity_are_kept(scale, shift, of_other_person, 
     np.testing.assert_allclose(result, scale * of_other_person + shift, atol=2 * EXACT * max(scale, 1))
 
 
-@matrix("scale", [2.0, 1.0005, -1.0, (-1.0, 1.0, 1.0), (1.0, -1.0, -1.0)], quick=[(-1.0, 1.0, 1.0)])
-def test_node_scales_that_the_bind_pose_does_not_have_are_taken_back(scale, model, driving, tmp_path):
-    """Exporters leave nodes in some frame of an animation, which may scale or mirror joints."""
+@matrix("scale", [-1.0, (-1.0, 1.0, 1.0), (1.0, -1.0, -1.0)], quick=[(-1.0, 1.0, 1.0)])
+def test_mirroring_nodes_that_the_bind_pose_does_not_have_are_taken_back(scale, model, driving, tmp_path):
+    """Exporters leave nodes in some frame of an animation. Joints that are enlarged there stay so."""
     person = rigs.figure()
 
     def change(draft: Draft) -> None:

@@ -59,7 +59,9 @@ def test_the_joints_of_a_driving_are_used_without_names(driving, tmp_path):
     identity = str(rigs.character(tmp_path / "a.glb", name=renamed("mixamo")))
     first, second = animate(identity, driving), animate(identity, str(path))
     assert any(FOUND in note for note in second.notes)
-    assert np.abs(second.clip.vertices - first.clip.vertices).max() < 1e-4
+    apart = second.clip.vertices - first.clip.vertices
+    assert np.abs(apart - apart.mean(axis=(0, 1))).max() < 1e-4
+    assert np.abs(apart).max() < 0.003  # the soles of a mesh that was found and of one that is named
 
 
 @pytest.mark.slow

@@ -55,7 +55,7 @@ def test_bones_are_named_and_arranged_as_by_animate(moved, tmp_path):
     assert any("sampled from 3 frames" in note for note in export.notes)
     bones = exported(session, ".vrma")
     assert bones.path.name == "hero-walk.vrma"
-    assert bones.read_bytes() == result.save(tmp_path / "expected.vrma").read_bytes()
+    assert bones.path.read_bytes() == result.save(tmp_path / "expected.vrma").read_bytes()
 
 
 @pytest.mark.slow

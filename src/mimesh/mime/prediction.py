@@ -43,6 +43,8 @@ NOISY, SMOOTH = 0.25, 0.05
 which. Meshes without noise have 0.005 to 0.07, coarse ones up to 0.2; noise of 1 % of the size makes 0.4."""
 INVERTED = -3e-3
 """Enclosed volume over area to the power of 1.5 below which a mesh is taken to be inside out; people: about 0.03."""
+BACKS = 0.25
+"""Share of faces that are there twice from which on one of each is kept; decimated meshes have a few."""
 MAX_ROUNDS = 12
 """Rounds of smoothing after which a surface is left as it is."""
 CHUNK = 16_384
@@ -377,11 +379,12 @@ def _without_copies(mesh: Mesh) -> Mesh:
     """Keep the first of faces between the same three positions, without texture coordinates.
 
     Programs for interiors write each face with its back, in the opposite winding: half of the normals would point
-    inwards, and those of vertices cancel.
+    inwards, and those of vertices cancel. The first of two is the front; fewer than BACKS stay, so that the order of
+    faces says nothing elsewhere.
     """
     corners = np.sort(weld(mesh.vertices)[1][mesh.faces], axis=1)
     first, _ = distinct_rows(list(corners.T))
-    if len(first) == len(corners):
+    if len(corners) - len(first) <= BACKS * len(corners):
         return mesh
     return dataclasses.replace(mesh, faces=mesh.faces[np.sort(first)], corner_uv=None, corner_normals=None, parts=())
 

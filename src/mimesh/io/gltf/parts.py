@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...bodies.joint_names import ancestors
+from ...core.errors import InputError
 from ...core.mesh import Mesh, chosen_faces
 from .animation import animated_nodes
 from .edit import GltfSource
@@ -29,7 +30,11 @@ def static_parts(mesh: Mesh) -> Bool[np.ndarray, " P"]:
     joints = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
     if not joints:
         return np.zeros(len(keys), bool)
-    moving, parents = joints | animated_nodes(document, (*PLAYED_PATHS, "weights")), tuple(node_parents(document))
+    try:
+        moving = joints | animated_nodes(document, (*PLAYED_PATHS, "weights"))
+    except InputError:  # a damaged animation, which may move anything
+        return np.zeros(len(keys), bool)
+    parents = tuple(node_parents(document))
     ranges = _ranges(source.rest)
     return np.array(
         [find_skin(document, ranges[key]) is None and not moving & set(ancestors(parents, key[0])) for key in keys],
