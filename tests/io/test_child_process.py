@@ -192,7 +192,7 @@ def test_interrupted_caller_leaves_no_child(run, monkeypatch):
 def test_each_report_starts_the_limit_of_time_again(run):
     calls = []
     limits = Limits(LIMITS.memory, LIMITS.output, 1, 60.0)
-    assert run("count", limits, lambda done, total: calls.append((done, total)), seconds=0.9) == b"done"
+    assert run("count", limits, lambda done, total: calls.append((done, total)), seconds=0.6) == b"done"
     assert calls[-1] == (3, 3)
     assert "does not end" in message_of(run, "count", limits, lambda done, total: None, seconds=20)
 
