@@ -253,17 +253,8 @@ def _arrange(skeleton: AnimatedRig, scheme: Scheme) -> AnimatedRig:
     new = Rig(rig.rotation[list(source)], np.stack(joints), weights)
     paths = np.stack(paths, axis=1)
     rotation = skeleton.rotation[:, source]
-    return AnimatedRig(
-        skeleton.mesh,
-        names,
-        parents,
-        new,
-        rotation,
-        paths[:, 0],
-        positions=paths,
-        group=skeleton.group,
-        influences=skeleton.influences,
-    )
+    moved = {"rotation": rotation, "root": paths[:, 0], "positions": paths}
+    return replace(skeleton, names=names, parents=parents, rig=new, person=None, **moved)
 
 
 def _placed_ancestor(parents: tuple[int, ...], joint: int, placed: dict[int, int]) -> int:
@@ -293,18 +284,17 @@ def _with_root(skeleton: AnimatedRig, name: str, up: Float[np.ndarray, " 3"], mo
     if moves:
         displacement = skeleton.root - rig.joints[0]
         path = path + displacement - (displacement @ up)[:, None] * up
-    return AnimatedRig(
-        skeleton.mesh,
-        (name, *skeleton.names),
-        (-1, *(parent + 1 for parent in skeleton.parents)),
-        Rig(
+    return replace(
+        skeleton,
+        names=(name, *skeleton.names),
+        parents=(-1, *(parent + 1 for parent in skeleton.parents)),
+        rig=Rig(
             np.concatenate([rig.rotation[:1], rig.rotation]),
             np.concatenate([joint[None], rig.joints]),
             np.pad(rig.weights, ((0, 0), (1, 0))),
         ),
-        np.concatenate([np.tile(rig.rotation[0], (frames, 1, 1, 1)), skeleton.rotation], axis=1),
-        path,
+        rotation=np.concatenate([np.tile(rig.rotation[0], (frames, 1, 1, 1)), skeleton.rotation], axis=1),
+        root=path,
+        person=None,
         positions=np.concatenate([path[:, None], skeleton.joint_positions()], axis=1),
-        group=skeleton.group,
-        influences=skeleton.influences,
     )

@@ -172,12 +172,12 @@ def animate(
     motion = dataclasses.replace(motion, skinned=as_joints)
     with progress(f"reading {identity.name}", output.silent):
         mesh, seconds = _timed(lambda: load_mesh(identity))
-    moved = []
+    of_identity, moved = own_body_note(identity), []
     for chosen, title in zip(clips, titles, strict=True):
         with_files, described = with_joint_files(hints, identity, chosen.path, joints, model)
         job = ClipJob(mesh, chosen, title, target, model, with_files, options, motion, taken, layout, shapes)
         result, notes = job.run(output.silent)
-        moved.append((result, own_body_note(identity) + notes, described))
+        moved.append((result, of_identity + notes, described))
     results = [result for result, _, _ in moved]
     results[0].seconds["load"] += seconds
     replaced = target.exists()

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..bodies import load_body
+from ..bodies import RiggedBody, load_body
 from ..bodies.hands import body_with_fingers
 from ..bodies.joint_names import captured_fingers, named_joints
 from ..core.animated_rig import AnimatedRig
@@ -127,13 +127,12 @@ def played(motion: Motion, front: str | None = None) -> Clip:
     Args:
         front: axis to the person's front at rest, where that is known.
     """
-    body = next(body for body in (load_body(), body_with_fingers()) if body.joint_names == motion.joint_names)
+    body = _body_of(len(motion.joint_names))
     leg = leg_length(body.joints, body.joint_names)
     joints = PersonMotion(
         motion.joint_names, *joint_tracks(body, motion), leg, body.weights, rest_vertices=body.vertices, front=front
     )
-    rest = Rig(np.tile(np.eye(3), (len(body.parents), 1, 1)), body.joints, body.weights)
-    skinned = SkinnedMesh.of(body.vertices, rest, body.parents)
+    skinned = SkinnedMesh.of(body.vertices, _at_rest(body), body.parents)
     vertices: Any = PosedFrames(skinned, joints.rotation, joints.positions[:, 0])
     mesh = dataclasses.replace(body.mesh(np.asarray(vertices[0], np.float64)), name=motion.name, up="+y")
     return Clip(mesh, vertices, motion.fps, joints.rotation[:, 0, :, 2], KnownJoints(joints))
@@ -143,10 +142,20 @@ def played_rig(clip: Clip) -> AnimatedRig:
     """Return the bones of a clip that `played` has made."""
     assert isinstance(clip.vertices, PosedFrames)
     rotation = np.asarray(clip.vertices.rotation, float)
-    body = next(body for body in (load_body(), body_with_fingers()) if len(body.parents) == rotation.shape[1])
-    rig = Rig(np.tile(np.eye(3), (len(body.parents), 1, 1)), body.joints, body.weights)
+    body = _body_of(rotation.shape[1])
     mesh = dataclasses.replace(clip.mesh, vertices=body.vertices)
-    return AnimatedRig(mesh, body.joint_names, body.parents, rig, rotation, np.asarray(clip.vertices.root, float))
+    root = np.asarray(clip.vertices.root, float)
+    return AnimatedRig(mesh, body.joint_names, body.parents, _at_rest(body), rotation, root)
+
+
+def _body_of(joints: int) -> RiggedBody:
+    """Return the shipped body with so many joints: without fingers, or with them."""
+    return next(body for body in (load_body(), body_with_fingers()) if len(body.parents) == joints)
+
+
+def _at_rest(body: RiggedBody) -> Rig:
+    """Return the rig of a body at rest, where no joint is turned."""
+    return Rig(np.tile(np.eye(3), (len(body.parents), 1, 1)), body.joints, body.weights)
 
 
 def first_frame(whole: BodyMotion) -> Mesh:

@@ -42,8 +42,7 @@ class Known:
             InputError: a file of joints that cannot be read, or a frame that the clip does not have.
         """
         corrections = Corrections.read(hints.joints, hints.driving_joints, clip if whole is None else whole)
-        axes = hints.up, hints.front, hints.driving_up, hints.driving_front
-        return cls(axes, hints.rig, hints.body, corrections, (hints.part, hints.driving_part))
+        return cls(hints.axes, hints.rig, hints.body, corrections, (hints.part, hints.driving_part))
 
     def with_heading(self, clip: Clip, driving: PersonMotion | None = None) -> Known:
         """Fill in the driving's axes by where it faces in the first frame of the clip, if its joints tell that.

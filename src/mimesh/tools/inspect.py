@@ -300,10 +300,9 @@ def _stands(mesh: Mesh) -> str:
         seen, _, norm = found_character(find_mime("mime"), subject, "auto", NO_RIGS, Corrections())
     except RefusedMeshError:
         return "looks neither like a person nor like a four-legged animal, as far as can be told"
-    body = seen.body
     by_file = " (by the file)" if norm.up_from == "file" else ""
     guess = " (a guess)" if norm.unsure else ""
-    return f"up {norm.up}{by_file}, front {norm.front}, taken for {KINDS[body]}{guess}"
+    return f"up {norm.up}{by_file}, front {norm.front}, taken for {KINDS[seen.body]}{guess}"
 
 
 def _format(path: Path | None) -> str:
