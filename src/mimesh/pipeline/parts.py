@@ -27,6 +27,7 @@ from .placed import FoundJoints, Moved
 from .result import Timer
 
 if TYPE_CHECKING:
+    from ..io.gltf.edit import GltfSource
     from .joint_route import JointRoute
     from .node_route import NodeRoute
     from .vertex_route import VertexRoute
@@ -148,14 +149,12 @@ def find_part(mesh: Mesh, name: str | None, asked: str = "part") -> MeshPart | N
     """
     if name is not None:
         return _cut(mesh, _named(mesh, name, asked))
-    if not may_have_joints(mesh):
+    source = _gltf_source(mesh)
+    if source is None:
         return _without_base(mesh, asked)
-    from ..io.gltf.edit import GltfSource
     from ..io.gltf.parts import characters, static_parts
     from .gltf_rigs import rig_facts
 
-    if not isinstance(mesh.source, GltfSource):
-        return _without_base(mesh, asked)
     people = characters(mesh)
     if len(people) > 1:
         raise InputError(
@@ -168,7 +167,16 @@ def find_part(mesh: Mesh, name: str | None, asked: str = "part") -> MeshPart | N
         facts = rig_facts(part.mesh)
         if facts is not None and facts.used:
             return part
-    return None if mesh.source.document.gltf.get("skins") else _without_base(mesh, asked)
+    return None if source.document.gltf.get("skins") else _without_base(mesh, asked)
+
+
+def _gltf_source(mesh: Mesh) -> GltfSource | None:
+    """Return the glTF file that a mesh was read from; None for other formats, without loading what reads glTF."""
+    if not may_have_joints(mesh):
+        return None
+    from ..io.gltf.edit import GltfSource
+
+    return mesh.source if isinstance(mesh.source, GltfSource) else None
 
 
 def _without_base(mesh: Mesh, asked: str) -> MeshPart | None:
@@ -188,7 +196,7 @@ def _without_base(mesh: Mesh, asked: str) -> MeshPart | None:
     if len(kept) < len(mesh.faces) / 2:
         return None
     note = f"the base of {mesh.name} stays where it is, and is not looked at; {option(asked, ...)} takes another part"
-    if hasattr(mesh.source, "rest"):
+    if _gltf_source(mesh) is not None:
         whole = np.array([not base[part.start : part.stop].any() for part in mesh.parts], bool)
         pure = all(base[part.start : part.stop].all() for part, kept in zip(mesh.parts, whole, strict=True) if not kept)
         return dataclasses.replace(_cut(mesh, whole), notes=(note,)) if pure and whole.any() else None
@@ -200,7 +208,7 @@ def _named(mesh: Mesh, name: str, asked: str) -> Bool[np.ndarray, " P"]:
     """Tell which parts of a mesh have a name, or are below a node that has it; case counts only where it decides."""
     above = [(part.name,) for part in mesh.parts]
     people: dict[str, np.ndarray] = {}
-    if hasattr(mesh.source, "rest"):
+    if _gltf_source(mesh) is not None:
         from ..io.gltf.parts import characters, names_above
 
         above, people = names_above(mesh), characters(mesh)
@@ -218,7 +226,7 @@ def _named(mesh: Mesh, name: str, asked: str) -> Bool[np.ndarray, " P"]:
 def _cut(mesh: Mesh, chosen: Bool[np.ndarray, " P"]) -> MeshPart:
     """Make a mesh of some of the parts of another."""
     faces = np.concatenate([np.arange(p.start, p.stop) for p, take in zip(mesh.parts, chosen, strict=True) if take])
-    if hasattr(mesh.source, "rest"):
+    if _gltf_source(mesh) is not None:
         from ..io.gltf.parts import gltf_part
 
         return MeshPart(mesh, *gltf_part(mesh, chosen, faces))
