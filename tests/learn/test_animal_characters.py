@@ -14,12 +14,12 @@ from mimesh.bodies.character_limbs import SIDES
 from mimesh.bodies.character_pool import read_pool
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.options import TrainingFiles
+from mimesh.evaluate.character_folder import read_character_folder
 from mimesh.learn import checkpoint
 from mimesh.learn.data.characters import (
     CharacterSurface,
     TrainingCharacters,
     body_spread,
-    read_character_folder,
 )
 from mimesh.learn.data.endless import pose_sources
 from mimesh.learn.data.figures import CharacterPairSource

@@ -9,7 +9,8 @@ from pools import write_character
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.errors import InputError
-from mimesh.learn.data.characters import LEVELS, TrainingCharacters, read_character_folder
+from mimesh.evaluate.character_folder import read_character_folder
+from mimesh.learn.data.characters import LEVELS, TrainingCharacters
 from mimesh.learn.data.clips import LEAST_TURN, TrainingClips, distinct_poses, possible
 from mimesh.motions import load_motion
 from mimesh.motions.procedural import walk_motion
@@ -39,7 +40,7 @@ def test_a_folder_of_files_and_a_pool_in_one(tmp_path):
     assert done[4] == (5, 5)
     assert sorted(found.refused.values()) == [1, 1, 1]
     told = found.described()
-    assert "1 refused: expected a character to train on, found one of the split test of the index" in told
+    assert "1 refused: expected one of the split train, found the split test of the index" in told
     assert "expected a thigh and an upper arm" in told
     assert str(tmp_path) not in told
 

@@ -15,7 +15,7 @@ from .terminal import Json, Quiet, print_json, print_next, progress, require, sa
 
 PROTOCOLS = (
     "human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body, characters, fingers, clips-aniformer, "
-    "clips-ordered, quadruped or animals"
+    "clips-ordered, quadruped, animals or rigs"
 )
 """Names of the test sets, written out because importing these takes a second; a test compares them."""
 Protocol = Annotated[str, typer.Argument(metavar="PROTOCOL", help=f"{PROTOCOLS}.")]
@@ -62,8 +62,9 @@ def evaluate(
     data: Annotated[
         Path | None,
         typer.Option(
-            help="Folder: rigged characters for cross-body, a pool of them for characters, fingers and animals, "
-            "motions for clips-aniformer and clips-ordered, test garments for dressed; of a list, where its files lie.",
+            help="Folder: rigged characters for cross-body and rigs, a pool of them for characters, fingers and "
+            "animals, motions for clips-aniformer and clips-ordered, test garments for dressed; of a list, where its "
+            "files lie.",
             metavar="DIR",
         ),
     ] = None,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .summary import win_share
+from .summary import summary, win_share
 
 BASELINES = ("copy", "deformation-transfer-13")
 """Methods against which wins are counted."""
@@ -25,6 +25,19 @@ FINGER_COLUMNS = {
     "finger_deg": "finger joints, degrees",
 }
 """Metric of fingers, in the frame of the palm -> heading."""
+RIG_COLUMNS = {
+    "joints_pct": "joints, % of height",
+    "joints_pct_median": "median",
+    "joints_pct_p90": "90 %",
+    "j2j": "J2J, %",
+    "j2b": "J2B, %",
+    "b2b": "B2B, %",
+    "iou": "IoU, %",
+    "weights_l1": "weights, L1",
+    "deform_mm": "in its clips, mm",
+    "seconds_per_frame": "s",
+}
+"""Metric of rigs, beside those of their makers -> heading."""
 LIMB_COLUMNS = {
     "joint_pct": "limb ends, % of height",
     "sole_height": "soles, leg lengths",
@@ -48,6 +61,7 @@ def markdown(report: dict[str, Any]) -> str:
         of_method = [row for row in rows if row["method"] == method and "limb_deg" in row]
         if of_method:
             tables += [f"**`{method}` by maker**: median / mean (pairs)", makers_table(of_method)]
+        tables += [rigs_of_makers(row) for row in rows if row["method"] == method and "joints_pct" in row]
     left_out = [f"Left out: {count} files ({reason})." for reason, count in report.get("left_out", {}).items()]
     return "\n\n".join([title, *tables, *left_out, *unmeasured(rows)])
 
@@ -55,6 +69,8 @@ def markdown(report: dict[str, Any]) -> str:
 def kind_table(rows: list[dict[str, Any]]) -> str:
     """Format the rows of all methods on one kind of pair; wins are counted against those of BASELINES among them."""
     measured = [row for row in rows if row["pairs"]]
+    if any("joints_pct" in row for row in measured):
+        return rig_table([(f"`{row['method']}`", row) for row in measured])
     if measured and not any("pmd_e4" in row for row in measured):
         return _limb_table(measured)
     against = [row for row in rows if row["method"] in BASELINES and "pmd_e4" in row]
@@ -89,6 +105,33 @@ def _limb_table(rows: list[dict[str, Any]]) -> str:
         cells += [cell(row, name) for name in (*LIMB_COLUMNS, "seconds_per_frame")]
         lines.append([f"`{row['method']}`", *cells, row["given"]])
     return markdown_table(head, lines)
+
+
+def rig_table(rows: Sequence[tuple[str, dict[str, Any]]], first: str = "method") -> str:
+    """Format rows of rigs beside their makers', each with what it is called."""
+    head = [first, "characters", *RIG_COLUMNS.values()]
+    return markdown_table(head, [[name, _pairs(row), *(cell(row, key) for key in RIG_COLUMNS)] for name, row in rows])
+
+
+def rigs_of_makers(row: dict[str, Any]) -> str:
+    """Format the rigs of a method by maker and pack, and the mean error of each joint in per cent of the height."""
+    each = row["each"]
+    groups = [": ".join(label.split(": ")[:-1]) for label in each["identity"]]
+    rows = []
+    for group in sorted(set(groups)):
+        figures = [
+            {name: values[k] for name, values in each.items() if values[k] is not None}
+            for k, found in enumerate(groups)
+            if found == group
+        ]
+        rows.append((group, summary(row["method"], group, figures)))
+    errors: dict[str, list[float]] = {}
+    for joints in filter(None, each["joints"]):
+        for name, error in joints.items():
+            side = name.removeprefix("Left").removeprefix("Right")
+            errors.setdefault(side, []).append(error)
+    line = ", ".join(f"{name} {np.mean(values):.1f}" for name, values in errors.items())
+    return f"{rig_table(rows, 'maker: pack')}\n\nJoints, % of the height, mean: {line}."
 
 
 def makers_table(rows: list[dict[str, Any]]) -> str:

@@ -52,6 +52,7 @@ from .metrics import VERSION, pmd
 from .pairs import Pair, mirrored
 from .protocols import DRESSED, PROTOCOLS, QUADRUPED, SPLITS, Dressed, Protocol, with_test_garments
 from .provenance import commit, libraries, machine
+from .rigs import Rigs, RigTrial, measure_rig, rig_comparison, rigs
 from .summary import summary
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ READ_A_FOLDER: dict[str, Callable[[Any], Protocol]] = {
     "clips-ordered": clips_ordered,
     "fingers": fingers,
     "animals": animals,
+    "rigs": rigs,
 }
 """Name -> function that makes the protocol from its folder, or None where only some kinds need one."""
 FOLDERS = tuple(READ_A_FOLDER)
@@ -74,6 +76,7 @@ NEED_A_FOLDER = {
     "cross-body": "a folder of rigged characters",
     "characters": "the folder of a pool of rigged characters",
     "animals": "a folder of rigged animals",
+    "rigs": "a folder of rigged people",
 }
 """Protocols that are nothing without their folder, and what it is."""
 
@@ -115,11 +118,11 @@ def evaluate_command(
     for method in methods:
         check_method(method)
     chosen.check(split)
-    of_pool = isinstance(chosen, Characters) or (isinstance(chosen, FingerGestures) and chosen.data is not None)
+    of_pool = isinstance(chosen, Characters | Rigs) or (isinstance(chosen, FingerGestures) and chosen.data is not None)
     if dump is not None and of_pool and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
                          "give --split val")  # fmt: skip
-    mirror, of_more = measuring.mirror, isinstance(chosen, Characters | FingerGestures)
+    mirror, of_more = measuring.mirror, isinstance(chosen, Characters | FingerGestures | Rigs)
     if mirror and (dump is not None or of_more or is_of_clips(chosen)):
         raise InputError("--mirror: expected a test set of single meshes and no --dump, found another; leave one out")
     if runtime and of_more:
@@ -212,6 +215,8 @@ def is_of_clips(protocol: Protocol) -> bool:
 def measure_trial(protocol: Protocol, trial: Pair, method: str, options: dict[str, Any]) -> dict[str, Any]:
     """Measure a method on one trial, a pair of meshes or a clip, and return its metrics with what identifies it."""
     labels = {"pair": pair_checksum(trial), "identity": trial.groups[0], "driving": trial.groups[1]}
+    if isinstance(trial, RigTrial):
+        return labels | measure_rig(trial, method)
     measurement: Callable[..., dict[str, Any]] = measure_clip if is_of_clips(protocol) else measure
     return labels | measurement(trial, method, **options)
 
@@ -370,6 +375,8 @@ def provenance(config: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+WORST_BY = ("pmd_e4", "limb_deg", "joints_pct")
+"""Metrics by which results are the worst, the first that a trial has."""
 WORST = 3
 """Number of pairs of each method and kind that are drawn."""
 
@@ -386,9 +393,9 @@ def dump_worst(
     """Draw the WORST pairs as `<folder>/<method>-<kind>-<rank>.png` and return the paths.
 
     Means do not show them. The worst have the largest PMD or, where no true mesh is known, the largest angle between
-    limbs.
+    limbs. Of rigs their joints are farthest from the maker's.
     """
-    measured = {i: metrics.get("pmd_e4", metrics.get("limb_deg")) for i, metrics in enumerate(figures)}
+    measured = {i: next(filter(None, map(metrics.get, WORST_BY)), None) for i, metrics in enumerate(figures)}
     errors = {i: error for i, error in measured.items() if error is not None}
     worst = sorted(errors, key=errors.__getitem__, reverse=True)[:WORST]
     folder.mkdir(parents=True, exist_ok=True)
@@ -396,7 +403,8 @@ def dump_worst(
     for rank, i in enumerate(worst, 1):
         pair = protocol.pair(split, kind, i)
         path = folder / f"{Path(method).stem}-{kind}-{rank}.png"
-        trial_picture(*_to_draw(pair, method, options)).save(path)
+        picture = rig_comparison(pair, method) if isinstance(pair, RigTrial) else None
+        (picture or trial_picture(*_to_draw(pair, method, options))).save(path)
         paths.append(path)
     return paths
 

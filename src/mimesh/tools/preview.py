@@ -111,15 +111,22 @@ def result_picture(result: Result | ClipResult) -> Image.Image:
 
 def rig_picture(rigged: RiggedMesh) -> Image.Image:
     """Draw a mesh, and its bones over it from the front and from the side."""
-    skeleton, axes = rigged.skeleton, _axes(rigged.report)
-    mesh, joints = skeleton.mesh, skeleton.rig.joints
+    skeleton = rigged.skeleton
+    return bones_picture(skeleton.mesh, skeleton.rig.joints, skeleton.parents, "bones", **_axes(rigged.report))
+
+
+def bones_picture(
+    mesh: Mesh, joints: Float[np.ndarray, "J 3"], parents: tuple[int, ...], label: str, up: str, front: str
+) -> Image.Image:
+    """Draw a mesh, and bones over it from the front and from the side."""
+    axes: dict[str, Any] = {"up": up, "front": front}
     drawn = clustered_mesh(mesh, DRAWN) if len(mesh.vertices) > 2 * DRAWN and len(mesh.faces) else mesh
     tiles = [still(mesh, "mesh", **axes)]
     for view in ("front", "side"):
         camera = fit(drawn.vertices, TILE, view, **axes)
         picture = render_mesh(drawn, TILE, camera, clay=True, tint=BONE_CLAY)
         places = camera.project(joints, TILE)[:, :2]
-        tiles.append(captioned(_with_bones(picture, places, skeleton.parents), f"bones, {view}"))
+        tiles.append(captioned(_with_bones(picture, places, parents), f"{label}, {view}"))
     return page(tiles, len(tiles))
 
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -27,15 +26,16 @@ from jaxtyping import Bool, Float, Int
 
 from ...bodies import RiggedBody
 from ...bodies.character_limbs import SIDES
-from ...bodies.character_pool import CLASSES, Pool, PoolCharacter, read_pool
+from ...bodies.character_pool import CLASSES, PoolCharacter
 from ...core import geometry, surface_points
 from ...core.errors import InputError
 from ...core.frame_buffer import Progress, counted
+from ...evaluate.character_folder import read_character_folder
 from ...evaluate.characters import animal_alignments, body_poses, place_body_joints, rest_alignments
 from ...evaluate.clip_protocols import is_held_out
-from ...io.gltf.character import NOT_STATED, read_rigged_animal, read_rigged_character
+from ...io.gltf.character import NOT_STATED
 from ..task import DataConfig, share_option
-from .clips import DAMAGED, RIGGED, TrainingClips, licence_of, pack_of
+from .clips import TrainingClips
 
 POINTS = 3000
 """Points that a character is represented by."""
@@ -47,7 +47,6 @@ REASONS = 6
 """Reasons for refusals that are listed at most; files with others are counted together."""
 CLIP_STEP = 2
 """Every CLIP_STEP-th frame of a clip is taken; neighbouring frames are nearly the same pose."""
-INDEX = "index.json"
 LEVELS = (200, 500, 1200)
 """Numbers of triangles of a whole character. Chosen by hand: game characters of phones have about 500 to 1,500."""
 LOW_POLY_SAMPLES = 2
@@ -211,7 +210,7 @@ class TrainingCharacters:
         Raises:
             InputError: no such folder, none of its characters can be used, or a pack to leave out that it has not.
         """
-        pool = read_character_folder(folder, split, progress, body.name)
+        pool = read_character_folder(folder, split, progress, body.name, is_held_out)
         counts = Counter(character.meta.pack for character in pool.characters)
         if unknown := [pack for pack in leave_out if pack not in counts]:
             raise InputError(
@@ -282,62 +281,6 @@ def body_spread(body: RiggedBody) -> float:
     face, share = surface_points.sample_surface(body.vertices, body.faces, POINTS, np.random.default_rng(0))
     points = surface_points.at_barycentric(body.vertices, body.faces, face, share)
     return float(np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean()))
-
-
-def read_character_folder(
-    folder: str | Path, split: str = "train", progress: Progress | None = None, body: str = "human"
-) -> Pool:
-    """Read the humanoids of a folder, or its animals: those of a split of its pool, then all rigged files, by path.
-
-    Args:
-        body: shipped body whose joints the characters have, `human` or `quadruped`.
-    """
-    folder, read = Path(folder), read_rigged_animal if body == "quadruped" else read_rigged_character
-    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in RIGGED and path.is_file())
-    has_index = (folder / INDEX).is_file()
-    if not has_index and not paths:
-        raise InputError(
-            f"{folder}: expected a folder of rigged characters (.glb, .gltf, .vrm, .fbx, or .npz with an {INDEX}), "
-            "found none; give the folder that has some"
-        )
-    pool = read_pool(folder, split, progress if not paths else None, body) if has_index else Pool((), {})
-    characters, refused = list(pool.characters), dict(pool.refused)
-    elsewhere = _files_of_other_splits(folder / INDEX, split) if has_index else {}
-    for path in counted(paths, len(paths), progress):
-        name = str(path.relative_to(folder))
-        try:
-            if path.stem in elsewhere:
-                raise InputError(f"{path}: expected a character to train on, found one of {elsewhere[path.stem]}")
-            characters.append(read(path, pack_of(path, folder), licence_of(path, folder), is_held_out))
-        except DAMAGED as error:
-            plain = str(error) if isinstance(error, InputError) else f"expected a sound file, found {error!r:.80}"
-            refused[name] = plain.removeprefix(f"{path}: ").removeprefix(f"{path.stem}: ")
-    return Pool(tuple(without_repeated_clips(characters)), refused)
-
-
-def without_repeated_clips(characters: Iterable[PoolCharacter]) -> list[PoolCharacter]:
-    """Keep clips of one name, length and skeleton in a pack once: makers export them with each character.
-
-    Clips of a pool are kept: they say which file they are from.
-    """
-    seen: set[object] = set()
-    kept = []
-    for character in characters:
-        clips = character.clips
-        if Path(character.meta.clips_from).suffix.lower() in RIGGED:
-            keys = {
-                name: (character.meta.pack, character.rig.skeleton, name, len(clip)) for name, clip in clips.items()
-            }
-            clips = {name: clip for name, clip in clips.items() if keys[name] not in seen}
-            seen.update(keys.values())
-        kept.append(dataclasses.replace(character, clips=clips))
-    return kept
-
-
-def _files_of_other_splits(index: Path, split: str) -> dict[str, str]:
-    """Read the split of each file that an index, which has been read before, lists in another one."""
-    rows = json.loads(index.read_text(encoding="utf-8"))
-    return {str(row["file"]): f"the split {row['split']} of the index" for row in rows if row["split"] != split}
 
 
 def flattened(

@@ -21,6 +21,7 @@ from ...bodies import RiggedBody, load_body
 from ...bodies.character_limbs import SIDES
 from ...core.errors import InputError
 from ...core.frame_buffer import Progress, counted
+from ...evaluate.character_folder import DAMAGED, RIGGED, licence_of, pack_of
 from ...evaluate.clip_protocols import is_held_out, is_held_out_file
 from ...io.gltf.animation import animation_names
 from ...io.gltf.character import NOT_STATED
@@ -32,12 +33,6 @@ from ...motions.motion import rotmat_to_rotvec, turned_to_front
 from ...motions.on_body import is_motion_file, motion_of_file
 from ...motions.retarget import retarget
 
-RIGGED = (".fbx", ".glb", ".gltf", ".vrm")
-"""Of files with characters and their clips."""
-LICENCE_NAMES = ("license", "licence", "copying")
-"""Beginnings of the names of licence files, in lower case."""
-DAMAGED = (InputError, ArithmeticError, AttributeError, LookupError, OSError, RecursionError, TypeError, ValueError)
-"""What reading a damaged file may raise: one bad file must not end the reading of a folder."""
 FPS = 15.0
 """Frames a second of which poses are taken."""
 LEAST_TURN = np.radians(10)
@@ -103,22 +98,6 @@ class TrainingClips:
         taken = rotmat_to_rotvec(turned_to_front(np.concatenate(poses)))
         digest = hashlib.sha256(taken.round(4).tobytes()).hexdigest()
         return cls(taken, {"makers": dict(makers), "poses": len(taken), "sha256": digest}, refused)
-
-
-def pack_of(path: Path, folder: Path) -> str:
-    """Name the pack of a file: the sub-folder of the folder that it is in, or the folder itself."""
-    parts = path.relative_to(folder).parts
-    return parts[0] if len(parts) > 1 else folder.resolve().name
-
-
-def licence_of(path: Path, folder: Path) -> str:
-    """Name the nearest licence file of a file, in its folder or above; empty if there is none."""
-    for above in path.relative_to(folder).parents:
-        names = sorted(entry.name for entry in (folder / above).iterdir() if entry.is_file())
-        found = [name for name in names if name.lower().startswith(LICENCE_NAMES)]
-        if found:
-            return found[0]
-    return ""
 
 
 def distinct_poses(motion: Motion) -> Float[np.ndarray, "P J 3 3"]:

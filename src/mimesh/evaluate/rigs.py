@@ -1,0 +1,284 @@
+"""`rigs`: rigged characters of a folder, their rigs hidden, beside the skeleton and weights that `mimesh.rig` finds.
+
+A method gets the mesh at rest alone, y up and facing +z. What it finds is compared on a fixed list of joints (LISTED):
+makers give characters fingers, twist bones, faces and props as they like, and these count as their nearest ancestor of
+the list. `joints_pct` compares joints of one name; it and `deform_mm` are what a user sees. Figures of other projects
+are of other lists of joints, most with fingers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections import Counter
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies.character_limbs import SIDES
+from ..bodies.character_pool import Pool, PoolCharacter
+from ..core.animated_rig import INFLUENCES, AnimatedRig
+from ..core.errors import InputError
+from ..core.mesh import Mesh
+from ..core.options import Hints
+from ..core.rig import Rig
+from ..core.skinning import SkinnedMesh
+from .character_folder import read_character_folder
+from .pairs import Pair
+from .protocols import Protocol
+from .rig_metrics import (
+    bones_to_bones,
+    joints_to_bones,
+    joints_to_joints,
+    limb_radius,
+    matched_share,
+    weights_apart,
+)
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+LIMBS = tuple(side + part for side in SIDES for part in ("Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot"))
+"""Joints of limbs."""
+COMPARED = (*LIMBS, "Neck", "Head")
+"""Joints of `joints_pct`."""
+LISTED = (
+    *("Hips", "LowerBack", "Spine", "Spine1", *COMPARED),
+    *(side + part for side in SIDES for part in ("Shoulder", "ToeBase")),
+)
+"""Joints of all other figures: those of a person without fingers, and one of the two of the neck."""
+AXES = {"up": "+y", "front": "+z"}
+UPRIGHT = Hints(**AXES)
+"""What a method is told beside the mesh."""
+FRAMES = 10
+"""Frames of a clip, evenly spread, in which deformations are compared."""
+CLIPS = 3
+"""Clips of a character, evenly spread over its list, in which deformations are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class ListedRig:
+    """Joints of LISTED that a rig has, and the weights of all of its joints added up by these."""
+
+    names: tuple[str, ...]
+    joints: Float[np.ndarray, "J 3"]
+    parents: tuple[int, ...]
+    weights: Float[np.ndarray, "V J"]
+
+    @classmethod
+    def of(
+        cls,
+        known: dict[str, int],
+        joints: Float[np.ndarray, "K 3"],
+        parents: tuple[int, ...],
+        weights: Float[np.ndarray, "V K"],
+    ) -> ListedRig:
+        """Reduce a rig with parents before children to the joints that are `known` by name and in the list.
+
+        Joints above all of these count as the first of them.
+        """
+        kept = sorted({joint: name for name, joint in known.items() if name in LISTED}.items())
+        column = {joint: k for k, (joint, _) in enumerate(kept)}
+        nearest = np.zeros(len(joints), int)
+        above = np.full(len(joints), -1)
+        for j, parent in enumerate(parents):
+            above[j] = -1 if parent < 0 else column.get(parent, above[parent])
+            nearest[j] = column.get(j, max(above[j], 0))
+        order, summed = [joint for joint, _ in kept], weights @ (nearest[:, None] == np.arange(len(kept)))
+        return cls(tuple(name for _, name in kept), joints[order], tuple(above[order].tolist()), summed)
+
+    @classmethod
+    def of_maker(cls, character: PoolCharacter) -> ListedRig:
+        """Reduce the rig of a character's maker."""
+        rig = character.rig
+        return cls.of(character.joints, rig.joints, rig.parents, rig.joint_weights())
+
+    @classmethod
+    def found(cls, rig: AnimatedRig) -> ListedRig:
+        """Reduce a rig that was found, with the weights that a file of it has."""
+        weights = rig.rig.limited(INFLUENCES).weights
+        if rig.group is not None:  # a vertex that no joint moves has the row -1
+            weights = np.where(rig.group[:, None] < 0, 0.0, weights[rig.group])
+        return cls.of({name: j for j, name in enumerate(rig.names)}, rig.rig.joints, rig.parents, weights)
+
+    @property
+    def bones(self) -> Float[np.ndarray, "B 2 3"]:
+        """Parent and joint of each bone."""
+        pairs = [(parent, j) for j, parent in enumerate(self.parents) if parent >= 0]
+        return self.joints[np.array(pairs, int).reshape(-1, 2)]
+
+    def directions(self) -> Float[np.ndarray, "J 3"]:
+        """Return the bone of each joint: to its first child, or from its parent where it has none."""
+        first = {parent: j for j, parent in reversed(list(enumerate(self.parents)))}
+        ends = [(j, first[j]) if j in first else (parent, j) for j, parent in enumerate(self.parents)]
+        return np.stack([self.joints[end] - self.joints[start] for start, end in ends])
+
+    def columns(self, names: tuple[str, ...]) -> Float[np.ndarray, "V N"]:
+        """Add up the weights by some of the joints, which has the root; the others count as the nearest above."""
+        at = {name: k for k, name in enumerate(names)}
+        nearest = np.zeros(len(self.names), int)
+        for j, (name, parent) in enumerate(zip(self.names, self.parents, strict=True)):
+            nearest[j] = at.get(name, nearest[max(parent, 0)])
+        return self.weights @ (nearest[:, None] == np.arange(len(names)))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RigTrial(Pair):
+    """A character without its rig, twice, and the character."""
+
+    character: PoolCharacter
+
+
+@dataclass(frozen=True)
+class Rigs(Protocol):
+    """The characters of a folder: of a split of its pool, and of rigged files in it. Packs take turns."""
+
+    data: Path = Path()
+
+    def pool(self, split: str) -> Pool:
+        """Read the characters, once, and the files that cannot be used with the reasons."""
+        return _read(self.data, split)
+
+    def check(self, split: str) -> None:
+        """Raise InputError for a folder without a character that can be measured."""
+        if not self.pool(split).characters:
+            reasons = "".join(f"; {reason}" for reason in list(self.pool(split).refusals())[:1])
+            raise InputError(f"{self.data}: expected rigged people of the split {split}, found none{reasons}; add some")
+
+    def left_out(self, split: str) -> dict[str, int]:
+        return self.pool(split).refusals()
+
+    def count(self, kind: str, requested: int = 0, split: str = "test") -> int:
+        count = len(self.pool(split).characters)
+        return min(requested or count, count)
+
+    def pair(self, split: str, kind: str, i: int) -> RigTrial:
+        """Give character `i`, in the vertex order of its file."""
+        character = self.pool(split).characters[i]
+        mesh = Mesh(character.rig.mesh.vertices, character.rig.mesh.faces, name=character.meta.file)
+        height = float(np.ptp(mesh.vertices[:, 1]))
+        label = f"{character.meta.maker}: {character.meta.pack}: {character.meta.file}"
+        return RigTrial(
+            identity=mesh,
+            driving=mesh,
+            truth=mesh.vertices,
+            height=height,
+            metres=1.7 / height,
+            groups=(label, label),
+            character=character,
+        )
+
+
+def rigs(data: str | Path) -> Rigs:
+    """Return the protocol of a folder."""
+    return Rigs("rigs", 1, ("people",), pairs=0, spread=0.0, data=Path(data))
+
+
+@lru_cache(maxsize=2)
+def _read(data: Path, split: str) -> Pool:
+    pool = read_character_folder(data, split)
+    rank, before = {}, Counter[str]()
+    for character in pool.characters:
+        rank[character.meta.file] = before[character.meta.pack]
+        before[character.meta.pack] += 1
+    turns = sorted(pool.characters, key=lambda character: rank[character.meta.file])
+    return dataclasses.replace(pool, characters=tuple(turns))
+
+
+def measure_rig(trial: RigTrial, method: str) -> dict[str, Any]:
+    """Find the rig of a character and compare it with its maker's (metrics: docs/conventions.md).
+
+    {"failed": reason} if the mesh is refused.
+
+    Args:
+        method: "mime", or the path of an .onnx file that was trained as `mime` is.
+    """
+    from ..pipeline.rigging import rig
+
+    started = time.perf_counter()
+    try:
+        rigged = rig(trial.identity, method, hints=UPRIGHT)
+    except InputError as error:
+        return {"failed": str(error)}
+    facts = {"seconds": time.perf_counter() - started, "body": rigged.body, "warned": bool(rigged.notes)}
+    if rigged.body != "human":
+        return facts | {"failed": f"taken for a {rigged.body}"}
+    return facts | compare(trial, ListedRig.found(rigged.skeleton))
+
+
+def compare(trial: RigTrial, found: ListedRig) -> dict[str, Any]:
+    """Compare a rig that was found with the maker's; both are of the mesh of the trial."""
+    truth, size = ListedRig.of_maker(trial.character), float(np.ptp(trial.identity.vertices, axis=0).max())
+    shared = tuple(name for name in truth.names if name in found.names)
+    at, of = ({name: rig.joints[k] for k, name in enumerate(rig.names)} for rig in (found, truth))
+    error = {name: 100 / trial.height * float(np.linalg.norm(at[name] - of[name])) for name in shared}
+    tolerance = limb_radius(truth.joints, truth.directions(), trial.identity.vertices, trial.identity.faces)
+    skeletons = (found.joints, found.bones), (truth.joints, truth.bones)
+    figures: dict[str, Any] = {
+        "joints_pct": float(np.mean([error[name] for name in shared if name in COMPARED])),
+        "j2j": 100 / size * joints_to_joints(found.joints, truth.joints),
+        "j2b": 100 / size * joints_to_bones(*skeletons),
+        "b2b": 100 / size * bones_to_bones(found.bones, truth.bones),
+        "iou": 100 * matched_share(found.joints, truth.joints, tolerance),
+        "weights_l1": weights_apart(found.columns(shared), truth.columns(shared)),
+        "joints": {name: round(value, 3) for name, value in error.items()},
+    }
+    deformed = deformation_error(trial, found)
+    return figures | ({} if deformed is None else {"deform_mm": deformed})
+
+
+def deformation_error(trial: RigTrial, found: ListedRig) -> float | None:
+    """Play the maker's clips with a rig that was found; give the mean distance of the vertices for a person of 1.7 m.
+
+    Each joint turns as the maker's joint of its name, or as the nearest above that the maker has. Where the maker's
+    leaves its place in its parent, as feet do that hands of a rig pull, it goes as far. None without clips.
+    """
+    character = trial.character
+    clips = list(character.clips)
+    chosen = [clips[k * len(clips) // min(len(clips), CLIPS)] for k in range(min(len(clips), CLIPS))]
+    if not chosen:
+        return None
+    joints, above = character.joints, found.parents
+    turning = [joints.get(name, -1) for name in found.names]
+    for j, parent in enumerate(found.parents):
+        turning[j] = turning[parent] if turning[j] < 0 <= parent else turning[j]
+    unmoved = found.weights.sum(axis=1, keepdims=True) == 0
+    weights = found.weights + unmoved * np.eye(len(found.names))[0]
+    rest = Rig(np.tile(np.eye(3), (len(found.names), 1, 1)), found.joints, weights)
+    skinned = SkinnedMesh.of(trial.identity.vertices, rest, found.parents)
+    # Where each joint has a maker's of its own, that joint at rest, else a point that moves with the one above.
+    pivots = character.rig.joints[turning]
+    errors = []
+    for name in chosen:
+        count = min(FRAMES, len(character.clips[name]))
+        frames = np.arange(count) * len(character.clips[name]) // count
+        for transforms in character.transforms_of_frames(name, frames):
+            moves = transforms[turning]
+            positions = _moved(moves, found.joints)
+            for j, parent in enumerate(above):
+                if parent >= 0:
+                    place = positions[parent] + moves[parent, :3, :3] @ (found.joints[j] - found.joints[parent])
+                    positions[j] = place + _moved(moves[j], pivots[j]) - _moved(moves[parent], pivots[j])
+            result = skinned.posed_at(moves[:, :3, :3], positions)
+            errors.append(np.linalg.norm(result - character.rig.skinned(transforms), axis=1).mean())
+    return 1700 / trial.height * float(np.mean(errors))
+
+
+def _moved(transform: Float[np.ndarray, "*N 4 4"], point: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
+    return (transform[..., :3, :3] @ point[..., None])[..., 0] + transform[..., :3, 3]
+
+
+def rig_comparison(trial: RigTrial, method: str) -> Image.Image:
+    """Draw the bones of the maker above those that a method finds, over the mesh."""
+    from ..pipeline.rigging import rig
+    from ..tools.preview import bones_picture
+    from ..view.sheet import stack
+
+    truth = ListedRig.of_maker(trial.character)
+    found = ListedRig.found(rig(trial.identity, method, hints=UPRIGHT).skeleton)
+    rows = (("maker", truth), (Path(method).stem, found))
+    return stack([bones_picture(trial.identity, of.joints, of.parents, label, **AXES) for label, of in rows])
