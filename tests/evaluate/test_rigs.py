@@ -90,7 +90,7 @@ def test_the_maker_s_own_rig_has_no_error(folder):
     np.testing.assert_allclose(own.weights.sum(axis=1), 1)
     expected = {"joints_pct": 0, "j2j": 0, "j2b": 0, "b2b": 0, "iou": 100, "weights_l1": 0}
     assert {name: figures[name] for name in expected} == pytest.approx(expected, abs=1e-9)
-    assert figures["deform_mm"] < 1
+    assert figures["deform_mm"] < 3  # fingers and a second joint of the neck turn, and count as those above
 
 
 def test_a_rig_that_is_off_has_the_error_that_it_is_off_by(folder):
@@ -103,14 +103,15 @@ def test_a_rig_that_is_off_has_the_error_that_it_is_off_by(folder):
     assert set(figures["joints"].values()) == {1.0}
     side = np.ptp(trial.identity.vertices, axis=0).max()
     assert figures["b2b"] <= figures["j2b"] <= figures["j2j"] <= 100 * trial.height / 100 / side + 1e-9
-    error, clip = deformation_error(trial, off), next(iter(trial.character.clips))
+    error = deformation_error(trial, off)
     assert error is not None
     assert compare(trial, own)["deform_mm"] < error < 2 * 17  # twice the offset, for a joint that turns over
-    assert (
-        deformation_error(dataclasses.replace(trial, character=dataclasses.replace(trial.character, clips={})), own)
-        is None
-    )
-    assert clip
+
+
+def test_without_clips_no_deformation_is_measured(folder):
+    trial = rigs.rigs(folder).pair("val", "people", 1)
+    character = dataclasses.replace(trial.character, clips={})
+    assert deformation_error(dataclasses.replace(trial, character=character), ListedRig.of_maker(character)) is None
 
 
 def test_characters_of_a_folder_are_measured_without_their_rigs(folder, tmp_path):
