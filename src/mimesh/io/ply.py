@@ -18,7 +18,7 @@ from ..core.errors import InputError
 from ..core.geometry import unit_vectors
 from ..core.mesh import Material, Mesh, Part
 from .atomic import whole_file
-from .beside import is_there
+from .beside import find_beside
 from .colors import linear_rgba, srgb_rgba
 from .mtl import read_image, write_image
 from .polygons import PolygonSource, fan_corners, polygon_corners, polygon_sizes, smooth_normals
@@ -236,10 +236,10 @@ def _read_colors(vertex: dict[str, _Column]) -> Float[np.ndarray, "V 4"] | None:
 def _read_texture(comments: list[str], path: Path, faces: int) -> tuple[Part, ...]:
     """Read the image of `comment TextureFile`, if there is one, as one part with a material."""
     names = [comment.split(None, 1)[1] for comment in comments if comment.startswith("TextureFile ")]
-    found = [name for name in names if is_there(path.parent / name)]
-    if not found or not faces:
+    found = find_beside(path.parent, names)
+    if found is None or not faces:
         return ()
-    material = Material(Path(found[0]).stem, (1.0, 1.0, 1.0, 1.0), read_image(path.parent / found[0]))
+    material = Material(Path(found).stem, (1.0, 1.0, 1.0, 1.0), read_image(path.parent / found))
     return (Part(path.stem, 0, faces, material),)
 
 
