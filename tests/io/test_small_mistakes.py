@@ -167,6 +167,18 @@ def test_an_archive_is_to_be_unpacked(name, tmp_path):
             load(tmp_path / name)
 
 
+@pytest.mark.parametrize("name", ["a.glb", "a.obj", "a.fbx", "a.stl", "a.npz"])
+def test_what_downloads_leave_in_place_of_a_file_is_named(name, tmp_path):
+    for text, found in (
+        (f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 9\n", "a Git LFS pointer; run"),
+        ("<!DOCTYPE html>\n<html><body>Not found</body></html>\n", "a web page; download the file itself"),
+    ):
+        (tmp_path / name).write_text(text)
+        for load in (load_mesh, load_clip):
+            with pytest.raises(InputError, match=f"found {found}"):
+                load(tmp_path / name)
+
+
 @pytest.mark.parametrize("frames", [{"start": -5}, {"stop": -1}])
 def test_frames_count_from_the_first_one(frames):
     with pytest.raises(InputError, match=f"{next(iter(frames))}: expected a frame counted from 0, found -"):
