@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from ..core.budgets import CORNERS, ELEMENTS
 from ..core.errors import InputError
-from ..core.geometry import unit_vectors
+from ..core.geometry import finite_or_zero, unit_vectors
 from ..core.mesh import Material, Mesh, Part
 from .atomic import whole_file
 from .beside import find_beside
@@ -106,7 +106,7 @@ def read_ply(path: Path) -> Mesh:
             "the file is damaged, export it again"
         )
     normals = _vectors(columns, ("nx", "ny", "nz"))
-    normals = unit_vectors(normals) if normals is not None else None
+    normals = unit_vectors(finite_or_zero(normals)) if normals is not None else None
     return Mesh(
         vertices,
         faces,
@@ -219,9 +219,9 @@ def _read_uv(columns: _Columns, faces, triangles, sizes) -> Float[np.ndarray, "F
     """Read texture coordinates per face corner, else per vertex; None where the file has neither."""
     texcoord = columns.get("face", {}).get("texcoord")
     if texcoord is not None and texcoord.counts is not None and len(sizes) and (texcoord.counts == 2 * sizes).all():
-        return texcoord.values.astype(np.float64).reshape(-1, 2)[triangles]
+        return finite_or_zero(texcoord.values.astype(np.float64).reshape(-1, 2))[triangles]
     of_vertices = (_vectors(columns, names) for names in _UV_NAMES) if len(faces) else ()
-    return next((uv[faces] for uv in of_vertices if uv is not None), None)
+    return next((finite_or_zero(uv)[faces] for uv in of_vertices if uv is not None), None)
 
 
 def _read_colors(vertex: dict[str, _Column]) -> Float[np.ndarray, "V 4"] | None:

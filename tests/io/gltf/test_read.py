@@ -249,6 +249,18 @@ def test_last_row_of_matrices_is_that_of_the_standard(tmp_path):
     np.testing.assert_array_equal(*found)
 
 
+def test_a_normal_that_is_no_number_becomes_that_of_the_face(tmp_path):
+    props = samples.props()
+    attributes = props.gltf["meshes"][0]["primitives"][0]["attributes"]
+    normals = samples.box()[1].copy()
+    normals[3] = np.nan
+    attributes["NORMAL"] = props.accessor(normals, min=[0, 0, 0], max=[0, 0, 0])
+    mesh, right = read_gltf(props.glb(tmp_path / "a.glb")), read_gltf(samples.props().glb(tmp_path / "b.glb"))
+    assert mesh.corner_normals is not None
+    assert right.corner_normals is not None
+    np.testing.assert_allclose(mesh.corner_normals, right.corner_normals, atol=1e-6)
+
+
 def test_an_animation_with_keys_before_zero_is_played_from_its_first_key(tmp_path):
     clips = []
     for start in (0.0, -2.0, -0.4):
