@@ -36,6 +36,15 @@ def test_names_of_common_rigs_are_recognised(scheme):
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
+def test_numbers_that_all_joints_have_say_nothing(scheme):
+    names, parents = skeleton(scheme)
+    numbered = tuple(f"{name}_0{len(names) - j}" for j, name in enumerate(names))  # as Sketchfab writes them
+    assert named_joints(("_rootJoint", *numbered), (-1, *(p + 1 for p in parents))) == {
+        joint: j + 1 for joint, j in named_joints(names, parents).items()
+    }
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
 def test_case_and_an_additional_root_do_not_matter(scheme):
     names, parents = skeleton(scheme, without=False)
     found = named_joints(names, parents)

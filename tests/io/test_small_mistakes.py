@@ -65,6 +65,27 @@ def test_obj_that_lists_no_texture_coordinates_or_normals_is_read_without_them(c
     ]
 
 
+@pytest.mark.parametrize("nan", ["nan", "-nan(ind)", "inf"])
+def test_normals_and_texture_coordinates_that_are_no_numbers_are_zero(nan, tmp_path):
+    """Exporters write them for faces without area."""
+    values = f"vt 0.5 1\nvt {nan} 0\nvn 0 0 1\nvn {nan} {nan} {nan}\n"
+    text = CUBE.replace("f 1 3 2", f"{values}f 1/1/1 3/2/2 2/1/1")
+    (tmp_path / "a.obj").write_text(text, "utf-8")
+    mesh = load_mesh(tmp_path / "a.obj")
+    assert mesh.corner_uv is not None
+    assert mesh.corner_normals is not None
+    assert mesh.corner_uv[0].tolist() == [[0.5, 1], [0, 0], [0.5, 1]]
+    assert mesh.corner_normals[0].tolist() == [[0, 0, 1], [0, 0, 0], [0, 0, 1]]
+    save_mesh(mesh.with_vertices(mesh.vertices + 1), tmp_path / "b.obj")
+    assert np.array_equal(load_mesh(tmp_path / "b.obj").vertices, mesh.vertices + 1)
+    for suffix in (".glb", ".ply"):
+        save_mesh(mesh, tmp_path / f"c{suffix}")
+        assert len(load_mesh(tmp_path / f"c{suffix}").faces) == 4
+    (tmp_path / "a.obj").write_text(text.replace("v 1 0 0", f"v {nan} 0 0"), "utf-8")
+    with pytest.raises(InputError, match="expected finite coordinates, found NaN or infinity in 1 of 4"):
+        load_mesh(tmp_path / "a.obj")
+
+
 @pytest.mark.slow
 def test_bvh_with_a_row_more_than_it_states_is_read_with_a_note(tmp_path, capsys):
     path = tmp_path / "a.bvh"
@@ -165,6 +186,18 @@ def test_an_archive_is_to_be_unpacked(name, tmp_path):
     for load in (load_mesh, load_clip):
         with pytest.raises(InputError, match="found a packed archive; unpack it, and give a file in it"):
             load(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.glb", "a.obj", "a.fbx", "a.stl", "a.npz"])
+def test_what_downloads_leave_in_place_of_a_file_is_named(name, tmp_path):
+    for text, found in (
+        (f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 9\n", "a Git LFS pointer; run"),
+        ("<!DOCTYPE html>\n<html><body>Not found</body></html>\n", "a web page; download the file itself"),
+    ):
+        (tmp_path / name).write_text(text)
+        for load in (load_mesh, load_clip):
+            with pytest.raises(InputError, match=f"found {found}"):
+                load(tmp_path / name)
 
 
 @pytest.mark.parametrize("frames", [{"start": -5}, {"stop": -1}])

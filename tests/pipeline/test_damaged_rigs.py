@@ -220,6 +220,30 @@ def test_odd_rigs_move_as_others(oddity, whole, model, driving, tmp_path):
     np.testing.assert_allclose(result.clip.vertices - shift, whole, atol=1e-5)
 
 
+LYING = {
+    "+z": np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]),
+    "-y": np.diag([1.0, -1.0, -1.0]),
+    "+x": np.array([[0, 1.0, 0], [-1.0, 0, 0], [0, 0, 1.0]]),
+}
+"""Rotations of whole characters after which this axis of the file is up from the feet to the head."""
+
+
+@matrix("up", [*LYING], quick=["+z"])
+def test_a_rig_that_lies_in_its_own_axes_moves_in_them(up, whole, model, driving, tmp_path):
+    """As auto-riggers write whose models are not converted to y up: no node above the joints raises them."""
+    turn = LYING[up]
+    path = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"), turn=turn, armature=np.eye(4))
+    result = animate(str(path), str(driving), model)
+    assert result.own is not None
+    assert result.report["identity"]["up"] == up
+    assert any(note.startswith(f"a.glb lies: by its rig it stands up {up}") for note in result.notes)
+    upright = result.clip.vertices @ turn
+    np.testing.assert_allclose(upright - (upright[0] - whole[0]).mean(axis=0), whole, atol=1e-5)
+    result.save_skinned(tmp_path / "b.glb")
+    again = animate(str(rigs.character(tmp_path / "c.glb")), str(tmp_path / "b.glb"), model).clip.vertices
+    np.testing.assert_allclose(again - (again[0] - whole[0]).mean(axis=0), whole, atol=1e-5)
+
+
 def all_fours(lean: float) -> np.ndarray:
     """Local rotations of the joints that bring a person from the T-pose onto hands and feet; `lean` in degrees."""
     rest = np.tile(np.eye(3), (len(PERSON.names), 1, 1))

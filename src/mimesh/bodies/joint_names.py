@@ -286,8 +286,15 @@ def require_joints(found: dict[str, int], needed: Iterable[str], joint_names: tu
 
 
 def plain_names(joint_names: tuple[str, ...]) -> list[str]:
-    """Simplify names: lower case, without separators, namespaces and first or last words that most names share."""
+    """Simplify names: lower case, without separators, namespaces and first or last words that most names share.
+
+    Last words that number most joints, each with a number of its own (LeftArm_010 of Sketchfab), go like those.
+    """
     words = [[w for w in re.split(r"[._\s-]+", _own_name(name).lower()) if w] for name in joint_names]
+    numbered = [parts for parts in words if len(parts) > 1 and parts[-1].isdecimal()]
+    if 2 * len(numbered) > len(words) and len({int(parts[-1]) for parts in numbered}) == len(numbered):
+        for parts in numbered:
+            del parts[-1]
     # Remove prefixes, then suffixes, until no word is common to most names.
     for end in (0, -1):
         while (common := _common(words, end)) is not None:

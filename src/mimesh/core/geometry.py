@@ -72,6 +72,12 @@ def unit_vectors(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"
         return vectors / np.where(length == 0, 1.0, np.where(np.isfinite(length), length, np.nan))
 
 
+def finite_or_zero(rows: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N C"]:
+    """Replace rows with NaN or infinity by zeros: what exporters write as normals or texture coordinates of faces
+    without area says nothing, and is no reason to refuse a mesh."""
+    return np.where(np.isfinite(rows).all(axis=-1, keepdims=True), rows, 0.0)
+
+
 def continuous_quaternions(
     quaternions: Float[np.ndarray, "T *J 4"], first: Float[np.ndarray, "*J 4"] | None = None
 ) -> Float[np.ndarray, "T *J 4"]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -52,6 +52,25 @@ def may_be_read(path: str | Path) -> bool:
 def is_there(path: str | Path) -> bool:
     """Return whether a referenced file exists and may be read."""
     return may_be_read(path) and os.path.isfile(path)
+
+
+def find_beside(folder: Path, names: Iterable[str]) -> str | None:
+    """Find the file that a file in `folder` refers to by the first of some names; returns its name from the folder.
+
+    Exporters write paths of their own machine, with backslashes, and letters of another case where it knows none: so
+    the bare name is looked up in the folder, too.
+    """
+    paths = [path for name in names for path in (name, name.replace("\\", "/")) if name]
+    bare = [path.rpartition("/")[2] for path in paths]
+    for path in (*paths, *bare):
+        if is_there(folder / path):
+            return path
+    folded = {path.casefold() for path in bare if path}
+    with contextlib.suppress(OSError):
+        for path in sorted(os.listdir(folder)) if folded and may_be_read(folder) else ():
+            if path.casefold() in folded and is_there(folder / path):
+                return path
+    return None
 
 
 def missing_images(mesh: Mesh) -> tuple[str, ...]:

@@ -23,6 +23,12 @@ from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 PACKED = (b"PK\3\4", b"Rar!", b"7z\xbc\xaf")
 """First bytes of archives of several files."""
+STAND_INS = {
+    b"version https://git-lfs": "a Git LFS pointer; run 'git lfs pull'",
+    b"<!doctype html": "a web page; download the file itself",
+    b"<html": "a web page; download the file itself",
+}
+"""First bytes, in lower case, of text that downloads leave in place of a file, and what to do."""
 ZIPPED = {".npz", ".usdz", *BODY_MODELS}
 """Suffixes of formats that are such archives, or refused by their own readers."""
 
@@ -278,10 +284,13 @@ def _must_exist(path: Path) -> None:
     if not path.exists():
         raise InputError(f"{path}: expected a file or folder, found nothing of that name; check the path")
     refuse_pipe(path)
-    if path.is_file() and path.suffix.lower() not in ZIPPED:
+    if path.is_file():
         with _reading(path), path.open("rb") as file:
-            start = file.read(4)
-        if start.startswith(PACKED):
+            start = file.read(32)
+        for text, found in STAND_INS.items():
+            if start.lower().startswith(text):
+                raise InputError(f"{path}: expected a mesh or a clip, found {found}")
+        if start.startswith(PACKED) and path.suffix.lower() not in ZIPPED:
             raise InputError(
                 f"{path}: expected a mesh or a clip, found a packed archive; unpack it, and give a file in it"
             )

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterable
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 from ..core.mesh import Material, Mesh
 from ..core.printable import numbered, plain
 from .atomic import whole_file, written
-from .beside import is_there
+from .beside import find_beside, is_there
 from .text import decoded, encoded
 
 _SIGNATURE = "# written by mimesh\n"
@@ -154,7 +154,9 @@ def _read_material(block: str, folder: Path, library_folder: Path) -> tuple[Mate
     name = lines[0].strip() if lines else ""
     maps = [text for word, text in values.items() if word.startswith(_MAPS)]
     images = [_find_image(text, folder, library_folder) for text in maps]
-    missing = [_image_names(text)[-1] for text, found in zip(maps, images, strict=True) if not found]
+    missing = [
+        PureWindowsPath(_image_names(text)[-1]).name for text, found in zip(maps, images, strict=True) if not found
+    ]
     material = Material(name, (color[0], color[1], color[2], opacity[0]), texture)
     return material, [name for name in images if name], [name for name in missing if name]
 
@@ -169,18 +171,13 @@ def _numbers(text: str, count: int) -> list[float]:
 
 
 def _find_image(text: str, folder: Path, library_folder: Path) -> str:
-    """Find the image of a map statement; return its name relative to `folder`, empty where there is no such file.
-
-    Exporters write paths of their own machine, so the bare file name is also looked up beside the library.
-    """
-    for candidate in _image_names(text):
-        if candidate and is_there(folder / library_folder / candidate):
-            return (library_folder / candidate).as_posix()
-    return ""
+    """Find the image of a map statement; return its name relative to `folder`, empty where there is no such file."""
+    found = find_beside(folder / library_folder, _image_names(text))
+    return "" if found is None else (library_folder / found).as_posix()
 
 
 def _image_names(text: str) -> list[str]:
-    """List the names that the argument of a map statement may mean; the last is the file's, without folders."""
+    """List the names that the argument of a map statement may mean; the last is without its options."""
     words = text.split()
     # Options come before the name, each with one argument or up to three numbers: "-s 1 1 1", "-bm 0.5", "-clamp on".
     while words and words[0].startswith("-"):
@@ -188,5 +185,4 @@ def _image_names(text: str) -> list[str]:
         while words and _numbers(words[0], 1):
             words = words[1:]
     # The text as a whole is tried first: the name itself may begin with "-" or contain spaces.
-    names = [statement.replace("\\", "/") for statement in (text, " ".join(words))]
-    return [candidate for name in names for candidate in (name, name.rpartition("/")[2])]
+    return [text, " ".join(words)]

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..core.budgets import CORNERS
 from ..core.errors import InputError
-from ..core.geometry import unit_vectors, vertex_normals
+from ..core.geometry import finite_or_zero, unit_vectors, vertex_normals
 from ..core.mesh import Material, Mesh, Part
 from ..core.printable import plain
 from . import mtl
@@ -253,7 +253,7 @@ def _read_source(path: Path) -> ObjSource:
         face_lines=np.array(line_index[b"f"], int),
         state_lines=sorted(line_index[b"o"] + line_index[b"g"] + line_index[b"usemtl"]),
         vertices=read_numbers(lines, line_index[b"v"], 1, 3, path),
-        normals=unit_vectors(read_numbers(lines, line_index[b"vn"], 1, 3, path)),
+        normals=unit_vectors(finite_or_zero(read_numbers(lines, line_index[b"vn"], 1, 3, path))),
         sizes=sizes,
         corners=np.stack(corners, axis=1),
         relative_normals=raw[:, 2] < 0,
@@ -376,7 +376,7 @@ def _absolute_indices(
 def _read_uv(source: ObjSource, index: Int[np.ndarray, "F 3"], path: Path) -> Float[np.ndarray, "F 3 2"] | None:
     if not (index >= 0).any():
         return None
-    uv = read_numbers(source.lines, source.uv_lines.tolist(), 1, 2, path)
+    uv = finite_or_zero(read_numbers(source.lines, source.uv_lines.tolist(), 1, 2, path))
     return np.where(index[..., None] >= 0, uv[index], 0.0)
 
 

@@ -15,10 +15,10 @@ from jaxtyping import Float, Int
 
 from ..core.budgets import CORNERS, ELEMENTS
 from ..core.errors import InputError
-from ..core.geometry import unit_vectors
+from ..core.geometry import finite_or_zero, unit_vectors
 from ..core.mesh import Material, Mesh, Part
 from .atomic import whole_file
-from .beside import is_there
+from .beside import find_beside
 from .colors import linear_rgba, srgb_rgba
 from .mtl import read_image, write_image
 from .polygons import PolygonSource, fan_corners, polygon_corners, polygon_sizes, smooth_normals
@@ -106,7 +106,7 @@ def read_ply(path: Path) -> Mesh:
             "the file is damaged, export it again"
         )
     normals = _vectors(columns, ("nx", "ny", "nz"))
-    normals = unit_vectors(normals) if normals is not None else None
+    normals = unit_vectors(finite_or_zero(normals)) if normals is not None else None
     return Mesh(
         vertices,
         faces,
@@ -219,9 +219,9 @@ def _read_uv(columns: _Columns, faces, triangles, sizes) -> Float[np.ndarray, "F
     """Read texture coordinates per face corner, else per vertex; None where the file has neither."""
     texcoord = columns.get("face", {}).get("texcoord")
     if texcoord is not None and texcoord.counts is not None and len(sizes) and (texcoord.counts == 2 * sizes).all():
-        return texcoord.values.astype(np.float64).reshape(-1, 2)[triangles]
+        return finite_or_zero(texcoord.values.astype(np.float64).reshape(-1, 2))[triangles]
     of_vertices = (_vectors(columns, names) for names in _UV_NAMES) if len(faces) else ()
-    return next((uv[faces] for uv in of_vertices if uv is not None), None)
+    return next((finite_or_zero(uv)[faces] for uv in of_vertices if uv is not None), None)
 
 
 def _read_colors(vertex: dict[str, _Column]) -> Float[np.ndarray, "V 4"] | None:
@@ -236,10 +236,10 @@ def _read_colors(vertex: dict[str, _Column]) -> Float[np.ndarray, "V 4"] | None:
 def _read_texture(comments: list[str], path: Path, faces: int) -> tuple[Part, ...]:
     """Read the image of `comment TextureFile`, if there is one, as one part with a material."""
     names = [comment.split(None, 1)[1] for comment in comments if comment.startswith("TextureFile ")]
-    found = [name for name in names if is_there(path.parent / name)]
-    if not found or not faces:
+    found = find_beside(path.parent, names)
+    if found is None or not faces:
         return ()
-    material = Material(Path(found[0]).stem, (1.0, 1.0, 1.0, 1.0), read_image(path.parent / found[0]))
+    material = Material(Path(found).stem, (1.0, 1.0, 1.0, 1.0), read_image(path.parent / found))
     return (Part(path.stem, 0, faces, material),)
 
 

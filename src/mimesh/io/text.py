@@ -17,6 +17,8 @@ UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _GAP = rb"(?:\s|\\\r?\n|\\\r)+"  # white space, or a backslash that continues the line
 _WORD = rb"[^\s\\#]+"
 # By the number of words before three numbers: groups of what stays before the first number and between the numbers.
+_WINDOWS_NAN = re.compile(rb"[-+]?\bnan\((?:ind|snan)\)")
+"""What the C library of Windows writes for NaN."""
 _THREE = {
     skip: re.compile(rb"(\s*(?:%b%b){%d})%b(%b)%b(%b)%b" % (_WORD, _GAP, skip, _WORD, _GAP, _WORD, _GAP, _WORD))
     for skip in (0, 1, 2, 3)
@@ -101,6 +103,8 @@ def read_numbers(
             return values.reshape(-1, count)
     except ValueError:
         pass
+    if any(_WINDOWS_NAN.search(line) for line in kept):
+        return read_numbers([_WINDOWS_NAN.sub(b"nan", line) for line in kept], range(len(kept)), skip, count, path)
     wrong = next(i for i, row in zip(index, rows, strict=True) if len(row) != count or not _are_numbers(row))
     found = lines[wrong].strip().decode("utf-8", "replace")[:60]
     raise InputError(

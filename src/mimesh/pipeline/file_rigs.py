@@ -115,7 +115,8 @@ class Rigs:
         """Fill in up and front of the identity and the driving, where the rigs say them and the user does not."""
         up, front, driving_up, driving_front = axes
         if self.identity is not None and up is None and front is None:
-            up, front = "+y", axis_name(self.identity.humanoid.turn[2])
+            turn = self.identity.humanoid.turn
+            up, front = axis_name(turn[1]), axis_name(turn[2])
         if self.given is not None:  # its axes are part of it
             up, front = axis_name(self.given.turn[1]), axis_name(self.given.turn[2])
         if self.driving is not None and driving_up in (None, self.driving.up) and driving_front is None:

@@ -207,6 +207,38 @@ def test_motion_joints_are_found_under_other_names_and_among_other_nodes(rigged,
     assert (source.joint_names[0], source.parents.count(-1)) == ("world", 1)
 
 
+def test_nodes_that_assimp_writes_above_joints_are_no_joints(rigged, tmp_path):
+    """Each joint's translation and rotation are in a node of their own, and its keys are theirs."""
+
+    def split(gltf):
+        skeleton = {joint for channel in gltf["animations"][0]["channels"] for joint in [channel["target"]["node"]]}
+        lists = [*gltf["scenes"], *gltf["nodes"]]
+        for joint in sorted(skeleton):
+            node, start = gltf["nodes"][joint], len(gltf["nodes"])
+            holder = next(h for h in lists if joint in h.get("children" if "nodes" not in h else "nodes", ()))
+            below = holder["nodes" if "nodes" in holder else "children"]
+            below[below.index(joint)] = start
+            for k, (kind, path, child) in enumerate(
+                [("Translation", "translation", start + 1), ("PreRotation", "rotation", joint)]
+            ):
+                value = {path: node.pop(path)} if path in node else {}
+                pivot = {"name": f"{node['name']}_$AssimpFbx$_{kind}", "children": [child]}
+                gltf["nodes"].append(pivot | value)
+                for channel in gltf["animations"][0]["channels"]:
+                    if channel["target"] == {"node": joint, "path": path}:
+                        channel["target"]["node"] = start + k
+            lists += gltf["nodes"][start:]
+
+    right = read_skeleton(open_document(joints_only(rigged, tmp_path / "a.glb")))
+    found = read_skeleton(open_document(joints_only(rigged, tmp_path / "b.glb", split)))
+    assert sorted(found.joint_names) == sorted(right.joint_names)
+    order = [found.joint_names.index(name) for name in right.joint_names]
+    for a, b in zip(found.world(), right.world(), strict=True):
+        np.testing.assert_allclose(a[:, order], b, atol=1e-6)
+    played = play_on_body(tmp_path / "b.glb")
+    np.testing.assert_allclose(played.rotmat, play_on_body(tmp_path / "a.glb").rotmat, atol=1e-6)
+
+
 def test_motion_ignores_animated_scales_and_mirrored_joints(rigged, body, motion, tmp_path):
     def modify(gltf):
         add_channel(gltf, "Hips", "scale", np.linspace(0, 2, len(motion))[:, None] * np.ones(3))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from pathlib import Path
 
 import gltf_samples as samples
@@ -11,8 +13,10 @@ from gltf_reference import ReferenceReader
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
-from mimesh.io import load_clip
+from mimesh.io import load_clip, load_mesh, save_mesh
+from mimesh.io.beside import confined
 from mimesh.io.gltf import read_gltf, write_gltf
+from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.edit import GltfSource
 from mimesh.pipeline.gltf_rigs import rig_facts
 
@@ -245,15 +249,28 @@ def test_last_row_of_matrices_is_that_of_the_standard(tmp_path):
     np.testing.assert_array_equal(*found)
 
 
-def test_animation_whose_keys_are_before_zero_has_one_frame(tmp_path):
-    """Keys begin at zero by the standard; here the last one stays."""
-    sample, still = samples.hero(), samples.hero()
-    sampler = sample.gltf["animations"][0]["samplers"][0]
-    sampler["input"] = sample.accessor([-2.0, -1.0])
-    still.gltf["nodes"][1]["rotation"] = [0, 0, 0.6, 0.8]
-    clip = load_clip(sample.glb(tmp_path / "a.glb"))
-    assert len(clip) == 1
-    np.testing.assert_allclose(clip.vertices[0], read_gltf(still.glb(tmp_path / "b.glb")).vertices, atol=1e-6)
+def test_a_normal_that_is_no_number_becomes_that_of_the_face(tmp_path):
+    props = samples.props()
+    attributes = props.gltf["meshes"][0]["primitives"][0]["attributes"]
+    normals = samples.box()[1].copy()
+    normals[3] = np.nan
+    attributes["NORMAL"] = props.accessor(normals, min=[0, 0, 0], max=[0, 0, 0])
+    mesh, right = read_gltf(props.glb(tmp_path / "a.glb")), read_gltf(samples.props().glb(tmp_path / "b.glb"))
+    assert mesh.corner_normals is not None
+    assert right.corner_normals is not None
+    np.testing.assert_allclose(mesh.corner_normals, right.corner_normals, atol=1e-6)
+
+
+def test_an_animation_with_keys_before_zero_is_played_from_its_first_key(tmp_path):
+    clips = []
+    for start in (0.0, -2.0, -0.4):
+        sample = samples.hero()
+        sampler = sample.gltf["animations"][0]["samplers"][0]
+        sampler["input"] = sample.accessor([start, start + 1.0])
+        clips.append(load_clip(sample.glb(tmp_path / "a.glb"), fps=30).vertices)
+    assert len(clips[0]) == 31
+    for clip in clips[1:]:
+        np.testing.assert_allclose(clip, clips[0], atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -270,3 +287,53 @@ def test_nodes_and_times_of_channels_are_checked(node, times, tmp_path):
     sample.data[start : start + 4 * len(times)] = np.array(times, "<f4").tobytes()
     with pytest.raises(InputError, match="expected rising times with a value each"):
         load_clip(sample.glb(tmp_path / "a.glb"))
+
+
+def test_chunks_of_a_glb_are_found_where_their_headers_are_wrong(tmp_path):
+    props = samples.props()
+    text = b"    "
+    while len(text) % 4 == 0:
+        props.gltf["asset"]["generator"] = props.gltf["asset"].get("generator", "") + "x"
+        text = json.dumps(props.document_json()).encode()
+    content, end = props.glb(tmp_path / "a.glb").read_bytes(), 20 + len(text)
+    binary = end + -len(text) % 4
+    right = read_gltf(tmp_path / "a.glb").vertices
+    for wrong in (  # padded with zeros, counted without padding, a type 1 for BIN, a file longer than it is
+        content[:end] + bytes(binary - end) + content[binary:],
+        content[:12] + struct.pack("<I", len(text)) + content[16:],
+        content[: binary + 4] + struct.pack("<I", 1) + content[binary + 8 :],
+        content[:8] + struct.pack("<I", len(content) + 4) + content[12:],
+    ):
+        (tmp_path / "b.glb").write_bytes(wrong)
+        assert np.array_equal(read_gltf(tmp_path / "b.glb").vertices, right)
+
+
+def test_members_that_stand_for_none_are_left_out(tmp_path):
+    hero = samples.hero()
+    right = read_gltf(hero.glb(tmp_path / "a.glb"))
+    for node in hero.gltf["nodes"]:
+        node.setdefault("scale", None)
+        node.setdefault("mesh", -1)
+    hero.gltf["skins"][0]["skeleton"] = -1
+    hero.gltf["nodes"].append(None)
+    hero.gltf["scenes"][0]["nodes"].append(len(hero.gltf["nodes"]) - 1)
+    mesh = read_gltf(hero.glb(tmp_path / "b.glb"))
+    assert np.array_equal(mesh.vertices, right.vertices)
+    assert "skeleton" not in open_document(tmp_path / "b.glb").gltf["skins"][0]
+    save_mesh(mesh.with_vertices(mesh.vertices + 1), tmp_path / "c.glb")
+    written = (tmp_path / "c.glb").read_bytes()
+    assert b"null" not in written
+
+
+@pytest.mark.parametrize("uri", [r"parts\mesh.bin", r"C:\Users\me\mesh.bin", "Mesh.BIN", "mesh.bin"])
+def test_buffers_are_found_under_the_names_of_other_machines(uri, tmp_path):
+    props, folder = samples.props(), tmp_path / ("parts" if "parts" in uri else "")
+    folder.mkdir(exist_ok=True)
+    (folder / "mesh.bin").write_bytes(props.data)
+    gltf = props.document_json()
+    (tmp_path / "a.gltf").write_text(json.dumps(gltf | {"buffers": [{"byteLength": len(props.data), "uri": uri}]}))
+    with confined(tmp_path):
+        assert len(load_mesh(tmp_path / "a.gltf").vertices) == 58
+    (folder / "mesh.bin").rename(folder / "mash.bin")
+    with pytest.raises(InputError, match="expected the data of buffer 0, found no file"):
+        load_mesh(tmp_path / "a.gltf")

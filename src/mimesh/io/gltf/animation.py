@@ -199,6 +199,17 @@ def read_channels(document: Document, animation: int) -> list[AnimationChannel]:
     Raises:
         InputError: keys without values, times that do not increase, or an unknown interpolation.
     """
+    return _from_zero(_read_channels(document, animation))
+
+
+def _from_zero(channels: list[AnimationChannel]) -> list[AnimationChannel]:
+    """Shift keys so that an animation with keys before zero, which glTF does not have, begins at zero."""
+    first = min((float(channel.times[0]) for channel in channels if len(channel.times)), default=0.0)
+    return [replace(channel, times=channel.times - first) for channel in channels] if first < 0 else channels
+
+
+def _read_channels(document: Document, animation: int) -> list[AnimationChannel]:
+    """Read the channels of an animation with the times that the file has; see `read_channels`."""
     channels, numbers = [], 0
     try:
         entry = document.gltf["animations"][animation]
@@ -249,14 +260,14 @@ def select_channels(document: Document, selector: str | None) -> list[AnimationC
     for number in range(len(document.gltf.get("animations", []))):
         targets = {(channel.node, channel.path) for channel in selected}
         try:
-            channels = read_channels(document, number)
+            channels = _read_channels(document, number)
         except InputError:
             if not selected:
                 raise
             continue  # an animation that is not asked for may be damaged
         if not any((channel.node, channel.path) in targets for channel in channels):
             selected += channels
-    return selected
+    return _from_zero(selected)
 
 
 def frame_rate(channels: list[AnimationChannel]) -> float | None:
@@ -341,7 +352,6 @@ def frame_times(document: Document, channels: list[AnimationChannel], fps: float
         InputError: the last key is later than an hour, which only damaged times are, or there are too many frames.
     """
     last = max((float(channel.times[-1]) for channel in channels), default=0.0)
-    last = max(last, 0.0)  # of keys before zero, which damaged files have, the last one is played
     if last > LONGEST:
         raise InputError(f"{document.path}: expected an animation of up to an hour, found {last:.0f} s; cut it")
     count = frame_count(last, fps)

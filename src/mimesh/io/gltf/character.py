@@ -14,7 +14,7 @@ import contextlib
 import dataclasses
 import re
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -102,7 +102,7 @@ def read_rigged_character(
     standing = read_standing(mesh, document, scene)
     rig, nodes, bound = carried_part(standing.rig), standing.nodes, standing.scene
     known, facing = without_fingers(standing.known), standing.facing
-    turn = facing_rotation(facing)
+    turn = standing.turn
     rig = rig.turned(turn)
     joints = name_limb_joints(rig, path, known)
     clips = read_clips(document, bound.T_world_node[nodes], nodes, rig.parents, left_out)
@@ -171,11 +171,18 @@ class StandingCharacter:
     nodes: list[int]
     """Node of each joint."""
     facing: str
-    """Where it faces, such as +z."""
+    """Where it faces once it is upright, such as +z."""
     known: dict[str, int]
     """Joints that the file itself names, or that were found without names: joint of the shipped body -> index."""
     scene: RestScene
     """The scene with its nodes in that pose."""
+    upright: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
+    """Rotation that sets it upright, of a person who lies in the file."""
+
+    @property
+    def turn(self) -> Float[np.ndarray, "3 3"]:
+        """Rotation from the file's axes to y up, +z front."""
+        return facing_rotation(self.facing) @ self.upright
 
 
 def read_standing(
@@ -183,11 +190,14 @@ def read_standing(
 ) -> StandingCharacter:
     """Read the rig of a scene in its bind pose, or in the pose of the file's nodes where it stands in none.
 
+    A person who lies in both, as those of z-up programs that were not converted do, is read as it stands in its own
+    axes.
+
     Args:
         find: finds joints whose names say nothing.
 
     Raises:
-        InputError: limbs that are not found, several characters, or a trunk that is not upright.
+        InputError: limbs that are not found, several characters, or a trunk that is upright along no axis.
     """
     for T_world_node in bind_poses(document):
         bound = dataclasses.replace(scene, T_world_node=T_world_node)
@@ -197,11 +207,17 @@ def read_standing(
             continue  # the bind pose may have another orientation
         except InputError:
             break
-    return _standing(mesh, document, scene, find)
+    try:
+        return _standing(mesh, document, scene, find)
+    except NotUpright:
+        bound = dataclasses.replace(scene, T_world_node=rest_matrices(document))
+        return _standing(mesh, document, bound, find, lies=True)
 
 
-def _standing(mesh: Mesh, document: Document, scene: RestScene, find: FindJoints | None) -> StandingCharacter:
-    """Read the rig with the nodes of `scene` as its rest pose; see `read_standing`."""
+def _standing(
+    mesh: Mesh, document: Document, scene: RestScene, find: FindJoints | None, lies: bool = False
+) -> StandingCharacter:
+    """Read the rig with the nodes of `scene` as its rest pose, in which it may lie; see `read_standing`."""
     path, bones = document.path, vrm_bones(document)
     rig, nodes = rig_at_rest(mesh, document, scene, without_fingers(bones).values())
     known = {name: nodes.index(node) for name, node in bones.items() if node in nodes}
@@ -210,8 +226,20 @@ def _standing(mesh: Mesh, document: Document, scene: RestScene, find: FindJoints
             name_sided_joints(rig, path, known)
         except UnnamedJoints:
             known = find(carried_part(rig))
-    facing = standing_facing(rig, known, "-z" if vrm_version(document) == 0 else "+z", path)
-    return StandingCharacter(rig, nodes, facing, known, scene)
+    upright = _upright(rig, name_sided_joints(rig, path, known)) if lies else np.eye(3)
+    facing = standing_facing(rig.turned(upright), known, "-z" if vrm_version(document) == 0 else "+z", path)
+    return StandingCharacter(rig, nodes, facing, known, scene, upright)
+
+
+def _upright(rig: SkinnedCharacter, joints: dict[str, int]) -> Float[np.ndarray, "3 3"]:
+    """Compute the rotation that takes the axis nearest to a person's trunk, from the hips up, to y.
+
+    It is about x, as conversions between programs with other axes are, unless the trunk is along x.
+    """
+    trunk = _middle(rig, joints, "Arm") - _middle(rig, joints, "UpLeg")
+    up = np.where(np.arange(3) == np.abs(trunk).argmax(), np.sign(trunk), 0.0)
+    left = np.cross(up, [0.0, 0.0, 1.0]) if up[0] else np.array([1.0, 0.0, 0.0])
+    return np.stack([left, up, np.cross(left, up)])
 
 
 def rig_at_rest(

@@ -25,7 +25,7 @@ from jaxtyping import Float, Shaped, UInt8
 from ...core.budgets import EMPTY, JOINED, UNPACKED
 from ...core.errors import InputError
 from ...core.frame_buffer import LARGE
-from ..beside import is_there
+from ..beside import find_beside
 from ..fbx import fbx_as_glb
 from .check import (
     COMPONENT_TYPES,
@@ -44,6 +44,8 @@ from .compression import compressed_views, decompress, is_fallback
 
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 """Chunk types of a GLB file (4.4.3 Chunks): "JSON" and "BIN"."""
+NO_INDEX = ("scene", "mesh", "skin", "skeleton", "camera", "material", "indices")
+"""Optional indices that exporters write as -1 where there is none."""
 IMAGE_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp", b"\xabKTX": "image/ktx2"}
 """MIME type by the first bytes of an image: PNG and JPEG (3.8.3 Images), WebP and KTX2 through extensions."""
 DECODE_BLOCK = 2**22
@@ -185,10 +187,9 @@ class MappedFiles:
                 return base64.b64decode(uri.partition(",")[2], validate=True)
             except ValueError as error:  # binascii.Error, or characters that are not ASCII
                 raise damaged(self.document, "base64 data in a data: URI", error) from error
-        for name in (unquote(uri), uri):  # URIs are percent-encoded, but some exporters write names without encoding
-            if uri and is_there(self.document.parent / name):
-                return self.read(self.document.parent / name)
-        return None
+        # URIs are percent-encoded, but some exporters write names without encoding.
+        name = find_beside(self.document.parent, (unquote(uri), uri))
+        return None if name is None else self.read(self.document.parent / name)
 
     def extract_large_uris(self, text: memoryview) -> bytes:
         """Decode the large data: URIs in the text of a .gltf file; returns its JSON with short URIs instead.
@@ -252,23 +253,27 @@ def _read_rows(document: Document, owner: dict[str, Any], count: int, size: int,
 
 
 def _split_glb(content: memoryview, path: Path) -> tuple[bytes, memoryview | bytes]:
-    """Split a GLB file into its JSON and its binary chunk, which may be missing (4.4 Binary glTF Layout)."""
+    """Split a GLB file into its JSON and its binary chunk, which may be missing (4.4 Binary glTF Layout).
+
+    Chunks that are there as a whole are read, whatever the length in the header and the type of the second chunk: some
+    exporters count neither all headers nor the padding of the JSON, or write 1 for BIN.
+    """
     if len(content) < 20:
         raise _truncated(path, "a GLB header of 20 bytes", len(content))
-    version, length, json_length, kind = struct.unpack_from("<IIII", content, 4)
+    version, _, json_length, kind = struct.unpack_from("<IIII", content, 4)
     if version != 2:
         raise InputError(f"{path}: expected GLB version 2, found {version}; export it again as glTF 2.0")
-    if length > len(content) or 20 + json_length > length:
-        raise _truncated(path, f"{max(length, 20 + json_length)} bytes", len(content))
+    if 20 + json_length > len(content):
+        raise _truncated(path, f"{20 + json_length} bytes", len(content))
     if kind != JSON_CHUNK:
         raise damaged(path, "the JSON chunk first", f"chunk type {kind:#x}")
-    start = 20 + json_length
-    if start + 8 > length:
-        return bytes(content[20:start]), b""
-    binary_length, kind = struct.unpack_from("<II", content, start)
-    if start + 8 + binary_length > length:
-        raise _truncated(path, f"a binary chunk of {binary_length} bytes", length - start - 8)
-    return bytes(content[20:start]), content[start + 8 : start + 8 + binary_length] if kind == BINARY_CHUNK else b""
+    text, start = bytes(content[20 : 20 + json_length]), 20 + json_length + -json_length % 4
+    if start + 8 > len(content):
+        return text, b""
+    binary_length, _ = struct.unpack_from("<II", content, start)
+    if start + 8 + binary_length > len(content):
+        raise _truncated(path, f"a binary chunk of {binary_length} bytes", len(content) - start - 8)
+    return text, content[start + 8 : start + 8 + binary_length]
 
 
 def _truncated(path: Path, expected: str, found: int) -> InputError:
@@ -276,19 +281,40 @@ def _truncated(path: Path, expected: str, found: int) -> InputError:
 
 
 def _parse_json(text: bytes, path: Path) -> Any:
-    """Parse the JSON text of a glTF file, strictly: NaN and Infinity are refused."""
+    """Parse the JSON text of a glTF file, strictly: NaN and Infinity are refused.
+
+    What is null or an index of -1 is left out, and so is the padding with zeros of some exporters; an empty node may be
+    null.
+    """
 
     def reject_constant(constant: str) -> None:
         raise ValueError(f"{constant} is not a JSON number")  # json.loads accepts NaN and Infinity by default
 
     try:
-        gltf = json.loads(text.decode("utf-8-sig"), parse_constant=reject_constant)
+        plain = text.rstrip(b"\0").decode("utf-8-sig")
+        gltf = _without_absent(json.loads(plain, parse_constant=reject_constant))
         if b"\\ud" in text.lower():  # halves of surrogate pairs, which JSON can escape, are no text
             whole = json.dumps(gltf, ensure_ascii=False).encode("utf-16", "surrogatepass").decode("utf-16", "replace")
             gltf = json.loads(whole)
         return gltf
     except (ValueError, RecursionError) as error:
         raise damaged(path, "glTF JSON", f"text that does not parse ({error})") from error
+
+
+def _without_absent(value: Any) -> Any:
+    """Leave out the members of JSON objects that stand for none; extras and extensions stay as they are."""
+    if isinstance(value, list):
+        return [_without_absent(item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    kept = {
+        key: item if key in ("extras", "extensions") else _without_absent(item)
+        for key, item in value.items()
+        if item is not None and not (key in NO_INDEX and item == -1)
+    }
+    if isinstance(kept.get("nodes"), list):
+        kept["nodes"] = [{} if node is None else node for node in kept["nodes"]]
+    return kept
 
 
 def without_extensions(gltf: dict[str, Any], dropped: Collection[str]) -> dict[str, Any]:

@@ -33,6 +33,8 @@ from .vrm import is_vrm_animation, vrm_bones
 
 PLAYED_PATHS = ("translation", "rotation")
 """Target paths of the channels that are played."""
+FBX_PIVOT = "_$AssimpFbx$_"
+"""In the names of nodes that assimp writes above an FBX joint for its pivots and other rotations: no joints."""
 WORLD_NODE = -1
 """Index of an added root joint in files with several roots. It never moves; as an index it is the last node."""
 NEGLIGIBLE = 1e-6
@@ -222,6 +224,10 @@ def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
     """Find the nodes that are joints, each after its parent, and the parent joint of each; the one root has -1."""
     node_parent = node_parents(document)
     order = sort_parents_first(document, node_parent)
+    for node in order:
+        while node_parent[node] >= 0 and _is_pivot(document, node_parent[node]):
+            node_parent[node] = node_parent[node_parent[node]]
+    order = [node for node in order if not _is_pivot(document, node)]
     joints = set(_animated_bones(document).values())
     if not joints:
         joints = {node for skin in document.gltf.get("skins", []) for node in skin["joints"]}
@@ -229,6 +235,7 @@ def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
         # Without a skin, joints that rest in all animations are known by the hierarchy alone.
         roots = set() if joints else {ancestors(node_parent, node)[-1] for node in moving}
         joints |= moving | {node for node in order if ancestors(node_parent, node)[-1] in roots}
+        joints &= {*order}
     for node in tuple(joints):  # add the nodes between a joint and the next joint above it
         between, node = [], node_parent[node]
         while node >= 0 and node not in joints:
@@ -242,6 +249,10 @@ def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
     root = index.get(WORLD_NODE, -1)
     parents = (index.get(node_parent[node], root) if node != WORLD_NODE else -1 for node in nodes)
     return nodes, tuple(parents)
+
+
+def _is_pivot(document: Document, node: int) -> bool:
+    return FBX_PIVOT in str(document.gltf["nodes"][node].get("name", ""))
 
 
 def _animated_bones(document: Document) -> dict[str, int]:

@@ -10,12 +10,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...bodies.character_limbs import FindJoints, moves_vertices
-from ...bodies.character_pool import facing_rotation, sampled_poses
+from ...bodies.character_pool import sampled_poses
 from ...bodies.joint_names import ancestors
 from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
 from ...core.geometry import continuous_quaternions, nearest_rotation
 from ...core.mesh import Mesh
+from ...core.normalization import axis_name
 from ...core.person_motion import PersonMotion
 from ...motions.animal_rig import animal_rig
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
@@ -136,7 +137,7 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
         standing = read_standing(mesh, document, source.rest, find)
     rig, nodes = standing.rig, standing.nodes
     still, notes = _check_skin(rig, nodes, document, standing.scene)
-    turn = facing_rotation(standing.facing)
+    turn = standing.turn
 
     def poses() -> np.ndarray:
         rest = standing.scene.T_world_node[nodes]
@@ -147,7 +148,7 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
     else:
         humanoid, order = humanoid_rig(rig, turn, standing.known, poses, path)
     ordered = [nodes[k] for k in order]
-    notes += _apart(humanoid)
+    notes += _apart(humanoid) + _lies(humanoid, path.name)
     own = OwnRig(source, humanoid.character, ordered, standing.scene, humanoid, still=still, notes=notes)
     _check_above(own, humanoid.tree()[0])
     hips = own.person["Hips"]
@@ -215,6 +216,8 @@ class GltfJoints:
             raise damaged(document.path, "finite joints", "NaN or infinity")
         motion = humanoid.motion(world, rig.scene.T_world_node[nodes])
         assert motion.front is not None
+        if motion.up != "+y":
+            return motion
         return dataclasses.replace(motion, front=front_before_placing(document, rig.scene.T_world_node, motion.front))
 
 
@@ -290,6 +293,13 @@ def _apart(humanoid: HumanoidRig) -> tuple[str, ...]:
     own = {roots[joint] for joint in humanoid.joints.values()}
     apart = dict.fromkeys(rig.joint_names[roots[joint]] for joint in _weighted(rig) if roots[joint] not in own)
     return (f"skeletons beside the person's, which go with the hips: {', '.join(apart)}",) if apart else ()
+
+
+def _lies(humanoid: HumanoidRig, name: str) -> tuple[str, ...]:
+    """Return a note on a rig that does not stand y up, as glTF files must."""
+    up, front = axis_name(humanoid.turn[1]), axis_name(humanoid.turn[2])
+    note = f"{name} lies: by its rig it stands up {up} and faces {front}, and so does the result; export it y up"
+    return () if up == "+y" else (note,)
 
 
 def _check_above(own: FileRig, joints: list[int]) -> None:

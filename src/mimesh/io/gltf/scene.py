@@ -14,13 +14,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...core.geometry import nearest_rotation
+from ...core.geometry import finite_or_zero, nearest_rotation
 from .check import damaged
 from .document import Document, read_accessor, read_floats
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+APPEARANCE = ("NORMAL", "TANGENT", "TEXCOORD_", "COLOR_")
+"""First characters of the names of attributes that only say how a surface looks."""
 DEFAULT_TRS = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 """Values of the properties that a node does not have (glTF 2.0, 3.5.3 Transformations); rotations are xyzw."""
 
@@ -106,9 +108,15 @@ def used_skins(document: Document) -> list[int]:
 
 
 def read_attribute(document: Document, primitive: dict[str, Any], name: str) -> Float[np.ndarray, "V C"] | None:
-    """Read a vertex attribute in float64; None where the primitive does not have it."""
+    """Read a vertex attribute in float64; None where the primitive does not have it.
+
+    Elements of the appearance with NaN or infinity become zeros.
+    """
     index = primitive["attributes"].get(name)
-    return None if index is None else read_floats(document, index)
+    if index is None:
+        return None
+    values = read_floats(document, index)
+    return finite_or_zero(values) if name.startswith(APPEARANCE) else values
 
 
 def read_indices(document: Document, primitive: dict[str, Any]) -> np.ndarray:
