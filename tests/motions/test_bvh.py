@@ -218,3 +218,18 @@ def test_a_motion_in_the_axes_of_a_camera_stands_upright_and_a_handstand_stays(t
     kept = motion_of_file(write_bvh(tmp_path / "c.bvh", body, stand))
     for joint, direction in bone_directions(body, kept).items():
         np.testing.assert_allclose(direction, bone_directions(body, stand)[joint], atol=1e-6)
+
+
+@pytest.mark.parametrize("axes", [np.eye(3), Z_UP], ids=["y-up", "z-up"])
+def test_who_lies_in_all_frames_of_a_take_without_a_standing_rest_pose_stays_lying(axes, tmp_path):
+    """Parts of LAFAN1's takes: all bones point along x at rest. A take with z up that stands is still recognised."""
+    body, walk = load_body(), load_motion("walk")
+    if axes is not Z_UP:
+        lying = Rotation.from_euler("x", -90, degrees=True).as_matrix()
+        low = walk.root + [0.0, -body.joints[0, 1] - walk.root[:, 1].mean() + 0.35, 0.0]
+        walk = Motion("lies", walk.joint_names, walk.rotmat.copy(), low)
+        walk.rotmat[:, 0] = lying @ walk.rotmat[:, 0]
+    found = motion_of_file(write_bvh(tmp_path / "a.bvh", body, walk, rest="along-x", axes=axes))
+    expected, directions = bone_directions(body, walk), bone_directions(body, found)
+    for joint in ("LeftUpLeg", "RightArm"):
+        np.testing.assert_allclose(directions[joint], expected[joint], atol=1e-6)

@@ -83,8 +83,8 @@ RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 """Names of the array with the frame rate."""
 BODY_ALONE = 69
 """Numbers of SMPL's body without its root: one joint less than the usual 72, so each would be read as the next one."""
-LOW = 0.5
-"""Height of the pelvis (metres) below which it is over the floor in every frame of a person who lies or crawls."""
+LOW = 0.3
+"""Height of the pelvis (metres) below which it stays while a person lies."""
 DEFAULT_RATE = 30.0
 """Frames per second of a file without a frame rate."""
 MOTION = ("poses", "root_orient", "pose_body", "trans", *RATES)
@@ -347,15 +347,18 @@ def upright(
     """Compute the axis rotation of a recording's world to y up.
 
     From z up, unless the pelvis is upright along y; or upside down, as in the axes of a camera (x right, y down, z
-    ahead), unless the path stays below LOW along z: then a person lies with the head to -y.
+    ahead). Who lies along y has the pelvis close over z = 0 in all frames, and not at the height of who stands over
+    y = 0.
     """
     pelvis_up = pelvis[:, :, 1].mean(axis=0)
-    if pelvis_up[1] > max(pelvis_up[2], 0.5):
-        return np.eye(3)
-    lies = trans is not None and 0 < trans[:, 2].min() and trans[:, 2].max() < LOW
-    if pelvis_up[1] < -max(abs(pelvis_up[2]), 0.5) and not lies:
-        return np.diag([1.0, -1.0, -1.0])
+    lies = trans is not None and _within(trans[:, 2], 0.0, LOW) and not _within(trans[:, 1], LOW, HEIGHT)
+    if abs(pelvis_up[1]) > max(abs(pelvis_up[2]), 0.5) and not lies:
+        return np.diag([1.0, 1.0, 1.0] if pelvis_up[1] > 0 else [1.0, -1.0, -1.0])
     return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def _within(values: Float[np.ndarray, " T"], low: float, high: float) -> bool:
+    return bool(low < values.min() and values.max() < high)
 
 
 def _length_error(path: Path, first: str, first_rows: int, second: str, second_rows: int) -> InputError:

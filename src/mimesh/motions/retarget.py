@@ -45,8 +45,10 @@ FLOOR_QUANTILE = 0.2
 FLOOR_FRAMES = 400
 """Frames, evenly spread, that are used to find the floor."""
 OBLIQUE = np.radians(3.0)
-"""Angle between a rest pose and the nearest axis from which on it has a heading of its own. Left and right are not quite
-symmetric: in files of two takes and 20 characters by up to 0.5 degrees, where joints were found on surfaces by 1.2."""
+"""Angle between a rest pose and the nearest axis from which on it has a heading of its own. Left and right are not
+quite symmetric: in files of two takes and 20 characters by up to 0.5 degrees, where joints were found by 1.2."""
+ON_FLOOR = 0.2
+"""Leg lengths from y = 0, the floor of most captures, up to which the lowest joint is on it."""
 SAME_FLOOR = 0.1
 """Leg lengths between this height and the soles of the rest pose up to which both are one floor."""
 
@@ -285,10 +287,16 @@ and the weight of the angle between foot and shin in all frames. Chosen on the s
 def axes_from_motion(position: Float[np.ndarray, "T J 3"], index: dict[str, int]) -> Float[np.ndarray, "3 3"]:
     """Compute the axis rotation of a motion's world to y up: on average, shoulders are above feet.
 
-    The heading is not changed but for axis rotations.
+    Who lies or crawls in all frames has them beside the feet: all joints are less than a leg over y = 0 then, and along
+    the axis from feet to shoulders the person stands on no floor. The heading is not changed but for axis rotations.
     """
     above = _middle(position, index, "Arm") - _middle(position, index, "Foot")
     up = _axis(unit_vectors(above).mean(axis=0))
+    points = position[:, list(index.values())]
+    leg = leg_length(position[0, [index[joint] for joint in LEG]], LEG)
+    heights, along = points[..., 1], points @ up
+    if heights.min() > -ON_FLOOR * leg and heights.max() < leg and abs(along.min()) > ON_FLOOR * leg:
+        up = np.array([0.0, 1.0, 0.0])
     return np.round(rotation_between(up, np.array([0.0, 1.0, 0.0])))
 
 
