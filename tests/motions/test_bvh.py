@@ -105,6 +105,7 @@ def test_hips_may_move_below_a_resting_root(tmp_path):
         ("\n7 8 9 10 20 30 40 50 60", "", r"found 9 values \(the last frame is 0\)"),
         ("JOINT Knee", "BONE Knee", "found 'BONE' in line 6"),
         ("OFFSET 0 -5 0", "OFFSET 0 -5", "found damage in line 8"),
+        ("OFFSET 0 -5 0", "OFFSET 0,0 -5,0 0,0", "found damage in line 8"),
     ],
 )
 def test_errors_of_damaged_files_are_one_line(tmp_path, old, new, message):
@@ -127,6 +128,13 @@ def test_numbers_without_a_blank_before_a_minus_are_two(tmp_path):
     np.testing.assert_array_equal(bvh.offsets[1], [0, -5, 0])
     assert "without a blank before a minus" in bvh.notes[0]
     assert load_bvh(write(tmp_path, SMALL)).notes == ()
+
+
+def test_numbers_may_have_exponents_and_angles_full_turns(tmp_path):
+    """Python writes 1e-05, motion builders count turns: neither changes a rotation, nor those between two frames."""
+    plain = load_bvh(write(tmp_path, SMALL))
+    same = load_bvh(write(tmp_path, SMALL.replace("10 20 30 40 50 60", "1e+01 380 -3.3E2 4.0e01 -310 7.8e2")))
+    np.testing.assert_allclose(same.rotmat, plain.rotmat, atol=1e-12)
 
 
 def test_whole_rows_beyond_the_frame_count_are_not_read(tmp_path):

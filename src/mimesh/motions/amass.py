@@ -120,7 +120,8 @@ def load_amass(path: str | Path) -> Bvh:
 
     `retarget` transfers it to a body.
 
-    AMASS has z up; if the pelvis is upright along y most of the time, the file is taken to have y up, or down (`upright`).
+    AMASS has z up; if the pelvis is upright along y most of the time, the file is taken to have y up, or down
+    (`upright`).
 
     Raises:
         InputError: a damaged archive, or arrays that are missing, of other shapes or lengths, or not finite numbers.
