@@ -44,7 +44,7 @@ FLOOR_QUANTILE = 0.2
 """The floor is this quantile, over frames, of the lowest vertex's height: most takes are on it for longer."""
 FLOOR_FRAMES = 400
 """Frames, evenly spread, that are used to find the floor."""
-OBLIQUE = np.radians(3.0)
+OBLIQUE = np.radians(1.5)
 """Angle between a rest pose and the nearest axis from which on it has a heading of its own. Left and right are not
 quite symmetric: in files of two takes and 20 characters by up to 0.5 degrees, where joints were found by 1.2."""
 ON_FLOOR = 0.2
