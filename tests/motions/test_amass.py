@@ -166,3 +166,21 @@ def test_without_a_path_the_lower_foot_stays_on_the_ground(axes, body, tmp_path)
     np.testing.assert_array_equal(loaded.root[:, [0, 2]], 0.0)
     assert loaded.root[2, 1] == pytest.approx(-1.7 * 0.245 * (1 - np.cos(np.radians(60))), abs=1e-6)
     assert "no 'trans': the person stays in place" in loaded.notes[0]
+
+
+def test_an_archive_in_the_axes_of_a_camera_stands_upright(body, motion, tmp_path):
+    plain, camera = (
+        write_amass(tmp_path / f"{k}.npz", body, motion, axes, mocap_framerate=30.0)
+        for k, axes in enumerate((np.eye(3), np.diag([1.0, -1.0, -1.0])))
+    )
+    np.testing.assert_allclose(motion_of_file(camera).rotmat, motion_of_file(plain).rotmat, atol=1e-6)
+    assert "y points down" in load_amass(camera).notes[-1]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_person_who_lies_along_y_stays_lying(side, tmp_path):
+    """z is up, and the head points to y or to -y: the pelvis is 0.12 m over the floor."""
+    poses = np.zeros((2, 66))
+    poses[:, :3] = Rotation.from_matrix(np.diag([1.0, side, side])).as_rotvec()
+    np.savez(tmp_path / "a.npz", poses=poses, trans=np.full((2, 3), 0.12), mocap_framerate=30.0)
+    np.testing.assert_allclose(load_amass(tmp_path / "a.npz").rotmat[0, 0, :, 1], [0, 0, -side], atol=1e-9)

@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
-from motion_files import Z_UP, write_bvh
+from motion_files import Z_UP, bone_directions, write_bvh
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.errors import InputError
-from mimesh.motions import Motion
+from mimesh.motions import Motion, load_motion
 from mimesh.motions.bvh import load_bvh
+from mimesh.motions.on_body import motion_of_file, on_body
 from mimesh.motions.retarget import retarget
 
 SMALL = """HIERARCHY
@@ -80,12 +81,12 @@ def test_channels_are_applied_in_their_order(tmp_path):
 
 
 def test_hips_may_move_below_a_resting_root(tmp_path):
-    """A quarter turn of the root about y takes x to -z; positions that never change are those of the offsets."""
+    """A quarter turn of the root about y takes x to -z; channels that are 0 in all frames leave the offset."""
     bvh = load_bvh(write(tmp_path, MOVING_HIPS))
     _, position = bvh.world()
     np.testing.assert_allclose(position[:, 0], 0)
-    np.testing.assert_allclose(position[:, 1], [[1, 9, -4], [1, 9, -6]], atol=1e-12)
-    np.testing.assert_allclose(position[:, 2], [[1, 4, -4], [-4, 9, -6]], atol=1e-12)
+    np.testing.assert_allclose(position[:, 1], [[1, 8, -4], [1, 8, -6]], atol=1e-12)
+    np.testing.assert_allclose(position[:, 2], [[1, 3, -4], [-4, 8, -6]], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -104,6 +105,7 @@ def test_hips_may_move_below_a_resting_root(tmp_path):
         ("\n7 8 9 10 20 30 40 50 60", "", r"found 9 values \(the last frame is 0\)"),
         ("JOINT Knee", "BONE Knee", "found 'BONE' in line 6"),
         ("OFFSET 0 -5 0", "OFFSET 0 -5", "found damage in line 8"),
+        ("OFFSET 0 -5 0", "OFFSET 0,0 -5,0 0,0", "found damage in line 8"),
     ],
 )
 def test_errors_of_damaged_files_are_one_line(tmp_path, old, new, message):
@@ -126,6 +128,13 @@ def test_numbers_without_a_blank_before_a_minus_are_two(tmp_path):
     np.testing.assert_array_equal(bvh.offsets[1], [0, -5, 0])
     assert "without a blank before a minus" in bvh.notes[0]
     assert load_bvh(write(tmp_path, SMALL)).notes == ()
+
+
+def test_numbers_may_have_exponents_and_angles_full_turns(tmp_path):
+    """Python writes 1e-05, motion builders count turns: neither changes a rotation, nor those between two frames."""
+    plain = load_bvh(write(tmp_path, SMALL))
+    same = load_bvh(write(tmp_path, SMALL.replace("10 20 30 40 50 60", "1e+01 380 -3.3E2 4.0e01 -310 7.8e2")))
+    np.testing.assert_allclose(same.rotmat, plain.rotmat, atol=1e-12)
 
 
 def test_whole_rows_beyond_the_frame_count_are_not_read(tmp_path):
@@ -159,3 +168,76 @@ def test_a_file_of_the_body_gives_its_rotations(tmp_path):
 def test_a_skeleton_without_limbs_is_refused(tmp_path):
     with pytest.raises(InputError, match="LeftUpLeg"):
         retarget(load_bvh(write(tmp_path, SMALL)), load_body())
+
+
+def with_positions(text: str, bones: dict[str, str], offsets: bool) -> str:
+    """Give each joint but the root position channels that hold its bone in every frame, and keep its OFFSET or not."""
+    hierarchy, rows = text.split("MOTION")
+    for bone in bones.values():
+        hierarchy = hierarchy.replace(f"OFFSET {bone}", f"OFFSET {bone if offsets else '0 0 0'}", 1)
+    hierarchy = hierarchy.replace("CHANNELS 3 ", "CHANNELS 6 Xposition Yposition Zposition ")
+    *head, first, second, _ = rows.split("\n")
+    moved = [" ".join([*row.split()[:6], *bones.values(), *row.split()[6:]]) for row in (first, second)]
+    return "MOTION".join((hierarchy, "\n".join([*head, *moved])))
+
+
+@pytest.mark.parametrize("offsets", [False, True])
+def test_positions_replace_the_offset_even_where_they_never_change(offsets, tmp_path):
+    """Some exporters write bones as positions of frames alone, others an actor's bones beside a standard skeleton."""
+    bones = {"Knee": "0 -5 0"}
+    bvh = load_bvh(write(tmp_path, with_positions(SMALL, bones, offsets).replace(" 0 -5 0 ", " 0 -6 0 ")))
+    np.testing.assert_array_equal(bvh.rest(), [[0, 0, 0], [0, -6, 0]])
+    np.testing.assert_allclose(bvh.world()[1][1, 1], [7, 8, 9] + bvh.rotmat[1, 0] @ [0, -6, 0])
+
+
+@pytest.mark.parametrize("axes", [np.eye(3), Z_UP], ids=["y-up", "z-up"])
+@pytest.mark.parametrize("degrees", [40, -130])
+def test_a_rest_pose_between_the_axes_has_its_own_front(degrees, axes, tmp_path):
+    body, walk = load_body(), load_motion("walk")
+    heading = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+    found = retarget(load_bvh(write_bvh(tmp_path / "a.bvh", body, walk, axes=axes @ heading)), body)
+    expected = retarget(load_bvh(write_bvh(tmp_path / "b.bvh", body, walk)), body)
+    np.testing.assert_allclose(found.rotmat, expected.rotmat, atol=1e-6)
+    np.testing.assert_allclose(found.root, expected.root, atol=1e-5)
+
+
+CAMERA = np.diag([1.0, -1.0, -1.0])
+"""Rotation to the axes of a camera: x right, y down, z ahead."""
+
+
+def upside_down(motion: Motion, **raised: float) -> Motion:
+    rotmat = motion.rotmat.copy()
+    rotmat[:, 0] = CAMERA @ rotmat[:, 0]
+    for joint, angle in raised.items():
+        turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()
+        rotmat[:, motion.joint_names.index(joint)] = turn
+    return Motion("down", motion.joint_names, rotmat, motion.root @ CAMERA, motion.fps)
+
+
+def test_a_motion_in_the_axes_of_a_camera_stands_upright_and_a_handstand_stays(tmp_path):
+    body, walk = load_body(), load_motion("walk")
+    plain = motion_of_file(write_bvh(tmp_path / "a.bvh", body, walk))
+    path = write_bvh(tmp_path / "b.bvh", body, upside_down(walk))
+    found = motion_of_file(path)
+    np.testing.assert_allclose(found.rotmat, plain.rotmat, atol=1e-6)
+    np.testing.assert_allclose(found.root, plain.root, atol=1e-5)
+    assert "upside down" in on_body(load_bvh(path), path).notes[-1]
+    stand = upside_down(walk, LeftArm=90, RightArm=-90, LeftForeArm=0, RightForeArm=0)
+    kept = motion_of_file(write_bvh(tmp_path / "c.bvh", body, stand))
+    for joint, direction in bone_directions(body, kept).items():
+        np.testing.assert_allclose(direction, bone_directions(body, stand)[joint], atol=1e-6)
+
+
+@pytest.mark.parametrize("axes", [np.eye(3), Z_UP], ids=["y-up", "z-up"])
+def test_who_lies_in_all_frames_of_a_take_without_a_standing_rest_pose_stays_lying(axes, tmp_path):
+    """Parts of LAFAN1's takes: all bones point along x at rest. A take with z up that stands is still recognised."""
+    body, walk = load_body(), load_motion("walk")
+    if axes is not Z_UP:
+        lying = Rotation.from_euler("x", -90, degrees=True).as_matrix()
+        low = walk.root + [0.0, -body.joints[0, 1] - walk.root[:, 1].mean() + 0.35, 0.0]
+        walk = Motion("lies", walk.joint_names, walk.rotmat.copy(), low)
+        walk.rotmat[:, 0] = lying @ walk.rotmat[:, 0]
+    found = motion_of_file(write_bvh(tmp_path / "a.bvh", body, walk, rest="along-x", axes=axes))
+    expected, directions = bone_directions(body, walk), bone_directions(body, found)
+    for joint in ("LeftUpLeg", "RightArm"):
+        np.testing.assert_allclose(directions[joint], expected[joint], atol=1e-6)

@@ -76,6 +76,18 @@ def test_the_rig_of_the_driving_may_be_of_any_kind(kind, model, tmp_path):
     assert deviation(result.clip.vertices, truth(rigs.figure())) < LOOSE.get(kind, EXACT)
 
 
+@pytest.mark.parametrize("which", ["identity", "driving", "both"])
+def test_a_rest_pose_between_the_axes_has_its_own_front(which, model, tmp_path):
+    """The result goes where the identity faces in its file, and its limbs stay with its trunk."""
+    oblique = Rotation.from_euler("y", -40, degrees=True).as_matrix()
+    turns = {of: oblique if which in (of, "both") else np.eye(3) for of in ("identity", "driving")}
+    driving = rigs.character(tmp_path / "d.glb", clips={"move": rigs.exercise(rigs.figure())}, turn=turns["driving"])
+    identity = rigs.character(tmp_path / "i.glb", name=renamed("mixamo"), frames=3, turn=turns["identity"])
+    result = animate(str(identity), str(driving), model)
+    assert deviation(result.clip.vertices, truth(rigs.figure()) @ turns["identity"].T) < EXACT
+    assert result.notes == ()
+
+
 @pytest.fixture(scope="module")
 def of_other_person(driving, model, tmp_path_factory) -> np.ndarray:
     path = rigs.character(tmp_path_factory.mktemp("other") / "a.glb", 1)

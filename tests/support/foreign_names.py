@@ -57,6 +57,16 @@ genesis9: {}, l_{}, r_{}; hip spine1 spine2 spine3 neck1 neck2 head
   shoulder upperarm forearm hand thigh shin foot toes
 genesis2: {}, l{}, r{}; hip abdomen abdomen2 chest neck - head
   Collar Shldr ForeArm Hand Thigh Shin Foot Toe
+auto-rig-pro: {}.x, {}.l, {}.r; root spine_01 spine_02 spine_03 neck - head
+  shoulder arm_stretch forearm_stretch hand thigh_stretch leg_stretch foot toes_01
+advanced-skeleton: {}_M, {}_L, {}_R; Root Spine1 Spine2 Chest Neck - Head
+  Scapula Shoulder Elbow Wrist Hip Knee Ankle Toes
+optitrack: {}, L{}, R{}; Hip - Ab Chest Neck - Head
+  Shoulder UArm FArm Hand Thigh Shin Foot Toe
+theia: {}, l_{}, r_{}; pelvis - abdomen thorax neck - head
+  clavicle uarm larm hand thigh shank foot toes
+valve: ValveBiped.Bip01_{}, ValveBiped.Bip01_L_{}, ValveBiped.Bip01_R_{}; Pelvis Spine Spine1 Spine4 Neck1 - Head1
+  Clavicle UpperArm Forearm Hand Thigh Calf Foot Toe0
 segments: {}, L{}, R{}; pelvis - spine thorax neck - head
   clavicle humerus ulna hand thigh shank foot toes
 daz: {}, l{}, r{}; hip abdomenLower abdomenUpper chestLower neckLower neckUpper head

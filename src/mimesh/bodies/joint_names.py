@@ -21,13 +21,13 @@ from ..core.errors import InputError
 T = TypeVar("T")
 PARTS = {
     "HipJoint": "hipjoint",
-    "Leg": "lowerleg lowleg downleg shin shank calf tibia knee leg",
+    "Leg": "lowerleg lowleg loleg downleg shin shank calf tibia knee leg",
     "UpLeg": "upleg upperleg thigh thighbend femur hip leg",
     "Foot": "ankle foot",
     "ToeBase": "toebase toe toes toe0 ball metatarsals foot",
-    "ForeArm": "forearm lowerarm lowarm forearmbend elbow radius ulna",
-    "Arm": "upperarm uparm humerus shldr shldrbend arm shoulder",
-    "Shoulder": "clavicle collar collarbone shoulder",
+    "ForeArm": "forearm lowerarm lowarm loarm larm farm forearmbend elbow radius ulna",
+    "Arm": "upperarm uparm uarm humerus shldr shldrbend arm shoulder",
+    "Shoulder": "clavicle collar collarbone scapula shoulder",
     "Hand": "wrist hand fist",
 }
 """Limb joints of the shipped body without their side, and words that others use for them, the least ambiguous first.
@@ -76,6 +76,8 @@ JAPANESE = {
     **{"足d": "leg", "ひざd": "knee", "足首d": "ankle"},
 }
 """Words in the names of MikuMikuDance. Those with a D are copies of leg joints, which carry the weights."""
+MIDDLE = {"x", "m"}
+"""Last words of joints that are on no side: Auto-Rig Pro (head.x), AdvancedSkeleton (Head_M)."""
 HIPS = ("hips", "hip", "pelvis")
 """Words for the root of trunk and legs."""
 SIDES = {"left": "Left", "l": "Left", "right": "Right", "r": "Right"}
@@ -301,7 +303,11 @@ def plain_names(joint_names: tuple[str, ...]) -> list[str]:
             for parts in words:
                 if len(parts) > 1 and parts[end] == common:
                     del parts[end]
-    return [_RIG_PREFIX.sub("", "".join(parts)) for parts in words]
+    for parts in words:
+        if len(parts) > 1 and parts[-1] in MIDDLE:
+            del parts[-1]
+    # Auto-Rig Pro's thigh_stretch.l is the thigh, beside thigh_twist.l.
+    return [_RIG_PREFIX.sub("", "".join(part for part in parts if part != "stretch")) for parts in words]
 
 
 def ancestors(parents: Sequence[int], joint: int) -> list[int]:
@@ -428,6 +434,6 @@ def _below(chain: list[int], top: int) -> list[int]:
 def _head(plain: list[str], parents: tuple[int, ...], chest: int) -> int | None:
     """Find the head by name, or else the last descendant of the chest named spine or neck."""
     descendants = [j for j in range(len(plain)) if chest in ancestors(parents, j)[1:]]
-    heads = [j for j in descendants if plain[j] in ("head", "chead")]
+    heads = [j for j in descendants if plain[j] in ("head", "chead", "head1")]
     heads = heads or [j for j in descendants if plain[j].startswith(("spine", "neck"))][-1:]
     return heads[0] if heads else None

@@ -83,6 +83,8 @@ RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 """Names of the array with the frame rate."""
 BODY_ALONE = 69
 """Numbers of SMPL's body without its root: one joint less than the usual 72, so each would be read as the next one."""
+LOW = 0.3
+"""Height of the pelvis (metres) below which it stays while a person lies."""
 DEFAULT_RATE = 30.0
 """Frames per second of a file without a frame rate."""
 MOTION = ("poses", "root_orient", "pose_body", "trans", *RATES)
@@ -118,7 +120,8 @@ def load_amass(path: str | Path) -> Bvh:
 
     `retarget` transfers it to a body.
 
-    AMASS has z up; if the pelvis is upright along y most of the time, the file is taken to have y up.
+    AMASS has z up; if the pelvis is upright along y most of the time, the file is taken to have y up, or down
+    (`upright`).
 
     Raises:
         InputError: a damaged archive, or arrays that are missing, of other shapes or lengths, or not finite numbers.
@@ -132,13 +135,16 @@ def load_amass(path: str | Path) -> Bvh:
         rotvec = np.delete(rotvec, slice(len(JOINTS), rotvec.shape[1] - len(FINGERS)), axis=1)
     rotmat = rotvec_to_rotmat(rotvec[:, : len(skeleton)])
     # Only the root is rotated to y up; the other rotations are relative to it.
-    axes = upright(rotmat[:, 0])
+    axes = upright(rotmat[:, 0], trans)
     rotmat[:, 0] = axes @ rotmat[:, 0]
     names = tuple(skeleton)
     parents = tuple(names.index(parent) if parent else -1 for parent, _ in skeleton.values())
     offsets = HEIGHT * np.array([offset for _, offset in skeleton.values()])
+    notes = _lacking(arrays)
+    if axes[1, 1] < 0:
+        notes += ("y points down, as in the axes of a camera: the person is turned upright",)
     return Bvh(path.stem, names, parents, offsets, {}, rotmat, trans @ axes.T, _rate(arrays, path),
-                notes=tuple(f"{path.name}: {note}" for note in _lacking(arrays)))  # fmt: skip
+                notes=tuple(f"{path.name}: {note}" for note in notes))  # fmt: skip
 
 
 def load_recording(path: str | Path) -> BodyRecording:
@@ -336,12 +342,24 @@ def _rate(arrays: dict[str, np.ndarray], path: Path) -> float:
     return float(found.item())
 
 
-def upright(pelvis: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "3 3"]:
-    """Compute the axis rotation of a recording's world to y up: from z up, unless the pelvis is upright along y."""
+def upright(
+    pelvis: Float[np.ndarray, "T 3 3"], trans: Float[np.ndarray, "T 3"] | None = None
+) -> Float[np.ndarray, "3 3"]:
+    """Compute the axis rotation of a recording's world to y up.
+
+    From z up, unless the pelvis is upright along y; or upside down, as in the axes of a camera (x right, y down, z
+    ahead). Who lies along y has the pelvis close over z = 0 in all frames, and not at the height of who stands over
+    y = 0.
+    """
     pelvis_up = pelvis[:, :, 1].mean(axis=0)
-    if pelvis_up[1] > max(pelvis_up[2], 0.5):
-        return np.eye(3)
+    lies = trans is not None and _within(trans[:, 2], 0.0, LOW) and not _within(trans[:, 1], LOW, HEIGHT)
+    if abs(pelvis_up[1]) > max(abs(pelvis_up[2]), 0.5) and not lies:
+        return np.diag([1.0, 1.0, 1.0] if pelvis_up[1] > 0 else [1.0, -1.0, -1.0])
     return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def _within(values: Float[np.ndarray, " T"], low: float, high: float) -> bool:
+    return bool(low < values.min() and values.max() < high)
 
 
 def _length_error(path: Path, first: str, first_rows: int, second: str, second_rows: int) -> InputError:

@@ -20,6 +20,8 @@ MOTION = re.compile(r"(?:\}\s*|^[ \t]*)(?P<word>MOTION)(?!\S)", re.MULTILINE)
 """The word between hierarchy and frames, which may be part of joints' names, too."""
 OFFSETS, MINUS = re.compile(r"OFFSET\s+[-+.\d][^\n}]*"), re.compile(r"(?<=[\d.])-(?=[\d.])")
 """Numbers of offsets; a minus without a blank before it, as exporters with columns of fixed width write it."""
+ABSENT = 0.01
+"""Lengths of a bone from the OFFSET up to which position channels are taken for 0."""
 SHORTEST, LONGEST = 1e-6, 3600.0
 """Frame times (seconds) between which a file is not damaged."""
 
@@ -72,8 +74,9 @@ class Bvh:
 def load_bvh(path: str | Path) -> Bvh:
     """Load a BVH file. Angles are degrees; the rotation is the product of the channels' rotations in their order.
 
-    Position channels of joints other than the root are used if they change: in some files the hips move below a
-    resting root. Constant ones are ignored in favour of the OFFSET.
+    Position channels of joints other than the root replace the OFFSET: in some files the hips move below a resting
+    root, in some every OFFSET is 0, and some have the OFFSETs of another actor. Channels that stay within ABSENT of 0
+    hold nothing, and leave the OFFSET. Where a bone without an OFFSET changes its length, its mean is that at rest.
 
     Raises:
         InputError: not a BVH file, a damaged hierarchy, several roots, or motion rows that do not fit it.
@@ -90,7 +93,7 @@ def load_bvh(path: str | Path) -> Bvh:
     fps, values, notes = _read_rows(text[start:], text.count("\n", 0, start) + 1, sum(map(len, channels)), path)
     # Joints without channels are posed in every frame, too: what they take is not in proportion to the file.
     POSED_JOINTS.check(len(values) * len(names), path, len(text))
-    rotmat, root, moved = _apply_channels(channels, values, offsets)
+    rotmat, root, moved, offsets = _apply_channels(channels, values, offsets)
     return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, fps, moved, notes)
 
 
@@ -248,20 +251,28 @@ def _rate(frame_time: str) -> float:
 
 
 def _apply_channels(channels, values, offsets):
-    """Compute local rotation matrices (T, J, 3, 3), the root's path (T, 3), and the paths of other moving joints."""
-    frames = len(values)
+    """Compute local rotations (T, J, 3, 3), the root's path (T, 3), paths of other moving joints, and bones at rest."""
+    frames, offsets = len(values), offsets.copy()
     rotmat = np.tile(np.eye(3), (frames, len(channels), 1, 1))
-    moved: dict[int, np.ndarray] = {0: np.tile(offsets[0], (frames, 1))}
+    root, moved = np.tile(offsets[0], (frames, 1)), {}
     column = 0
     for j, kinds in enumerate(channels):
+        path = np.tile(offsets[j], (frames, 1))
         for kind, axis in kinds:
             if kind == "rotation":
                 rotmat[:, j] = rotmat[:, j] @ _about_axis(axis, np.radians(values[:, column]))
-            # Positions of other joints that never change are ignored, see `load_bvh`.
-            elif j == 0 or np.ptp(values[:, column]) > 0:
-                moved.setdefault(j, np.tile(offsets[j], (frames, 1)))[:, axis] = values[:, column]
+            else:
+                path[:, axis] = values[:, column]
             column += 1
-    return rotmat, moved.pop(0), moved
+        placed = [axis for kind, axis in kinds if kind == "position"]
+        if j == 0:
+            root = path
+        elif placed and np.abs(path[:, placed]).max() > ABSENT * np.abs(offsets[j]).max():
+            if np.ptp(path, axis=0).max() > 0:
+                moved[j] = path
+            if j not in moved or not offsets[j].any():
+                offsets[j] = path.mean(axis=0)
+    return rotmat, root, moved, offsets
 
 
 def _about_axis(axis: int, angle: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3 3"]:

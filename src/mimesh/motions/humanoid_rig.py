@@ -30,9 +30,10 @@ from ..bodies.joint_names import ancestors, finger_joints, named_fingers, parent
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.geometry import nearest_rotation
 from ..core.normalization import axis_name
+from ..core.normalization import turn as turned_about_y
 from ..core.person_motion import PersonMotion
 from ..core.rig import descendants
-from .retarget import BONES, limb_alignments
+from .retarget import BONES, limb_alignments, rest_heading
 
 LEG = ("UpLeg", "Leg", "Foot")
 """Joints of a leg from hip to ankle, without their side."""
@@ -54,6 +55,8 @@ class HumanoidRig:
     """Limbs in the axes of the file."""
     turn: Float[np.ndarray, "3 3"]
     """Rotation from the file's axes to y up, +z front."""
+    heading: float = 0.0
+    """Angle (radians, from z towards x, after `turn`) at which it faces, where that is between the axes."""
 
     body_name: ClassVar[str] = "human"
     """The shipped body whose joints these are."""
@@ -119,7 +122,10 @@ class HumanoidRig:
         up, front = axis_name(self.turn[1]), axis_name(self.turn[2])
         at_rest = self.turn @ frames, rest[:, :3, 3] @ self.turn.T
         surface = character.mesh.vertices
-        return PersonMotion(names, moved @ frames, world[..., :3, 3], self.leg, weights, surface, front, up, at_rest)
+        positions = world[..., :3, 3]
+        return PersonMotion(
+            names, moved @ frames, positions, self.leg, weights, surface, front, up, at_rest, self.heading
+        )
 
     def tree(self) -> tuple[list[int], tuple[int, ...]]:
         """Select the joints that move with the hips, the hips first, and the parent of each among them.
@@ -194,6 +200,7 @@ def humanoid_rig(
         {name: back @ frames[name] for name in joints},
         {name: Limb(limb.joint, back @ limb.start, back @ limb.end) for name, limb in limbs.items()},
         turn,
+        rest_heading(facing.joints, named),
     )
     return rig, order.tolist()
 
@@ -201,13 +208,14 @@ def humanoid_rig(
 def rest_frames(
     rest: Float[np.ndarray, "J 3"], joints: Mapping[str, int], limbs: Mapping[str, Limb]
 ) -> dict[str, Float[np.ndarray, "3 3"]]:
-    """Compute A_j (see the module) of all named joints of a character that faces +z."""
-    body = body_with_fingers()
-    bones = {name: limb.end - limb.start for name, limb in limbs.items() if name in BONES}
+    """Compute A_j (see the module) of all named joints of a character that faces +z more than any other axis."""
+    body, heading = body_with_fingers(), turned_about_y(rest_heading(rest, joints))
+    rest = rest @ heading  # rows: turned back to +z
+    bones = {name: (limb.end - limb.start) @ heading for name, limb in limbs.items() if name in BONES}
     aligned = limb_alignments(bones, body)
     frames = {name: aligned.get(name, np.eye(3)) for name in joints}
     positions = {name: rest[joint] for name, joint in joints.items()}
     for side in SIDES:
         if f"{side}Hand" in joints:
             frames |= hand_frames(positions, frames[f"{side}Hand"], side)
-    return frames
+    return {name: heading @ frame for name, frame in frames.items()}

@@ -24,7 +24,7 @@ from ..core.skinning import SkinnedMesh
 from .amass import is_amass, load_amass
 from .bvh import Bvh, load_bvh
 from .motion import Motion, cut_motion, joint_tracks, leg_length, resample
-from .retarget import rests_standing, retarget
+from .retarget import rests_standing, retarget, righted
 
 BVH = ".bvh"
 """Suffix of BVH files."""
@@ -62,13 +62,15 @@ def on_body(source: Bvh, path: str | Path) -> BodyMotion:
     Raises:
         InputError: the hips and limbs are not found by name.
     """
+    upright = righted(source)
     known = named_joints(source.joint_names, source.parents)
     fingered = captured_fingers(source.joint_names, source.parents, known)
     body = body_with_fingers() if fingered else load_body()
-    found = retarget(source, body, str(path), hands=True, stands_at_rest=True)
+    # The path of who stood upside down says nothing about the floor of the rest pose.
+    found = retarget(upright, body, str(path), hands=True, stands_at_rest=upright is source)
     motion = dataclasses.replace(found, name=source.name)
     if rests_standing(source.rest(), known):
-        return BodyMotion(motion, "+z", source.notes)
+        return BodyMotion(motion, "+z", upright.notes)
     note = (
         f"{source.name} does not stand in its rest pose: its frames show how its joints are turned, with hips and head "
         "level while it stands upright and feet while they are flat"
@@ -82,7 +84,7 @@ def motion_of_file(path: str | Path) -> Motion:
     Raises:
         InputError: a damaged file, or a skeleton in which the hips and limbs are not found by name.
     """
-    source = _load(path)
+    source = righted(_load(path))
     return dataclasses.replace(retarget(source, load_body(), str(path)), name=source.name)
 
 

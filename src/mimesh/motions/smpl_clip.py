@@ -83,7 +83,7 @@ def recorded_clip(
     )
     motion = motion if fps is None or len(motion) == 1 else resample(motion, fps, str(path))
     # The parameters are in the world of the file, so its axes are changed after posing.
-    axes = upright(motion.rotmat[:, 0]) if is_archive else np.eye(3)
+    axes = upright(motion.rotmat[:, 0], motion.root) if is_archive else np.eye(3)
     if count is not None:
         chosen = spread_exactly(len(motion), count, path.name)
         rate = motion.fps * (count - 1) / (len(motion) - 1) if count > 1 else motion.fps

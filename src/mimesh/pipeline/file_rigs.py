@@ -13,7 +13,7 @@ from ..bodies.anatomy import body_of_joints
 from ..bodies.character_limbs import FindJoints
 from ..core.errors import option
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import axis_name
+from ..core.normalization import axis_name, turn
 from ..core.person_motion import PersonMotion
 from ..io.formats import may_have_joints
 from .known import Axes, Known
@@ -111,6 +111,12 @@ class Rigs:
         """The identity's rig; None: its joints are found on its surface."""
         return self.given if self.identity is None else self.identity.humanoid
 
+    @property
+    def heading(self) -> float:
+        """Angle (radians about y) from where the driving faces at rest to where the identity does, between the axes."""
+        mine, theirs = (0.0 if of is None else of.heading for of in (self.humanoid, self.driving))
+        return mine - theirs
+
     def axes(self, axes: Axes) -> Axes:
         """Fill in up and front of the identity and the driving, where the rigs say them and the user does not."""
         up, front, driving_up, driving_front = axes
@@ -171,7 +177,7 @@ def heading_note(driving: PersonMotion | None, name: str, front: str) -> tuple[s
     """Return a note where a driving does not begin facing the front of its rest pose, which is taken as `front`."""
     if driving is None or front != driving.front:
         return ()
-    ahead = driving.rotation[0, 0, :, 2] * [1, 0, 1]
+    ahead = turn(-driving.heading) @ (driving.rotation[0, 0, :, 2] * [1, 0, 1])
     if np.hypot(*ahead[[0, 2]]) < LEVEL or axis_name(ahead) == front:
         return ()
     given = option("driving_front", axis_name(ahead))

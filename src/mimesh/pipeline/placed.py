@@ -98,8 +98,11 @@ class Placed:
 
     @property
     def turn(self) -> Float[np.ndarray, "3 3"]:
-        """The turn of results about y: results have the driving's heading, not the identity's."""
-        return turn(self.norms[1].heading - self.norms[0].heading)
+        """The turn of results about y: results have the driving's heading, not the identity's.
+
+        Where the rest pose of a rig faces between the axes, results are turned from there.
+        """
+        return turn(self.norms[1].heading - self.norms[0].heading + self.rigs.heading)
 
     @property
     def stride(self) -> float:
