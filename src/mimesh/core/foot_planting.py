@@ -268,19 +268,18 @@ def plant_feet(
     root, steps = found[0], found[1:]
     steps *= np.minimum(1, LARGEST_STEP * leg / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-9))
     positions = skinned.joint_positions(posed.rotation, posed.root)
-    lowered = _lowered_hips(positions, feet, steps, FLOATING * leg, track.fps, cyclic)[:, None] * [0.0, 1.0, 0.0]
-    rotation = posed.rotation
     bends = [1.0] * (len(steps) - feet.hands) + [-1.0] * feet.hands  # knees to the front, elbows to the back
-    for joints, step, bend, fixed in zip(feet.legs, steps, bends, stiff, strict=True):
-        if not fixed:
-            rotation = move_ankle(rotation, positions, joints, step + lowered, skinned.parents, bend)
+    legs = [limb for limb in zip(feet.legs, steps, bends, strict=True) if len(limb[0]) == 3]
+    lowered = _lowered_hips(positions, legs, FLOATING * leg, track.fps, cyclic)[:, None] * [0.0, 1.0, 0.0]
+    rotation = posed.rotation
+    for joints, step, bend in legs:
+        rotation = move_ankle(rotation, positions, joints, step + lowered, skinned.parents, bend)
     return PosedJoints(rotation, posed.root + root - lowered)
 
 
 def _lowered_hips(
     positions: Float[np.ndarray, "T J 3"],
-    feet: Feet,
-    steps: Float[np.ndarray, "F T 3"],
+    legs: list[tuple[tuple[int, ...], Float[np.ndarray, "T 3"], float]],
     tolerance: float,
     fps: float,
     cyclic: bool,
@@ -289,7 +288,7 @@ def _lowered_hips(
     from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
     missing = np.zeros(len(positions))
-    for joints, step in [of for of, fixed in zip(zip(feet.legs, steps, strict=True), feet.stiff) if not fixed]:
+    for joints, step, _ in legs:
         line = positions[:, joints[2]] - positions[:, joints[0]] + step
         distance = np.linalg.norm(line, axis=1)
         # Lowering the hips shortens a leg that is not vertical by less.
@@ -362,7 +361,7 @@ def _heights(
 ) -> tuple[Float[np.ndarray, "T F"], Float[np.ndarray, "T F"]]:
     """Compute the weight of each foot in each frame, and how far it has to be lifted to be as high as the driving's.
 
-    With `lowest`, this is that of the lowest foot for all: stiff legs swing through the ground, where the driving's bend.
+    With `lowest`, that is how far the lowest one is: stiff legs swing through the ground, where the driving's bend.
     """
     standing, theirs = contacts.near, contacts.soles[..., 1].min(axis=2)
     if lowest:
