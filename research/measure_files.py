@@ -48,6 +48,8 @@ SAME = 1e-4
 """Largest distance, over the diagonal of the mesh, of what another reader reads from what the tool has in memory."""
 FLOOR = 0.012
 """Largest median distance of a person's soles from the floor that they have at rest, over the height: 2 cm of 1.7 m."""
+STANDS = 0.8
+"""Vertical extent at rest, over that of the result, of a person who rests standing."""
 FRAMES = 24
 """Frames of each driving clip."""
 COMPARED = 5
@@ -213,13 +215,18 @@ def _range(driving: Path) -> FrameRange:
 
 
 def _floor(mesh: Mesh, result: ClipResult) -> Float[np.ndarray, " T"]:
-    """Return the height of the lowest vertex of the feet over that at rest in every frame, over the mesh's height."""
+    """Return the height of the lowest vertex of the feet over that at rest in every frame, over the height of who moves.
+
+    Who rests sitting or lying is on the floor with something else: then it is the lowest vertex of all at rest.
+    """
     up = result.report["identity"]["up"]
     axis, sign = "xyz".index(up[-1]), -1.0 if up.startswith("-") else 1.0
     feet = _feet(result.skeleton)
     rest = sign * mesh.vertices[:, axis]
-    lowest = [(sign * frame[feet, axis]).min() for frame in _frames(result, len(result.frames))]
-    return (np.array(lowest) - rest[feet].min()) / np.ptp(rest)
+    frames = sign * _frames(result, len(result.frames))[..., axis]
+    height = np.median(np.ptp(frames, axis=1))
+    floor = rest[feet].min() if np.ptp(rest) > STANDS * height else rest.min()
+    return (frames[:, feet].min(axis=1) - floor) / height
 
 
 def _feet(skeleton: AnimatedRig | None) -> Int[np.ndarray, " N"] | slice:
@@ -228,7 +235,8 @@ def _feet(skeleton: AnimatedRig | None) -> Int[np.ndarray, " N"] | slice:
         return slice(None)
     roles = skeleton.person or {name: j for j, name in enumerate(skeleton.names)}
     below = descendants([roles[name] for name in ("LeftFoot", "RightFoot") if name in roles], skeleton.parents)
-    found = np.flatnonzero(np.isin(skeleton.rig.weights.argmax(axis=1), below))
+    joints, weights = skeleton.strongest()
+    found = np.flatnonzero(np.isin(joints[:, 0], below) & (weights[:, 0] > 0))
     return found if len(found) else slice(None)
 
 

@@ -21,7 +21,7 @@ from mimesh.core.foot_planting import (
     plant_feet,
 )
 from mimesh.core.joint_tracks import JointTrack, root_path
-from mimesh.core.rig import Rig, leg_length
+from mimesh.core.rig import Rig, descendants, leg_length
 from mimesh.core.skinning import SkinnedMesh
 from mimesh.core.soles import Feet, find_soles
 from mimesh.core.surface_points import SurfacePoints
@@ -126,14 +126,23 @@ def test_of_a_leg_without_an_ankle_the_lowest_part_is_its_sole():
         assert (vertices[soles].mean(axis=1)[:, 1] < vertices[:, 1].min() + 0.03).all()
 
 
-def test_legs_without_ankles_are_measured_but_not_planted():
+@pytest.mark.parametrize("bones", [1, 2])
+def test_legs_that_cannot_bend_stand_by_the_height_of_the_root(bones):
+    """The lowest sole is as high over the ground as the driving's in each frame; without, stiff legs sink into it."""
     whole = walking()
-    without = dataclasses.replace(whole, feet=dataclasses.replace(whole.feet, legs=tuple(leg[:2] for leg in LEGS)))
-    posed = without.posed()
-    np.testing.assert_array_equal(without.planted().rotation, posed.rotation)
-    np.testing.assert_array_equal(without.planted().root, posed.root)
-    assert without.skate(posed) == whole.skate(posed)
-    assert without.skate(posed)[0] > 0
+    feet = dataclasses.replace(whole.feet, legs=tuple(leg[:bones] for leg in LEGS))
+    rotation = whole.track.rotation.copy()
+    for leg in LEGS:
+        rotation[:, descendants([leg[bones - 1]], BODY.parents)] = rotation[:, leg[bones - 1], None]
+    stiff = dataclasses.replace(whole, feet=feet, track=dataclasses.replace(whole.track, rotation=rotation))
+    before, after = stiff.posed(), stiff.planted()
+    np.testing.assert_array_equal(after.rotation, before.rotation)
+    assert stiff.skate(after)[0] < 0.9 * stiff.skate(before)[0]
+    driving = stiff.stride * whole.track.soles[..., 1].min(axis=(1, 2))
+    errors = [feet.identity_heights(of.rotation, of.root).min(axis=1) - driving for of in (before, after)]
+    leg = whole.stride * feet.driving_leg
+    assert np.ptp(errors[0]) > 0.05 * leg
+    assert np.ptp(errors[1]) < 0.025 * leg
 
 
 def test_a_surface_without_feet_has_no_soles():
@@ -288,7 +297,7 @@ def test_a_trend_of_heights_does_not_go_on_where_no_foot_stands():
     frames, standing = 60, slice(20, 40)
     weight, error = np.zeros((frames, 1)), np.zeros((frames, 1))
     weight[standing], error[standing, 0] = 1.0, np.linspace(0, 0.2, 20)
-    root = _solve(weight, error, frames, 30.0, HEIGHTS, (False, False))[0]
+    root = _solve(weight, error, frames, 30.0, HEIGHTS, (False, False), np.array([False]))[0]
     assert root[39] - root[20] > 0.15
     assert np.ptp(root[:20]) < 0.01
     assert np.ptp(root[40:]) < 0.01

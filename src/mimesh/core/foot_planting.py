@@ -231,7 +231,7 @@ def plant_feet(
 ) -> PosedJoints:
     """Correct a motion so that soles stand where the driving's do; nothing changes if those never stand.
 
-    Nor if a leg of the identity has no ankle.
+    A leg of the identity without knee or ankle cannot bend: the root alone takes its sole to the ground.
 
     Args:
         posed: the motion of the identity.
@@ -243,7 +243,7 @@ def plant_feet(
             does.
         slides: whether to correct slides, or heights only.
     """
-    contacts = find_contacts(track, feet.driving_leg, feet.hands) if feet.can_be_planted else None
+    contacts = find_contacts(track, feet.driving_leg, feet.hands)
     if contacts is None:
         return posed
     if feet.hands and not contacts.near[:, -feet.hands :].any():
@@ -251,7 +251,7 @@ def plant_feet(
             posed, track.without_hands(feet.hands), skinned, feet.without_hands(), scale, free_root, slides
         )
     leg, cyclic = feet.driving_leg * scale[1], is_cyclic(track, feet.driving_leg)
-    soles = feet.identity_soles(posed.rotation, posed.root)
+    soles, stiff = feet.identity_soles(posed.rotation, posed.root), feet.stiff
     found = np.zeros((1 + len(feet.legs), *posed.root.shape))
     if slides:
         # Where the driving walks in place, a corrected root would drift.
@@ -259,25 +259,27 @@ def plant_feet(
         weight, error = _slides(soles, contacts, scale[0], track.fps, leg)
         for axis, closed_root in _ground_axes(track.positions[-1, 0] - track.positions[0, 0], feet.driving_leg):
             closed = (cyclic, cyclic and closed_root)
-            along = _solve(weight, error @ axis, len(soles), track.fps, SLIDES, closed, free_root)
+            along = _solve(weight, error @ axis, len(soles), track.fps, SLIDES, closed, stiff, free_root)
             found += along[..., None] * axis
-    weight, error = _heights(soles, contacts, scale[1], track.fps, leg)
-    found[..., 1] = _solve(weight, error, len(soles), track.fps, HEIGHTS, (cyclic, cyclic))
+    heights = feet.identity_heights(posed.rotation, posed.root)
+    weight, error = _heights(heights, contacts, scale[1], track.fps, leg, bool(stiff.all()))
+    stiffness = replace(HEIGHTS, root_bend=HEIGHTS.leg_bend) if stiff.all() else HEIGHTS
+    found[..., 1] = _solve(weight, error, len(soles), track.fps, stiffness, (cyclic, cyclic), stiff)
     root, steps = found[0], found[1:]
     steps *= np.minimum(1, LARGEST_STEP * leg / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-9))
     positions = skinned.joint_positions(posed.rotation, posed.root)
-    lowered = _lowered_hips(positions, feet, steps, FLOATING * leg, track.fps, cyclic)[:, None] * [0.0, 1.0, 0.0]
-    rotation = posed.rotation
     bends = [1.0] * (len(steps) - feet.hands) + [-1.0] * feet.hands  # knees to the front, elbows to the back
-    for joints, step, bend in zip(feet.legs, steps, bends, strict=True):
+    legs = [limb for limb in zip(feet.legs, steps, bends, strict=True) if len(limb[0]) == 3]
+    lowered = _lowered_hips(positions, legs, FLOATING * leg, track.fps, cyclic)[:, None] * [0.0, 1.0, 0.0]
+    rotation = posed.rotation
+    for joints, step, bend in legs:
         rotation = move_ankle(rotation, positions, joints, step + lowered, skinned.parents, bend)
     return PosedJoints(rotation, posed.root + root - lowered)
 
 
 def _lowered_hips(
     positions: Float[np.ndarray, "T J 3"],
-    feet: Feet,
-    steps: Float[np.ndarray, "F T 3"],
+    legs: list[tuple[tuple[int, ...], Float[np.ndarray, "T 3"], float]],
     tolerance: float,
     fps: float,
     cyclic: bool,
@@ -286,7 +288,7 @@ def _lowered_hips(
     from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
     missing = np.zeros(len(positions))
-    for joints, step in zip(feet.legs, steps, strict=True):
+    for joints, step, _ in legs:
         line = positions[:, joints[2]] - positions[:, joints[0]] + step
         distance = np.linalg.norm(line, axis=1)
         # Lowering the hips shortens a leg that is not vertical by less.
@@ -355,16 +357,23 @@ def _slides(
 
 
 def _heights(
-    soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts, scale: float, fps: float, leg: float
+    mine: Float[np.ndarray, "T F"], contacts: FootContacts, scale: float, fps: float, leg: float, lowest: bool
 ) -> tuple[Float[np.ndarray, "T F"], Float[np.ndarray, "T F"]]:
-    """Compute the weight of each foot in each frame, and how far it has to be lifted to be as high as the driving's."""
-    error = scale * contacts.soles[..., 1].min(axis=2) - soles[..., 1].min(axis=2)
+    """Compute the weight of each foot in each frame, and how far it has to be lifted to be as high as the driving's.
+
+    With `lowest`, that is how far the lowest one is: stiff legs swing through the ground, where the driving's bend.
+    """
+    standing, theirs = contacts.near, contacts.soles[..., 1].min(axis=2)
+    if lowest:
+        standing = np.broadcast_to(standing.max(axis=1, keepdims=True), standing.shape)
+        theirs, mine = (np.broadcast_to(of.min(axis=1, keepdims=True), of.shape) for of in (theirs, mine))
+    error = scale * theirs - mine
     # Where the ground is does not matter: it is the same for all frames.
-    near, legs = contacts.near > 0.5, error.shape[1] - contacts.hands
+    near, legs = standing > 0.5, error.shape[1] - contacts.hands
     part = slice(legs) if near[:, :legs].any() else slice(legs, None)  # feet tell it where any is on the ground
     error = error - np.median(error[:, part][near[:, part]]) if near.any() else error
     # Divided by the frame rate, as slides are, so that the rate has no influence on the balance with the penalties.
-    weight = contacts.near * falling(np.abs(error) / leg, MISREAD_HEIGHT) / (HEIGHT_SECONDS * fps) ** 2
+    weight = standing * falling(np.abs(error) / leg, MISREAD_HEIGHT) / (HEIGHT_SECONDS * fps) ** 2
     return weight, np.sign(error) * np.maximum(np.abs(error) - EVEN * leg, 0)
 
 
@@ -383,7 +392,7 @@ def height_of_soles(posed: PosedJoints, track: JointTrack, feet: Feet, scale: fl
     lowest ones.
     """
     assert track.soles is not None
-    theirs, mine = track.soles[..., 1].min(axis=2), feet.identity_soles(posed.rotation, posed.root)[..., 1].min(axis=2)
+    theirs, mine = track.soles[..., 1].min(axis=2), feet.identity_heights(posed.rotation, posed.root)
     contacts, legs = find_contacts(track, feet.driving_leg, feet.hands), len(feet.legs) - feet.hands
     part, frames = slice(legs), slice(None)
     if contacts is not None:
@@ -425,6 +434,7 @@ def _solve(
     fps: float,
     stiffness: Stiffness,
     closed: tuple[bool, bool],
+    stiff: Bool[np.ndarray, " F"],
     free_root: bool = True,
 ) -> Float[np.ndarray, "G T"]:
     """Solve for the corrections of the root and of the F legs (G = 1 + F) along one axis.
@@ -439,6 +449,7 @@ def _solve(
         fps: frames a second.
         stiffness: weights of the penalties.
         closed: whether the legs' corrections, and the root's, end as they begin.
+        stiff: whether a leg stays as it is.
         free_root: whether the root is corrected.
     """
     from scipy import sparse
@@ -462,7 +473,8 @@ def _solve(
     equations = [measure.T @ sparse.diags_array(w) @ measure for w in weight.T]
     blocks: list[list] = [[root + sum(equations), *equations]]
     for f, equation in enumerate(equations):
-        blocks.append([equation, *([None] * f), equation + leg, *([None] * (len(equations) - f - 1))])
+        own = equation + (unit / TINY if stiff[f] else leg)
+        blocks.append([equation, *([None] * f), own, *([None] * (len(equations) - f - 1))])
     sides = [measure.T @ (w * e) for w, e in zip(weight.T, error.T, strict=True)]
     side = np.concatenate([np.sum(sides, axis=0), *sides])
     return factor(sparse.csr_array(sparse.block_array(blocks))).solve(side).reshape(-1, frames)

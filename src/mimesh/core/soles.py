@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from .frame_buffer import Frames, Progress, vertices_of_all
 from .rig import Rig, descendants
@@ -142,17 +142,31 @@ class Feet:
         )
 
     @property
-    def can_be_planted(self) -> bool:
-        """Whether each leg has two bones and an ankle, as inverse kinematics needs."""
-        return all(len(leg) == 3 for leg in self.legs)
+    def stiff(self) -> Bool[np.ndarray, " F"]:
+        """Whether a leg lacks the two bones and the ankle that inverse kinematics needs."""
+        return np.array([len(leg) < 3 for leg in self.legs])
 
     def identity_soles(
         self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
     ) -> Float[np.ndarray, "T F C 3"]:
         """Return the identity's contact points in all frames."""
-        at_origin = self.identity.posed_frames(rotation, np.zeros_like(root))
-        soles = at_origin.reshape(len(rotation), len(self.legs), -1, MEAN_OF, 3).mean(axis=3)
-        return soles + root[:, None, None]
+        return self._sole_points(rotation, root).mean(axis=3)
+
+    def identity_heights(
+        self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
+    ) -> Float[np.ndarray, "T F"]:
+        """Return the height of the lowest contact point of each of the identity's soles in all frames.
+
+        Blocks stand on an edge or a corner, which no mean shows: of stiff legs it is that of the lowest point.
+        """
+        height = self._sole_points(rotation, root)[..., 1]
+        return np.where(self.stiff, height.min(axis=(2, 3)), height.mean(axis=3).min(axis=2))
+
+    def _sole_points(
+        self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
+    ) -> Float[np.ndarray, "T F C M 3"]:
+        points = self.identity.posed_frames(rotation, np.zeros_like(root))
+        return points.reshape(len(rotation), len(self.legs), -1, MEAN_OF, 3) + root[:, None, None, None]
 
 
 def find_soles(
