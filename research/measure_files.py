@@ -215,7 +215,7 @@ def _range(driving: Path) -> FrameRange:
 
 
 def _floor(mesh: Mesh, result: ClipResult) -> Float[np.ndarray, " T"]:
-    """Return the height of the lowest vertex of the feet over that at rest in every frame, over the height of who moves.
+    """Return the height of the lowest vertex of the feet over that at rest in every frame, over the height of the mesh.
 
     Who rests sitting or lying is on the floor with something else: then it is the lowest vertex of all at rest.
     """
