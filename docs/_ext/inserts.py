@@ -19,11 +19,13 @@ from mimesh.__main__ import command_line
 from mimesh.commands.about import DESCRIPTIONS
 from mimesh.core import budgets
 from mimesh.evaluate.markdown import markdown_table
-from mimesh.evaluate.tables import paper_table
+from mimesh.evaluate.tables import find_table, paper_table
 from mimesh.methods.find import MODELS, SHIPPED_NETWORKS
 from mimesh.methods.zoo import cards
 
 DOCS = Path(__file__).parents[1]
+SEEDS = DOCS / "results" / "seeds"
+"""Reports of networks that were trained several times: runs/tables/seed0/NAME, runs/tables/seed1/NAME ..."""
 MARK = re.compile(r"(<!-- insert: ([a-z]+)(?: ([\w-]+))? -->)(?:\n.*?\n<!-- end of insert -->)?", re.DOTALL)
 DRAWING = re.compile(r"!\[([^\]]*)\]\(images/([\w-]+)\.svg\)")
 OUTSIDE_LINK = re.compile(r"\[([^\]]+)\]\((?:\.\./[^)]*|results/?)\)")
@@ -135,8 +137,18 @@ def card(name: str) -> str:
 
 
 def table(name: str) -> str:
-    """Return a table of a paper with its values next to ours, from the reports in docs/results."""
-    return paper_table(name, *_reports().values())
+    """Return a table of a paper with its values next to ours, from the reports in docs/results.
+
+    Narrow rows have several seeds there, in reports of their own with fewer pairs.
+    """
+    several = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(SEEDS.glob("*.json"))]
+    trained: dict[str, list[str]] = {}
+    for method in dict.fromkeys(row["method"] for report in several for row in report["results"]):
+        trained.setdefault(Path(method).name, []).append(method)
+    rows = {row.method for row in find_table(name).rows}
+    return paper_table(
+        name, *_reports().values(), *several, trained={row: trained[row] for row in trained if row in rows}
+    )
 
 
 def speed() -> str:
