@@ -134,7 +134,7 @@ class RigTrial(Pair):
 
 
 @dataclass(frozen=True)
-class Rigs(Protocol):
+class RiggedPeople(Protocol):
     """The characters of a folder: of a split of its pool, and of rigged files in it. Packs take turns."""
 
     data: Path = Path()
@@ -173,9 +173,9 @@ class Rigs(Protocol):
         )
 
 
-def rigs(data: str | Path) -> Rigs:
+def rigs(data: str | Path) -> RiggedPeople:
     """Return the protocol of a folder."""
-    return Rigs("rigs", 1, ("people",), pairs=0, spread=0.0, data=Path(data))
+    return RiggedPeople("rigs", 1, ("people",), pairs=0, spread=0.0, data=Path(data))
 
 
 @lru_cache(maxsize=2)

@@ -52,7 +52,7 @@ from .metrics import VERSION, pmd
 from .pairs import Pair, mirrored
 from .protocols import DRESSED, PROTOCOLS, QUADRUPED, SPLITS, Dressed, Protocol, with_test_garments
 from .provenance import commit, libraries, machine
-from .rigs import Rigs, RigTrial, measure_rig, rig_comparison, rigs
+from .rigs import RiggedPeople, RigTrial, measure_rig, rig_comparison, rigs
 from .summary import summary
 
 if TYPE_CHECKING:
@@ -118,11 +118,11 @@ def evaluate_command(
     for method in methods:
         check_method(method)
     chosen.check(split)
-    of_pool = isinstance(chosen, Characters | Rigs) or (isinstance(chosen, FingerGestures) and chosen.data is not None)
+    of_pool = isinstance(chosen, Characters | RiggedPeople) or (isinstance(chosen, FingerGestures) and chosen.data is not None)
     if dump is not None and of_pool and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
                          "give --split val")  # fmt: skip
-    mirror, of_more = measuring.mirror, isinstance(chosen, Characters | FingerGestures | Rigs)
+    mirror, of_more = measuring.mirror, isinstance(chosen, Characters | FingerGestures | RiggedPeople)
     if mirror and (dump is not None or of_more or is_of_clips(chosen)):
         raise InputError("--mirror: expected a test set of single meshes and no --dump, found another; leave one out")
     if runtime and of_more:

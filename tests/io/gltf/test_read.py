@@ -267,7 +267,7 @@ def test_an_animation_with_keys_before_zero_is_played_from_its_first_key(tmp_pat
         sample = samples.hero()
         sampler = sample.gltf["animations"][0]["samplers"][0]
         sampler["input"] = sample.accessor([start, start + 1.0])
-        clips.append(load_clip(sample.glb(tmp_path / "a.glb"), fps=30).vertices)
+        clips.append(load_clip(sample.glb(tmp_path / "a.glb"), fps=30.0).vertices)
     assert len(clips[0]) == 31
     for clip in clips[1:]:
         np.testing.assert_allclose(clip, clips[0], atol=1e-6)
