@@ -22,7 +22,7 @@ from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, RewritableSource, check_frames, check_numbers, check_timing, with_printable_names
 from ..core.output_size import check_output_size, frames_size
 from .atomic import scratch_folder, together, whole_file, writing
-from .formats import CACHES, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, found_suffix, gltf_file
+from .formats import CACHES, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, MORPHED, found_suffix, gltf_file
 from .load import load_mesh
 from .mtl import copy_companions
 from .obj import ObjSource
@@ -155,7 +155,7 @@ def _save_blend_shapes(clip: Clip, path: Path, progress: Progress | None, blends
     """Write a clip as glTF with a given number of morph targets; return the largest error, in the mesh's unit."""
     from .gltf import write_gltf_clip
 
-    if path.suffix.lower() not in (".glb", ".gltf"):
+    if path.suffix.lower() not in MORPHED:
         raise InputError(
             f"{path}: expected .glb or .gltf for {option('blendshapes')}, found '{path.suffix}'; leave it out"
         )

@@ -26,6 +26,7 @@ from ..core.normalization import Normalization
 from ..core.options import Hints, Layout, check_influences
 from ..io import save_own_rig, save_rig
 from ..io.beside import missing_images, missing_images_notes
+from ..io.formats import JOINTED
 from ..io.gltf.own_rig import OwnRig
 from ..methods.find import find_mime
 from ..mime.model import Mime
@@ -41,10 +42,6 @@ from .report import RigReport, facing, facing_note, fingered_hands
 from .result import Timer
 from .skinned import check_own_layout, own_pose
 from .vrm import save_as_vrm
-
-BONES = (".glb", ".gltf", ".fbx", ".vrm")
-"""Suffixes of files with bones."""
-
 
 NO_HINTS = Hints()
 
@@ -134,9 +131,9 @@ class RiggedMesh:
         """
         check_influences(influences)
         layout = Layout(names, root_bone, rest)
-        if Path(path).suffix.lower() not in BONES:
+        if Path(path).suffix.lower() not in JOINTED:
             found = f"found '{Path(path).suffix}'"
-            raise InputError(f"{path}: expected one of {' '.join(BONES)} for bones, {found}; rename it")
+            raise InputError(f"{path}: expected one of {' '.join(JOINTED)} for bones, {found}; rename it")
         if (author or license) and Path(path).suffix.lower() != ".vrm":
             raise InputError(f"{path}: expected a .vrm for {option('author')} and {option('license')}, found none")
         if influences != INFLUENCES and Path(path).suffix.lower() == ".vrm":

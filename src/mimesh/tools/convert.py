@@ -29,7 +29,7 @@ from ..io import (
     save_whole,
 )
 from ..io.beside import missing_images, missing_images_notes
-from ..io.formats import FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
+from ..io.formats import FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS
 from ..io.polygons import smooth_normals
 from ..io.timing import DEFAULT_FPS
 
@@ -190,7 +190,7 @@ def _check_options(options: ConvertOptions, target: Path, holds_clip: bool) -> l
         raise InputError(f"--betas {options.betas}: expected it with --body-model, found it without; name the model")
     shapes = ["--blendshapes"] * (options.blendshapes is not None) + ["--morphs"] * options.morphs
     if options.morphs:
-        if target.suffix.lower() not in (".glb", ".gltf"):
+        if target.suffix.lower() not in MORPHED:
             raise InputError(f"{target}: expected .glb or .gltf for --morphs, found '{target.suffix}'; leave it out")
         _refuse_options(target, shapes[:-1], "--morphs writes one a frame")
     if options.frame is not None:
@@ -493,7 +493,7 @@ def size_note(path: Path) -> tuple[str, ...]:
     """Return a note on how to make a clip smaller, if its file is large."""
     if not path.is_file() or (size := path.stat().st_size) < LARGE:
         return ()
-    joints = ", and --skinned writes joints instead of frames" if path.suffix.lower() in (".glb", ".gltf") else ""
+    joints = ", and --skinned writes joints instead of frames" if path.suffix.lower() in MORPHED else ""
     return (f"{path.name} has {size / 2**20:,.0f} MiB: --step takes fewer frames{joints}",)
 
 

@@ -33,9 +33,10 @@ from ...core.errors import InputError
 from ...core.frame_buffer import Progress, counted
 from ...evaluate.characters import animal_alignments, body_poses, place_body_joints, rest_alignments
 from ...evaluate.clip_protocols import is_held_out
+from ...io.formats import JOINTED
 from ...io.gltf.character import NOT_STATED, read_rigged_animal, read_rigged_character
 from ..task import DataConfig, share_option
-from .clips import DAMAGED, RIGGED, TrainingClips, licence_of, pack_of
+from .clips import DAMAGED, TrainingClips, licence_of, pack_of
 
 POINTS = 3000
 """Points that a character is represented by."""
@@ -293,7 +294,7 @@ def read_character_folder(
         body: shipped body whose joints the characters have, `human` or `quadruped`.
     """
     folder, read = Path(folder), read_rigged_animal if body == "quadruped" else read_rigged_character
-    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in RIGGED and path.is_file())
+    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in JOINTED and path.is_file())
     has_index = (folder / INDEX).is_file()
     if not has_index and not paths:
         raise InputError(
@@ -324,7 +325,7 @@ def without_repeated_clips(characters: Iterable[PoolCharacter]) -> list[PoolChar
     kept = []
     for character in characters:
         clips = character.clips
-        if Path(character.meta.clips_from).suffix.lower() in RIGGED:
+        if Path(character.meta.clips_from).suffix.lower() in JOINTED:
             keys = {
                 name: (character.meta.pack, character.rig.skeleton, name, len(clip)) for name, clip in clips.items()
             }

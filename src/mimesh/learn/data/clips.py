@@ -22,6 +22,7 @@ from ...bodies.character_limbs import SIDES
 from ...core.errors import InputError
 from ...core.frame_buffer import Progress, counted
 from ...evaluate.clip_protocols import is_held_out, is_held_out_file
+from ...io.formats import JOINTED
 from ...io.gltf.animation import animation_names
 from ...io.gltf.character import NOT_STATED
 from ...io.gltf.document import open_document
@@ -32,8 +33,6 @@ from ...motions.motion import rotmat_to_rotvec, turned_to_front
 from ...motions.on_body import is_motion_file, motion_of_file
 from ...motions.retarget import retarget
 
-RIGGED = (".fbx", ".glb", ".gltf", ".vrm")
-"""Of files with characters and their clips."""
 LICENCE_NAMES = ("license", "licence", "copying")
 """Beginnings of the names of licence files, in lower case."""
 DAMAGED = (InputError, ArithmeticError, AttributeError, LookupError, OSError, RecursionError, TypeError, ValueError)
@@ -150,7 +149,7 @@ def _motions(path: Path, body: RiggedBody) -> Iterator[tuple[str, Motion | Input
     """Iterate over the names and motions of a file, with an error in place of a motion that cannot be used."""
     if is_held_out_file(path.name):
         yield path.name, InputError(HELD_OUT)
-    elif path.suffix.lower() not in RIGGED:
+    elif path.suffix.lower() not in JOINTED:
         yield path.name, motion_of_file(path)
     else:
         document = open_document(path)
@@ -165,14 +164,14 @@ def _motions(path: Path, body: RiggedBody) -> Iterator[tuple[str, Motion | Input
 
 def _maker(path: Path, folder: Path) -> str:
     """Name maker, folder and licence of a file."""
-    maker, stated = read_origin(open_document(path)) if path.suffix.lower() in RIGGED else ("", "")
+    maker, stated = read_origin(open_document(path)) if path.suffix.lower() in JOINTED else ("", "")
     return f"{maker or NOT_STATED}: {pack_of(path, folder)} ({stated or licence_of(path, folder) or NOT_STATED})"
 
 
 def _is_motion(path: Path) -> bool:
     """Tell whether a file can contain motions of joints."""
     try:
-        return path.suffix.lower() in RIGGED or is_motion_file(path)
+        return path.suffix.lower() in JOINTED or is_motion_file(path)
     except DAMAGED:
         return False
 
