@@ -10,9 +10,10 @@ from engine_rigs import moving_rig, posed
 
 from mimesh.bodies.engine_names import SCHEMES
 from mimesh.bodies.engine_rig import engine_rig
-from mimesh.io import save_skinned
+from mimesh.core.animated_rig import RigAnimation
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.draft import Draft
+from mimesh.io.gltf.skinned import write_gltf_skinned
 
 pytestmark = pytest.mark.client
 FPS = 30.0
@@ -21,7 +22,7 @@ FRAMES = (0, 2, 4)
 
 def write(path, names, root_bone=True, rest="file"):
     rig = engine_rig(moving_rig(7, fingers=True, arms=10.0), names, root_bone, rest)
-    save_skinned(rig, FPS, path)
+    write_gltf_skinned([RigAnimation("a", rig, FPS)], path)
     return rig
 
 

@@ -20,10 +20,11 @@ from scipy.spatial import cKDTree
 import mimesh
 from mimesh.bodies.engine_rig import engine_rig
 from mimesh.core.animated_rig import RigAnimation
-from mimesh.io import load_clip, load_mesh, save_rig_animations, save_whole
+from mimesh.io import joints_file, load_clip, load_mesh, save_whole
 from mimesh.io.gltf.animation import animation_names, frame_times, read_channels, sample_nodes
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.scene import node_parents
+from mimesh.io.gltf.skinned import write_gltf_skinned
 from mimesh.pipeline.skinned import save_skinned
 
 pytestmark = pytest.mark.client
@@ -96,7 +97,8 @@ def compare(glb, fbx, joints):
 def test_rig_of_ours_in_the_layout_of_an_engine(names, root_bone, tmp_path):
     rig = engine_rig(moving_rig(7, fingers=True, arms=10.0), names, root_bone, "file")
     for suffix in ("glb", "fbx"):
-        save_rig_animations([RigAnimation("dance", rig, FPS)], tmp_path / f"a.{suffix}")
+        with joints_file(tmp_path / f"a.{suffix}") as temporary:
+            write_gltf_skinned([RigAnimation("dance", rig, FPS)], temporary)
     compare(tmp_path / "a.glb", tmp_path / "a.fbx", rig.names)
     found, parents = bones(tmp_path / "a.fbx", "dance")
     # Nothing but the armature, of the name that Unreal Engine leaves out, is above the first bone; no leaves are added.
@@ -141,7 +143,8 @@ def test_frames_become_blend_shapes(tmp_path):
 
 def test_fbx_is_written_again_as_fbx(tmp_path):
     rig = moving_rig(7)
-    save_rig_animations([RigAnimation("dance", rig, FPS)], tmp_path / "a.fbx")
+    with joints_file(tmp_path / "a.fbx") as temporary:
+        write_gltf_skinned([RigAnimation("dance", rig, FPS)], temporary)
     save_whole(tmp_path / "a.fbx", tmp_path / "b.fbx")
     compare(tmp_path / "a.fbx", tmp_path / "b.fbx", rig.names)
 

@@ -2,35 +2,40 @@
 
 from __future__ import annotations
 
-import dataclasses
-import re
 import resource
+import shutil
 import time
-import traceback
-import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from random import Random
 from typing import Any
 
+import hostile
 import numpy as np
 import pytest
-import zoo
+import small_files
+from damage import Change, some_bytes, some_glb, some_json, some_npy, some_text, some_zip
 from fork_server import ForkServer
-from fuzz_seeds import Seed
-from fuzz_targets import TARGETS, Target, case_of, problem_of, unclear
 from matrix import matrix
 
 from mimesh.core.errors import InputError
-from mimesh.io import child_process
+from mimesh.core.mesh import Clip, Mesh
+from mimesh.io import child_process, list_animations, load_clip, load_mesh, load_recorded_clip
+from mimesh.io.joint_file import load_corrections
+from mimesh.io.markers import load_markers
+from mimesh.methods.onnx_models import load_network
+from mimesh.pipeline.gltf_rigs import rig_facts
 
-CASES = {"bvh": 40, "amass": 40, "vrma": 30, "glb": 100, "gltf": 100, "vrm": 75, "onnx": 100}
+CASES = {"bvh": 40, "amass": 40, "vrma": 30, "onnx": 100}
 """Cases of the slower readers; the limit is a number of cases, so that every machine reads the same."""
-OTHERS, NATIVE = 150, 40
-"""Cases of other readers, and of those whose library decodes each file in a guarded process of its own."""
+OTHERS, NATIVE = 120, 40
+"""Cases of other readers, and of those in children."""
 SECONDS = 10.0
 """Processor time that a case may take."""
-PACKAGE = str(Path("src", "mimesh"))
+LONGEST_REFUSAL = 2000
+"""Characters."""
 SERVER = ForkServer()
 
 
@@ -43,145 +48,153 @@ def forked():
     SERVER.close()
 
 
-@dataclasses.dataclass(frozen=True)
-class Outcome:
-    """What came of one case."""
-
-    kind: str
-    """accepted, refused, failed."""
-    text: str = ""
-    """The refusal without its numbers, or what went wrong."""
-    seconds: float = 0.0
-    """Processor time, of children as well."""
+def read_rig(path: Path) -> Mesh:
+    """Read a mesh, and its rig as the methods take it."""
+    mesh = load_mesh(path)
+    rig_facts(mesh)
+    return mesh
 
 
-def run_case(read: Any, path: Path) -> Outcome:
-    """Read a file and judge what comes of it."""
-    begin = _processor_time()
-    try:
-        with warnings.catch_warnings(record=True) as warned:
-            warnings.simplefilter("always")
-            result = read(path)
-            kind, text = "accepted", problem_of(result)
-    except InputError as error:
-        kind, text = "refused", str(error)
-        if _caused_by_memory(error):
-            kind, text = "failed", "more memory than there is, refused"
-        elif unclear(str(error), path):
-            kind, text = "failed", f"an unclear refusal: {str(error)[:300]!r}"
-    except Exception as error:
-        kind, text = "failed", f"{type(error).__name__} at {_place(error)}: {str(error)[:200]}"
-    seconds = _processor_time() - begin
-    if kind == "accepted" and text:
-        kind = "failed"
-    if kind != "failed" and warned:
-        first = warned[0]
-        kind, text = "failed", f"warning at {Path(first.filename).name}:{first.lineno}: {first.message}"
-    if kind != "failed" and seconds > SECONDS:
-        kind, text = "failed", f"{seconds:.0f} s of processor time"
-    return Outcome(kind, text or "", seconds)
+def read_last_animation(path: Path) -> Clip | Mesh:
+    names = list_animations(path)
+    return load_clip(path, animation=names[-1]) if names else load_mesh(path)
 
 
-def _caused_by_memory(error: BaseException | None) -> bool:
-    while error is not None:
-        if isinstance(error, MemoryError):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
+def read_resampled(path: Path) -> Clip:
+    return load_clip(path, fps=20.0)
 
 
-def _place(error: BaseException) -> str:
-    """Return the innermost line of this package that an exception went through."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if PACKAGE in frame.filename] or frames
-    return f"{Path(own[-1].filename).name}:{own[-1].lineno}"
+def read_poses(path: Path) -> Clip:
+    """Read recorded poses with a sound body model."""
+    return load_recorded_clip(path, sound_files("body-npz") / "a.npz")[0]
 
 
-def _processor_time() -> float:
+Write, Reads = Callable[[Path], None], tuple[Callable[[Path], Any], ...]
+MESHES, CLIPS = (load_mesh, load_clip), (load_clip, read_resampled)
+BOTH, SCENES = (load_mesh, *CLIPS), (load_mesh, load_clip, read_rig, read_last_animation)
+TARGETS: dict[str, tuple[str, Write, Change, Reads]] = {
+    "obj": (".obj", small_files.obj, some_text, MESHES),
+    "ply": (".ply", small_files.ply, some_text, MESHES),
+    "off": (".off", small_files.meshes(".off", hostile.OFF), some_text, MESHES),
+    "stl": (".stl", small_files.meshes(".stl", hostile.STL), some_text, MESHES),
+    "npz": (".npz", small_files.npz, some_zip, BOTH),
+    "npy": (".npy", small_files.clips(".npy"), some_npy, CLIPS),
+    "pc2": (".pc2", small_files.clips(".pc2"), some_bytes, CLIPS),
+    "mdd": (".mdd", small_files.clips(".mdd"), some_bytes, CLIPS),
+    "glb": (".glb", small_files.glb, some_glb, SCENES),
+    "gltf": (".gltf", small_files.gltf, some_json, SCENES),
+    "vrm": (".vrm", small_files.vrm, some_glb, SCENES),
+    "vrma": (".vrma", small_files.vrma, some_glb, MESHES),
+    "bvh": (".bvh", small_files.bvh, some_text, BOTH),
+    "joints": (".json", small_files.joints, some_json, (load_corrections,)),
+    "markers": (".txt", small_files.markers, some_text, (load_markers,)),
+    "hdf5": (".hdf5", small_files.hdf5, some_bytes, (read_last_animation,)),
+    "body-pkl": (".pkl", small_files.body_model, some_bytes, MESHES),
+    "body-npz": (".npz", small_files.body_archive, some_zip, MESHES),
+    "poses-pkl": (".pkl", small_files.poses, some_bytes, (read_poses,)),
+    "amass": (".npz", small_files.amass, some_zip, (*BOTH, read_poses)),
+    "onnx": (".onnx", small_files.network, some_bytes, (lambda path: load_network(path, name=path.stem),)),
+    "gltf-packed": (".glb", small_files.compressed, some_glb, MESHES),
+    "usda": (".usda", small_files.usd(".usda"), some_text, BOTH),
+    "usdc": (".usdc", small_files.usd(".usdc"), some_bytes, BOTH),
+    "usdz": (".usdz", small_files.usd(".usdz"), some_zip, BOTH),
+    "alembic": (".abc", small_files.clips(".abc"), some_bytes, BOTH),
+    "fbx-text": (".fbx", small_files.fbx(binary=False), some_text, SCENES),
+    "fbx-binary": (".fbx", small_files.fbx(binary=True), some_bytes, SCENES),
+}
+"""Reader -> suffix, what writes sound files, how they are damaged, and the functions that take turns to read them."""
+NEEDS = {
+    "hdf5": "h5py", "onnx": "onnx", "gltf-packed": "meshopt", "usda": "pxr", "usdc": "pxr", "usdz": "pxr",
+    "alembic": "alembic3d", "fbx-text": "ufbx", "fbx-binary": "ufbx",
+}  # fmt: skip
+"""Reader -> package without which there is none."""
+IN_CHILDREN = NEEDS.keys() - {"hdf5", "onnx"}
+"""Readers whose library decodes each file in a guarded process of its own."""
+FOLDERS: dict[str, Path] = {}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def scratch(tmp_path_factory):
+    FOLDERS["sound"] = tmp_path_factory.mktemp("sound")
+
+
+@cache
+def sound_files(name: str) -> Path:
+    """Return a folder with the sound files of a reader."""
+    folder = FOLDERS["sound"] / name
+    folder.mkdir()
+    TARGETS[name][1](folder)
+    return folder
+
+
+def write_case(name: str, number: int, folder: Path) -> Path:
+    """Write a case: a sound file with those beside it, of which one is damaged one to four times."""
+    suffix, _, change, _ = TARGETS[name]
+    rng, sound = Random(f"{name} {number}"), sound_files(name)
+    main = rng.choice(sorted(sound.glob(f"*{suffix}")))
+    beside = [path for path in sorted(sound.glob(f"{main.name.split('.')[0]}.*")) if path != main]
+    for path in (main, *beside):
+        shutil.copy(path, folder)
+    chosen = rng.choice(beside) if beside and rng.random() < 0.4 else main
+    data = chosen.read_bytes()
+    for _ in range(rng.choice((1, 1, 1, 2, 4))):
+        data = (change if chosen == main else some_text)(data, rng)
+    (folder / chosen.name).write_bytes(data)
+    return folder / main.name
+
+
+def check_result(result: Any) -> None:
+    """Check that what was read is sound."""
+    if isinstance(result, Clip):
+        assert 0 < result.fps < np.inf
+        assert all(np.isfinite(frame).all() for frame in result.vertices)
+        result = result.mesh
+    if not isinstance(result, Mesh):
+        return
+    assert len(result.vertices)
+    assert np.isfinite(result.vertices).all()
+    assert not len(result.faces) or 0 <= result.faces.min() <= result.faces.max() < len(result.vertices)
+    sizes = {"corner_uv": len(result.faces), "corner_normals": len(result.faces), "vertex_colors": len(result.vertices)}
+    for name, size in sizes.items():
+        values = getattr(result, name)
+        assert values is None or (len(values) == size and np.isfinite(values).all()), name
+    assert all(0 <= part.start <= part.stop <= len(result.faces) for part in result.parts)
+
+
+def check_refusal(error: InputError, folder: Path) -> None:
+    """Check that a refusal is one line that names the file and what was found, before memory has run out."""
+    message = str(error)
+    assert all(word in message for word in ("expected ", "found ", str(folder)))
+    assert "\n" not in message
+    assert len(message) < LONGEST_REFUSAL
+    cause: BaseException | None = error
+    while cause := cause.__cause__ or cause.__context__:
+        assert not isinstance(cause, MemoryError)
+
+
+def processor_time() -> float:
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime + SERVER.seconds
 
 
-def write_case(case: Seed, target: Target, folder: Path, number: int) -> Path:
-    """Write the files of a case, after those of the last one were deleted.
-
-    Libraries of native formats know layers by their path, so there each case has a name of its own.
-    """
-    for path in folder.iterdir():
-        path.unlink()
-    for name, content in case.files.items():
-        (folder / name).write_bytes(content)
-    path = folder / case.main
-    return path.rename(folder / f"n{number}{target.suffix}") if target.native else path
-
-
-def run_cases(target: Target, numbers: range, seed: int, folder: Path) -> Iterator[tuple[int, Outcome]]:
-    """Run cases in this process."""
-    sound = target.seeds()
-    for number in numbers:
-        path = write_case(case_of(target, sound, seed, number), target, folder, number)
-        outcome = run_case(target.reads[number % len(target.reads)], path)
-        if number < len(sound) and not any(run_case(read, path).kind == "accepted" for read in target.reads):
-            outcome = Outcome("failed", f"a sound file is refused: {outcome.text}", outcome.seconds)
-        yield number, outcome
-
-
 @matrix("name", TARGETS, quick=["off", "npy"])
 def test_damaged_files_are_read_or_refused(name, tmp_path):
-    target, kinds = TARGETS[name], Counter()
-    if not target.installed:
-        pytest.skip(f"needs {target.needs}")
-    count = CASES.get(name, NATIVE if target.native else OTHERS)
-    for number, outcome in run_cases(target, range(count), 0, tmp_path):
-        assert outcome.kind != "failed", f"case {number} of {name}: {outcome.text}"
-        kinds[outcome.kind] += 1
-    assert kinds["accepted"] > 2
-    assert kinds["refused"] > 2
-
-
-def test_cases_are_the_same_each_time():
-    for target in TARGETS.values():
-        if target.installed and target.name not in ("hdf5", "alembic"):  # their files have times
-            first, second = (case_of(target, target.seeds(), 3, 40).files for _ in range(2))
-            assert first == second, target.name
-
-
-def _raise(error: BaseException):
-    raise error
-
-
-def _warn(path: Path):
-    warnings.warn("careful", RuntimeWarning, stacklevel=1)
-    return zoo.cube()
-
-
-def _refuse_for_memory(path: Path):
-    try:
-        raise MemoryError
-    except MemoryError as error:
-        raise InputError(f"{path}: expected little, found much; less") from error
-
-
-BAD_UV = dataclasses.replace(zoo.cube(), corner_uv=np.full((12, 3, 2), np.nan))
-OUTSIDE = dataclasses.replace(zoo.tetrahedron(), faces=np.array([[0, 1, 4]]))
-FAILURES = {
-    "exception": (lambda path: _raise(KeyError("x")), r"^KeyError at test_damaged_at_random.py:\d+: 'x'"),
-    "unclear": (lambda path: _raise(InputError("no")), "^an unclear refusal: 'no'"),
-    "warning": (_warn, r"^warning at test_damaged_at_random.py:\d+: careful"),
-    "memory": (_refuse_for_memory, "^more memory than there is"),
-    "not finite": (lambda path: BAD_UV, "^corner_uv of another size or not finite"),
-    "out of range": (lambda path: OUTSIDE, "^faces out of range"),
-}
-
-
-@pytest.mark.parametrize("name", FAILURES)
-def test_failures_are_seen(name, tmp_path):
-    read, expected = FAILURES[name]
-    outcome = run_case(read, tmp_path / "a.obj")
-    assert outcome.kind == "failed"
-    assert re.search(expected, outcome.text)
-
-
-def test_slow_case_is_a_failure(tmp_path, monkeypatch):
-    monkeypatch.setitem(globals(), "SECONDS", -1.0)
-    assert run_case(lambda path: zoo.cube(), tmp_path / "a.obj").kind == "failed"
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name])
+    suffix, _, _, reads = TARGETS[name]
+    for path in sorted(sound_files(name).glob(f"*{suffix}")):
+        check_result((load_clip if load_clip in reads else reads[0])(path))
+    kinds = Counter()
+    for number in range(CASES.get(name, NATIVE if name in IN_CHILDREN else OTHERS)):
+        folder = tmp_path / f"case{number}"  # libraries of native formats know layers by their path
+        folder.mkdir()
+        path, begin = write_case(name, number, folder), processor_time()
+        try:
+            check_result(reads[number % len(reads)](path))
+            kinds["accepted"] += 1
+        except InputError as error:
+            check_refusal(error, folder)
+            kinds["refused"] += 1
+        assert processor_time() - begin < SECONDS, folder
+        shutil.rmtree(folder)
+    assert min(kinds["accepted"], kinds["refused"]) > 2, kinds

@@ -40,7 +40,7 @@ def tasks(*drivings: str, identities: int = 1) -> dict[int, BatchTask]:
 
 def outcomes(given: dict[int, BatchTask], workers: int) -> list[dict[str, Any]]:
     """Have workers do tasks; outcomes by number, each of which may come once only."""
-    found = list(run._do_here(given, workers))
+    found = list(run._do_with_workers(given, workers))
     assert sorted(number for number, _ in found) == sorted(given)
     return [outcome for _, outcome in sorted(found, key=lambda pair: pair[0])]
 
@@ -60,7 +60,7 @@ def test_a_crash_costs_one_job_and_the_worker_is_replaced():
 
 
 def test_a_caller_that_stops_ends_the_workers():
-    with closing(run._do_here(tasks(*"abcdefghi"), 1)) as finished:
+    with closing(run._do_with_workers(tasks(*"abcdefghi"), 1)) as finished:
         next(finished)
     assert list(finished) == []
     assert not multiprocessing.active_children()

@@ -73,7 +73,7 @@ def test_convert_turns_by_a_given_axis_and_says_where_one_is_missing(tmp_path):
     np.testing.assert_allclose(load_mesh(tmp_path / "b.glb").vertices, person(0).vertices, atol=1e-5)
     with pytest.raises(InputError, match=r"a: expected a file without an up axis for up=\"\+z\", found \+y"):
         convert(tmp_path / "a.glb", tmp_path / "c.glb", ConvertOptions(up="z"))
-    with pytest.raises(InputError, match=r"c.obj: expected one of \.fbx .* for up=\"\+z\", which have y up"):
+    with pytest.raises(InputError, match=r"c.obj: expected one of \.glb .* for up=\"\+z\", which have y up"):
         convert(tmp_path / "a.obj", tmp_path / "c.obj", ConvertOptions(up="z"))
 
 

@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies.engine_names import SCHEMES
 from mimesh.bodies.engine_rig import engine_rig
-from mimesh.core.animated_rig import AnimatedRig
-from mimesh.io import save_skinned
+from mimesh.core.animated_rig import AnimatedRig, RigAnimation
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.draft import Draft
+from mimesh.io.gltf.skinned import write_gltf_skinned
 
 OLD_NAMES = {
     f"{side}Thumb{new}": f"{side}Thumb{old}"
@@ -73,7 +73,7 @@ def plain_vrm(front: str) -> tuple[AnimatedRig, bytes]:
     """Make a rig with the bones of VRM, and the .glb of it."""
     rig = engine_rig(moving_rig(7, fingers=True, front=front, arms=10.0), "vrm", rest="T", front=front)
     with TemporaryDirectory() as folder:
-        save_skinned(rig, 30.0, Path(folder) / "a.glb")
+        write_gltf_skinned([RigAnimation("a", rig, 30.0)], Path(folder) / "a.glb")
         return rig, (Path(folder) / "a.glb").read_bytes()
 
 

@@ -17,6 +17,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeVar
 
 from ..core.errors import InputError
+from ..core.printable import listed
 
 T = TypeVar("T")
 PARTS = {
@@ -278,10 +279,9 @@ def require_joints(found: dict[str, int], needed: Iterable[str], joint_names: tu
     """
     missing = [joint for joint in dict.fromkeys(needed) if joint not in found]
     if missing:
-        more = f" and {len(joint_names) - SHOWN} more" if len(joint_names) > SHOWN else ""
         raise InputError(
             f"{path}: expected hips and, left and right, thigh, shin, foot, upper arm, forearm and hand by name, found "
-            f"none for {', '.join(missing)} among {', '.join(joint_names[:SHOWN])}{more}; "
+            f"none for {', '.join(missing)} among {listed(joint_names, SHOWN)}; "
             "rename the joints, for example Hips, LeftUpLeg, LeftLeg, LeftFoot, LeftArm, LeftForeArm, LeftHand; "
             "give an animal or another creature as .glb, with its mesh"
         )

@@ -15,11 +15,6 @@ if TYPE_CHECKING:
     from ..pipeline.report import SavedClip
     from ..pipeline.result import ClipResult
 
-JOINT_SUFFIXES = (".glb", ".gltf", ".fbx")
-"""Formats that hold joints and morph targets."""
-MORPH_SUFFIXES = (".glb", ".gltf")
-"""Those of them to which a number of morph targets can be given."""
-
 
 def clip_output(identity: Path, driving: Sequence[Path]) -> Path:
     """Return the default output: IDENTITY-DRIVING.glb, or for several clips IDENTITY-clips.glb."""
@@ -38,7 +33,7 @@ def check_clip_output(output: Path, clips: int, skinned: bool, shapes: ShapeOpti
     """
     from ..core.errors import InputError
     from ..io import clip_suffixes, refuse_vrm
-    from ..io.formats import FRAME_SUFFIXES
+    from ..io.formats import FRAME_SUFFIXES, JOINTED, MORPHED
     from ..pipeline.vrma import check_bones_layout
     from ..tools.convert import BONES_ONLY
     from ..view.movie import MOVIES
@@ -50,14 +45,15 @@ def check_clip_output(output: Path, clips: int, skinned: bool, shapes: ShapeOpti
     if len(given) > 1:
         raise InputError(f"{given[1]}: expected it without {given[0]}, found both; choose one of them")
     frames = morphs or blendshapes is not None
-    jointed = (*JOINT_SUFFIXES, BONES_ONLY)
+    playing = tuple(suffix for suffix in JOINTED if suffix != ".vrm")
+    jointed = (*playing, BONES_ONLY)
     if clips > 1 and (frames or output.suffix.lower() not in jointed):
         found = given[0] if frames else f"'{output.suffix}'"
         raise InputError(
             f"{output}: expected joints in a .glb, .gltf, .fbx or .vrma for {clips} clips, found {found}; "
             "animate one clip at a time, or change the output"
         )
-    held = MORPH_SUFFIXES if blendshapes is not None else JOINT_SUFFIXES if frames else jointed
+    held = MORPHED if blendshapes is not None else playing if frames else jointed
     if not given and output.suffix.lower() in FRAME_SUFFIXES:
         raise InputError(
             f"{output}: expected a format for a clip, found '{output.suffix}', which holds one mesh; for a folder of "
@@ -74,7 +70,7 @@ def check_clip_output(output: Path, clips: int, skinned: bool, shapes: ShapeOpti
         return True
     if skinned or clips > 1 or layout != Layout():
         return True
-    return False if frames or output.suffix.lower() not in JOINT_SUFFIXES else None
+    return False if frames or output.suffix.lower() not in playing else None
 
 
 def check_rig_layout(

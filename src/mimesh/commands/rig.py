@@ -53,7 +53,7 @@ def rig(
     """
     from ..io import check_writable, load_mesh
     from ..io.atomic import together
-    from ..pipeline.rigging import BONES
+    from ..io.formats import JOINTED
     from ..pipeline.rigging import rig as find_rig
     from ..pipeline.vrm import vrm_meta
     from ..tools.convert import not_kept
@@ -65,7 +65,7 @@ def rig(
     picture = names_beside(target)[0] if output.preview else None
     for written in filter(None, (target, picture)):
         refuse_inputs(written, file)
-    check_suffix(target, BONES)
+    check_suffix(target, JOINTED)
     check_joint_outputs(joints, model, file, target)
     if target.suffix.lower() == ".vrm" != file.suffix.lower():
         vrm_meta(file.stem, options.author, options.license, target)

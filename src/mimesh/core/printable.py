@@ -1,4 +1,4 @@
-"""Print lines, and names in files of text, without the control characters of names.
+"""Print lines, lists of names, and names in files of text, without the control characters of names.
 
 An escape sequence in the name of a material can move a terminal's cursor, recolour or hide text; a mark of direction
 can show a name in another order than it is stored in (Boucher and Anderson 2021, "Trojan Source").
@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
 """C0 and C1 control characters, marks of direction, line separators, byte order marks, and surrogates, which are no
@@ -31,6 +31,12 @@ def plain(name: str) -> str:
 def file_name(name: str) -> str:
     """Return a name that a file can have on any system: what is not printable or forbidden becomes `_`."""
     return _FORBIDDEN.sub("_", plain(name))
+
+
+def listed(names: Sequence[str], most: int) -> str:
+    """Join the first names of a list, and say how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def say(*lines: str, error: bool = False) -> None:

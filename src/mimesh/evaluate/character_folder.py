@@ -14,10 +14,9 @@ from pathlib import Path
 from ..bodies.character_pool import Pool, PoolCharacter, read_pool
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted
+from ..io.formats import JOINTED
 from ..io.gltf.character import read_rigged_animal, read_rigged_character
 
-RIGGED = (".fbx", ".glb", ".gltf", ".vrm")
-"""Of files with characters and their clips."""
 LICENCE_NAMES = ("license", "licence", "copying")
 """Beginnings of the names of licence files, in lower case."""
 DAMAGED = (InputError, ArithmeticError, AttributeError, LookupError, OSError, RecursionError, TypeError, ValueError)
@@ -42,7 +41,7 @@ def read_character_folder(
         InputError: neither a pool nor a rigged file.
     """
     folder, read = Path(folder), read_rigged_animal if body == "quadruped" else read_rigged_character
-    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in RIGGED and path.is_file())
+    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in JOINTED and path.is_file())
     has_index = (folder / INDEX).is_file()
     if not has_index and not paths:
         raise InputError(
@@ -73,7 +72,7 @@ def without_repeated_clips(characters: Iterable[PoolCharacter]) -> list[PoolChar
     kept = []
     for character in characters:
         clips = character.clips
-        if Path(character.meta.clips_from).suffix.lower() in RIGGED:
+        if Path(character.meta.clips_from).suffix.lower() in JOINTED:
             keys = {
                 name: (character.meta.pack, character.rig.skeleton, name, len(clip)) for name, clip in clips.items()
             }

@@ -118,7 +118,9 @@ def evaluate_command(
     for method in methods:
         check_method(method)
     chosen.check(split)
-    of_pool = isinstance(chosen, Characters | RiggedPeople) or (isinstance(chosen, FingerGestures) and chosen.data is not None)
+    of_pool = isinstance(chosen, Characters | RiggedPeople) or (
+        isinstance(chosen, FingerGestures) and chosen.data is not None
+    )
     if dump is not None and of_pool and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
                          "give --split val")  # fmt: skip

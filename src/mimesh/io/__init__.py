@@ -15,16 +15,10 @@ from .load import load_points as load_points
 from .load import load_recorded_clip as load_recorded_clip
 from .load import load_recorded_mesh as load_recorded_mesh
 from .save import check_writable as check_writable
+from .save import joints_file as joints_file
 from .save import refuse_vrm as refuse_vrm
 from .save import save_clip as save_clip
-from .save import save_joints as save_joints
 from .save import save_mesh as save_mesh
-from .save import save_own_animations as save_own_animations
-from .save import save_own_pose as save_own_pose
-from .save import save_own_rig as save_own_rig
-from .save import save_rig as save_rig
-from .save import save_rig_animations as save_rig_animations
-from .save import save_skinned as save_skinned
 from .save import save_vrm as save_vrm
 from .save import save_vrma as save_vrma
 from .save import save_whole as save_whole

@@ -13,6 +13,8 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..core.printable import listed
+
 if TYPE_CHECKING:
     from ..core.mesh import Mesh
 
@@ -83,8 +85,7 @@ def missing_images_notes(names: Sequence[str]) -> tuple[str, ...]:
     if not names:
         return ()
     one = len(names) == 1
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return (
-        f"{', '.join(name[:80] for name in names[:SHOWN])}{more}, which the file names, {'is' if one else 'are'} not "
+        f"{listed([name[:80] for name in names], SHOWN)}, which the file names, {'is' if one else 'are'} not "
         f"beside it: the surface is shown without; copy {'it' if one else 'them'} there",
     )

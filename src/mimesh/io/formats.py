@@ -190,8 +190,10 @@ CLIP_READERS = {suffix: format.read_clip for suffix, format in FORMATS.items() i
 CLIP_WRITERS = {suffix: format.write_clip for suffix, format in FORMATS.items() if format.write_clip}
 ANIMATED = (".fbx", ".glb", ".gltf", ".vrm", ".vrma")
 """Files that may contain several animations, read by `gltf.read_gltf_clip`."""
-JOINTED = (".fbx", ".glb", ".gltf", ".vrm")
+JOINTED = (".glb", ".gltf", ".fbx", ".vrm")
 """Formats in which joints and weights are written."""
+MORPHED = (".glb", ".gltf")
+"""Formats to which a number of morph targets can be given."""
 CACHES = (".mdd", ".npy", ".pc2")
 """Point caches: positions only, for a mesh file beside them."""
 MOTIONS = {".bvh", ".vrma"}

@@ -15,22 +15,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from ..core.animated_rig import AnimatedRig, RigAnimation
+from ..core.animated_rig import AnimatedRig
 from ..core.arguments import public
 from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, RewritableSource, check_frames, check_numbers, check_timing, with_printable_names
 from ..core.output_size import check_output_size, frames_size
 from .atomic import scratch_folder, together, whole_file, writing
-from .formats import CACHES, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, found_suffix, gltf_file
+from .formats import CACHES, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, MORPHED, found_suffix, gltf_file
 from .load import load_mesh
 from .mtl import copy_companions
 from .obj import ObjSource
-from .timing import DEFAULT_FPS
 
 if TYPE_CHECKING:
     from ..motions.bone_motion import BoneMotion
-    from .gltf.own_animation import OwnAnimation, PlayedAnimation
+    from .gltf.own_animation import OwnAnimation
     from .gltf.vrm import VrmMeta
 
 
@@ -155,7 +154,7 @@ def _save_blend_shapes(clip: Clip, path: Path, progress: Progress | None, blends
     """Write a clip as glTF with a given number of morph targets; return the largest error, in the mesh's unit."""
     from .gltf import write_gltf_clip
 
-    if path.suffix.lower() not in (".glb", ".gltf"):
+    if path.suffix.lower() not in MORPHED:
         raise InputError(
             f"{path}: expected .glb or .gltf for {option('blendshapes')}, found '{path.suffix}'; leave it out"
         )
@@ -163,77 +162,23 @@ def _save_blend_shapes(clip: Clip, path: Path, progress: Progress | None, blends
         return write_gltf_clip(clip, temporary, progress, blendshapes)
 
 
-def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
-    """Write a skinned mesh with its skeleton's animation as .glb, .gltf or .fbx; see `save_rig_animations`."""
-    save_rig_animations([RigAnimation(skeleton.mesh.name, skeleton, fps)], path)
-
-
-def save_rig_animations(animations: Sequence[RigAnimation], path: str | Path) -> list[AnimatedRig]:
-    """Write a skinned mesh with one or more animations of its rig as .glb, .gltf or .fbx (see `gltf.skinned`).
+@contextlib.contextmanager
+def joints_file(path: str | Path, animated: bool = True) -> Iterator[Path]:
+    """Yield a temporary path for a glTF file with joints, which becomes the file `path` (.fbx by Blender) at the end.
 
     Args:
-        animations: of one rig: they have the same mesh, joints, weights and rest pose.
-
-    Returns:
-        The motions as the file plays them, which has fewer keys.
+        animated: whether the file has an animation, which a .vrm cannot have.
 
     Raises:
         InputError: another format, or a path that cannot be written to.
     """
-    from .gltf.skinned import write_gltf_skinned
-
-    refuse_vrm(path)
-    with _file_of_joints(Path(path)) as temporary:
-        return write_gltf_skinned(animations, temporary)
-
-
-def save_rig(skeleton: AnimatedRig, path: str | Path) -> None:
-    """Write a skinned mesh at rest, without an animation, as .glb, .gltf or .fbx.
-
-    Raises:
-        InputError: another format, or a path that cannot be written to.
-    """
-    from .gltf.skinned import write_gltf_skinned
-
-    with _file_of_joints(Path(path)) as temporary:
-        write_gltf_skinned([RigAnimation("rest", skeleton, DEFAULT_FPS)], temporary, animated=False)
-
-
-def save_own_rig(rig: OwnAnimation, path: str | Path) -> None:
-    """Write the own glTF file of a mesh with the bone names and the root bone that `rig` has; it adds no animation.
-
-    Raises:
-        InputError: another format, or a path that cannot be written to.
-    """
-    from .gltf.own_animation import write_own_rig
-
-    with _file_of_joints(Path(path)) as temporary:
-        write_own_rig(rig, temporary)
-
-
-def save_own_animations(animations: Sequence[OwnAnimation], path: str | Path) -> list[PlayedAnimation]:
-    """Write the own glTF file of an identity with new animations of its own bones; returns these as they are played.
-
-    Raises:
-        InputError: another format, or a path that cannot be written to.
-    """
-    from .gltf.own_animation import write_own_animations
-
-    refuse_vrm(path)
-    with _file_of_joints(Path(path)) as temporary:
-        return write_own_animations(animations, temporary)
-
-
-def save_own_pose(animation: OwnAnimation, path: str | Path) -> None:
-    """Write the own glTF file of an identity with its bones in the first frame of an animation.
-
-    Raises:
-        InputError: another format, or a path that cannot be written to.
-    """
-    from .gltf.own_animation import write_own_pose
-
-    with _file_of_joints(Path(path)) as temporary:
-        write_own_pose(animation, temporary)
+    path = Path(path)
+    if animated:
+        refuse_vrm(path)
+    if path.suffix.lower() not in JOINTED:
+        raise InputError(f"{path}: expected .glb, .gltf or .fbx for joints, found '{path.suffix}'; rename it")
+    with writing(path), gltf_file(path) as temporary:
+        yield temporary
 
 
 def save_vrma(motions: Sequence[BoneMotion], path: str | Path) -> None:
@@ -249,35 +194,6 @@ def save_vrma(motions: Sequence[BoneMotion], path: str | Path) -> None:
         raise InputError(f"{path}: expected .vrma for bones alone, found '{path.suffix}'; rename it")
     with writing(path), whole_file(path) as temporary:
         write_vrma(motions, temporary)
-
-
-def save_joints(
-    name: str,
-    names: tuple[str, ...],
-    parents: tuple[int, ...],
-    rest: Float[np.ndarray, "J 3"],
-    rotation: Float[np.ndarray, "T J 3 3"],
-    root: Float[np.ndarray, "T 3"],
-    fps: float,
-    path: str | Path,
-) -> None:
-    """Write a motion of joints without a mesh as .glb, .gltf or .fbx; y is up, and no joint is rotated at rest.
-
-    Args:
-        name: that of the animation.
-        parents: index of each joint's parent; -1 for the root, which comes first.
-        rest: positions at rest.
-        rotation: world rotation of each joint since rest.
-        root: position of the root.
-
-    Raises:
-        InputError: another format, or a path that cannot be written to.
-    """
-    from .gltf.joints import write_gltf_joints
-
-    refuse_vrm(path)
-    with _file_of_joints(Path(path)) as temporary:
-        write_gltf_joints(name, names, parents, rest, rotation, root, fps, temporary)
 
 
 def refuse_vrm(path: str | Path) -> None:
@@ -308,14 +224,14 @@ def save_vrm(
     """
     from .gltf.document import open_document
     from .gltf.own_animation import write_own_pose
-    from .gltf.skinned import write_gltf_skinned
+    from .gltf.skinned import write_gltf_rig
     from .gltf.vrm import write_vrm
 
     path = Path(path)
     with writing(path), whole_file(path) as temporary, scratch_folder() as folder:
         glb = folder / "scene.glb"
         if isinstance(rig, AnimatedRig):
-            write_gltf_skinned([RigAnimation("rest", rig, DEFAULT_FPS)], glb, animated=False)
+            write_gltf_rig(rig, glb)
             nodes = open_document(glb).gltf["skins"][0]["joints"]
             bones = {bone: nodes[joint] for bone, joint in bones.items()}
         else:
@@ -357,15 +273,6 @@ def check_writable(path: Path) -> None:
         from .fbx.write import find_blender
 
         find_blender(path)
-
-
-@contextlib.contextmanager
-def _file_of_joints(path: Path) -> Iterator[Path]:
-    """Yield a temporary path for a glTF file with joints, which becomes the file `path` when the block ends."""
-    if path.suffix.lower() not in JOINTED:
-        raise InputError(f"{path}: expected .glb, .gltf or .fbx for joints, found '{path.suffix}'; rename it")
-    with writing(path), gltf_file(path) as temporary:
-        yield temporary
 
 
 def _mesh_path_of_cache(clip: Clip, path: Path) -> Path | None:

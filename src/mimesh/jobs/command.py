@@ -38,9 +38,6 @@ class BatchOptions:
         None, "Where batch.csv, .json and .png go; by default the folder that all outputs share.", metavar="DIR"
     )
     sheet: bool = declared(True, "Draw batch.png, a picture of each result.", name="--sheet/--no-sheet")
-    cluster: str | None = declared(
-        None, "Do the jobs on a Ray cluster: its address, auto, or local.", metavar="ADDRESS"
-    )
 
 
 @with_options
@@ -105,8 +102,6 @@ def batch(
     chosen = [name for name, on in (("transfer", transfer), ("rig", rig), ("capture", capture)) if on]
     if len(chosen) > 1:
         raise InputError(f"batch: expected one command, found --{' and --'.join(chosen)}; leave all but one out")
-    if running.cluster is not None and running.workers is not None:
-        raise InputError("--workers: expected it without --cluster, which has workers of its own; leave one out")
     silent, terminal = printed.silent, sys.stderr.isatty()
     if not silent and not terminal:
         say("checking all jobs", error=True)
@@ -123,7 +118,6 @@ def batch(
             again=running.again,
             summary=running.summary,
             sheet=running.sheet,
-            cluster=running.cluster,
             report=None if silent else bar or print_lines(),
         )
     if printed.json:

@@ -1,4 +1,4 @@
-"""`batch`: check all jobs, have worker processes or a cluster do those that are not finished, and write a summary.
+"""`batch`: check all jobs, have worker processes do those that are not finished, and write a summary.
 
 The summary is a table of all jobs as CSV and as JSON, and a sheet with a picture of each result.
 Beside an output lies a record of what it was made from, so that the same batch again does only what is left: that of
@@ -17,14 +17,13 @@ import sys
 import threading
 import time
 import traceback
-from collections import Counter, defaultdict, deque
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
-from importlib import import_module
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
@@ -75,10 +74,6 @@ FORMAT, VERSION = "mimesh job", 1
 COMPANIONS = {".obj": (".mtl",), ".gltf": (".bin",)}
 """Suffix -> those of files beside it, with the same name, that belong to its contents."""
 TRACEBACK_LINES = 6
-MOST_TASKS = 8
-"""Jobs of one identity that a cluster's core does one after another."""
-LOCAL = "local"
-"""Address of a cluster that is started on this machine, and ended with the batch."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +155,6 @@ def batch(
     again: bool = False,
     summary: str | Path | None = None,
     sheet: bool = True,
-    cluster: str | None = None,
     report: Report | None = None,
 ) -> BatchResult:
     """Do many jobs of `mimesh animate`, `transfer`, `rig` or `capture`: of a table, of all pairs of files, or of each.
@@ -182,8 +176,6 @@ def batch(
         again: do finished jobs again.
         summary: folder for batch.csv, batch.json and batch.png; None: the one that all outputs lie below.
         sheet: draw the contact sheet, batch.png.
-        cluster: address of a Ray cluster that does the jobs, or "local" to start one here (the extra `cluster`); all
-            its machines must have all files at the same paths.
         report: is called at the start and after each job.
 
     Returns:
@@ -223,7 +215,7 @@ def batch(
         return result
 
     try:
-        tiles = _do_tasks(tasks, outcomes, workers, cluster, report)
+        tiles = _do_tasks(tasks, outcomes, workers, report)
     except KeyboardInterrupt:
         saved("csv", "json")
         raise
@@ -251,7 +243,6 @@ def _do_tasks(
     tasks: Sequence[BatchTask],
     outcomes: list[dict[str, Any]],
     workers: int,
-    cluster: str | None,
     report: Report | None,
 ) -> dict[int, bytes | None]:
     """Have the jobs done that are left, put their outcomes in place, and return pictures by the number of the job."""
@@ -261,7 +252,7 @@ def _do_tasks(
     if report is not None:
         report(done, len(tasks), None, {"workers": min(workers, len(left))})
     # Closed at once if `report` raises an error, so that the workers end.
-    with closing(_do_here(wanted, workers) if cluster is None else _do_on_cluster(wanted, cluster)) as finished:
+    with closing(_do_with_workers(wanted, workers)) as finished:
         for k, outcome in finished:
             tiles[k] = outcome.pop("tile", None)
             if outcomes[k]["state"] == DONE_BEFORE:  # its picture alone was wanted
@@ -323,7 +314,7 @@ def recorded(task: BatchTask) -> dict[str, Any] | None:
 def do_task(task: BatchTask) -> dict[str, Any]:
     """Do a job unless its record says that it is done; return its outcome, with a "tile" if a picture is wanted.
 
-    Workers of this machine and of a cluster run it. Errors are outcomes; a signal to stop is not caught.
+    Errors are outcomes; a signal to stop is not caught.
     """
     job, begin = task.job, time.perf_counter()
     failed: dict[str, Any] = {"state": FAILED}
@@ -366,7 +357,7 @@ def _do_job(task: BatchTask, begin: float) -> dict[str, Any]:
     return {**outcome, "memory_mib": resident_memory()}
 
 
-def _do_here(tasks: Mapping[int, BatchTask], workers: int) -> Generator[tuple[int, dict[str, Any]], None, None]:
+def _do_with_workers(tasks: Mapping[int, BatchTask], workers: int) -> Generator[tuple[int, dict[str, Any]], None, None]:
     """Have worker processes do numbered tasks; yield numbers and outcomes as they come.
 
     If this generator is closed, or Ctrl-C ends it, the workers end at once and delete their temporary files.
@@ -491,74 +482,6 @@ def _do_or_exit(task: BatchTask) -> dict[str, Any]:
         return do_task(task)
     except SystemExit:
         os._exit(1)
-
-
-def _do_on_cluster(tasks: Mapping[int, BatchTask], address: str) -> Generator[tuple[int, dict[str, Any]], None, None]:
-    """Have a Ray cluster do numbered tasks, up to MOST_TASKS on one core with one thread; yield as `_do_here` does.
-
-    What is lost with a machine is done again, without the jobs whose records say that they are done.
-
-    Args:
-        tasks: by number.
-        address: of the cluster, "auto" for the one that this machine belongs to, or LOCAL.
-
-    Raises:
-        InputError: Ray is not installed, or there is no cluster at the address.
-    """
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that is started here reports to nobody
-    try:
-        ray: Any = import_module("ray")
-    except ImportError:
-        raise InputError(
-            f"ray: expected it for {option('cluster')}, found it not installed; pip install 'mimesh[cluster]'"
-        ) from None
-    if not tasks:
-        return
-    if begun := not ray.is_initialized():
-        _connect(ray, address)
-    try:
-        do = ray.remote(num_cpus=1, max_retries=-1)(_do_in_folder)  # again as often as a machine is lost
-        waiting = {do.remote([tasks[k] for k in numbers], os.getcwd()): numbers for numbers in chunks(tasks)}
-        while waiting:
-            (ready,), _ = ray.wait(list(waiting), num_returns=1)
-            numbers = waiting.pop(ready)
-            try:
-                outcomes = ray.get(ready)
-            except ray.exceptions.RayError as error:
-                message = f"expected a result, found that Ray gave its task up ({str(error).splitlines()[0]})"
-                outcomes = [{"state": FAILED, "error": message} for _ in numbers]
-            yield from zip(numbers, outcomes, strict=True)
-    finally:
-        if begun:
-            ray.shutdown()
-
-
-def _connect(ray: Any, address: str) -> None:
-    """Connect to a cluster, whose workers find the modules that this process has."""
-    variables = {**ONE_THREAD, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    options = {"include_dashboard": False} if address == LOCAL else {}
-    try:
-        ray.init(address=address, runtime_env={"env_vars": variables}, log_to_driver=False, **options)
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        found = str(error).splitlines()[0]
-        raise InputError(
-            f"{option('cluster')}: expected a Ray cluster at {address}, found '{found}'; start it first"
-        ) from error
-
-
-def chunks(tasks: Mapping[int, BatchTask]) -> list[list[int]]:
-    """Divide numbered tasks: up to MOST_TASKS of one identity each."""
-    numbers: defaultdict[str, list[int]] = defaultdict(list)
-    for number, task in tasks.items():
-        numbers[task.job.identity].append(number)
-    return [some[k : k + MOST_TASKS] for some in numbers.values() for k in range(0, len(some), MOST_TASKS)]
-
-
-def _do_in_folder(tasks: list[BatchTask], folder: str) -> list[dict[str, Any]]:
-    """Do tasks one after another, with paths that start in a folder; runs on the cluster."""
-    os.chdir(folder)
-    keep_results()
-    return [do_task(task) for task in tasks]
 
 
 def shown_jobs(count: int) -> list[int]:

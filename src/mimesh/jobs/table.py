@@ -31,11 +31,10 @@ from ..core.normalization import parse_axis
 from ..core.options import Hints, Layout, ModelOptions, MotionOptions
 from ..core.system import refuse_pipe
 from ..io import mesh_suffixes
-from ..io.formats import ANIMATED, CLIP_READERS, COLLECTIONS, MESH_WRITERS
+from ..io.formats import ANIMATED, CLIP_READERS, COLLECTIONS, JOINTED, MESH_WRITERS
 from ..methods.find import find_mime, find_model
 from ..mime.model import Mime
 from ..pipeline.capturing import JOINT_FILES
-from ..pipeline.rigging import BONES
 from ..tools.convert import file_stem
 from ..tools.preview import names_beside
 
@@ -389,7 +388,7 @@ def _check_job(job: BatchJob) -> None:
         shapes, layout = options_of(ShapeOptions, values), options_of(Layout, values)
         check_clip_output(output, 1, values["skinned"], shapes, layout)
     elif job.command in ("rig", "capture"):
-        check_suffix(output, BONES if job.command == "rig" else JOINT_FILES)
+        check_suffix(output, JOINTED if job.command == "rig" else JOINT_FILES)
     else:
         check_suffix(output, (*MESH_WRITERS, Path(job.identity).suffix.lower()))
 

@@ -27,8 +27,9 @@ from ..core.normalization import Normalization, turn
 from ..core.options import FrameRange, Hints
 from ..core.rig import local_rotations
 from ..core.soles import SolePoints
-from ..io import save_joint_motion, save_joints, save_vrma
+from ..io import joints_file, save_joint_motion, save_vrma
 from ..io.gltf.edit import GltfSource
+from ..io.gltf.joints import write_gltf_joints
 from ..methods.find import find_mime
 from ..mime.model import Mime
 from ..motions.bone_motion import BoneMotion
@@ -123,7 +124,9 @@ class CapturedClip:
             if suffix == ".vrma":
                 save_vrma([self._bone_motion(rest, root, path)], path)
             else:
-                save_joints(self.name, self.names, self.parents, rest, self.rotation, root, self.fps, path)
+                joints = self.names, self.parents, rest, self.rotation, root, self.fps
+                with joints_file(path) as temporary:
+                    write_gltf_joints(self.name, *joints, temporary)
         return path
 
     def _bone_motion(self, rest: Float[np.ndarray, "J 3"], root: Float[np.ndarray, "T 3"], path: Path) -> BoneMotion:

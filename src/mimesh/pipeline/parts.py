@@ -22,6 +22,7 @@ from ..core.geometry import edges, face_areas, links, weld
 from ..core.mesh import Clip, Mesh, chosen_faces
 from ..core.normalization import flat_side, opposite
 from ..core.options import MotionOptions
+from ..core.printable import listed
 from ..io.formats import may_have_joints
 from .placed import FoundJoints, Moved
 from .result import Timer
@@ -218,8 +219,7 @@ def _named(mesh: Mesh, name: str, asked: str) -> Bool[np.ndarray, " P"]:
         if chosen.any():
             return chosen
     names = list(dict.fromkeys([*people, *(known for names in above for known in names)]))
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    found = ", ".join(names[:MOST_NAMED]) + more if names else "it has none"
+    found = listed(names, MOST_NAMED) or "it has none"
     raise InputError(f"{mesh.name}: expected one of its parts ({found}) for {option(asked, name)}; name one of them")
 
 

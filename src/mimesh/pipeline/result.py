@@ -20,7 +20,7 @@ from ..core.arguments import public
 from ..core.errors import InputError
 from ..core.frame_buffer import LazyFrames, Progress
 from ..core.mesh import Clip, Mesh, merged_mesh, same_colors
-from ..io import refuse_vrm, save_clip, save_mesh, save_own_pose
+from ..io import joints_file, refuse_vrm, save_clip, save_mesh
 from ..io.atomic import scratch_folder, written
 from ..io.formats import JOINTED
 from .report import MeshReport, SavedClip, TransferReport, saved_clip
@@ -268,7 +268,10 @@ class Result(_Playable):
         path = Path(path)
         with self.seconds.step("write"):
             if self.own is not None and path.suffix.lower() in JOINTED:
-                save_own_pose(self.own, path)
+                from ..io.gltf.own_animation import write_own_pose
+
+                with joints_file(path, animated=False) as temporary:
+                    write_own_pose(self.own, temporary)
             else:
                 save_mesh(self.mesh, path)
         return path

@@ -24,9 +24,12 @@ from ..core.errors import InputError, option
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..core.options import Hints, Layout, check_influences
-from ..io import save_own_rig, save_rig
+from ..io import joints_file
 from ..io.beside import missing_images, missing_images_notes
+from ..io.formats import JOINTED
+from ..io.gltf.own_animation import write_own_rig
 from ..io.gltf.own_rig import OwnRig
+from ..io.gltf.skinned import write_gltf_rig
 from ..methods.find import find_mime
 from ..mime.model import Mime
 from ..rigs.character import Character
@@ -41,10 +44,6 @@ from .report import RigReport, facing, facing_note, fingered_hands
 from .result import Timer
 from .skinned import check_own_layout, own_pose
 from .vrm import save_as_vrm
-
-BONES = (".glb", ".gltf", ".fbx", ".vrm")
-"""Suffixes of files with bones."""
-
 
 NO_HINTS = Hints()
 
@@ -134,9 +133,9 @@ class RiggedMesh:
         """
         check_influences(influences)
         layout = Layout(names, root_bone, rest)
-        if Path(path).suffix.lower() not in BONES:
+        if Path(path).suffix.lower() not in JOINTED:
             found = f"found '{Path(path).suffix}'"
-            raise InputError(f"{path}: expected one of {' '.join(BONES)} for bones, {found}; rename it")
+            raise InputError(f"{path}: expected one of {' '.join(JOINTED)} for bones, {found}; rename it")
         if (author or license) and Path(path).suffix.lower() != ".vrm":
             raise InputError(f"{path}: expected a .vrm for {option('author')} and {option('license')}, found none")
         if influences != INFLUENCES and Path(path).suffix.lower() == ".vrm":
@@ -147,9 +146,11 @@ class RiggedMesh:
                 save_as_vrm(self, layout, author, license, Path(path))
             elif self.own is not None:
                 check_own_layout(self.own.person, layout, self.mesh.name)
-                save_own_rig(own_pose(self.own, self.mesh.name, layout), path)
+                with joints_file(path, animated=False) as temporary:
+                    write_own_rig(own_pose(self.own, self.mesh.name, layout), temporary)
             else:
-                save_rig(dataclasses.replace(self.laid_out(layout), influences=influences), path)
+                with joints_file(path, animated=False) as temporary:
+                    write_gltf_rig(dataclasses.replace(self.laid_out(layout), influences=influences), temporary)
         return Path(path)
 
     def laid_out(self, layout: Layout) -> AnimatedRig:

@@ -19,8 +19,9 @@ from ..core.errors import InputError, option
 from ..core.options import Layout, needs_joints
 from ..core.printable import file_name
 from ..core.rig import Rig, descendants
-from ..io import save_own_animations, save_rig_animations
-from ..io.gltf.own_animation import OwnAnimation
+from ..io import joints_file
+from ..io.gltf.own_animation import OwnAnimation, write_own_animations
+from ..io.gltf.skinned import write_gltf_skinned
 from ..io.timing import DEFAULT_FPS
 from .report import Deviations, SavedClip, saved_clip
 from .vrma import save_bone_motions
@@ -104,7 +105,8 @@ def _save_on_found_rig(
             RigAnimation(name, skeleton, result.fps).resampled(layout.fps)
             for name, skeleton, result in zip(names, moved, results, strict=True)
         ]
-        written = save_rig_animations(motions, path)
+        with joints_file(path) as temporary:
+            written = write_gltf_skinned(motions, temporary)
     for k, (result, animation, thinned) in enumerate(zip(results, motions, written, strict=True)):
         # Frames at another rate have no counterpart: the thinned keys are then left out of the deviation.
         checked = thinned if layout.fps is None else moved[k]
@@ -219,8 +221,8 @@ def _save_on_own_rig(
         check_own_layout(result.own.joints, layout, result.own.source.document.path.name)
         own = laid_out(dataclasses.replace(result.own, name=name), layout)
         animations.append(own if layout.fps is None else own.resampled(layout.fps))
-    with results[0].seconds.step("write"):
-        written = save_own_animations(animations, path)
+    with results[0].seconds.step("write"), joints_file(path) as temporary:
+        written = write_own_animations(animations, temporary)
     for result, animation, played in zip(results, animations, written, strict=True):
         yield _own_deviations(result, animation, played)
 

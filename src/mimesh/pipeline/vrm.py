@@ -17,8 +17,9 @@ from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError, option
 from ..core.normalization import ORIENTATIONS, ROTATIONS
 from ..core.rig import Rig
-from ..io import save_own_rig, save_vrm
+from ..io import joints_file, save_vrm
 from ..io.gltf.edit import GltfSource
+from ..io.gltf.own_animation import write_own_rig
 from ..io.gltf.vrm import PUBLIC_LICENSE, VrmMeta, vrm_version
 from ..io.usd import stage_axes
 from ..motions.bone_motion import bone_names
@@ -67,7 +68,8 @@ def save_as_vrm(
         found = f"{option('rest', 'A')} or {option('root_bone')}"
         raise InputError(f"{path}: expected a T-pose without a root bone, found {found}; leave it out")
     if own is not None and vrm_version(own.source.document) is not None:
-        save_own_rig(own_pose(own, rigged.mesh.name, layout), path)
+        with joints_file(path, animated=False) as temporary:
+            write_own_rig(own_pose(own, rigged.mesh.name, layout), temporary)
         return
     meta = vrm_meta(rigged.mesh.name, author, license, path)
     turn = ROTATIONS[ORIENTATIONS.index((report["up"], report["front"]))]

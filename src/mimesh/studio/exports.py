@@ -14,10 +14,9 @@ from ..core.frame_buffer import Progress
 from ..core.options import Layout
 from ..io import check_writable, save_mesh
 from ..io.atomic import whole_file
-from ..io.formats import CLIP_WRITERS, FORMATS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS
+from ..io.formats import CLIP_WRITERS, FORMATS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, MORPHED
 from ..pipeline.capturing import JOINT_FILES
 from ..pipeline.result import ClipResult
-from ..pipeline.rigging import BONES
 from ..pipeline.skinned import AS_IT_IS, save_skinned
 from ..pipeline.vrma import check_bones_layout
 from ..tools.convert import BONES_ONLY, blend_note, not_kept, part, rate_note, resampled_note, skinned_note
@@ -34,8 +33,6 @@ FRAMES = tuple(f"frames{suffix}" for suffix in FRAME_SUFFIXES)
 NEEDS = {suffix: ("pxr", "usd") for suffix in (".usd", ".usda", ".usdc", ".usdz")}
 NEEDS |= {".abc": ("alembic3d", "alembic"), ".mp4": ("av", "video")}
 """Module that a format needs, and the extra of mimesh that installs it."""
-SHAPED = (".glb", ".gltf")
-"""Formats to which a number of blend shapes can be given."""
 FORMAT_NAMES = {
     **{suffix: format.name for suffix, format in FORMATS.items()},
     **{f"frames{suffix}": f"{FORMATS[suffix].name} frames" for suffix in FRAME_SUFFIXES},
@@ -96,7 +93,7 @@ def formats(what: str, moving: bool) -> list[dict[str, str | bool]]:
         first = (".glb", ".fbx", BONES_ONLY) if moving else (".glb", ".obj")
         known = (*CLIP_WRITERS, *FRAMES, *MOVIES) if moving else tuple(MESH_WRITERS)
     else:
-        first, known = (), BONES if what == "rig" else JOINT_FILES
+        first, known = (), JOINTED if what == "rig" else JOINT_FILES
     return [_format(suffix) for suffix in dict.fromkeys((*first, *known))]
 
 
@@ -196,7 +193,7 @@ def _check(order: Order, name: str) -> None:
         raise InputError(f"{suffix}: expected .glb, .gltf or .fbx for bones, found this; choose one")
     elif layout != AS_IT_IS and not order.skinned:
         raise InputError("bone names, root bone, rest pose, frame rate: expected with bones, found without; add bones")
-    if order.blendshapes and suffix not in SHAPED:
+    if order.blendshapes and suffix not in MORPHED:
         raise InputError(f"{suffix}: expected .glb or .gltf for blend shapes, found this; choose one")
 
 
@@ -208,7 +205,7 @@ def _format(suffix: str) -> dict[str, str | bool]:
         "needs": _lacking(suffix),
         "joints": suffix in JOINTED,
         "bones": suffix == BONES_ONLY,
-        "shapes": suffix in SHAPED,
+        "shapes": suffix in MORPHED,
     }
 
 

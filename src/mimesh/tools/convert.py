@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..bodies.joint_names import ancestors
+from ..core.animated_rig import RigAnimation
 from ..core.errors import InputError, option
 from ..core.frame_buffer import PosedFrames, Progress
 from ..core.mesh import Clip, Mesh, RewritableSource, check_cut, cut_clip, spread_clip, stored_clip
@@ -19,17 +20,16 @@ from ..core.options import ConvertOptions
 from ..io import (
     check_writable,
     clip_suffixes,
+    joints_file,
     list_animations,
     load_driving,
     load_mesh,
     load_recorded_clip,
     save_mesh,
-    save_own_animations,
-    save_skinned,
     save_whole,
 )
 from ..io.beside import missing_images, missing_images_notes
-from ..io.formats import FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
+from ..io.formats import FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS
 from ..io.polygons import smooth_normals
 from ..io.timing import DEFAULT_FPS
 
@@ -132,9 +132,12 @@ def convert(
     clip = clip if options.frame is None else _single_frame(clip, options.frame, source)
     clip = dataclasses.replace(clip, mesh=_with_up(clip.mesh, options.up, target))
     if suffix in JOINTED and isinstance(clip.vertices, PosedFrames) and not frames_are_asked(options):
+        from ..io.gltf.skinned import write_gltf_skinned
         from ..motions.on_body import played_rig
 
-        save_skinned(played_rig(clip), clip.fps, target)
+        body = RigAnimation(clip.mesh.name, played_rig(clip), clip.fps)
+        with joints_file(target) as temporary:
+            write_gltf_skinned([body], temporary)
         notes += (f"{target.name} is mimesh's own body on the bones of the motion; --morphs writes its surface alone",)
         return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
     if (len(clip) == 1 and suffix in MESH_WRITERS) or not holds_clip:
@@ -190,7 +193,7 @@ def _check_options(options: ConvertOptions, target: Path, holds_clip: bool) -> l
         raise InputError(f"--betas {options.betas}: expected it with --body-model, found it without; name the model")
     shapes = ["--blendshapes"] * (options.blendshapes is not None) + ["--morphs"] * options.morphs
     if options.morphs:
-        if target.suffix.lower() not in (".glb", ".gltf"):
+        if target.suffix.lower() not in MORPHED:
             raise InputError(f"{target}: expected .glb or .gltf for --morphs, found '{target.suffix}'; leave it out")
         _refuse_options(target, shapes[:-1], "--morphs writes one a frame")
     if options.frame is not None:
@@ -369,11 +372,12 @@ def _with_bones(source: Path, target: Path, options: ConvertOptions, given: list
         kept = f"{target.name} has the animations {', '.join(names)}"
         return Converted(count, 1, None, notes + ((kept,) if len(names) > 1 and options.animation is None else ()))
     from ..io.gltf.edit import GltfSource
-    from ..io.gltf.own_animation import cut_animation
+    from ..io.gltf.own_animation import cut_animation, write_own_animations
 
     assert isinstance(mesh.source, GltfSource)
     cut = cut_animation(mesh.source, options.animation, options.fps, options.slice, options.frames)
-    save_own_animations([cut], target)
+    with joints_file(target) as temporary:
+        write_own_animations([cut], temporary)
     notes += animations_note(names, source) if options.animation is None else ()
     return Converted(count, cut.frames, cut.fps, notes)
 
@@ -493,7 +497,7 @@ def size_note(path: Path) -> tuple[str, ...]:
     """Return a note on how to make a clip smaller, if its file is large."""
     if not path.is_file() or (size := path.stat().st_size) < LARGE:
         return ()
-    joints = ", and --skinned writes joints instead of frames" if path.suffix.lower() in (".glb", ".gltf") else ""
+    joints = ", and --skinned writes joints instead of frames" if path.suffix.lower() in MORPHED else ""
     return (f"{path.name} has {size / 2**20:,.0f} MiB: --step takes fewer frames{joints}",)
 
 

@@ -28,7 +28,6 @@ EXTRAS = {
     "hdf5": (("h5py",), "for HDF5"),
     "video": (("av",), "for MP4"),
     "viewer": (("starlette", "uvicorn"), "for the studio"),
-    "cluster": (("ray",), "for batches on several machines"),
     "train": (("torch", "onnx", "safetensors"), "for training"),
 }
 """Extra -> its packages, and what they are for."""

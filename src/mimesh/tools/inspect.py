@@ -14,7 +14,7 @@ from ..bodies.joint_names import person_joints
 from ..core.errors import RefusedMeshError
 from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
-from ..core.printable import printable
+from ..core.printable import listed, printable
 from ..io.beside import missing_images, missing_images_notes
 from ..methods.find import find_mime
 from ..pipeline.corrections import Corrections
@@ -27,6 +27,8 @@ PERSON = (1.4, 2.1)
 """Longest side (metres) of a standing person, arms spread or not: smallest and largest."""
 UNITS = (("m", 1.0), ("dm", 0.1), ("cm", 0.01), ("mm", 0.001), ("inch", 0.0254))
 """Names of units, and their length in metres."""
+MOST_NAMES = 6
+"""Names of parts or materials that are listed."""
 
 
 @dataclass(frozen=True)
@@ -236,10 +238,8 @@ def _looks(facts: FileFacts) -> str:
     return ", ".join(found) or "no UVs, normals or textures"
 
 
-def _names(names: tuple[str, ...], shown: int = 6) -> str:
-    distinct = list(dict.fromkeys(names))
-    more = f" and {len(distinct) - shown} more" if len(distinct) > shown else ""
-    return f"{len(names)}: " + ", ".join(distinct[:shown]) + more
+def _names(names: tuple[str, ...]) -> str:
+    return f"{len(names)}: {listed(list(dict.fromkeys(names)), MOST_NAMES)}"
 
 
 def _plural(count: int, singular: str, plural: str | None = None) -> str:

@@ -14,13 +14,15 @@ from people import person, walk
 
 from mimesh.bodies.engine_names import SCHEMES
 from mimesh.bodies.engine_rig import engine_rig
+from mimesh.core.animated_rig import RigAnimation
 from mimesh.core.errors import InputError
 from mimesh.core.options import MotionOptions
-from mimesh.io import load_mesh, save_skinned
+from mimesh.io import load_mesh
 from mimesh.io.gltf.animation import read_channels
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.keys import KEY_LIMIT
 from mimesh.io.gltf.read import read_rest
+from mimesh.io.gltf.skinned import write_gltf_skinned
 from mimesh.pipeline import animate
 
 FPS = 30.0
@@ -29,7 +31,7 @@ LAYOUTS = [(names, rest != "file", rest) for names in SCHEMES for rest in ("file
 
 def written(path, names, root_bone, rest="file", fingers=True):
     rig = engine_rig(moving_rig(4, fingers, arms=10.0), names, root_bone, rest)
-    save_skinned(rig, FPS, path)
+    write_gltf_skinned([RigAnimation("a", rig, FPS)], path)
     return rig, open_document(path)
 
 
@@ -94,7 +96,7 @@ def test_sampled_rates_keep_the_duration_and_the_frames_they_share(tmp_path):
         sampled = rig.resampled(FPS, fps)
         assert len(sampled.root) == int((len(rig.root) - 1) / FPS * fps + 1e-6) + 1
         assert np.allclose(posed(sampled, k), posed(rig, t), atol=1e-9)
-    save_skinned(sampled, fps, tmp_path / "a.glb")
+    write_gltf_skinned([RigAnimation("a", sampled, fps)], tmp_path / "a.glb")
     times = open_document(tmp_path / "a.glb").gltf["accessors"]
     assert any(np.isclose(accessor.get("max", [0])[0], (len(sampled.root) - 1) / fps) for accessor in times)
     # Half way between two frames is what a player of glTF shows.

@@ -14,14 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.core import frame_buffer as paging
-from mimesh.core.animated_rig import AnimatedRig
+from mimesh.core.animated_rig import AnimatedRig, RigAnimation
 from mimesh.core.errors import InputError
 from mimesh.core.rig import Rig
-from mimesh.io import load_clip, load_mesh, save_skinned
+from mimesh.io import load_clip, load_mesh
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.motion import bind_poses, gltf_joints, read_skeleton
 from mimesh.io.gltf.scene import world_matrices
 from mimesh.io.gltf.skin_file import read_skin
+from mimesh.io.gltf.skinned import write_gltf_skinned
 from mimesh.motions import load_motion, window
 from mimesh.motions.motion import joint_tracks
 from mimesh.motions.on_body import on_body
@@ -58,7 +59,7 @@ def rigged(body, motion, tmp_path_factory):
     rotation, position = joint_tracks(body, motion)
     rig = Rig(rest_rotation, body.joints, body.weights[kept(1000)])
     skeleton = AnimatedRig(person(0), body.joint_names, body.parents, rig, rotation @ rest_rotation, position[:, 0])
-    save_skinned(skeleton, motion.fps, path)
+    write_gltf_skinned([RigAnimation("leap", skeleton, motion.fps)], path)
     return path
 
 

@@ -9,8 +9,9 @@ from mimesh.core.animated_rig import AnimatedRig, RigAnimation
 from mimesh.core.errors import InputError
 from mimesh.core.frame_buffer import LazyFrames
 from mimesh.core.rig import Rig
-from mimesh.io import load_clip, load_mesh, save_mesh, save_rig_animations, save_skinned
+from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.io.gltf.document import open_document, read_accessor
+from mimesh.io.gltf.skinned import write_gltf_skinned
 from mimesh.pipeline import animate
 
 
@@ -38,7 +39,7 @@ def test_skinned_frames_equal_the_frames_of_the_result(model, tmp_path, suffix):
         assert np.allclose(np.linalg.norm(quaternions, axis=1), 1, atol=1e-6)
         assert ((quaternions[1:] * quaternions[:-1]).sum(axis=1) > 0).all()
     with pytest.raises(InputError, match=r"expected \.glb, \.gltf or \.fbx for joints, found '\.obj'"):
-        save_skinned(result.skeleton, 30.0, tmp_path / "hero.obj")
+        result.save_skinned(tmp_path / "hero.obj")
 
 
 def swinging(frames, fps, joints=6):
@@ -64,7 +65,7 @@ def swinging(frames, fps, joints=6):
 @pytest.mark.parametrize(("frames", "fps"), [(1, 30.0), (2, 30.0), (90, 30.0), (120, 60.0), (61, 24000 / 1001)])
 def test_thinned_file_has_the_frames_and_the_rate_of_the_clip(frames, fps, tmp_path):
     moving = swinging(frames, fps)
-    (played,) = save_rig_animations([RigAnimation("swing", moving, fps)], tmp_path / "a.glb")
+    (played,) = write_gltf_skinned([RigAnimation("swing", moving, fps)], tmp_path / "a.glb")
     clip = load_clip(tmp_path / "a.glb")
     assert len(clip) == frames
     assert frames < 3 or clip.fps == pytest.approx(fps, rel=1e-6)
@@ -82,7 +83,7 @@ def test_thinned_file_has_the_frames_and_the_rate_of_the_clip(frames, fps, tmp_p
 
 def test_a_file_has_several_animations_at_their_own_rates(tmp_path):
     slow, fast = swinging(40, 24.0), swinging(50, 60.0)
-    save_rig_animations([RigAnimation("slow", slow, 24.0), RigAnimation("fast", fast, 60.0)], tmp_path / "a.glb")
+    write_gltf_skinned([RigAnimation("slow", slow, 24.0), RigAnimation("fast", fast, 60.0)], tmp_path / "a.glb")
     assert load_mesh(tmp_path / "a.glb").source.animations == ("slow", "fast")
     for name, moving, fps in (("slow", slow, 24.0), ("fast", fast, 60.0)):
         clip = load_clip(tmp_path / "a.glb", animation=name)

@@ -8,7 +8,6 @@ joined of all objects, the polygons of one object, the objects with their sample
 from __future__ import annotations
 
 import contextlib
-import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from alembic3d import Abc, AbcGeom
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int
 
 from ...core.budgets import check_clip_size
 from ...core.errors import InputError
@@ -32,10 +31,6 @@ from .write import AlembicSource
 # alembic3d ships no types.
 # pyright: reportAttributeAccessIssue=false
 
-_HEADER = struct.Struct("<5sBHQ")
-"""Header of an Ogawa file: the word "Ogawa", 255 once writing has finished, version, offset of the root group."""
-_DATA = 1 << 63
-"""Bit of a child's offset: set for a data block, clear for a group (Alembic's `Ogawa/Foundation.h`)."""
 _ON_SAMPLE = 1e-5
 """Fraction of the interval between two samples: a time nearer than this to a sample takes that sample unchanged."""
 
@@ -518,13 +513,13 @@ def _blend_matrices(
 
 
 def _open_archive(path: Path) -> Any:
-    """Open an archive for reading. The library may crash on a damaged file, so all offsets are checked first.
+    """Open an archive for reading.
 
     Raises:
-        InputError: the file is no Alembic archive, is stored as HDF5, truncated or unfinished.
+        InputError: the file is no Alembic archive, is stored as HDF5, or unfinished.
     """
-    data = np.memmap(path, np.uint8, "r")
-    _check_blocks(data, _root_offset(data[: _HEADER.size].tobytes(), path), path)
+    with path.open("rb") as file:
+        _check_header(file.read(6), path)
     return Abc.IArchive(str(path))
 
 
@@ -540,8 +535,8 @@ def _reading(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _root_offset(head: bytes, path: Path) -> int:
-    """Read the offset of the root group from the first bytes of a file; raises InputError for other kinds of files."""
+def _check_header(head: bytes, path: Path) -> None:
+    """Raise InputError for other kinds of files: an Ogawa file begins so, and with 255 once writing has finished."""
     if head.startswith(b"\x89HDF"):
         raise InputError(
             f"{path}: expected an Alembic archive of the kind Ogawa, found the older HDF5; "
@@ -549,41 +544,5 @@ def _root_offset(head: bytes, path: Path) -> int:
         )
     if not head.startswith(b"Ogawa"):
         raise InputError(f"{path}: expected an Alembic archive, found a file that begins {head[:5]!r}; check its name")
-    if len(head) < _HEADER.size or head[5] != 255:
+    if head[5:] != b"\xff":
         raise InputError(f"{path}: expected a finished archive, found one whose writing was cut off; export it again")
-    return _HEADER.unpack(head)[3]
-
-
-def _check_blocks(data: UInt8[np.ndarray, " N"], root: int, path: Path) -> None:
-    """Check that every group and data block reachable from the root group lies within the file.
-
-    An Ogawa file is a graph: a group is a child count and the offsets of its children, a data block is a byte count
-    and its bytes. No writer lists an empty group after a data block in one group: where that is found, part of the list
-    was overwritten by zeros. The contents of data blocks are left to the library.
-
-    Raises:
-        InputError: an offset beyond the end of the file, or samples overwritten by zeros.
-    """
-    pending, visited = [root], set()
-    while pending:
-        offset = pending.pop()
-        start = offset & ~_DATA
-        if start == 0 or offset in visited:  # offset 0 is an empty block; equal samples share one block
-            continue
-        visited.add(offset)
-        size = int.from_bytes(data[start : start + 8].tobytes(), "little")  # bytes, or children of 8 bytes each
-        stop = start + 8 + (size if offset & _DATA else 8 * size)
-        if stop > len(data) or start + 8 > len(data):
-            raise InputError(
-                f"{path}: expected all of the archive in its {len(data)} bytes, found a reference to byte {stop}; "
-                "the file is cut short or damaged, export it again"
-            )
-        if not offset & _DATA:
-            children = np.frombuffer(data[start + 8 : stop].tobytes(), "<u8")
-            follows_data = np.logical_or.accumulate(children >= _DATA)
-            if (follows_data & (children == 0)).any():
-                raise InputError(
-                    f"{path}: expected samples in all places, found some overwritten by zeros at byte {start}; "
-                    "the file is damaged, export it again"
-                )
-            pending += children.tolist()

@@ -1,8 +1,8 @@
 """Opens glTF 2.0 files: the JSON and the buffers of a .glb or .gltf, and the arrays (accessors) inside them.
 
 All buffers, embedded or in files beside it, are joined into one on opening, so that a `Document` needs no other file.
-Large files and data: URIs are memory-mapped: they take only the memory of the pages that are being read. Numbers in
-comments are sections of the glTF 2.0 specification.
+Large binary files are memory-mapped: they take only the memory of the pages that are being read. Numbers in comments
+are sections of the glTF 2.0 specification.
 """
 
 from __future__ import annotations
@@ -10,9 +10,7 @@ from __future__ import annotations
 import base64
 import json
 import mmap
-import re
 import struct
-import tempfile
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -48,8 +46,6 @@ NO_INDEX = ("scene", "mesh", "skin", "skeleton", "camera", "material", "indices"
 """Optional indices that exporters write as -1 where there is none."""
 IMAGE_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp", b"\xabKTX": "image/ktx2"}
 """MIME type by the first bytes of an image: PNG and JPEG (3.8.3 Images), WebP and KTX2 through extensions."""
-DECODE_BLOCK = 2**22
-"""Base64 characters that are decoded at once; a multiple of four, so that blocks end between bytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +76,7 @@ def open_document(path: Path) -> Document:
     else:
         content = files.read(path)
     magic = bytes(content[:4])
-    text, chunk = _split_glb(content, path) if magic == b"glTF" else (files.extract_large_uris(content), b"")
+    text, chunk = _split_glb(content, path) if magic == b"glTF" else (bytes(content), b"")
     if path.suffix.lower() != ".gltf" and magic != b"glTF":
         raise damaged(path, "a binary glTF ('glTF' at the start)", repr(magic))
     gltf = _parse_json(text, path)
@@ -150,14 +146,12 @@ def uri_file_name(entry: dict[str, Any]) -> str:
 
 
 class MappedFiles:
-    """The files and large data: URIs of one document, memory-mapped from `frame_buffer.LARGE` bytes on."""
+    """The files of one document, memory-mapped from `frame_buffer.LARGE` bytes on."""
 
     def __init__(self, document: Path) -> None:
         self.document = document
         self.maps: list[mmap.mmap] = []
         """All maps, for `release_pages`; each lives as long as a view of it."""
-        self.extracted: dict[str, memoryview] = {}
-        """Contents of large data: URIs, by the short URI that replaces each in the JSON."""
 
     def release_pages(self) -> None:
         """Release the memory of the pages that have been read; the data stays readable."""
@@ -170,7 +164,8 @@ class MappedFiles:
         if path.stat().st_size < LARGE:
             return memoryview(path.read_bytes())
         with path.open("rb") as file:
-            return self._map(file.fileno())
+            self.maps.append(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+        return memoryview(self.maps[-1])
 
     def fetch(self, uri: str) -> bytes | memoryview | None:
         """Return the bytes behind a URI of the document; None where there is no such file.
@@ -180,8 +175,6 @@ class MappedFiles:
         Raises:
             InputError: a data: URI is not valid base64.
         """
-        if uri in self.extracted:
-            return self.extracted[uri]
         if uri.startswith("data:"):
             try:
                 return base64.b64decode(uri.partition(",")[2], validate=True)
@@ -190,32 +183,6 @@ class MappedFiles:
         # URIs are percent-encoded, but some exporters write names without encoding.
         name = find_beside(self.document.parent, (unquote(uri), uri))
         return None if name is None else self.read(self.document.parent / name)
-
-    def extract_large_uris(self, text: memoryview) -> bytes:
-        """Decode the large data: URIs in the text of a .gltf file; returns its JSON with short URIs instead.
-
-        Done before the text is parsed, so that the JSON parser never holds the base64 characters in memory.
-        """
-        pieces, end = [], 0
-        for found in re.finditer(rb'"data:[^",]*;base64,([A-Za-z0-9+/]{%d,}={0,2})"' % LARGE, text):
-            uri = f"data:{len(self.extracted)}"
-            self.extracted[uri] = self._decode(text[found.start(1) : found.end(1)])
-            pieces += [text[end : found.start()], f'"{uri}"'.encode()]
-            end = found.end()
-        return b"".join([*pieces, text[end:]])
-
-    def _decode(self, characters: memoryview) -> memoryview:
-        """Decode base64 into a temporary file, block by block, and map that file."""
-        with tempfile.TemporaryFile() as file:
-            for start in range(0, len(characters), DECODE_BLOCK):
-                file.write(base64.b64decode(characters[start : start + DECODE_BLOCK]))
-                self.release_pages()
-            file.flush()
-            return self._map(file.fileno())
-
-    def _map(self, descriptor: int) -> memoryview:
-        self.maps.append(mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ))
-        return memoryview(self.maps[-1])
 
 
 def _used_accessors(gltf: dict[str, Any]) -> set[int]:

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...core.animated_rig import AnimatedRig, RigAnimation
+from ..timing import DEFAULT_FPS
 from .animation import AnimationChannel, add_animation
 from .build import build_document, stage_transform
 from .check import ARRAY_BUFFER
@@ -107,6 +108,11 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path, animated:
         ]
     draft.save(path)
     return [rotations.played(animation.skeleton) for animation, rotations in zip(animations, thinned, strict=True)]
+
+
+def write_gltf_rig(skeleton: AnimatedRig, path: Path) -> None:
+    """Write a skinned mesh at rest, without an animation."""
+    write_gltf_skinned([RigAnimation("rest", skeleton, DEFAULT_FPS)], path, animated=False)
 
 
 def _add_joints(draft: Draft, skeleton: AnimatedRig, rest: Float[np.ndarray, "J 4"]) -> list[int]:

@@ -21,8 +21,9 @@ from ...bodies import RiggedBody, load_body
 from ...bodies.character_limbs import SIDES
 from ...core.errors import InputError
 from ...core.frame_buffer import Progress, counted
-from ...evaluate.character_folder import DAMAGED, RIGGED, licence_of, pack_of
+from ...evaluate.character_folder import DAMAGED, licence_of, pack_of
 from ...evaluate.clip_protocols import is_held_out, is_held_out_file
+from ...io.formats import JOINTED
 from ...io.gltf.animation import animation_names
 from ...io.gltf.character import NOT_STATED
 from ...io.gltf.document import open_document
@@ -129,7 +130,7 @@ def _motions(path: Path, body: RiggedBody) -> Iterator[tuple[str, Motion | Input
     """Iterate over the names and motions of a file, with an error in place of a motion that cannot be used."""
     if is_held_out_file(path.name):
         yield path.name, InputError(HELD_OUT)
-    elif path.suffix.lower() not in RIGGED:
+    elif path.suffix.lower() not in JOINTED:
         yield path.name, motion_of_file(path)
     else:
         document = open_document(path)
@@ -144,14 +145,14 @@ def _motions(path: Path, body: RiggedBody) -> Iterator[tuple[str, Motion | Input
 
 def _maker(path: Path, folder: Path) -> str:
     """Name maker, folder and licence of a file."""
-    maker, stated = read_origin(open_document(path)) if path.suffix.lower() in RIGGED else ("", "")
+    maker, stated = read_origin(open_document(path)) if path.suffix.lower() in JOINTED else ("", "")
     return f"{maker or NOT_STATED}: {pack_of(path, folder)} ({stated or licence_of(path, folder) or NOT_STATED})"
 
 
 def _is_motion(path: Path) -> bool:
     """Tell whether a file can contain motions of joints."""
     try:
-        return path.suffix.lower() in RIGGED or is_motion_file(path)
+        return path.suffix.lower() in JOINTED or is_motion_file(path)
     except DAMAGED:
         return False
 
