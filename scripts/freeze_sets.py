@@ -46,7 +46,6 @@ NOTES = {
     },
     ("clips-aniformer", "seen"): "motions that the rows of the tables are trained on, by new people",
     ("clips-aniformer", "held-out"): "10 seconds of one boxing capture, 20 clips by an animator",
-    ("clips-aniformer", "stress"): "13 clips of DeepMimic, which were looked at during development",
     ("clips-ordered", "seen"): "motions and driving people that the rows of the tables are trained on",
     ("clips-ordered", "unseen"): "later seconds of the takes of the training, by driving people of the training",
     ("clips-ordered", "held-out"): "the motions of clips-aniformer, by driving people of the training",

@@ -20,10 +20,8 @@ from mimesh.evaluate.clip_protocols import (
     BOXING_SECONDS,
     CLIPS_ANIFORMER,
     CLIPS_ORDERED,
-    GAITS,
     ORDER,
     SEEN,
-    STRESS,
     TAKES,
     UNSEEN,
     clips_aniformer,
@@ -36,7 +34,6 @@ from mimesh.evaluate.metrics import pmd, pmd_aligned, resized
 from mimesh.evaluate.pairs import human
 from mimesh.motions import load_motion, resample
 from mimesh.motions.clips import SPLITS
-from mimesh.motions.deepmimic import CLIPS
 from mimesh.motions.procedural import spline_motion
 
 STREAMS = ("train", "train/motions", "val", "val/actors", "val/motions", "test", "test/actors", "test/motions")
@@ -62,11 +59,11 @@ def test_protocol_has_the_numbers_of_the_paper():
     assert len({motion.name for motion in CLIPS_ANIFORMER.seen(human())}) == 80
     assert CLIPS_ANIFORMER.train_motions(human()).shape == (80, 30, 31, 3, 3)
     assert CLIPS_ANIFORMER.train_people(human()).shape == (16, 16)
-    assert KINDS == ("seen", "held-out", "procedural", "stress")
-    assert [CLIPS_ANIFORMER.count(kind) for kind in KINDS] == [24, 30, 20, 13]
-    assert [CLIPS_ANIFORMER.count(kind, 80) for kind in KINDS] == [80, 30, 20, 13]
-    assert [CLIPS_ANIFORMER.count(kind, 80, "val") for kind in KINDS] == [80, 7, 20, 13]
-    assert [CLIPS_ANIFORMER.count(kind, 3) for kind in KINDS] == [3, 3, 3, 3]
+    assert KINDS == ("seen", "held-out", "procedural")
+    assert [CLIPS_ANIFORMER.count(kind) for kind in KINDS] == [24, 30, 20]
+    assert [CLIPS_ANIFORMER.count(kind, 80) for kind in KINDS] == [80, 30, 20]
+    assert [CLIPS_ANIFORMER.count(kind, 80, "val") for kind in KINDS] == [80, 20, 20]
+    assert [CLIPS_ANIFORMER.count(kind, 3) for kind in KINDS] == [3, 3, 3]
     # Seen trials use every motion once, and begin with all sources.
     names = [CLIPS_ANIFORMER.motion("test", "seen", i).name for i in range(80)]
     assert len(set(names)) == 80
@@ -118,13 +115,7 @@ def test_motions_that_checkpoints_are_chosen_by_are_later_seconds_and_need_no_fo
 
 
 @pytest.mark.slow
-def test_held_out_and_stress_motions_are_the_middle_second_of_whole_clips(protocol):
-    """DeepMimic's are divided between `val` and the stress test; those of `test` are of other files."""
-    assert sorted((*GAITS, *STRESS)) == sorted(CLIPS)
-    for split, kind, names in (("val", "held-out", GAITS), ("test", "stress", STRESS), ("val", "stress", STRESS[:1])):
-        motions = [protocol.motion(split, kind, i) for i in range(len(names))]
-        assert [motion.name for motion in motions] == list(names)
-        assert {(len(motion), motion.fps) for motion in motions} == {(30, 30.0)}
+def test_held_out_motions_are_the_middle_second_of_whole_clips(protocol):
     clips = [clip for clips in ANIMATED.values() for clip in clips]
     assert sorted(TAKES[k][1] for k in ORDER) == sorted([*clips, *map(str, BOXING_SECONDS)])
     motions = [protocol.motion("test", "held-out", i) for i in range(6)]
@@ -165,39 +156,30 @@ def test_stored_distances_of_held_out_motions_are_those_of_other_takes():
     neighbours = float(np.median(step))
     assert 1 < neighbours < 2.5
     assert stored["test", "seen"] == (0, 0)
-    assert stored["val", "held-out"][0] > 2 * neighbours
     assert stored["test", "held-out"][0] > 3 * neighbours
     assert stored["test", "held-out"][1] > 10
 
 
-def test_missing_data_are_reported_before_measuring(motions, tmp_path, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    for split in ("val", "test"):
-        with pytest.raises(InputError, match="DeepMimic clips: expected a folder or an installed pybullet"):
-            CLIPS_ANIFORMER.check(split)
+def test_missing_data_are_reported_before_measuring(motions, tmp_path):
+    CLIPS_ANIFORMER.check("val")
+    with pytest.raises(InputError, match="held-out motions: expected a folder, found none"):
+        CLIPS_ANIFORMER.check("test")
     with pytest.raises(InputError, match="expected val or test"):
         CLIPS_ANIFORMER.check("train")
-    with pytest.raises(InputError, match="expected the 20 human clips"):
-        clips_aniformer(tmp_path)
-    shutil.copytree(motions / "deepmimic", tmp_path / "some" / "motions")
     protocol = clips_aniformer(tmp_path)
-    protocol.check("val")
+    (tmp_path / "some").mkdir()
     message = r"found no Boxing_Toes\.bvh and 6 others; .* Debian package assimp-testmodels"
     with pytest.raises(InputError, match=message):
         protocol.check("test")
-    shutil.copytree(motions / "takes", tmp_path / "takes")
+    shutil.copytree(motions, tmp_path / "some" / "takes")
     protocol.check("test")
 
 
-GOLDEN = {"held-out": (326174.474971, 315359.066483), "stress": (346027.344300, 292397.494547)}
-"""Sums over the coordinates of truth and driving clip (metres) of the first test trial, for the files written here."""
-
-
-@matrix("kind", GOLDEN, quick=["held-out"])
-def test_first_trials_of_files_are_as_published(protocol, kind):
-    trial = made(protocol, kind)[1]
+def test_first_trial_of_files_is_as_published(protocol):
+    """By the sums over the coordinates of truth and driving clip (metres), for the files written here."""
+    trial = made(protocol, "held-out")[1]
     sums = [np.abs(trial.truth_frames).sum(), np.abs(trial.clip.vertices).sum()]
-    assert np.allclose(sums, GOLDEN[kind], rtol=1e-7), sums
+    assert np.allclose(sums, (326174.474971, 315359.066483), rtol=1e-7), sums
 
 
 @EACH_KIND
@@ -317,9 +299,9 @@ def test_files_are_needed_for_held_out_motions_alone(tmp_path):
     CLIPS_ORDERED.check("test")
     with pytest.raises(InputError, match="without trials"):
         CLIPS_ORDERED.check("train")
-    for split in ("val", "test"):
-        with pytest.raises(InputError, match="expected"):
-            clips_ordered(tmp_path).check(split)
+    clips_ordered(tmp_path).check("val")
+    with pytest.raises(InputError, match="expected the files of the held-out motions"):
+        clips_ordered(tmp_path).check("test")
 
 
 def test_networks_that_pair_by_index_are_measured_here_and_refused_where_vertices_are_shuffled(tmp_path):

@@ -26,7 +26,7 @@ from mimesh.evaluate.protocols import HUMAN_NPT, PROTOCOLS, with_test_garments
 STORED = frozen_sets()
 WITHOUT_FILES = {name: protocol for name, protocol in PROTOCOLS.items() if name not in INEXACT}
 WITHOUT_FILES |= {"clips-aniformer": CLIPS_ANIFORMER, "clips-ordered": CLIPS_ORDERED, "fingers": fingers()}
-NEEDS_FILES = {("clips-aniformer", kind) for kind in ("held-out", "stress")} | {("clips-ordered", "held-out")}
+NEEDS_FILES = {("clips-aniformer", "held-out"), ("clips-ordered", "held-out")}
 NEEDS_FILES |= {("fingers", "characters")}
 NEEDS_FILES |= {("dressed", f"new-{kind}") for kind in ("identity", "driving", "both")}
 GENERATED = [key for key in STORED if key[0] in WITHOUT_FILES and (key[0], key[2]) not in NEEDS_FILES]
@@ -95,10 +95,7 @@ def test_every_set_of_every_protocol_is_stored():
 
 def test_what_was_looked_at_is_no_test_set():
     roles = {key: stored.role for key, stored in STORED.items()}
-    assert {value for (_, split, kind), value in roles.items() if split == "val" and kind != "stress"} == {
-        "development"
-    }
-    assert roles["clips-aniformer", "test", "stress"] == roles["clips-aniformer", "val", "stress"] == "stress"
+    assert {value for (_, split, _), value in roles.items() if split == "val"} == {"development"}
     assert all(roles["noise", "test", kind] == "development" for kind in ("holes", "cropped", "half"))
     assert roles["noise", "test", "noise-2"] == roles["clips-aniformer", "test", "held-out"] == "test"
     assert {value for (name, _, _), value in roles.items() if name == "cross-body"} == {"development"}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from deepmimic_files import write_folder
 from gltf_samples import pack_glb
 from motion_files import write_bvh
 from scipy.spatial.transform import Rotation
@@ -17,13 +16,6 @@ from mimesh.motions.procedural import spline_motion
 
 SHORT = "Running_A"
 """The one clip that is shorter than a second."""
-
-
-def write_all(folder: Path) -> Path:
-    """Write all files that clips-aniformer reads, in two subfolders."""
-    write_folder(folder / "deepmimic")
-    write_takes(folder / "takes")
-    return folder
 
 
 def write_takes(folder: Path) -> Path:

@@ -3,18 +3,12 @@
 
 DFAUST, the paper's data, must not be redistributed. Here the 80 seen motions are disjoint seconds of the shipped CMU
 takes, mirror images of some of them, walks and splines. `procedural` are walks and splines with other seeds, because
-motions from the same generators are in the training data. The other two kinds are whole motions that nothing is trained
-on, read from files:
-
-* `held-out`: in `test` the 30 motions of TAKES; in `val` the 7 walks, turns and runs of DeepMimic, which
-  were looked at during development.
-* `stress`: the other 13 clips of DeepMimic (flips, rolls, crawls, get-ups, kicks, dances), whose poses are far from all
-  captures here. Both splits have the same ones. They were looked at during development, too.
+motions from the same generators are in the training data. `held-out` are in `test` the 30 motions of TAKES, whole
+motions that nothing is trained on, read from files; in `val` later seconds of the shipped takes.
 
 There are 16 training people. 8 new identities, each in its own rest pose, are moved in `test`, and 8 others in `val`;
-every trial has a new driving person. Trials of DeepMimic have those of `test` in both splits, so their figures are
-comparable with those of version 1, where the 20 clips were the kind `unseen`. All motions begin facing +z and have 30
-frames. AniFormer takes 30 evenly spaced frames of each of its motions; here a motion is one second.
+every trial has a new driving person. All motions begin facing +z and have 30 frames. AniFormer takes 30 evenly spaced
+frames of each of its motions; here a motion is one second.
 """
 
 from __future__ import annotations
@@ -37,7 +31,6 @@ from ..io.gltf.motion import read_skeleton
 from ..motions import Motion, mirror, motion_clip, resample
 from ..motions.bvh import load_bvh
 from ..motions.clips import split_windows
-from ..motions.deepmimic import CLIPS, deepmimic_folder, folder_with, load_deepmimic
 from ..motions.procedural import spline_motion, walk_motion
 from ..motions.retarget import retarget
 from .pairs import Pair, Person, Pose, human, make_pair
@@ -51,17 +44,11 @@ SEEN = {"seconds": 43, "mirrored": 13, "walks": 12, "splines": 12}
 STRIDE = 37
 """Trial i of `seen` uses motion 37 i mod 80. 37 and 80 have no common factor, so 80 trials use every motion once, and
 the first few trials cover all sources."""
-GAITS = ("run", "walk", "walk_forward", "turn_left0", "turn_left1", "turn_right0", "turn_right1")
-"""Clips of DeepMimic that are the kind `held-out` of `val`."""
-STRESS = tuple(name for name in CLIPS if name not in GAITS)
-"""Clips of DeepMimic that are the kind `stress`."""
 STREAMS = {"seen": (0, 2), "unseen": (1, 1), "procedural": (2, 0), "held-out": (3, 3)}
-"""Numbers in the seeds of driving people and of vertex orders, of each stream of trials.
-
-DeepMimic's clips are the stream `unseen` of `test`. New kinds get new numbers, so trials of version 1 stay the same.
-"""
+"""Numbers in the seeds of driving people and of vertex orders, of each stream of trials; `held-out` of `val` is
+`unseen`."""
 SEED_VERSION = 1
-"""Version of the seeds: version 2 of the protocol names other kinds, and has the people and motions of version 1."""
+"""Version of the seeds: later versions of the protocol have other kinds, and the people and motions of version 1."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -113,7 +100,7 @@ class ClipsAniformer(Protocol):
     """`clips-aniformer`: see the module."""
 
     data: Path | None = None
-    """Folder of the DeepMimic clips and the held-out motions. None: the clips of an installed pybullet alone."""
+    """Folder of the held-out motions of `test`."""
     people: int = 16
     """Number of training people."""
     targets: int = 8
@@ -130,19 +117,17 @@ class ClipsAniformer(Protocol):
 
     def rng(self, split: str, kind: str, i: int) -> np.random.Generator:
         """Return the random generator of the vertex orders of trial i."""
-        split, stream, i = _stream(split, kind, i)
-        return np.random.default_rng([self.seed(split), STREAMS[stream][1], i])
+        return np.random.default_rng([self.seed(split), STREAMS[_stream(split, kind)][1], i])
 
     def count(self, kind: str, requested: int = 0, split: str = "test") -> int:
-        """Return the number of trials to measure, at most as many as there are: 24, 30 (val: 7), 20, 13 for 0."""
-        held_out = len(GAITS) if split == "val" else len(ORDER)
-        available = {"seen": sum(SEEN.values()), "held-out": held_out, "stress": len(STRESS)}.get(kind, len(CLIPS))
-        return min(requested or (held_out if kind == "held-out" else self.pairs), available)
+        """Return the number of trials to measure, at most as many as there are: 24, 30 (val: 20), 20 for 0."""
+        stream = _stream(split, kind)
+        available = {"seen": sum(SEEN.values()), "held-out": len(ORDER)}.get(stream, UNSEEN)
+        return min(requested or (available if stream == "held-out" else self.pairs), available)
 
     def check(self, split: str) -> None:
         """Raise InputError for `train`, which has no trials, and if files are missing that the split needs."""
         self._check_name(split)
-        deepmimic_folder(self.data)
         if split == "test":
             find_takes(self.data)
 
@@ -170,21 +155,17 @@ class ClipsAniformer(Protocol):
         if kind == "procedural":
             make = spline_motion if i % 2 else walk_motion
             return _begin_at_origin(make(human(), self.seed(f"{split}/motions"), i, seconds=FRAMES / FPS, fps=FPS))
-        if kind == "unseen":
-            assert split == "val", "the stream `unseen` of test has become held-out of val and stress"
+        if _stream(split, kind) == "unseen":
+            assert split == "val", "`unseen` of `test` is of clips-ordered"
             return _later_seconds()[i % len(_later_seconds())]
-        if kind == "held-out" and split == "test":
-            assert self.data is not None, "`check` comes first"
-            return _held_out_second(self.data, ORDER[i % len(ORDER)])
-        names = STRESS if kind == "stress" else GAITS
-        return _deepmimic_second(deepmimic_folder(self.data), names[i % len(names)])
+        assert self.data is not None, "`check` comes first"
+        return _held_out_second(self.data, ORDER[i % len(ORDER)])
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> ClipPair:
         """Generate trial i in the body's vertex order; everything is drawn from seeds and nothing from `rng`."""
         self._check_name(split)
         motion = self.motion(split, kind, i)
-        split, stream, i = _stream(split, kind, i)
-        number = 1000 * STREAMS[stream][0] + i
+        number = 1000 * STREAMS[_stream(split, kind)][0] + i
         shape = sample_shape(human(), self.seed(f"{split}/actors"), number, self.spread)
         # Driving people are numbered after the identities: files are named by person.
         driving = Person(human(), shape, str(self.targets + number))
@@ -241,15 +222,8 @@ def on_template(trial: ClipPair) -> ClipPair:
 
 
 def clips_aniformer(data: Path | None = None) -> ClipsAniformer:
-    """Return the protocol; `data` is the folder of the files (see `ClipsAniformer.data`), which may lie in subfolders.
-
-    Raises:
-        InputError: the folder lacks one of the 20 DeepMimic clips. `check` looks for the other files.
-    """
-    if data is not None:
-        deepmimic_folder(data)
-    kinds = ("seen", "held-out", "procedural", "stress")
-    return ClipsAniformer("clips-aniformer", 2, kinds, pairs=24, spread=1.1, data=data)
+    """Return the protocol; `data` is the folder of the files of `held-out`, which may lie in subfolders."""
+    return ClipsAniformer("clips-aniformer", 3, ("seen", "held-out", "procedural"), pairs=24, spread=1.1, data=data)
 
 
 CLIPS_ANIFORMER = clips_aniformer()
@@ -276,19 +250,9 @@ def _later_seconds() -> tuple[Motion, ...]:
     return (*seconds, *map(mirror, seconds))
 
 
-def _stream(split: str, kind: str, i: int) -> tuple[str, str, int]:
-    """Return the split, stream and number by which people and vertex orders of trial i are drawn."""
-    if kind == "stress":
-        return "test", "unseen", tuple(CLIPS).index(STRESS[i % len(STRESS)])
-    if kind == "held-out" and split == "val":
-        return "test", "unseen", tuple(CLIPS).index(GAITS[i % len(GAITS)])
-    return split, kind, i
-
-
-@cache
-def _deepmimic_second(folder: Path, name: str) -> Motion:
-    """Read the middle second of a DeepMimic clip."""
-    return _middle_second(load_deepmimic(folder / CLIPS[name], human(), name))
+def _stream(split: str, kind: str) -> str:
+    """Return the stream of a kind: nothing is held out for `val`, whose motions are later seconds of the takes."""
+    return "unseen" if (split, kind) == ("val", "held-out") else kind
 
 
 @cache
@@ -368,9 +332,8 @@ class ClipsOrdered(ClipsAniformer):
     def check(self, split: str) -> None:
         """Raise InputError for `train`, which has no trials, and if files of `held-out` are missing."""
         self._check_name(split)
-        if "held-out" in self.kinds:
-            find = find_takes if split == "test" else deepmimic_folder
-            find(self.data)
+        if split == "test" and "held-out" in self.kinds:
+            find_takes(self.data)
 
     def motion(self, split: str, kind: str, i: int) -> Motion:
         """Return the motion of trial i."""
@@ -464,6 +427,13 @@ def is_held_out_file(name: str) -> bool:
     return name == BOXING_FILE or name.startswith(SHIPPED_CAPTURES)
 
 
+def _folder_with(folder: Path, file: str) -> Path | None:
+    """Find the first folder that has a file: `folder`, its subfolders, then theirs; None if there is none."""
+    # Two levels cover a folder of unpacked packages; more would take long in a home folder.
+    places = (folder, *sorted(folder.glob("*/")), *sorted(folder.glob("*/*/")))
+    return next((place for place in places if (place / file).is_file()), None)
+
+
 def find_takes(folder: Path | None) -> dict[str, Path]:
     """Find the files of the held-out motions in a folder or its subfolders, two levels deep, by name.
 
@@ -472,7 +442,7 @@ def find_takes(folder: Path | None) -> dict[str, Path]:
     """
     if folder is None:
         raise InputError(f"held-out motions: expected a folder, found none; give it with --data: {PACKAGES}")
-    found = {name: folder_with(folder, (name,)) for name in (BOXING_FILE, *ANIMATED)}
+    found = {name: _folder_with(folder, name) for name in (BOXING_FILE, *ANIMATED)}
     missing = [name for name, path in found.items() if path is None]
     if missing:
         raise InputError(

@@ -47,8 +47,7 @@ class FrozenSet:
     split: str
     kind: str
     role: str
-    """`test`: measured when weights are shipped, and not chosen by. `development`: was looked at, may be chosen by.
-    `stress`: beyond what methods are made for; looked at, and never averaged with others."""
+    """`test`: measured when weights are shipped, and not chosen by. `development`: was looked at, may be chosen by."""
     pairs: int
     checksum: str | None = None
     """SHA-256 over the checksums of all pairs; None without checksums."""
@@ -96,8 +95,6 @@ def set_checksum(checksums: Iterable[str]) -> str:
 
 def role(protocol: str, split: str, kind: str) -> str:
     """Return what a set may be used for; see `FrozenSet.role`."""
-    if kind.startswith("stress"):
-        return "stress"
     looked_at = {(protocol, ""), (protocol, kind)} & DEVELOPMENT.keys()
     return "test" if split == "test" and not looked_at else "development"
 

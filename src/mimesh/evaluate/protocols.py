@@ -3,9 +3,8 @@
 `human-npt` is the protocol of the NPT paper (section 4.1): 16 training people x 400 poses of Table 6, 14 new people,
 and 72 test pairs each with a driving pose of the training (`seen`) and with a new one (`unseen`). Both meshes of a pair
 are new people; the identity is in a training pose. All other protocols have new people and new poses in every split.
-`train`, `val` and `test` are disjoint, except for the DeepMimic motions of `clips-aniformer`, where `val` and `test`
-share people, all of the kind `stress`, and the driving people of `clips-ordered`, who are those of the training. A pair
-takes milliseconds and is generated on demand; only meshings are cached.
+`train`, `val` and `test` are disjoint, except for the driving people of `clips-ordered`, who are those of the training.
+A pair takes milliseconds and is generated on demand; only meshings are cached.
 """
 
 from __future__ import annotations
