@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import os
 import pickle
 import pickletools
-import subprocess
 import sys
 import time
 import types
@@ -124,11 +122,6 @@ def touching(mark: Path) -> dict[str, tuple[bytes, str]]:
     return {
         "os.system": (pickle.dumps({"a": Reduced(os.system, shell)}, 2), "posix.system"),
         "eval": (pickle.dumps({"a": Reduced(eval, code)}, 2), "__builtin__.eval"),
-        "exec, protocol 4": (pickle.dumps({"a": Reduced(exec, code)}, 4), "builtins.exec"),
-        "subprocess": (
-            pickle.dumps(Reduced(subprocess.call, ["touch", str(mark)]), 0),
-            "commands.call",
-        ),  # as Python 2 called it
         "nested": (pickle.dumps({"a": [({"b": (Reduced(os.system, shell),)},)]}, 4), "posix.system"),
         "as an argument of numpy": (
             pickle.dumps({"a": Reduced(np._core.multiarray.scalar, np.dtype("f8"), Reduced(os.system, shell))}, 2),
@@ -138,11 +131,8 @@ def touching(mark: Path) -> dict[str, tuple[bytes, str]]:
         "OBJ": (b"(cos\nsystem\nS'" + shell.encode() + b"'\no.", "os.system"),
         "STACK_GLOBAL": (stack_global("os", "system", shell), "os.system"),
         "STACK_GLOBAL, dotted": (stack_global("numpy", "core.multiarray.os.system", shell), "numpy.core.multiarray.os"),
-        "dotted module": (stack_global("numpy.distutils.exec_command", "os.system", shell), "os.system"),
         "a class's attribute": (stack_global("numpy", "ndarray.tofile", str(mark)), "numpy.ndarray.tofile"),
         "numpy that runs": (stack_global("numpy.testing._private.utils", "runstring", code, "{}"), "runstring"),
-        "numpy that loads": (stack_global("numpy", "load", str(mark)), "numpy.load"),
-        "numpy that writes": (stack_global("numpy", "save", str(mark), "x"), "numpy.save"),
         "a function of ours": (stack_global("mimesh.core.pickled_arrays", "_load", "x", "y"), "_load"),
     }
 
@@ -154,37 +144,20 @@ def test_a_malicious_pickle_is_refused_by_name_and_nothing_happens(name, tmp_pat
     assert not (tmp_path / "mark").exists()
 
 
-def test_the_malicious_pickles_would_work_in_pickle_itself(tmp_path):
-    """Those of the plainest kinds: otherwise the test above would show nothing."""
-    for name in ("os.system", "eval", "nested", "INST", "OBJ", "STACK_GLOBAL"):
-        mark = tmp_path / name.replace(".", "-").replace(" ", "-")
-        with contextlib.suppress(pickle.UnpicklingError):  # of those that hold no object after the call
-            pickle.loads(touching(mark)[name][0])
-        assert mark.exists(), name
-
-
 CODES = {
     "persistent identifier": b"\x80\x02Pfile\n.",
-    "persistent identifier, binary": b"\x80\x02S'x'\nQ.",
     "extension registry": b"\x80\x02\x82\x01.",
     "out-of-band buffer": b"\x80\x05\x97.",
     "state of a dictionary": b"\x80\x02}}b.",
     "state of a name": b"\x80\x02cnumpy\nndarray\nN}S'__setstate__'\nN\x86b.",
     "call of a text": b"\x80\x02S'eval'\n(S'1'\ntR.",
-    "call of a call": b"\x80\x02cnumpy\nndarray\n)R)R.",
-    "call with a dictionary": b"\x80\x02cnumpy\nndarray\n}R.",
     "reconstructor of a text": b"\x80\x02ccopy_reg\n_reconstructor\n(S'os.system'\nNNtR.",
-    "item of a list": b"\x80\x02](K\x01K\x02u.",
     "append to a dictionary": b"\x80\x02}K\x01a.",
     "empty stack": b"\x80\x020.",
-    "no mark": b"\x80\x02t.",
     "unknown memo": b"\x80\x02h\x07.",
     "unknown code": b"\x80\x02\xfe.",
-    "protocol of the future": b"\x80\x63}.",
     "nothing": b"",
     "no dictionary": b"\x80\x02K\x01.",
-    "a list": b"\x80\x02].",
-    "no pickle": b"PK\x03\x04 something else",
     "an HTML page": b"<!DOCTYPE html><title>Sign in</title>",
 }
 
@@ -210,26 +183,16 @@ def array_pickle(shape: bytes, kind: bytes = b"f8", data: bytes = b"12345678", o
     )  # fmt: skip
 
 
-def test_the_arrays_of_the_next_test_are_good_otherwise(tmp_path):
-    read = read_pickled_arrays(write(tmp_path / "a.pkl", array_pickle(b"K\x01\x85")))
-    assert read.array("a").tobytes() == b"12345678"
-
-
 BOMBS = {
     "shape larger than the bytes": array_pickle(b"J\xff\xff\xff\x7fJ\xff\xff\xff\x7f\x86"),
     "shape that overflows": array_pickle(b"\x8a\x08" + b"\x00" * 7 + b"\x10" + b"K\x20\x86"),
     "type of a terabyte": array_pickle(b"K\x01\x85", b"V999999999999"),
-    "type with a shape": array_pickle(b"K\x01\x85", b"(99999,99999)f8"),
     "type of objects": array_pickle(b"K\x01\x85", b"O8"),
-    "type of fields": array_pickle(b"K\x01\x85", b"f4,f4"),
     "odd byte order": array_pickle(b"K\x01\x85", order=b"f8,<"),
     "shape of the empty array": b"\x80\x02}U\x01acnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\n"
     b"\x8a\x05\x00\x00\x00\x00\x7f\x85U\x01b\x87Rs.",
     "memo of four billion": b"\x80\x02}r\xff\xff\xff\xffK\x01.",
-    "memo, as text": b"(dp999999999999999\n0K\x01.",
     "bytes of an exabyte": b"\x80\x04}\x8c\x01a\x8e" + b"\xff" * 7 + b"\x00" + b"s.",
-    "byte array of an exabyte": b"\x80\x05}\x8c\x01a\x96" + b"\xff" * 6 + b"\x0f\x00" + b"s.",
-    "text of four gigabytes": b"\x80\x02}X\xff\xff\xff\xffas.",
     "frame of an exabyte": b"\x80\x04\x95" + b"\xff" * 6 + b"\x0f\x00}.",
     "number of a million digits": b"I" + b"9" * 1_000_000 + b"\n.",
     "nested lists": b"\x80\x02}U\x01a" + b"]" * 100_000 + b"a" * 99_999 + b"s.",
@@ -307,21 +270,6 @@ def test_a_pickle_cut_short_anywhere_is_refused(protocol, tmp_path):
     data = pickletools.optimize(pickle.dumps({"a": DENSE, "b": ENTRIES["csc"]}, protocol))
     for end in range(0, len(data) - 1, 13):
         error_of(data[:end], tmp_path)
-
-
-# NumPy complains about arrays that it has half made when they are deleted.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_changed_bytes_give_an_error_or_other_numbers(tmp_path):
-    data = pickle.dumps({"a": DENSE, "b": ENTRIES["csc"]}, 2)
-    rng = np.random.default_rng(1)
-    for _ in range(200):
-        changed = bytearray(data)
-        changed[rng.integers(len(data))] = rng.integers(256)
-        path = write(tmp_path / "a.pkl", bytes(changed))
-        with contextlib.suppress(InputError):
-            read = read_pickled_arrays(path)
-            for name in read.entries:
-                assert read.array(name).dtype.kind in "fiub"
 
 
 def test_an_object_array_of_an_archive_is_read(tmp_path):

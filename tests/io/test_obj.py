@@ -21,7 +21,7 @@ from nasty import (
 )
 from PIL import Image
 
-from mimesh.core.geometry import face_vectors, vertex_normals
+from mimesh.core.geometry import face_vectors
 from mimesh.core.mesh import Material, Part
 from mimesh.io import load_mesh, save_mesh
 
@@ -48,16 +48,6 @@ def bend_and_save(source, target):
     moved = mesh.with_vertices(bend(mesh.vertices))
     save_mesh(moved, target)
     return mesh, moved, load_mesh(target)
-
-
-def test_bending_a_smooth_mesh_changes_only_points_and_normals(tmp_path):
-    grid = zoo.grid()
-    normals = vertex_normals(grid.vertices + np.random.default_rng(0).normal(size=(25, 3)), grid.faces)
-    save_mesh(dataclasses.replace(grid, corner_normals=normals[grid.faces]), tmp_path / "a.obj")
-    bend_and_save(tmp_path / "a.obj", tmp_path / "b.obj")
-    before, after = ((tmp_path / name).read_bytes() for name in ("a.obj", "b.obj"))
-    assert lines_without(before, b"v", b"vn") == lines_without(after, b"v", b"vn")
-    assert lines_without(before, b"v") != lines_without(after, b"v")
 
 
 def test_moved_points_read_back_exactly_with_their_normals_and_only_normal_indices_change(obj, tmp_path):
@@ -123,14 +113,6 @@ def test_unmoved_vertices_keep_their_text_and_colours_stay(tmp_path):
     assert b"v\t0.1 -2.0 0.3333333333333333\t0.1 0.2 0.3   # corner\n" in text
     assert b"v 1.000000 0 0 0 0 0\n" in text
     assert b"v 1 1 \\\n  1\n" in text
-
-
-def test_trimesh_reads_the_moved_file_equally(tmp_path):
-    (tmp_path / "a.obj").write_bytes(SHEETS_SHARED_NORMALS.replace(b"# 5//2", b""))
-    _, _, reread = bend_and_save(tmp_path / "a.obj", tmp_path / "b.obj")
-    other = trimesh.load(tmp_path / "b.obj", process=False, force="mesh")
-    assert len(other.faces) == len(reread.faces)
-    assert np.isclose(other.area, np.linalg.norm(face_vectors(reread.vertices, reread.faces), axis=1).sum() / 2)
 
 
 def test_cr_line_ends_and_byte_order_mark_are_kept(tmp_path):

@@ -1,8 +1,6 @@
 """FBX files become glTF in memory: geometry, skins, blend shapes, materials and animations are those of the file."""
 
 import io
-import os
-from pathlib import Path
 
 import fbx_samples as samples
 import numpy as np
@@ -21,7 +19,6 @@ pytestmark = pytest.mark.usefixtures("in_process")
 pytest.importorskip("ufbx")
 METRE = 0.01
 """Metres of the unit of files that state none: a centimetre."""
-RIGS = os.environ.get("MIMESH_RIGS", "")
 
 
 def at(path, file=None, **options):
@@ -334,14 +331,3 @@ def test_skeleton_without_a_mesh_is_a_motion(tmp_path):
     clip = load_clip(file.save(tmp_path / "wave.fbx"))
     assert len(clip) == 31
     assert np.abs(clip.vertices[-1] - clip.vertices[0]).max() > 0.3
-
-
-@pytest.mark.skipif(not RIGS, reason="MIMESH_RIGS names no folder of rigged files")
-@pytest.mark.parametrize("path", sorted(Path(RIGS).glob("*.fbx")) if RIGS else [], ids=lambda path: path.stem)
-def test_files_of_makers_are_read(path):
-    rig = read_skin(path)
-    np.testing.assert_allclose(rig.weights.sum(axis=1), 1, atol=1e-6)
-    assert 1 < np.ptp(rig.mesh.vertices[:, 1]) < 10
-    for name in rig.mesh.source.animations:
-        clip = load_clip(path, animation=name)
-        assert np.isfinite(clip.vertices).all()
