@@ -207,7 +207,7 @@ def test_characters_are_evaluated(folder, tmp_path):
     text = markdown(report)
     assert "**`identity` by maker**" in text
     assert "| others, elves |" in text
-    assert "Left out: 1 files" in text
+    assert "Left out: 1 file " in text
     assert rows["copy", "across-limits"]["pairs"] == 0
     assert "Not applicable: `copy`" in text
 

@@ -62,7 +62,10 @@ def markdown(report: dict[str, Any]) -> str:
         if of_method:
             tables += [f"**`{method}` by maker**: median / mean (pairs)", makers_table(of_method)]
         tables += [rigs_of_makers(row) for row in rows if row["method"] == method and "joints_pct" in row]
-    left_out = [f"Left out: {count} files ({reason})." for reason, count in report.get("left_out", {}).items()]
+    left_out = [
+        f"Left out: {count} file{'s' * (count != 1)} ({reason})."
+        for reason, count in report.get("left_out", {}).items()
+    ]
     return "\n\n".join([title, *tables, *left_out, *unmeasured(rows)])
 
 
