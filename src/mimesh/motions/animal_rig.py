@@ -91,14 +91,14 @@ def animal_rig(
     """
     facing = character.turned(turn)
     joints = name_animal_joints(facing, path)
-    facing, joints, order = with_parents(facing, joints, _attached(facing, joints))
+    facing, joints, order = with_parents(facing, joints, _attached(facing, joints, path))
     positions = {name: facing.joints[joint] for name, joint in joints.items()}
     turned = rest_directions(positions, float(facing.mesh.vertices[:, 1].min()), load_body("quadruped"))
     frames = {name: turn.T @ turned.get(name, np.eye(3)) for name in joints}
     return AnimalRig(facing.turned(turn.T), joints, frames, {}, turn), order.tolist()
 
 
-def _attached(rig: SkinnedCharacter, joints: Mapping[str, int]) -> list[int]:
+def _attached(rig: SkinnedCharacter, joints: Mapping[str, int], path: object) -> list[int]:
     """Return the parents of all joints, those of feet on roots of their own being the ends of their legs."""
     parents = rig.parents
     attached, trunk = list(parents), ancestors(parents, joints["Hips"])
@@ -108,8 +108,13 @@ def _attached(rig: SkinnedCharacter, joints: Mapping[str, int]) -> list[int]:
         tops.append(own[0])
         ends.append(own[-1])
         for above, below in itertools.pairwise(own):
-            apart = [j for j in ancestors(parents, below) if j not in trunk]
-            if above not in apart:
+            own_above = ancestors(attached, above)
+            apart = [j for j in ancestors(attached, below) if j not in trunk and j not in own_above]
+            if not apart:
+                raise InputError(
+                    f"{path}: expected legs that are chains of joints, found one upside down; is it an animal?"
+                )
+            if above not in ancestors(attached, below):
                 attached[apart[-1]] = above
     known = {above for joint in joints.values() for above in ancestors(parents, joint)}
     low, high = rig.mesh.vertices[:, 1].min(), rig.mesh.vertices[:, 1].max()
@@ -117,7 +122,8 @@ def _attached(rig: SkinnedCharacter, joints: Mapping[str, int]) -> list[int]:
         if foot not in known and parents[foot] in (-1, *trunk):  # the leg carries more of the foot than its own joint
             distance = np.linalg.norm(rig.joints[ends] - rig.joints[foot], axis=1)
             nearest = int(distance.argmin())
-            if distance[nearest] < rig.joints[tops[nearest], 1] - low:
+            loose = foot not in ancestors(attached, ends[nearest])
+            if loose and distance[nearest] < rig.joints[tops[nearest], 1] - low:
                 attached[foot] = ends[nearest]
     return attached
 
