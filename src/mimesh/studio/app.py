@@ -240,12 +240,17 @@ class Routes:
         names, rest = (str(body.get(key, default)) for key, default in (("names", "own"), ("rest", "file")))
         layout = Layout(names, body.get("root_bone") is True, rest, parse_rate(body.get("fps")))
         made_by = {key: str(body.get(key) or "").strip() or None for key in ("author", "license")}
-        bones: dict[str, Any] = {
-            "skinned": body.get("skinned") is True,
-            "influences": body.get("influences", INFLUENCES),
-        }
-        check_influences(bones["influences"])
-        order = Order(what=what, suffix=suffix, blendshapes=shapes, layout=layout, **bones, **made_by)
+        skinned, influences = body.get("skinned") is True, body.get("influences", INFLUENCES)
+        check_influences(influences)
+        order = Order(
+            what=what,
+            suffix=suffix,
+            skinned=skinned,
+            influences=influences,
+            layout=layout,
+            blendshapes=shapes,
+            **made_by,
+        )
         return {"export": self._session.export(order, numbers)}
 
     async def download_export(self, request: Request) -> Response:
