@@ -95,7 +95,7 @@ def test_parts_are_chosen_of_both_meshes(files, model, tmp_path):
     starts = np.cumsum([0, *(len(mesh.faces) for mesh in two)])
     vertices = np.concatenate([two[0].vertices, two[1].vertices + [3.0, 0, 0]])
     faces = np.concatenate([two[0].faces, two[1].faces + len(two[0].vertices)])
-    parts = tuple(Part(name, *starts[k : k + 2]) for k, name in enumerate(("hero", "twin")))
+    parts = tuple(Part(name, *map(int, starts[k : k + 2])) for k, name in enumerate(("hero", "twin")))
     save_mesh(Mesh(vertices, faces, "scene", parts=parts), tmp_path / "scene.obj")
     session = make_session([tmp_path / "scene.obj", tmp_path / "scene.obj"], 2**20, model)
     finished(session)

@@ -68,5 +68,5 @@ def _stick_figure(source: Bvh, up: Float[np.ndarray, " 3"]) -> SkinnedCharacter:
     share = np.tile(np.linspace(0, 1, STEPS), len(bones))[:, None]
     points = rest[joint] * (1 - share) + np.repeat([tail for _, tail in bones], STEPS, axis=0) * share
     mesh = Mesh(points, np.zeros((0, 3), int), name=source.name)
-    one, frames = np.ones((len(points), 1)), homogeneous(np.eye(3), rest)
+    one, frames = np.ones((len(points), 1)), homogeneous(np.tile(np.eye(3), (len(rest), 1, 1)), rest)
     return SkinnedCharacter(mesh, names, source.parents, frames, joint[:, None], one, points[:, None])
