@@ -144,9 +144,9 @@ def unpacked_weights(
     return unpacked / unpacked.sum(axis=1, keepdims=True)
 
 
-def save_body(body: RiggedBody, path: Path, influences: int = 6) -> None:
-    """Write a compact `.npz`: components and weights in half precision, the largest `influences` weights per vertex."""
-    strongest = np.argsort(-body.weights, axis=1)[:, :influences]
+def save_body(body: RiggedBody, path: Path) -> None:
+    """Write a compact `.npz`: components and weights in half precision, the six largest weights per vertex."""
+    strongest = np.argsort(-body.weights, axis=1)[:, :6]
     np.savez_compressed(
         path,
         vertices=body.vertices.astype(np.float32),

@@ -58,9 +58,9 @@ class BodyParameters:
         return body.skinning_transforms(joints, rotvec_to_rotmat(self.rotvec))[0]
 
 
-def thin_body(body: RiggedBody, count: int, components: int, seed: int = 0) -> RiggedBody:
+def thin_body(body: RiggedBody, count: int, components: int) -> RiggedBody:
     """Reduce a body to `count` random points of its surface, without faces, and its first shape components."""
-    chosen, barycentric = sample_surface(body.vertices, body.faces, count, np.random.default_rng(seed))
+    chosen, barycentric = sample_surface(body.vertices, body.faces, count, np.random.default_rng(0))
     samples = (body.faces, chosen, barycentric)
     return replace(
         body,
@@ -415,13 +415,13 @@ class TargetCloud:
         return np.asarray(self.tree.query(others)[1]), np.asarray(KDTree(others).query(self.points)[1])
 
 
-def target_cloud(points: Float[np.ndarray, "N 3"], tangential_weight: float = 1.0, neighbours: int = 16) -> TargetCloud:
-    """Build a cloud; if `tangential_weight` is below 1, normals are those of planes through each point's neighbours."""
+def target_cloud(points: Float[np.ndarray, "N 3"], tangential_weight: float = 1.0) -> TargetCloud:
+    """Build a cloud; if `tangential_weight` is below 1, normals are of planes through the 16 nearest points."""
     from scipy.spatial import KDTree
 
     tree, normals = KDTree(points), np.zeros_like(points)
     if tangential_weight < 1:
-        near = points[tree.query(points, k=min(neighbours, len(points)))[1].reshape(len(points), -1)]
+        near = points[tree.query(points, k=min(16, len(points)))[1].reshape(len(points), -1)]
         near = near - near.mean(axis=1, keepdims=True)
         # The eigenvector of the smallest eigenvalue of the covariance is the normal of the plane.
         normals = np.linalg.eigh(near.transpose(0, 2, 1) @ near)[1][:, :, 0]

@@ -369,24 +369,27 @@ def _unit_or_up(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]
     return np.where(vectors.any(axis=-1, keepdims=True), unit_vectors(vectors), [0.0, 1.0, 0.0])
 
 
+CANDIDATES = 12
+"""Faces that `closest_on_mesh` tests for each point."""
+
+
 def closest_on_mesh(
     points: Float[np.ndarray, "N 3"],
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
-    candidates: int = 12,
     normals: Float[np.ndarray, "N 3"] | None = None,
 ) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
     """Find the closest surface point of each query point: face index, barycentric coordinates, distance.
 
-    Only the `candidates` faces with the nearest centroids are tested. That is exact if the query is close to a mesh of
-    fairly even triangles; increase `candidates` for long thin ones. With `normals`, faces whose normal is 90 degrees or
+    Only the CANDIDATES faces with the nearest centroids are tested. That is exact if the query is close to a mesh of
+    fairly even triangles. With `normals`, faces whose normal is 90 degrees or
     more from the query's are ignored; the distance is infinite if no candidate is left.
     """
     from scipy.spatial import KDTree
 
     # Candidate columns are tested one after the other, for all points at once.
     centroids = face_centroids(vertices, faces)
-    _, near = KDTree(centroids).query(points, k=min(candidates, len(faces)))
+    _, near = KDTree(centroids).query(points, k=min(CANDIDATES, len(faces)))
     near = near.reshape(len(points), -1)
     best_distance = np.full(len(points), np.inf)
     best_face, best_weights = near[:, 0].copy(), np.zeros((len(points), 3))

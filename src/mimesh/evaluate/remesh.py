@@ -100,10 +100,10 @@ def points(body: RiggedBody, count: int, rng: np.random.Generator) -> Remesh:
     return Remesh(np.zeros((0, 3), int), body.faces[chosen], barycentric)
 
 
-def holes(body: RiggedBody, rng: np.random.Generator, count: int = 12, radius: float = 0.06) -> Remesh:
-    """Cut `count` round holes into the body around random vertices; radius in metres, on the mean shape at rest."""
-    centres = body.vertices[rng.choice(len(body.vertices), count, replace=False)]
-    inside = (np.linalg.norm(body.vertices[:, None] - centres, axis=-1) < radius).any(axis=1)
+def holes(body: RiggedBody, rng: np.random.Generator) -> Remesh:
+    """Cut 12 round holes into the body around random vertices, with a radius of 6 cm on the mean shape at rest."""
+    centres = body.vertices[rng.choice(len(body.vertices), 12, replace=False)]
+    inside = (np.linalg.norm(body.vertices[:, None] - centres, axis=-1) < 0.06).any(axis=1)
     return _without(body, inside)
 
 

@@ -190,17 +190,16 @@ def without_traces(network: onnx.ModelProto) -> onnx.ModelProto:
     return network
 
 
-def compress(network: onnx.ModelProto, bits: int = 16, smallest: int = SMALLEST) -> onnx.ModelProto:
+def compress(network: onnx.ModelProto, bits: int = 16) -> onnx.ModelProto:
     """Copy a network with its weights stored in fewer bits; arithmetic stays in float32.
 
     Args:
         bits: 16 casts to float16; 8 rounds each row of a matrix to int8 with its own scale, and is 16 for the rest.
-        smallest: tensors of fewer numbers than these are left alone.
     """
     network = onnx.ModelProto.FromString(network.SerializeToString())
     nodes = []
     for tensor in list(network.graph.initializer):
-        if tensor.data_type != onnx.TensorProto.FLOAT or np.prod(tensor.dims) < smallest:
+        if tensor.data_type != onnx.TensorProto.FLOAT or np.prod(tensor.dims) < SMALLEST:
             continue
         name, values = tensor.name, onnx.numpy_helper.to_array(tensor)
         if bits == 8 and values.ndim == 2:

@@ -67,13 +67,13 @@ def split_windows(split: Literal["train", "val", "test"]) -> list[Motion]:
     return [window(_take(take), start, stop, f"{take}@{start:g}") for take, start, stop in SPLITS[split]]
 
 
-def pose_bank(split: Literal["train", "val", "test"], every: int = 3) -> Float32[np.ndarray, "N J 3"]:
-    """Load the poses of a split as rotation vectors: every `every`-th frame and its mirror image, rotated to face +z.
+def pose_bank(split: Literal["train", "val", "test"]) -> Float32[np.ndarray, "N J 3"]:
+    """Load the poses of a split as rotation vectors: every third frame and its mirror image, rotated to face +z.
 
     The heading is the horizontal direction of the hips' front; tilts are kept.
     """
     motions = [m for clip in split_windows(split) for m in (clip, mirror(clip))]
-    rotmat = np.concatenate([m.rotmat[::every] for m in motions])
+    rotmat = np.concatenate([m.rotmat[::3] for m in motions])
     return rotmat_to_rotvec(turned_to_front(rotmat)).astype(np.float32)
 
 

@@ -20,7 +20,7 @@ from ..bodies.sampling import rotvec_to_rotmat
 from ..core.animated_rig import frames_around
 from ..core.budgets import FRAMES, LARGEST_PRINTED
 from ..core.errors import InputError
-from ..core.frame_buffer import Progress, store_frames
+from ..core.frame_buffer import store_frames
 from ..core.geometry import MIRROR, mirrored_rotations, slerp
 from ..core.mesh import Clip, check_cut
 
@@ -152,13 +152,7 @@ def lowest(
     return np.concatenate([(rows[t : t + _CHUNK] @ weighted.T).min(axis=1) for t in range(0, len(rows), _CHUNK)])
 
 
-def motion_clip(
-    body: RiggedBody,
-    shape: Float[np.ndarray, " K"] | None,
-    motion: Motion,
-    progress: Progress | None = None,
-    dtype: type[np.floating] = np.float64,
-) -> Clip:
+def motion_clip(body: RiggedBody, shape: Float[np.ndarray, " K"] | None, motion: Motion) -> Clip:
     """Make a clip (metres) of a body with the given shape (None: the mean) in motion.
 
     The root's path is scaled by the ratio of the person's leg length to the mean shape's. Foot contacts are not
@@ -172,7 +166,7 @@ def motion_clip(
     _, root = _joints_and_path(body, motion, shape)
     chunks = (slice(t, t + _CHUNK) for t in range(0, len(motion), _CHUNK))
     frames = chain.from_iterable(body.posed(shape, motion.rotmat[chunk], root[chunk]) for chunk in chunks)
-    vertices = store_frames(frames, len(motion), len(body.vertices), dtype, progress)
+    vertices = store_frames(frames, len(motion), len(body.vertices))
     rest = dataclasses.replace(body.mesh(body.shaped(shape)[0]), name=motion.name)
     return Clip(rest, vertices, motion.fps)
 

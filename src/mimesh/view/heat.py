@@ -26,6 +26,8 @@ TILE = (520, 620)
 """Width and height of the picture in pixels, without the colour bar."""
 SAMPLED = 24
 """Frames of a clip, evenly spaced, from which the limit of its heat map is computed."""
+MILLIMETRES = 1000.0
+"""In a metre, the unit of meshes."""
 
 Measure = Callable[[int, np.ndarray], np.ndarray]
 """A function of a frame's index and its vertices (V, 3); returns a value for every vertex (V,), in the unit shown."""
@@ -35,27 +37,19 @@ def heat_map(
     result: Mesh,
     truth: Mesh | Float[np.ndarray, "V 3"],
     limit: float | None = None,
-    unit: str = "mm",
-    per_unit: float = 1000.0,
     tile: tuple[int, int] = TILE,
-    *,
-    view: str | tuple[float, float] = "three-quarter",
-    up: str = "y",
-    front: str | None = None,
 ) -> Image.Image:
-    """Draw the result coloured by each vertex's distance to the truth, with a colour bar in units.
+    """Draw the result (metres) coloured by each vertex's distance to the truth, with a colour bar in millimetres.
 
     Args:
-        limit: distance (in the unit of the mesh) at the last colour; by default the 99th percentile.
-        unit: name of the unit at the colour bar.
-        per_unit: how many of it make one unit of the mesh; metres to millimetres by default.
+        limit: distance in metres at the last colour; by default the 99th percentile.
 
     Raises:
         InputError: result and truth have different numbers of vertices.
     """
-    measure = distance_to(Clip.still(result), truth if isinstance(truth, np.ndarray) else truth.vertices, per_unit)
-    shown_limit = None if limit is None else limit * per_unit
-    return next(heat_frames(Clip.still(result), measure, unit, tile, limit=shown_limit, view=view, up=up, front=front))
+    measure = distance_to(Clip.still(result), truth if isinstance(truth, np.ndarray) else truth.vertices)
+    shown_limit = None if limit is None else limit * MILLIMETRES
+    return next(heat_frames(Clip.still(result), measure, "mm", tile, limit=shown_limit))
 
 
 def heat_frames(
@@ -97,8 +91,8 @@ def heat_frames(
         yield captioned(picture, label) if labels else Image.fromarray(picture)
 
 
-def distance_to(clip: Clip, truth: Float[np.ndarray, "... V 3"], per_unit: float = 1000.0) -> Measure:
-    """Return the measure of every vertex's distance to the same vertex of the truth (a mesh, or a clip as long).
+def distance_to(clip: Clip, truth: Float[np.ndarray, "... V 3"]) -> Measure:
+    """Return the measure of every vertex's distance (mm) to the same vertex of the truth (a mesh, or a clip as long).
 
     Raises:
         InputError: clip and truth have different numbers of vertices or frames.
@@ -110,7 +104,7 @@ def distance_to(clip: Clip, truth: Float[np.ndarray, "... V 3"], per_unit: float
             "compare clips of one length"
         )
     frames = truth.reshape(-1, *truth.shape[-2:])
-    return lambda t, points: np.linalg.norm(points - frames[t % len(frames)], axis=1) * per_unit
+    return lambda t, points: np.linalg.norm(points - frames[t % len(frames)], axis=1) * MILLIMETRES
 
 
 def stretch_of(clip: Clip, reference: Float[np.ndarray, "V 3"]) -> Measure:

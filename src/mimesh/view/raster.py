@@ -72,17 +72,15 @@ def render_mesh(
     size: tuple[int, int] = (512, 512),
     camera: Camera | None = None,
     *,
-    view: str | tuple[float, float] = "three-quarter",
     clay: bool = False,
     tint: tuple[float, float, float] | None = None,
-    supersample: int = 2,
     shadows: bool = True,
     background: tuple[float, float, float] | None = shading.BACKGROUND,
 ) -> UInt8[np.ndarray, "h w C"]:
     """Draw a mesh with its own materials, textures, vertex colours and hard edges; see `render`.
 
     Args:
-        camera: fitted to the mesh by default, from `view`.
+        camera: fitted to the mesh by default.
         clay: leave the colours out.
         tint: an sRGB colour in 0..1 instead of the colours.
     """
@@ -94,10 +92,9 @@ def render_mesh(
     return render(
         mesh.vertices,
         mesh.faces,
-        camera or fit(mesh.vertices, size, view),
+        camera or fit(mesh.vertices, size),
         size,
         colors,
-        supersample=supersample,
         corner_normals=mesh.corner_normals,
         surface=textures.materials(mesh) if use_materials and len(mesh.faces) else None,
         shadows=shadows,

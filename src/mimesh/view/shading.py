@@ -24,6 +24,8 @@ RIM = np.array([0.95, 0.98, 1.0], np.float32) * np.float32(0.45)
 """Linear RGB of the light on surfaces seen edge-on, which separates the subject from the background."""
 GLOSS = np.float32(0.06)
 """Strength of the highlight of the key light, as linear light."""
+KNEE = 0.6
+"""Linear light above which tone mapping compresses."""
 CODES = 1 << 13
 """Steps of the table from the square root of linear light to 8-bit sRGB: exact to a fiftieth of a step."""
 
@@ -62,11 +64,11 @@ def shade(
     return _shoulder(albedo.astype(np.float32) * light + gloss[:, None])
 
 
-def _shoulder(linear, knee=0.6):
+def _shoulder(linear):
     """Compress values above the knee towards 1 (tone mapping), so that highlights keep their form."""
-    range_above = 1 - knee
-    compressed = 1 - range_above * np.exp(-np.maximum(linear - knee, 0.0) / range_above)
-    return np.where(linear > knee, compressed, linear)
+    range_above = 1 - KNEE
+    compressed = 1 - range_above * np.exp(-np.maximum(linear - KNEE, 0.0) / range_above)
+    return np.where(linear > KNEE, compressed, linear)
 
 
 def key_direction(camera: Camera) -> Float[np.ndarray, 3]:

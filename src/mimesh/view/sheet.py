@@ -68,15 +68,11 @@ def transfer_sheet(
     result: Mesh,
     truth: Mesh | None = None,
     tile: tuple[int, int] = TILE,
-    *,
-    view: str | tuple[float, float] = "three-quarter",
-    up: str = "y",
-    front: str | None = None,
 ) -> Image.Image:
     """Draw identity + driving = result, and the truth, if any, beside it from the same camera."""
     outputs = np.concatenate([m.vertices for m in (result, truth) if m is not None])
     identity_camera, driving_camera, camera = (
-        fit(points, tile, view, up=up, front=front) for points in (identity.vertices, driving.vertices, outputs)
+        fit(points, tile) for points in (identity.vertices, driving.vertices, outputs)
     )
     tiles = [
         captioned(render_mesh(identity, tile, identity_camera), "identity"),

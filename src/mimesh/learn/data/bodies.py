@@ -221,15 +221,15 @@ def skinned(
 
 
 @cache
-def extreme_vertices(body: RiggedBody, poses: int = 400) -> Int[np.ndarray, " N"]:
-    """Find the vertices that are outermost (along an axis, or from the centre) in any of many random poses.
+def extreme_vertices(body: RiggedBody) -> Int[np.ndarray, " N"]:
+    """Find the vertices that are outermost (along an axis, or from the centre) in any of 400 random poses.
 
     Centre and radius of a posed body follow from these alone, within a hundredth or two of the radius. Posing takes
     seconds, so a body's answer is kept.
     """
     found: list[int] = []
     usual, widest = ranges_of(body)
-    for i in range(poses):
+    for i in range(400):
         limits = usual if i % 2 else widest
         vertices = body.posed(np.zeros(1), numpy_rotmat(sample_pose(body, 0, i, limits)))
         centre = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
