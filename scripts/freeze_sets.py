@@ -69,7 +69,7 @@ def main() -> None:
         needs_folder = name in FOLDERS and name not in (*folders, "fingers", "clips-ordered")
         made = [] if needs_folder else freeze_protocol(name, folders.get(name), stored)
         known = {(entry.split, entry.kind) for entry in made}
-        # Some kinds of `dressed` need a folder too.
+        # Some kinds of `fingers` and `clips-ordered` need a folder.
         kept = [entry for (protocol, *key), entry in stored.items() if protocol == name and tuple(key) not in known]
         sets += [*kept, *made]
     with whole_file(OUTPUT) as temporary:

@@ -1,10 +1,10 @@
 """Measure all methods on all test sets, write docs/results and the tables of the docs. Resumable; hours on two cores.
 
-    python scripts/measure_all.py [--characters DIR] [--people DIR] [--clips DIR] [--garments DIR] [PROTOCOL ...]
+    python scripts/measure_all.py [--characters DIR] [--people DIR] [--clips DIR] [PROTOCOL ...]
 
 Run it in the root of a checkout, which contains `ablations/`. characters and fingers are measured if --characters is a
 pool of rigged characters, cross-body if --people is a folder of them, clips-aniformer and clips-ordered if --clips is a
-folder of motions, and dressed in test garments too if --garments is their folder. Existing reports are replaced.
+folder of motions. Existing reports are replaced.
 Several of these can run at the same time, on different protocols.
 """
 
@@ -41,11 +41,9 @@ def main() -> None:
     parser.add_argument("--people", type=Path, help="rigged characters, for cross-body")
     parser.add_argument("--clips", type=Path, help="motions, for clips-aniformer and clips-ordered")
     parser.add_argument("--animals", type=Path, help="rigged four-legged animals, for animals")
-    parser.add_argument("--garments", type=Path, help="folder of test_dress.npz, for dressed")
     args = parser.parse_args()
     folders = {"characters": args.characters, "fingers": args.characters, "cross-body": args.people}
-    folders |= {"clips-aniformer": args.clips, "clips-ordered": args.clips}
-    folders |= {"dressed": args.garments, "animals": args.animals}
+    folders |= {"clips-aniformer": args.clips, "clips-ordered": args.clips, "animals": args.animals}
     for name in args.protocols or (*WITHOUT_FOLDER, *(name for name in FOLDERS if folders[name])):
         out = write_results.RESULTS / f"{name}.json"
         with progress(name, quiet=False) as advance:

@@ -21,14 +21,13 @@ from mimesh.evaluate.frozen_sets import (
     role,
     set_checksum,
 )
-from mimesh.evaluate.protocols import HUMAN_NPT, PROTOCOLS, with_test_garments
+from mimesh.evaluate.protocols import HUMAN_NPT, PROTOCOLS
 
 STORED = frozen_sets()
 WITHOUT_FILES = {name: protocol for name, protocol in PROTOCOLS.items() if name not in INEXACT}
 WITHOUT_FILES |= {"clips-aniformer": CLIPS_ANIFORMER, "clips-ordered": CLIPS_ORDERED, "fingers": fingers()}
 NEEDS_FILES = {("clips-aniformer", "held-out"), ("clips-ordered", "held-out")}
 NEEDS_FILES |= {("fingers", "characters")}
-NEEDS_FILES |= {("dressed", f"new-{kind}") for kind in ("identity", "driving", "both")}
 GENERATED = [key for key in STORED if key[0] in WITHOUT_FILES and (key[0], key[2]) not in NEEDS_FILES]
 IN_FULL = [("noise", "test", "noise-2"), ("cross-topology", "val", "points")]
 """Sets that are generated as a whole, of the others the first pairs."""
@@ -37,7 +36,6 @@ FOLDERS = {
     "clips-ordered": ("MIMESH_MOTIONS", clips_ordered),
     "cross-body": ("MIMESH_PEOPLE", cross_body),
     "characters": ("MIMESH_CHARACTERS", characters),
-    "dressed": ("MIMESH_GARMENTS", with_test_garments),
 }
 """Environment variables that name folders of files, and the protocols that read them."""
 

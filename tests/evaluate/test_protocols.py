@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 from animals import BODY as ANIMAL
 from freeze_sets import degrees_to_training, training_poses
-from garment_files import write_test_garments
 from matrix import matrix
 from same_pose import assert_same_pose
 from scipy.spatial import KDTree
 
-from mimesh.bodies.dress import GARMENTS, TEST_FILE, TEST_GARMENTS
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.evaluate.metrics import pmd, resized
 from mimesh.evaluate.pairs import human
@@ -24,14 +22,9 @@ from mimesh.evaluate.protocols import (
     NOISE,
     PROTOCOLS,
     QUADRUPED,
-    SUITS,
     Corrupted,
-    sample_garments,
-    sample_test_garments,
     split_pose_bank,
-    with_test_garments,
 )
-from mimesh.evaluate.run import data_facts, find_protocol
 from mimesh.motions.clips import SPLITS
 
 CASES = [(p, kind) for p in PROTOCOLS.values() for kind in p.kinds]
@@ -199,47 +192,6 @@ def test_first_pairs_of_contacts_are_the_published_ones(kind):
     pair = CONTACT.pair("test", kind, 0)
     sums = [np.abs(pair.truth).sum(), np.abs(pair.driving.vertices).sum()]
     assert np.allclose(sums, CONTACTS[kind], rtol=1e-3)
-
-
-@pytest.fixture(scope="module")
-def with_folder(tmp_path_factory):
-    """The protocol `dressed` with test garments."""
-    return with_test_garments(write_test_garments(tmp_path_factory.mktemp("garments")))
-
-
-@pytest.mark.slow
-def test_test_garments_leave_the_other_pairs_of_dressed_as_they_are(with_folder):
-    assert with_folder.kinds == ("new-identity", "new-driving", "new-both", *DRESSED.kinds)
-    for kind in DRESSED.kinds:
-        pair, expected = with_folder.pair("val", kind, 0), made(DRESSED, kind)[1]
-        np.testing.assert_array_equal(pair.truth, expected.truth)
-        np.testing.assert_array_equal(pair.driving.vertices, expected.driving.vertices)
-
-
-@matrix("who", DRESSED.kinds, quick=["both"])
-def test_kind_says_who_wears_test_garments(with_folder, who):
-    pair = with_folder.pair("val", f"new-{who}", 0)
-    plain = len(human().vertices)
-    assert (len(pair.identity.vertices) > plain) == (who != "driving")
-    assert (len(pair.driving.vertices) > plain) == (who != "identity")
-    aligned = pmd(resized(pair.aligned, pair.truth), pair.truth)
-    assert aligned < 80e-4 < 500e-4 < pmd(np.roll(pair.truth, 1, axis=0), pair.truth)
-
-
-def test_outfits_fit_and_never_mix_garments_of_training_and_test():
-    rng = np.random.default_rng(0)
-    outfits = [sample_test_garments(rng) for _ in range(300)]
-    assert {name for outfit in outfits for name in outfit} == set(TEST_GARMENTS)
-    assert all(len(set(SUITS) & set(outfit)) <= 1 <= len(outfit) for outfit in outfits)
-    assert {name for _ in range(100) for name in sample_garments(rng)} == set(GARMENTS)
-    assert not set(GARMENTS) & set(TEST_GARMENTS)
-
-
-def test_report_names_the_file_of_test_garments(with_folder):
-    assert find_protocol("dressed") is DRESSED
-    assert find_protocol("dressed", with_folder.folder) == with_folder
-    facts = data_facts(with_folder, "val", with_folder.folder)
-    assert facts == {"split": "val", "data": f"{TEST_FILE} {with_folder.checksum:08x}"}
 
 
 @matrix("kind", QUADRUPED.kinds, quick=QUADRUPED.kinds[:1])

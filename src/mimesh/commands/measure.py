@@ -36,7 +36,7 @@ Data = Annotated[
     Path | None,
     typer.Option(
         help="Folder: rigged characters for cross-body, a pool of them for characters, fingers and animals, motions "
-        "for clips-aniformer and clips-ordered, test garments for dressed.",
+        "for clips-aniformer and clips-ordered.",
         metavar="DIR",
     ),
 ]
@@ -63,8 +63,7 @@ def evaluate(
         Path | None,
         typer.Option(
             help="Folder: rigged characters for cross-body and rigs, a pool of them for characters, fingers and "
-            "animals, motions for clips-aniformer and clips-ordered, test garments for dressed; of a list, where its "
-            "files lie.",
+            "animals, motions for clips-aniformer and clips-ordered; of a list, where its files lie.",
             metavar="DIR",
         ),
     ] = None,

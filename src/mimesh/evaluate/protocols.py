@@ -14,7 +14,6 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
@@ -22,7 +21,7 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody, load_body
 from ..bodies.contacts import CONTACTS, touching
-from ..bodies.dress import GARMENTS, TEST_GARMENTS, dressed_body, garment_file
+from ..bodies.dress import GARMENTS, dressed_body
 from ..bodies.quadruped import LIMITS, USUAL, lowered_head, postures
 from ..bodies.sampling import JOINT_LIMITS, lowered_arms, rotvec_to_rotmat, sample_pose, sample_shape
 from ..motions import pose_bank
@@ -180,23 +179,12 @@ class Wide(Protocol):
 
 @dataclass(frozen=True)
 class Dressed(Wide):
-    """Dressed people in poses of Table 6; the kind says which of the two is dressed.
-
-    `identity`, `driving` and `both` wear the shipped garments, which `mime` was trained with. `new-identity` and so on
-    wear test garments, which no training uses; only the protocol of `with_test_garments` has these kinds.
-    """
-
-    folder: Path | None = None
-    """The folder of the test garments (`dress.TEST_FILE`)."""
-    checksum: int = 0
-    """CRC-32 of that file; 0 without one."""
+    """People in the shipped garments, in poses of Table 6; the kind says which of the two is dressed."""
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        sample_outfit = sample_test_garments if kind.startswith(NEW) else sample_garments
-        dressed_person = kind.removeprefix(NEW)
-        dressed = [dressed_human(sample_outfit(rng), self.folder) for _ in range(2)]
-        identity_body = human() if dressed_person == "driving" else dressed[0]
-        driving_body = human() if dressed_person == "identity" else dressed[1]
+        dressed = [dressed_human(sample_garments(rng)) for _ in range(2)]
+        identity_body = human() if kind == "driving" else dressed[0]
+        driving_body = human() if kind == "identity" else dressed[1]
         pose = self.sample_driving_pose(split, "table6", i, rng)
         people = self.sample_people(identity_body, driving_body, split, kind, i)
         pair = make_pair(*people, self.sample_rest_pose(split, kind, i, rng), pose)
@@ -216,26 +204,6 @@ def with_heading(
 def sample_garments(rng: np.random.Generator) -> tuple[str, ...]:
     """Draw the shipped garments that a person wears: each with WEAR_PROBABILITY; who would wear none gets the last."""
     return tuple(name for name in GARMENTS if rng.random() < WEAR_PROBABILITY) or GARMENTS[-1:]
-
-
-def sample_test_garments(rng: np.random.Generator) -> tuple[str, ...]:
-    """Draw the test garments that a person wears, likewise, but at most one suit: the three do not fit together."""
-    suit = SUITS[rng.integers(len(SUITS))]
-    choice = [name for name in TEST_GARMENTS if name == suit or name not in SUITS]
-    return tuple(name for name in choice if rng.random() < WEAR_PROBABILITY) or TEST_GARMENTS[-1:]
-
-
-def with_test_garments(folder: Path) -> Dressed:
-    """Return the protocol `dressed` with the kinds `new-identity`, `new-driving` and `new-both` in front of its own.
-
-    Pairs of the other kinds stay as they are (see `Protocol.rng`).
-
-    Raises:
-        InputError: no file of test garments in the folder.
-    """
-    checksum = zlib.crc32(garment_file(DRESSED.name, folder).read_bytes())
-    kinds = (*(NEW + kind for kind in DRESSED.kinds), *DRESSED.kinds)
-    return dataclasses.replace(DRESSED, kinds=kinds, folder=folder, checksum=checksum)
 
 
 @dataclass(frozen=True)
@@ -316,12 +284,8 @@ def with_noise(
     return vertices + amplitude * radius * rng.uniform(-1, 1, vertices.shape)
 
 
-NEW = "new-"
-"""Kinds of `dressed` in test garments begin with this."""
 WEAR_PROBABILITY = 0.6
 """Probability of wearing each garment."""
-SUITS = ("casual_suit", "elegant_suit", "skirt_suit")
-"""Test garments that nobody wears two of."""
 MESHINGS = {
     "decimated": remesh.decimated,
     "retriangulated": remesh.retriangulated,
@@ -338,13 +302,13 @@ DRESSED = Dressed("dressed", 1, ("identity", "driving", "both"), pairs=18, sprea
 CONTACT = Touching("contact", 1, tuple(CONTACTS), pairs=18, spread=1.1)
 _ALL = (HUMAN_NPT, HUMAN_WIDE, CROSS_TOPOLOGY, NOISE, DRESSED, CONTACT)
 PROTOCOLS: dict[str, Protocol] = {protocol.name: protocol for protocol in _ALL}
-"""Protocols that need no files; `run.find_protocol` also gives those that read a folder, and `dressed` with one."""
+"""Protocols that need no files; `run.find_protocol` also gives those that read a folder."""
 
 
 @cache
-def dressed_human(garments: tuple[str, ...], folder: Path | None = None) -> RiggedBody:
-    """Return the shipped body in some garments, given by name; test garments are read from a folder."""
-    return dressed_body(human(), garments, folder)
+def dressed_human(garments: tuple[str, ...]) -> RiggedBody:
+    """Return the shipped body in some garments, given by name."""
+    return dressed_body(human(), garments)
 
 
 @cache

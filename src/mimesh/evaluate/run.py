@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies.dress import TEST_FILE
 from ..core.errors import InputError, did_you_mean
 from ..core.frame_buffer import Progress
 from ..core.options import MeasureOptions
@@ -50,7 +49,7 @@ from .measure import (
 )
 from .metrics import VERSION, pmd
 from .pairs import Pair, mirrored
-from .protocols import DRESSED, PROTOCOLS, QUADRUPED, SPLITS, Dressed, Protocol, with_test_garments
+from .protocols import PROTOCOLS, QUADRUPED, SPLITS, Protocol
 from .provenance import commit, libraries, machine
 from .rigs import RiggedPeople, RigTrial, measure_rig, rig_comparison, rigs
 from .summary import summary
@@ -285,8 +284,6 @@ def data_facts(protocol: Protocol, split: str, data: Path | None) -> dict[str, A
     facts: dict[str, Any] = {"split": split}
     if data is not None and protocol.name in FOLDERS:
         facts["data"] = folder_checksum(data)
-    if isinstance(protocol, Dressed) and protocol.folder is not None:
-        facts["data"] = f"{TEST_FILE} {protocol.checksum:08x}"
     return facts
 
 
@@ -312,7 +309,7 @@ def find_protocol(
 ) -> Protocol:
     """Return a protocol by name, or the pairs of a list of files by its path (`listed_pairs`).
 
-    `data` is the folder that those of FOLDERS read, that of garments for `dressed`, or that of a list's files.
+    `data` is the folder that those of FOLDERS read, or that of a list's files.
 
     Raises:
         InputError: no such protocol or list, no folder where one is needed, or an option that lists alone have.
@@ -326,8 +323,6 @@ def find_protocol(
         raise InputError(f"{name}: expected {NEED_A_FOLDER[name]}, found none; give it with --data")
     if name in READ_A_FOLDER:
         return READ_A_FOLDER[name](data)
-    if name == DRESSED.name and data is not None:
-        return with_test_garments(data)
     if name not in WITHOUT_FOLDER:
         known = ", ".join((*WITHOUT_FOLDER, *FOLDERS))
         raise InputError(f"{name}: expected a protocol ({known}) or the path of a list, found neither; check the name")
