@@ -472,7 +472,7 @@ def test_a_report_of_another_question_is_not_replaced_and_its_figures_are_not_us
     assert evaluate_command(given, ["copy"], out)["results"][0]["pmd_e4"] > 0
     assert (out.parent / "figures.json.partial.old").exists()
     evaluate_command(given, ["copy", "identity"], out)  # of the same pairs: more methods
-    for other in ({"pairs": 2}, {"measuring": MeasureOptions(mirror=True)}):
+    for other in ({"pairs": 2}, {"measuring": MeasureOptions(ensemble=2)}):
         with pytest.raises(InputError, match="expected no file, or a report of the same test set"):
             evaluate_command(given, ["copy"], out, **other)
     out.write_text("notes of mine")

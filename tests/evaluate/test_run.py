@@ -12,7 +12,6 @@ from networks import write_network, write_sequence_network
 
 from mimesh.core.errors import InputError, RefusedMeshError
 from mimesh.core.normalization import Normalization, bbox_centre, radius
-from mimesh.core.options import MeasureOptions
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
 from mimesh.evaluate.generate import generate_command
 from mimesh.evaluate.markdown import markdown
@@ -26,7 +25,6 @@ from mimesh.evaluate.measure import (
     run_on_pair,
 )
 from mimesh.evaluate.metrics import box_radius, resized
-from mimesh.evaluate.pairs import mirrored
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT, HumanNpt
 from mimesh.evaluate.run import dump_worst, evaluate_command, fingerprint
 from mimesh.evaluate.tables import TABLES, paper_table, table_command
@@ -34,33 +32,6 @@ from mimesh.io import load_mesh
 from mimesh.methods.find import INDEX_PAIRED, MODELS, NETWORK_OF_BODY, REDUCED_MODELS, TABLE_MODELS, find_model
 from mimesh.methods.onnx_models import hands_path
 from mimesh.pipeline import transfer
-
-
-@pytest.mark.slow
-def test_mirror_images_are_as_hard_for_a_method_without_a_side():
-    """`copy` has the same figures; a network of random weights has others, on meshes whose triangles face outwards."""
-    pair = HUMAN_NPT.pair("val", "unseen", 0)
-    image = mirrored(pair)
-    for before, after in ((pair.identity, image.identity), (pair.driving, image.driving)):
-        assert np.array_equal(after.vertices[:, 0], -before.vertices[:, 0])
-        volumes = [
-            np.einsum("fi,fi->", *np.array([np.cross(*t[:2]), t[2]]))
-            for t in (np.moveaxis(mesh.vertices[mesh.faces], 1, 0) for mesh in (before, after))
-        ]
-        assert volumes[0] == pytest.approx(volumes[1])
-    plain, mirror = (
-        evaluate_command("human-npt", ["copy"], split="val", pairs=2, measuring=MeasureOptions(mirror=on))
-        for on in (False, True)
-    )
-    for a, b in zip(plain["results"], mirror["results"], strict=True):
-        assert b["split"] == f"{a['split']}, mirrored"
-        assert b["pmd_e4"] == pytest.approx(a["pmd_e4"])
-        assert set(a["each"]["pair"]).isdisjoint(b["each"]["pair"])
-    assert mirror["provenance"]["config"]["mirror"] is True
-    looked_at = evaluate_command("noise", ["identity"], pairs=1, measuring=MeasureOptions(mirror=True))["sets"]
-    assert looked_at["holes, mirrored"]["role"] == "development"
-    with pytest.raises(InputError, match="--mirror: expected a test set of single meshes"):
-        evaluate_command("fingers", ["mime"], measuring=MeasureOptions(mirror=True))
 
 
 def test_network_without_a_size_gets_that_of_the_truth(tmp_path):

@@ -394,8 +394,6 @@ class MeasureOptions:
 
     ensemble: int = declared(1, "Average over this many random pairings (NPT).", min=1)
     refine: bool = declared(False, "Smooth results along the identity's surface.", name="--refine")
-    mirror: bool = declared(False, "Measure on the mirror images of all pairs.", name="--mirror")
-    """Not for clips and characters."""
     height: float | None = declared(
         None, "Lists: a person's height at rest in the files' unit, for millimetres.", metavar="H"
     )

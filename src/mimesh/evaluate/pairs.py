@@ -12,7 +12,6 @@ from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody, load_body
 from ..bodies.body_model import landmarks
-from ..core.geometry import MIRROR
 from ..core.mesh import Mesh, permute_vertices
 from .remesh import Remesh
 
@@ -155,20 +154,6 @@ def remesh_driving(pair: Pair, remesh: Remesh) -> Pair:
         aligned_reference=None,
         markers=np.stack([pair.markers[:, 0], np.where(distance < MISSING_DISTANCE, nearest, -1)], axis=1),
     )
-
-
-def mirrored(pair: Pair) -> Pair:
-    """Reflect all meshes of a pair at the plane x = 0; triangles keep their outer side.
-
-    What is true of a pair is true of its mirror image: people have no preferred side.
-    """
-    meshes = {
-        name: dataclasses.replace(mesh, vertices=mesh.vertices * MIRROR, faces=mesh.faces[:, ::-1])
-        for name, mesh in (("identity", pair.identity), ("driving", pair.driving))
-    }
-    arrays = {name: getattr(pair, name) for name in ("truth", "aligned", "aligned_reference", "reference")}
-    reflected = {name: None if array is None else array * MIRROR for name, array in arrays.items()}
-    return dataclasses.replace(pair, **meshes, **reflected)
 
 
 def _rows(array: Float[np.ndarray, "N 3"] | None, order: Int[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"] | None:

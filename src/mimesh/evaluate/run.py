@@ -48,7 +48,7 @@ from .measure import (
     run_on_pair,
 )
 from .metrics import VERSION, pmd
-from .pairs import Pair, mirrored
+from .pairs import Pair
 from .protocols import PROTOCOLS, QUADRUPED, SPLITS, Protocol
 from .provenance import commit, libraries, machine
 from .rigs import RiggedPeople, RigTrial, measure_rig, rig_comparison, rigs
@@ -123,16 +123,12 @@ def evaluate_command(
     if dump is not None and of_pool and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
                          "give --split val")  # fmt: skip
-    mirror, of_more = measuring.mirror, isinstance(chosen, Characters | FingerGestures | RiggedPeople)
-    if mirror and (dump is not None or of_more or is_of_clips(chosen)):
-        raise InputError("--mirror: expected a test set of single meshes and no --dump, found another; leave one out")
-    if runtime and of_more:
+    if runtime and isinstance(chosen, Characters | FingerGestures | RiggedPeople):
         raise InputError(f"--torch: expected a test set of meshes or clips, found {protocol}; leave it out")
     for method in filter(fingerprint, methods if runtime else ()):
         open_network(method, measuring.ensemble, runtime)  # later, it would be a failure of every pair
     options: dict[str, Any] = {"ensemble": measuring.ensemble, "refine": measuring.refine}
     config = {**data_facts(chosen, split, data), "pairs": pairs or chosen.pairs, **options}
-    config |= {"mirror": True} if mirror else {}
     if runtime:
         options |= {"runtime": runtime}
         config |= {"runtime": runtime_name}
@@ -151,17 +147,14 @@ def evaluate_command(
             for i in range(counts[kind]):
                 key = [method, weights, kind, i]
                 if (metrics := ledger.get(key)) is None:
-                    trial = chosen.pair(split, kind, i)
-                    trial = mirrored(trial) if mirror else trial
-                    metrics = ledger.put(key, measure_trial(chosen, trial, method, options))
+                    metrics = ledger.put(key, measure_trial(chosen, chosen.pair(split, kind, i), method, options))
                 figures.append(metrics)
                 done += 1
                 if progress is not None:
                     progress(done, total)
-            label = f"{kind}, mirrored" if mirror else kind
-            rows.append({**summary(method, label, figures, chosen.body), "weights": weights})
-            if label not in sets:  # every method gets the same pairs
-                sets[label] = set_facts(chosen, split, kind, [metrics["pair"] for metrics in figures], mirror)
+            rows.append({**summary(method, kind, figures, chosen.body), "weights": weights})
+            if kind not in sets:  # every method gets the same pairs
+                sets[kind] = set_facts(chosen, split, kind, [metrics["pair"] for metrics in figures])
             if dump is not None:
                 dump_worst(chosen, split, kind, method, options, figures, dump)
     report = {
@@ -265,14 +258,11 @@ def _whole_lines(path: Path):
             yield json.loads(line)
 
 
-def set_facts(protocol: Protocol, split: str, kind: str, pairs: list[str], mirror: bool = False) -> dict[str, Any]:
-    """Return the role and the checksum of a set of pairs, and how it compares with the one of `frozen_sets`.
-
-    Mirror images have the role of their set, and no frozen one.
-    """
+def set_facts(protocol: Protocol, split: str, kind: str, pairs: list[str]) -> dict[str, Any]:
+    """Return the role and the checksum of a set of pairs, and how it compares with the one of `frozen_sets`."""
     if isinstance(protocol, ListedPairs):
         return {"role": "own files", "sha256": set_checksum(pairs), "frozen": "unknown"}
-    stored = None if mirror else frozen_sets().get((protocol.name, split, kind))
+    stored = frozen_sets().get((protocol.name, split, kind))
     frozen = "unknown" if stored is None else stored.compare(pairs)
     return {"role": role(protocol.name, split, kind), "sha256": set_checksum(pairs), "frozen": frozen}
 

@@ -44,9 +44,7 @@ class Camera:
     rotmat_camera_world: Float[np.ndarray, "3 3"]
     """Rows are the picture's right, its up, and the direction towards the viewer, in world coordinates."""
     eye: Float[np.ndarray, 3]
-    """World position of the camera; if orthographic, a point in front of everything."""
-    half_height: float
-    """Half the picture's height: tangent of half the field of view, or world units if orthographic."""
+    """World position of the camera."""
     up: Float[np.ndarray, 3]
     """Unit vector away from the floor."""
     floor: float
@@ -55,21 +53,18 @@ class Camera:
     """Middle of the fitted points' bounding box."""
     radius: float
     """Half the diagonal of that box."""
-    perspective: bool = True
 
     def project(self, points: Float[np.ndarray, "N 3"], size: tuple[int, int]) -> Float[np.ndarray, "N 3"]:
         """Project points to pixel x (to the right), pixel y (down) and a depth rank.
 
-        The rank is smaller for nearer points and linear on screen: -1 / distance in perspective, else the distance.
-        Points behind a perspective eye get NaN.
+        The rank is smaller for nearer points and linear on screen: -1 / distance. Points behind the eye get NaN.
         """
         width, height = size
         # z points towards the viewer: visible points have a negative one.
         x, y, z = ((points - self.eye) @ self.rotmat_camera_world.T).T
-        distance = np.where(z < 0, -z, np.nan) if self.perspective else -z
-        scale = height / (2 * self.half_height) / (distance if self.perspective else 1.0)
-        rank = -1.0 / distance if self.perspective else distance
-        return np.stack([width / 2 + x * scale, height / 2 - y * scale, rank], axis=1)
+        distance = np.where(z < 0, -z, np.nan)
+        scale = height / (2 * SLOPE) / distance
+        return np.stack([width / 2 + x * scale, height / 2 - y * scale, -1.0 / distance], axis=1)
 
 
 def fit(
@@ -77,7 +72,6 @@ def fit(
     size: tuple[int, int] = (512, 512),
     view: str | tuple[float, float] = "three-quarter",
     *,
-    perspective: bool = True,
     margin: float = MARGIN,
     up: str = "y",
     front: str | None = None,
@@ -88,7 +82,6 @@ def fit(
         points: any leading axes; the floor is at the lowest of them.
         size: width and height in pixels; only their ratio matters.
         view: a name in `VIEWS`, or azimuth and elevation in degrees.
-        perspective: a lens of FIELD_OF_VIEW, or else an orthographic projection.
         margin: share of the picture left empty at each edge.
         up: axis that points away from the floor: x, y, z, -x, -y or -z.
         front: axis that faces azimuth 0; +z, or -y when z is up.
@@ -103,17 +96,14 @@ def fit(
     centre, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-12)
     # Relative to the centre, so that a mesh far from the origin gets the same picture to the last bits.
     local = (flat - centre) @ rotmat.T
-    solve = _fit_perspective if perspective else _fit_orthographic
-    offset, half_height = solve(local, _half_extent(size, margin), SLOPE, radius)
+    offset = _eye(local, SLOPE * _half_extent(size, margin), radius)
     return Camera(
         rotmat_camera_world=rotmat,
         eye=centre + offset @ rotmat,
-        half_height=half_height,
         up=world[1],
         floor=float(((flat - centre) @ world[1]).min() + centre @ world[1]),
         centre=centre,
         radius=radius,
-        perspective=perspective,
     )
 
 
@@ -144,7 +134,7 @@ def extreme_points(
     up: str = "y",
     front: str | None = None,
 ) -> Float[np.ndarray, "P 3"]:
-    """Find the few points of a clip for which `fit` gives the same perspective camera as for all of its points.
+    """Find the few points of a clip for which `fit` gives the same camera as for all of its points.
 
     Frames are read one by one, so that a clip on disk needs no memory.
 
@@ -154,7 +144,7 @@ def extreme_points(
     world = axes(up, front)
     rotmat = _view_rotation(*_angles(view)) @ world
     reach = SLOPE * _half_extent(size, MARGIN)
-    # What `fit` looks at: the four planes of the lens (see `_fit_perspective`), the nearest point, the floor, the box.
+    # What `fit` looks at: the four planes of the lens (see `_eye`), the nearest point, the floor, the box.
     planes = [[1, 0, reach[0]], [-1, 0, reach[0]], [0, 1, reach[1]], [0, -1, reach[1]], [0, 0, 1]]
     directions = np.concatenate([np.array(planes) @ rotmat, -world[1:2], np.eye(3), -np.eye(3)])
     best, extremes = np.full(len(directions), -np.inf), np.zeros((len(directions), 3))
@@ -215,13 +205,12 @@ def _half_extent(size: tuple[int, int], margin: float) -> Float[np.ndarray, " 2"
     return np.array([size[0] / size[1], 1.0]) * (1 - 2 * margin)
 
 
-def _fit_perspective(local, extent, slope, radius):
-    """Solve |x - ex| <= slope_x (ez - z) and the same for y over all points, for the eye (ex, ey, ez) with least ez.
+def _eye(local, reach, radius):
+    """Solve |x - ex| <= reach_x (ez - z) and the same for y over all points, for the eye (ex, ey, ez) with least ez.
 
     Exact: each side of the picture is a plane through the eye, so each of the four constraints depends on the points
-    through one maximum, of +-x + slope_x z or +-y + slope_y z.
+    through one maximum, of +-x + reach_x z or +-y + reach_y z.
     """
-    reach = slope * extent
     z = local[:, 2]
     offset = np.zeros(3)
     depths = []
@@ -233,16 +222,7 @@ def _fit_perspective(local, extent, slope, radius):
         depths.append((plus + minus) / (2 * reach[k]))
     # Without this, a flat subject seen edge-on, or a single point, would be at the eye itself.
     offset[2] = max(*depths, float(z.max()) + 0.05 * radius)
-    return offset, slope
-
-
-def _fit_orthographic(local, extent, slope, radius):
-    """Centre the points' bounding box in the picture; the same arguments as `_fit_perspective`."""
-    low, high = local.min(axis=0), local.max(axis=0)
-    half = float(((high - low)[:2] / 2 / extent).max())
-    offset = (low + high) / 2
-    offset[2] = high[2] + radius
-    return offset, max(half, 1e-3 * radius)
+    return offset
 
 
 def _angles(view: str | tuple[float, float]) -> tuple[float, float]:

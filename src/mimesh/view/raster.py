@@ -115,11 +115,10 @@ def _fragments(vertices, faces, corner_normals, camera, size, supersample) -> tu
     pixel, face, x, y, count = _merge_samples(visible.reshape(height, rows, width), shifts)
     weight, area = weights_at(projected, faces, face, pixel % width + x, pixel // width + y)
     corner = 3 * face[:, None] + np.arange(3)
-    if camera.perspective:
-        # Weights are linear across the picture. Divided by the corners' distances (the rank is -1 / distance) and
-        # normalized again, they are linear on the surface.
-        weight *= np.take(projected[:, 2][faces], face, axis=0)
-        weight /= (weight[:, 0] + weight[:, 1] + weight[:, 2])[:, None]
+    # Weights are linear across the picture. Divided by the corners' distances (the rank is -1 / distance) and
+    # normalized again, they are linear on the surface.
+    weight *= np.take(projected[:, 2][faces], face, axis=0)
+    weight /= (weight[:, 0] + weight[:, 1] + weight[:, 2])[:, None]
     normals = interpolate(np.take(corner_normals, face, axis=0), weight)
     normals *= np.where(area > 0, -1.0, 1.0)[:, None]  # y points down: the back of a face is clockwise
     return Hits(pixel, corner, weight, np.abs(area)), count, unit(normals)
