@@ -80,6 +80,23 @@ JOINT_LIMITS: dict[str, tuple[Range, Range, Range]] = {
 }
 """Approximate ranges of human joints, as rotation vectors from a T-pose. Headings are not included."""
 
+FOLDED_LEGS: dict[str, tuple[Range, Range, Range, Range, Range]] = {
+    "on a chair": ((70, 110), (-5, 30), (-15, 15), (60, 115), (-15, 20)),
+    "legs forward": ((65, 110), (0, 40), (-10, 25), (0, 35), (-10, 30)),
+    "cross-legged": ((70, 110), (20, 60), (20, 60), (95, 145), (-10, 30)),
+    "knees drawn up": ((100, 135), (-5, 25), (-5, 15), (85, 140), (-10, 30)),
+    "squatting": ((85, 130), (0, 45), (0, 20), (100, 150), (-30, 10)),
+    "on the heels": ((40, 95), (-5, 25), (-10, 15), (120, 155), (20, 55)),
+    "kneeling": ((-15, 25), (-5, 20), (-10, 10), (75, 125), (0, 55)),
+}
+"""How legs are folded: hip bent, thigh to the outside, thigh turned outwards, knee bent, foot stretched (degrees).
+Chosen by hand from how people sit, squat and kneel; all but the turned thighs of the cross-legged lie within what
+clinical tables give for adults."""
+UNEVEN = 0.3
+"""Share of people whose legs are folded in two of these ways, one each."""
+LEANING = 25.0
+"""Largest angle that people with folded legs lean forward or back (degrees)."""
+
 
 def limits_rotvec(body: RiggedBody, limits: dict[str, tuple[Range, Range, Range]]) -> Float[np.ndarray, "2 J 3"]:
     """Convert a table of limits to the lowest and highest rotation vector of every joint (radians); zero by default."""
@@ -101,6 +118,30 @@ def sample_pose(
     """Draw rotation vectors of pose `index`, uniform within `limits` (default: NPT's Table 6)."""
     low, high = limits_rotvec(body, TABLE_6 if limits is None else limits)
     return _generator(seed, index, 1).uniform(low, high)
+
+
+def folded_legs(body: RiggedBody, count: int, seed: int = 0) -> Float[np.ndarray, "N J 3"]:
+    """Draw rotation vectors of people who sit, squat and kneel; only hips, legs and feet are turned."""
+    from scipy.spatial.transform import Rotation
+
+    rng = np.random.default_rng(seed)
+    ranges = np.array(list(FOLDED_LEGS.values()), dtype=float)
+    kind = rng.integers(len(ranges), size=(count, 2))
+    kind[:, 1] = np.where(rng.random(count) < UNEVEN, kind[:, 1], kind[:, 0])
+    # Both legs of one person differ by up to a quarter of the range where they are folded in one way.
+    part = np.clip(rng.random((count, 1, 5)) + rng.uniform(-0.25, 0.25, (count, 2, 5)), 0, 1)
+    low, high = ranges[kind, :, 0], ranges[kind, :, 1]
+    angles = low + part * (high - low)
+    poses = np.zeros((count, len(body.joint_names), 3))
+    poses[:, body.joint("Hips"), 0] = np.radians(rng.uniform(-LEANING, LEANING, count))
+    for k, (side, sign) in enumerate((("Left", 1), ("Right", -1))):
+        bend, outside, outwards, knee, foot = angles[:, k].T
+        # Bent first, a thigh points to the front (z): turned outwards about z, then to the outside about y.
+        turns = Rotation.from_euler("xzy", np.stack([-bend, -sign * outwards, sign * outside], axis=-1), degrees=True)
+        poses[:, body.joint(f"{side}UpLeg")] = turns.as_rotvec()
+        poses[:, body.joint(f"{side}Leg"), 0] = np.radians(knee)
+        poses[:, body.joint(f"{side}Foot"), 0] = np.radians(foot)
+    return poses
 
 
 def lowered_arms(body: RiggedBody) -> Float[np.ndarray, "J 3"]:

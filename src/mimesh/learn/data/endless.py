@@ -20,7 +20,7 @@ from ...bodies import RiggedBody, quadruped
 from ...bodies.anatomy import anatomy_of_joints
 from ...bodies.contacts import contact_bank
 from ...bodies.joint_ranges import ranges_of
-from ...bodies.sampling import limits_rotvec, lowered_arms
+from ...bodies.sampling import folded_legs, limits_rotvec, lowered_arms
 from ...core.errors import InputError
 from ...core.rig import descendants
 from ...motions import mirror, pose_bank
@@ -44,6 +44,8 @@ MAX_STEP = 0.15
 covers none, the window is still."""
 SHAPE_LIMIT = 2.5
 """Shape coefficients are clipped to so many standard deviations."""
+FOLDED = 4000
+"""Folded legs that are drawn from."""
 MAX_SPEED = 3
 """`clips`: windows of captures, or of animals' gaits, are played at up to this many times their speed."""
 CAPTURED = 0.5
@@ -62,6 +64,8 @@ class PeopleOptions(DataConfig):
     """Share of driving meshes that are rotated any way at all, as people who lie or roll are."""
     contacts: float = share_option()
     """Share of people whose body parts touch each other; animals have no such poses."""
+    folded: float = share_option()
+    """Share of people whose legs are folded as those of people who sit, squat and kneel; animals have no such poses."""
     limits: float = share_option(0.12)
     """Share of driving meshes that are posed anyhow within the joint limits."""
     between: float = share_option()
@@ -110,6 +114,8 @@ class EndlessPeople:
         self.motion_frames = on_device(sources.frames, device)
         self.resting, self.postures = on_device(sources.resting, device), on_device(sources.postures, device)
         self.contacts = [on_device(array, device) for array in (sources.contact_shapes, sources.contact_poses)]
+        self.folded = on_device(sources.folded, device)
+        self.is_leg = (self.folded != 0).any(dim=0).any(dim=-1, keepdim=True)
         self.frames = frames
         if frames:
             takes = training_takes(body)
@@ -141,6 +147,8 @@ class EndlessPeople:
         poses, touching = [], torch.zeros(2, size, dtype=torch.bool, device=self.device)
         for row, mix in enumerate((IDENTITY_MIX, driving_mix(self.config.limits if limits is None else limits))):
             pose = self._sample_poses(kinds[row], mix, rng)
+            if self.config.folded and len(self.folded):
+                pose = self._fold_legs(pose, rng)
             if self.config.contacts and len(self.contacts[0]):
                 shapes[row], pose, touching[row] = self._replace_by_contacts(shapes[row], pose, rng)
             rotmat = rotvec_to_rotmat(pose)
@@ -189,6 +197,12 @@ class EndlessPeople:
             rest, table, frame = rest + posture, table + posture, frame + posture
         choice = torch.bucketize(kinds, torch.tensor(mix, device=self.device))
         return torch.stack([rest, table, wide, frame])[choice, torch.arange(size, device=self.device)]
+
+    def _fold_legs(self, pose: Float[Tensor, "B J 3"], rng: torch.Generator) -> Float[Tensor, "B J 3"]:
+        """Fold the legs of a share of the people."""
+        legs = self.folded[random_index(len(self.folded), (len(pose),), rng)]
+        some = uniform(rng, len(pose), 1, 1) < self.config.folded
+        return torch.where(some & self.is_leg, legs, pose)
 
     def _random_postures(self, size: int, rng: torch.Generator) -> Float[Tensor, "B J 3"]:
         """Draw shares of the ways in which animals stand."""
@@ -331,18 +345,19 @@ class PoseSources(NamedTuple):
     """Shape coefficients of bodies whose limbs touch each other."""
     contact_poses: Float[np.ndarray, "M J 3"]
     """Their poses; both are empty for bodies that have none."""
+    folded: Float[np.ndarray, "F J 3"]
+    """People with folded legs; empty for animals."""
 
 
 def pose_sources(body: RiggedBody) -> PoseSources:
     """Load what poses of a shipped body are drawn from."""
     usual, limits = (limits_rotvec(body, table) for table in ranges_of(body))
     if body.name == "quadruped":
-        nobody = np.zeros((0, len(body.components))), np.zeros((0, *body.joints.shape))
+        no_shapes, none = np.zeros((0, len(body.components))), np.zeros((0, *body.joints.shape))
         frames, resting = quadruped_poses(body, "train"), quadruped.lowered_head(body)
-        return PoseSources(usual, limits, frames, resting, quadruped.postures(body), *nobody)
-    return PoseSources(
-        usual, limits, pose_bank("train"), lowered_arms(body), np.zeros((0, *body.joints.shape)), *contact_bank()
-    )
+        return PoseSources(usual, limits, frames, resting, quadruped.postures(body), no_shapes, none, none)
+    no_postures, folded = np.zeros((0, *body.joints.shape)), folded_legs(body, FOLDED)
+    return PoseSources(usual, limits, pose_bank("train"), lowered_arms(body), no_postures, *contact_bank(), folded)
 
 
 def training_takes(body: RiggedBody) -> list[Float[np.ndarray, "T J 3"]]:
