@@ -1,7 +1,7 @@
 """Garments of the shipped human, with its shape coefficients and joints: their exact result of a transfer is known.
 
-Networks are trained with them; `research/recipes/build_dress.py` builds them from MakeHuman's helper meshes, each as one
-open surface. Cloth is not simulated, so a skirt stretches between spread legs.
+Networks are trained with them; `research/recipes/build_dress.py` builds them from MakeHuman's helper meshes, each as
+one open surface. Cloth is not simulated, so a skirt stretches between spread legs.
 """
 
 from __future__ import annotations
