@@ -33,6 +33,7 @@ from ..core.normalization import axis_name
 from ..core.normalization import turn as turned_about_y
 from ..core.person_motion import PersonMotion
 from ..core.rig import descendants
+from .posed_rest import action_frames, rests_in_action
 from .retarget import BONES, limb_alignments, rest_heading
 
 LEG = ("UpLeg", "Leg", "Foot")
@@ -192,7 +193,8 @@ def humanoid_rig(
     joints = {name: joint for name, joint in named.items() if moving[joint] or name in ("Hips", "Head")}
     limbs = find_limbs(facing, joints, path)
     # Joints without weights, such as tips of fingers, still show where the bone above them points.
-    frames = rest_frames(facing.joints, named, limbs)
+    in_action = rests_in_action(facing.joints, named)
+    frames = action_frames(facing, named, limbs) if in_action else rest_frames(facing.joints, named, limbs)
     back = turn.T
     rig = HumanoidRig(
         facing.turned(back),
@@ -200,7 +202,7 @@ def humanoid_rig(
         {name: back @ frames[name] for name in joints},
         {name: Limb(limb.joint, back @ limb.start, back @ limb.end) for name, limb in limbs.items()},
         turn,
-        rest_heading(facing.joints, named),
+        0.0 if in_action else rest_heading(facing.joints, named),
     )
     return rig, order.tolist()
 
