@@ -58,6 +58,8 @@ class HumanoidRig:
     """Rotation from the file's axes to y up, +z front."""
     heading: float = 0.0
     """Angle (radians, from z towards x, after `turn`) at which it faces, where that is between the axes."""
+    in_action: bool = False
+    """Whether it rests in another pose than a T- or A-pose, in which it need not stand on its soles."""
 
     body_name: ClassVar[str] = "human"
     """The shipped body whose joints these are."""
@@ -122,7 +124,7 @@ class HumanoidRig:
         weights = character.summed_weights(character.nearest_columns(column_of, 0), len(names))
         up, front = axis_name(self.turn[1]), axis_name(self.turn[2])
         at_rest = self.turn @ frames, rest[:, :3, 3] @ self.turn.T
-        surface = character.mesh.vertices
+        surface = None if self.in_action else character.mesh.vertices
         positions = world[..., :3, 3]
         return PersonMotion(
             names, moved @ frames, positions, self.leg, weights, surface, front, up, at_rest, self.heading
@@ -193,7 +195,7 @@ def humanoid_rig(
     joints = {name: joint for name, joint in named.items() if moving[joint] or name in ("Hips", "Head")}
     limbs = find_limbs(facing, joints, path)
     # Joints without weights, such as tips of fingers, still show where the bone above them points.
-    in_action = rests_in_action(facing.joints, named)
+    in_action = rests_in_action({name: facing.joints[joint] for name, joint in named.items()})
     frames = action_frames(facing, named, limbs) if in_action else rest_frames(facing.joints, named, limbs)
     back = turn.T
     rig = HumanoidRig(
@@ -203,6 +205,7 @@ def humanoid_rig(
         {name: Limb(limb.joint, back @ limb.start, back @ limb.end) for name, limb in limbs.items()},
         turn,
         0.0 if in_action else rest_heading(facing.joints, named),
+        in_action,
     )
     return rig, order.tolist()
 

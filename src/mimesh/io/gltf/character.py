@@ -240,8 +240,7 @@ def _upright(rig: SkinnedCharacter, joints: dict[str, int]) -> Float[np.ndarray,
     up = np.where(np.arange(3) == np.abs(trunk).argmax(), np.sign(trunk), 0.0)
     left = np.cross(up, [0.0, 0.0, 1.0]) if up[0] else np.array([1.0, 0.0, 0.0])
     upright = np.stack([left, up, np.cross(left, up)])
-    turned = rig.turned(upright)
-    return np.eye(3) if rests_in_action(turned.joints, joints) else upright
+    return np.eye(3) if rests_in_action(_places(rig.turned(upright), joints)) else upright
 
 
 def rig_at_rest(
@@ -296,14 +295,13 @@ def _limb_nodes(document: Document, nodes: Collection[int]) -> dict[str, int]:
     return {} if missing_limbs(found) else {name: order[joint] for name, joint in found.items()}
 
 
-def standing_facing(
-    rig: SkinnedCharacter, known: dict[str, int], rule: str, path: object, fallen: bool = False
-) -> str:
+def standing_facing(rig: SkinnedCharacter, known: dict[str, int], rule: str, path: object, fallen: bool = False) -> str:
     """Check that a rig is that of one person who stands, and find where the person faces; see `find_facing`.
 
     Args:
         known: joints that the file itself names.
-        fallen: who does not stand, and is not on all fours, was bound in an action; the hips tell the facing.
+        fallen: who does not stand, lies in no T-pose and is not on all fours was bound in an action; the hips tell the
+            facing.
 
     Raises:
         InputError: limbs that are not found by name, several characters, or a trunk that is not upright.
@@ -311,8 +309,9 @@ def standing_facing(
     part, joints = carried_part(rig), name_sided_joints(rig, path, known)
     _check_one_skeleton(part, joints, path)
     if not _stands(part, joints):
-        if fallen and not on_all_fours(part.joints, joints):
-            return _nearest_axis(action_front(part.joints, joints))
+        places = _places(part, joints)
+        if fallen and not on_all_fours(places) and np.array_equal(_upright(part, joints), np.eye(3)):
+            return _nearest_axis(action_front(places))
         raise NotUpright(f"{path}: expected a character that stands upright at rest, y up, found another rest pose; "
                          "turn it, or leave it out")  # fmt: skip
     return find_facing(part, joints, rule)
@@ -389,6 +388,11 @@ def _nearest_axis(direction: np.ndarray) -> str:
 def _middle(rig: SkinnedCharacter, joints: dict[str, int], part: str) -> Float[np.ndarray, " 3"]:
     """Compute the midpoint of the left and right joint of a part."""
     return (rig.joints[joints[f"Left{part}"]] + rig.joints[joints[f"Right{part}"]]) / 2
+
+
+def _places(rig: SkinnedCharacter, joints: dict[str, int]) -> dict[str, Float[np.ndarray, " 3"]]:
+    """Return the position of each named joint."""
+    return {name: rig.joints[joint] for name, joint in joints.items()}
 
 
 def _check_one_skeleton(rig: SkinnedCharacter, joints: dict[str, int], path: object) -> None:
