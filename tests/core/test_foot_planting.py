@@ -106,7 +106,7 @@ def case(motion=None, size=0.8, path=None, noise=0.0, driving_size=1.0, shin=1.0
     leg, mine = leg_length(rig.joints, LEGS), find_soles(vertices, identity_rig, LEGS, BODY.parents)
     feet = Feet.of(LEGS, leg, mine, skinned, find_soles(rest, rig, LEGS, BODY.parents), everyone)
     assert feet is not None
-    soles = np.stack([feet.driving.in_frame(frame) for frame in frames])
+    soles = np.stack([feet.driving.in_frame(frame)[0] for frame in frames])
     track = JointTrack(rotation, positions, motion.fps, soles)
     return Case(track, skinned, feet, leg_length(identity_rig.joints, LEGS) / leg)
 
@@ -343,7 +343,7 @@ def test_hands_stand_where_the_drivings_do(arm):
     assert feet is not None
     rotation, translation = BODY.skinning_transforms(BODY.joints, motion.rotmat, motion.root)
     positions = (rotation @ BODY.joints[..., None])[..., 0] + translation
-    track = JointTrack(rotation, positions, motion.fps, np.stack([feet.driving.in_frame(frame) for frame in frames]))
+    track = JointTrack(rotation, positions, motion.fps, np.stack([feet.driving.in_frame(frame)[0] for frame in frames]))
     assert track.soles is not None
     driving = track.soles[..., 1].min(axis=2)
     assert np.ptp(driving[0]) < 0.02
