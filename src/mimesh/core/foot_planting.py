@@ -169,7 +169,7 @@ def falling(values: Float[np.ndarray, "*S"], limits: tuple[float, float]) -> Flo
     return 1 - smooth_step(values, limits)
 
 
-RESTING = (0.04, 0.12)
+RESTING = (0.02, 0.1)
 """Leg lengths of knees, seat or back over the ground: with them below the first, a person rests there; above the second
 nobody does. Joints without a mesh play a body that is thinner or thicker than who was captured."""
 KNEELING = (0.65, 0.8)
@@ -277,7 +277,8 @@ def plant_feet(
     weight, error, apart = _heights(heights, contacts, raised, scale[1], track.fps, leg, blocks)
     if resting is not None:  # one more foot, on a leg that stays as it is
         lift = scale[1] * resting.height - apart - feet.identity_lowest(posed.rotation, posed.root)
-        weight = np.c_[weight, resting.weight / (HEIGHT_SECONDS * track.fps) ** 2]
+        also = np.c_[resting.feet * (np.arange(weight.shape[1]) < weight.shape[1] - feet.hands), resting.weight]
+        weight = np.maximum(np.c_[weight, np.zeros(len(weight))], also / (HEIGHT_SECONDS * track.fps) ** 2)
         error, stiff = np.c_[error, lift], np.append(stiff, True)
     stiffness = replace(HEIGHTS, root_bend=HEIGHTS.leg_bend) if blocks else HEIGHTS
     found[..., 1] = _solve(weight, error, len(soles), track.fps, stiffness, (cyclic, cyclic), stiff)[: len(found)]
@@ -413,6 +414,8 @@ class Resting(NamedTuple):
     """Height of these when they are on the floor, or as far above as they are."""
     sunk: Float[np.ndarray, " T"]
     """How far it is in the floor, where it rests there."""
+    feet: Float[np.ndarray, "T F"]
+    """How far each foot is on the floor while it rests: of who sits or lies none stands (`HIPS_HEIGHT`)."""
 
 
 def _resting(track: JointTrack, floor: float, leg: float) -> Resting | None:
@@ -422,7 +425,10 @@ def _resting(track: JointTrack, floor: float, leg: float) -> Resting | None:
     above, hips = (track.lowest - floor) / leg, (track.positions[:, 0, 1] - floor) / leg
     weight = falling(above, RESTING) * falling(hips, KNEELING)
     height = floor + leg * np.maximum(above - RESTING[0], 0)
-    return Resting(weight, height, weight * leg * np.maximum(-above, 0))
+    sunk = weight * leg * np.maximum(-above, 0)
+    assert track.soles is not None
+    soles = (track.soles[..., 1].min(axis=2) + sunk[:, None] - floor) / leg
+    return Resting(weight, height, sunk, weight[:, None] * falling(soles, STANDING_HEIGHT))
 
 
 def resting_lift(posed: PosedJoints, track: JointTrack, feet: Feet, scale: float) -> float | None:
@@ -435,10 +441,9 @@ def resting_lift(posed: PosedJoints, track: JointTrack, feet: Feet, scale: float
     contacts = find_contacts(track, feet.driving_leg, feet.hands)
     floor = float(np.quantile(track.lowest, GROUND_SHARE)) if contacts is None else contacts.height
     resting = _resting(track, floor, feet.driving_leg)
-    rests = resting is not None and resting.weight > 0.5
-    if not np.any(rests):
+    if resting is None or not (rests := resting.weight > 0.5).any():
         return None
-    lowest = feet.identity_lowest(posed.rotation, posed.root)
+    lowest = feet.identity_lowest(posed.rotation, posed.root, with_soles=True)
     return float(np.median((scale * (resting.height - floor) - lowest)[rests]))
 
 

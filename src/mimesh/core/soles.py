@@ -183,11 +183,12 @@ class Feet:
         return np.where(self.stiff, height.min(axis=(2, 3)), height.mean(axis=3).min(axis=2))
 
     def identity_lowest(
-        self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
+        self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"], with_soles: bool = False
     ) -> Float[np.ndarray, " T"]:
-        """Return the height of the identity's lowest point but those of feet and hands in all frames."""
+        """Return the height of the identity's lowest point in all frames, by default but those of feet and hands."""
         assert self.body is not None
-        return self.body.posed_frames(rotation, np.zeros_like(root))[..., 1].min(axis=1) + root[:, 1]
+        body = self.body.posed_frames(rotation, np.zeros_like(root))[..., 1].min(axis=1) + root[:, 1]
+        return np.minimum(body, self._sole_points(rotation, root)[..., 1].min(axis=(1, 2, 3))) if with_soles else body
 
     def _sole_points(
         self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
