@@ -214,6 +214,9 @@ class Stiffness:
 HEIGHT_SECONDS = 1 / 30
 """A height counts as much as a slide over the same distance in this time."""
 SLIDES = Stiffness(leg_size=1.0, leg_bend=0.01, root_speed=0.02, root_bend=0.05, root_hold=0.0)
+BLOCKS_BEND = 0.03
+"""Seconds over which the root of a figure of blocks changes its speed: its legs cannot bend. A yeti jolts at up to 16
+heights/s^2, its driving at 9; with 0.02 s at 23, and with 0.04 s soles of stiff legs are 3 % of a leg off."""
 HEIGHTS = Stiffness(leg_size=0.1, leg_bend=0.02, root_speed=0.02, root_bend=0.1, root_hold=100.0)
 
 
@@ -280,7 +283,7 @@ def plant_feet(
         also = np.c_[resting.feet * (np.arange(weight.shape[1]) < weight.shape[1] - feet.hands), resting.weight]
         weight = np.maximum(np.c_[weight, np.zeros(len(weight))], also / (HEIGHT_SECONDS * track.fps) ** 2)
         error, stiff = np.c_[error, lift], np.append(stiff, True)
-    stiffness = replace(HEIGHTS, root_bend=HEIGHTS.leg_bend) if blocks else HEIGHTS
+    stiffness = replace(HEIGHTS, root_bend=BLOCKS_BEND) if blocks else HEIGHTS
     found[..., 1] = _solve(weight, error, len(soles), track.fps, stiffness, (cyclic, cyclic), stiff)[: len(found)]
     root, steps = found[0], found[1:]
     steps *= np.minimum(1, LARGEST_STEP * leg / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-9))
