@@ -20,10 +20,11 @@ from mimesh.core.foot_planting import (
     move_ankle,
     plant_feet,
 )
+from mimesh.core.geometry import vertex_normals
 from mimesh.core.joint_tracks import JointTrack, root_path
 from mimesh.core.rig import Rig, descendants, leg_length
 from mimesh.core.skinning import SkinnedMesh
-from mimesh.core.soles import Feet, find_soles
+from mimesh.core.soles import Feet, body_points, find_soles
 from mimesh.core.surface_points import SurfacePoints
 from mimesh.motions.motion import Motion, motion_clip
 from mimesh.motions.procedural import gait, planted
@@ -106,7 +107,7 @@ def case(motion=None, size=0.8, path=None, noise=0.0, driving_size=1.0, shin=1.0
     leg, mine = leg_length(rig.joints, LEGS), find_soles(vertices, identity_rig, LEGS, BODY.parents)
     feet = Feet.of(LEGS, leg, mine, skinned, find_soles(rest, rig, LEGS, BODY.parents), everyone)
     assert feet is not None
-    soles = np.stack([feet.driving.in_frame(frame) for frame in frames])
+    soles = np.stack([feet.driving.in_frame(frame)[0] for frame in frames])
     track = JointTrack(rotation, positions, motion.fps, soles)
     return Case(track, skinned, feet, leg_length(identity_rig.joints, LEGS) / leg)
 
@@ -343,7 +344,7 @@ def test_hands_stand_where_the_drivings_do(arm):
     assert feet is not None
     rotation, translation = BODY.skinning_transforms(BODY.joints, motion.rotmat, motion.root)
     positions = (rotation @ BODY.joints[..., None])[..., 0] + translation
-    track = JointTrack(rotation, positions, motion.fps, np.stack([feet.driving.in_frame(frame) for frame in frames]))
+    track = JointTrack(rotation, positions, motion.fps, np.stack([feet.driving.in_frame(frame)[0] for frame in frames]))
     assert track.soles is not None
     driving = track.soles[..., 1].min(axis=2)
     assert np.ptp(driving[0]) < 0.02
@@ -359,3 +360,58 @@ def test_hands_stand_where_the_drivings_do(arm):
         np.diff(skinned.joint_positions(planted.rotation[0], planted.root[0])[list(ARMS[0])], axis=0), axis=1
     )
     np.testing.assert_allclose(bones, np.linalg.norm(np.diff(own.joints[list(ARMS[0])], axis=0), axis=1), atol=1e-6)
+
+
+RESTS = {
+    "sits": {"UpLeg": -93.0},
+    "kneels": {"UpLeg": -5.0, "Leg": 96.0, "Foot": 75.0},
+}
+"""Turns of the joints of both legs about x (degrees) that bring a person who stands onto seat or knees."""
+
+
+def going_down(name, frames=48):
+    """A person who stands for a while, goes down in a second, and stays there: its lowest point is on the floor."""
+    share = np.clip((np.arange(frames) - 12) / 20, 0, 1)
+    turns = np.tile(np.eye(3), (frames, len(BODY.parents), 1, 1))
+    for joint, angle in RESTS[name].items():
+        for side in ("Left", "Right"):
+            vectors = np.multiply.outer(share * np.radians(angle), [1.0, 0.0, 0.0])
+            turns[:, BODY.joint(side + joint)] = Rotation.from_rotvec(vectors).as_matrix()
+    still = Motion(name, BODY.joint_names, turns, np.zeros((frames, 3)), 20.0)
+    lowest = motion_clip(BODY, np.zeros(0), still).vertices[..., 1].min(axis=1)
+    return dataclasses.replace(still, root=np.multiply.outer(-lowest, [0.0, 1.0, 0.0]))
+
+
+@pytest.mark.parametrize("name", RESTS)
+@pytest.mark.parametrize("thicker", [-0.03, 0.03])
+def test_knees_and_seats_rest_where_the_drivings_do(name, thicker):
+    """Those of a thicker person would be in the floor, those of a thinner one over it."""
+    motion = going_down(name)
+    frames = motion_clip(BODY, np.zeros(0), motion).vertices.astype(float)
+    (rest, rig), (vertices, own) = rig_of(np.zeros(0)), rig_of(np.zeros(0))
+    above_feet = np.clip((vertices[:, 1:2] - own.joints[LEGS[0][2], 1]) / 0.1, 0, 1)
+    vertices = vertices + thicker * above_feet * vertex_normals(vertices, BODY.faces)
+    skinned, leg = SkinnedMesh.of(vertices, own, BODY.parents), leg_length(rig.joints, LEGS)
+    everyone = SurfacePoints(np.repeat(np.arange(len(rest))[:, None], 3, axis=1), np.tile([1.0, 0, 0], (len(rest), 1)))
+    mine, theirs = (find_soles(p, r, LEGS, BODY.parents) for p, r in ((vertices, own), (rest, rig)))
+    bodies = tuple(body_points(p, r, LEGS, BODY.parents) for p, r in ((vertices, own), (rest, rig)))
+    feet = Feet.of(LEGS, leg, mine, skinned, theirs, everyone, bodies=(bodies[0], bodies[1]))
+    assert feet is not None
+    rotation, translation = BODY.skinning_transforms(BODY.joints, motion.rotmat, motion.root)
+    positions = (rotation @ BODY.joints[..., None])[..., 0] + translation
+    soles, body = feet.driving.in_frames(frames)
+    track = JointTrack(rotation, positions, motion.fps, soles, body[..., 1].min(axis=1))
+    posed = PosedJoints(rotation, positions[:, 0])
+
+    def lowest(moved):
+        heel = feet.identity_soles(moved.rotation, moved.root)[..., 1].min(axis=(1, 2))
+        return np.stack([feet.identity_lowest(moved.rotation, moved.root), heel])
+
+    driving = np.stack([body[..., 1].min(axis=1), soles[..., 1].min(axis=(1, 2))])
+    planted = plant_feet(posed, track, skinned, feet, (1.0, 1.0))
+    before, after = lowest(posed) - driving, lowest(planted) - driving
+    assert driving[0, -1] < 0.01
+    assert np.abs(before[0, -1]) > 0.015
+    assert np.abs(after[0, -1]) < 0.01
+    assert np.abs(after[1]).max() < 0.005, "feet stay where they are"
+    assert np.abs(np.diff(after)).max() < 0.02, "no step in a twentieth of a second"

@@ -10,6 +10,7 @@ import zoo
 from nasty import bend, fan_triangles, rotation
 from PIL import Image
 
+from mimesh.core.errors import InputError
 from mimesh.core.geometry import vertex_normals
 from mimesh.core.mesh import Clip
 from mimesh.io import load_mesh, save_clip, save_mesh
@@ -157,3 +158,13 @@ def test_texture_and_uv_per_vertex_are_read(tmp_path):
     assert (tmp_path / "out" / "skin.png").read_bytes() == (tmp_path / "skin.png").read_bytes()
     save_clip(Clip(mesh, np.stack([mesh.vertices, bend(mesh.vertices)])), tmp_path / "clip", suffix=".ply")
     assert sorted(path.name for path in (tmp_path / "clip").iterdir()) == ["0000.ply", "0001.ply", "skin.png"]
+
+
+def test_a_gaussian_splat_is_named_in_its_refusal(tmp_path):
+    names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
+    names += [f"rot_{k}" for k in range(4)]
+    header = ["ply", "format binary_little_endian 1.0", "element vertex 5", *(f"property float {n}" for n in names)]
+    path = tmp_path / "splat.ply"
+    path.write_bytes("\n".join([*header, "end_header\n"]).encode() + np.zeros((5, len(names)), "<f4").tobytes())
+    with pytest.raises(InputError, match="found a Gaussian splat, no mesh; make a mesh"):
+        load_mesh(path)

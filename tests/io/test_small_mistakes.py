@@ -65,7 +65,7 @@ def test_obj_that_lists_no_texture_coordinates_or_normals_is_read_without_them(c
     ]
 
 
-@pytest.mark.parametrize("nan", ["nan", "-nan(ind)", "inf"])
+@pytest.mark.parametrize("nan", ["nan", "-nan(ind)", "-1.#IND", "1.#QNAN0", "inf"])
 def test_normals_and_texture_coordinates_that_are_no_numbers_are_zero(nan, tmp_path):
     """Exporters write them for faces without area."""
     values = f"vt 0.5 1\nvt {nan} 0\nvn 0 0 1\nvn {nan} {nan} {nan}\n"

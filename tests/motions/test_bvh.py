@@ -137,6 +137,23 @@ def test_numbers_may_have_exponents_and_angles_full_turns(tmp_path):
     np.testing.assert_allclose(same.rotmat, plain.rotmat, atol=1e-12)
 
 
+def test_scales_of_joints_are_left_with_a_note(tmp_path):
+    text = SMALL.replace("CHANNELS 3 Xrotation", "CHANNELS 6 Xscale Yscale Zscale Xrotation")
+    plain = load_bvh(write(tmp_path, SMALL))
+    same = load_bvh(
+        write(tmp_path, text.replace("0 0 0 0 0 0 0 0 0", "0 0 0 0 0 0 1 1 1 0 0 0").replace("30 40", "30 1 1 1 40"))
+    )
+    grows = load_bvh(
+        write(tmp_path, text.replace("0 0 0 0 0 0 0 0 0", "0 0 0 0 0 0 1 1 1 0 0 0").replace("30 40", "30 1 2 1 40"))
+    )
+    for found in (same, grows):
+        np.testing.assert_array_equal(found.rotmat, plain.rotmat)
+    assert (same.notes, grows.notes) == (
+        (),
+        ("a scales Knee: joints are turned and moved, their sizes are not carried over",),
+    )
+
+
 def test_whole_rows_beyond_the_frame_count_are_not_read(tmp_path):
     """Boxing_Toes.bvh of assimp counts one frame too few."""
     whole = load_bvh(write(tmp_path, SMALL))

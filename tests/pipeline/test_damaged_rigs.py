@@ -192,7 +192,23 @@ def idle(scale: list[float]):
     return change
 
 
+def zeros_for_bind_matrices(draft: Draft) -> None:
+    """An accessor without a view is one of zeros (glTF 2.0, 3.6.2.3)."""
+    del draft.gltf["accessors"][draft.gltf["skins"][0]["inverseBindMatrices"]]["bufferView"]
+
+
+def nan_for_an_idle_joint(draft: Draft) -> None:
+    idle([1.0, 1.0, 1.0])(draft)
+    skin = draft.gltf["skins"][0]
+    chunk = draft.chunks[2 * draft.gltf["accessors"][skin["inverseBindMatrices"]]["bufferView"]]
+    matrices = np.frombuffer(bytes(chunk), "<f4").reshape(-1, 4, 4).swapaxes(1, 2).copy()
+    matrices[-1] = np.nan
+    skin["inverseBindMatrices"] = draft.add_matrices(matrices)
+
+
 SOUND = {
+    "bind matrices of zeros: bound as the nodes are": {"change": zeros_for_bind_matrices, "armature": np.eye(4)},
+    "NaN in the bind matrix of an idle joint": {"change": nan_for_an_idle_joint},
     "skins without use": {"change": extra_skins},
     "an idle joint scaled unequally": {"change": idle([1.0, 1.3, 1.0])},
     "an idle joint scaled to nothing": {"change": idle([0.0, 0.0, 0.0])},
@@ -215,6 +231,8 @@ def test_odd_rigs_move_as_others(oddity, whole, model, driving, tmp_path):
     path = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"), **SOUND[oddity])
     result = animate(str(path), str(driving), model)
     assert result.own is not None
+    noted = any("without a usable inverse bind matrix" in note for note in result.notes)
+    assert noted == ("bind matri" in oddity)
     assert np.ptp(whole, axis=0).max() > 0.1
     shift = (result.clip.vertices[0] - whole[0]).mean(axis=0)
     np.testing.assert_allclose(result.clip.vertices - shift, whole, atol=1e-5)

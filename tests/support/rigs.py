@@ -208,7 +208,7 @@ def character(
     faces: int = 300,
     name: Callable[[str], str] = str,
     hold: dict[str, str] | None = None,
-    frames: int = 0,
+    frames: int | None = 0,
     moved: np.ndarray | None = None,
     turn: np.ndarray | None = None,
     person: Figure | None = None,
@@ -224,7 +224,7 @@ def character(
         rest: local joint rotations of the character's rest pose, in the order of its joints.
         name: maps our joint names to those of the file.
         hold: other parents of joints, by joint name ("": the armature).
-        frames: seed of the random axes of the joints.
+        frames: seed of the random axes of the joints; None: parallel in the T-pose, turned with the joints.
         moved: world transforms of the joints' nodes after binding, relative to the rest pose.
         turn: rotation of the whole character.
         person: joints and vertices in place of those of `shape`.
@@ -243,7 +243,8 @@ def character(
     vertices = _skinned(person.vertices[remaining], person.weights[remaining], at_rest) @ turn.T
     T_world_joint = np.tile(np.eye(4), (count, 1, 1))
     size = np.cbrt(abs(np.linalg.det(armature[:3, :3])))
-    T_world_joint[:, :3, :3] = size * np.linalg.qr(np.random.default_rng(frames).normal(size=(count, 3, 3)))[0]
+    random = np.linalg.qr(np.random.default_rng(frames).normal(size=(count, 3, 3)))[0]
+    T_world_joint[:, :3, :3] = size * (turn @ at_rest[:, :3, :3] if frames is None else random)
     joints = (at_rest[:, :3, :3] @ person.joints[..., None])[..., 0] + at_rest[:, :3, 3]
     T_world_joint[:, :3, 3] = joints @ turn.T
     bind = np.linalg.inv(T_world_joint) @ armature

@@ -319,6 +319,8 @@ def test_what_another_format_leaves_out_is_said(walker, tmp_path):
         f"left out of b.obj: {lost}; mimesh convert walker.glb b.glb keeps them, mimesh capture walker.glb writes the "
         "motion of bones"
     ) in notes
+    notes = convert(walker, tmp_path / "walker.obj").notes
+    assert any(note.startswith(f"left out of walker.obj: {lost}; walker.glb keeps them, mimesh") for note in notes)
     notes = convert(walker, tmp_path / "c.glb", ConvertOptions(morphs=True)).notes
     assert f"left out of c.glb: {lost}; without options for frames they are kept" in notes
     assert "skins" not in open_document(tmp_path / "c.glb").gltf

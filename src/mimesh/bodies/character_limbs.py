@@ -41,6 +41,8 @@ END_SLICE = 0.2
 """Share of a limb's length over which its end is averaged, where no joint marks the end. Chosen by eye."""
 CARRIED = 0.5
 """A vertex belongs to a limb if the limb's joint and those below it have more than this share of its weight."""
+ACROSS = 0.5
+"""Least share of the distance of the hips along x that tells left from right: on the side, it is no longer along x."""
 NO_HIPS = 0.005
 """Share of all weights up to which a joint above the legs that is not called hips is a root: painting leaves traces on
 roots. Trunks of figures with such roots have 0.2 and more."""
@@ -81,7 +83,8 @@ def name_limb_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, in
         InputError: an upper arm or a thigh is not found by name, or a limb is not a chain.
     """
     found = name_sided_joints(rig, path, known)
-    if rig.joints[found["LeftUpLeg"], 0] < rig.joints[found["RightUpLeg"], 0]:
+    left = rig.joints[found["LeftUpLeg"]] - rig.joints[found["RightUpLeg"]]
+    if left[0] < -ACROSS * np.linalg.norm(left):
         found = {other_side(name): joint for name, joint in found.items()}
     if "Hips" not in found:
         right = ancestors(rig.parents, found["RightUpLeg"])

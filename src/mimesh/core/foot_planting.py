@@ -11,7 +11,9 @@ that stand on the floor are feet of arms.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -167,6 +169,11 @@ def falling(values: Float[np.ndarray, "*S"], limits: tuple[float, float]) -> Flo
     return 1 - smooth_step(values, limits)
 
 
+RESTING = (0.02, 0.1)
+"""Leg lengths of knees, seat or back over the ground: with them below the first, a person rests there; above the second
+nobody does. Joints without a mesh play a body that is thinner or thicker than who was captured."""
+KNEELING = (0.65, 0.8)
+"""Leg lengths of the hips over the ground of who kneels, and of who stands, whose skirt may reach the ground."""
 MISREAD_SPEED, MISREAD_HEIGHT = (1.5, 3.0), (0.2, 0.4)
 """Leg lengths a second and leg lengths: soles of the identity that slide or float by less are corrected, those that do
 by more are not: the legs of one of the two meshes have not been recognised."""
@@ -207,6 +214,9 @@ class Stiffness:
 HEIGHT_SECONDS = 1 / 30
 """A height counts as much as a slide over the same distance in this time."""
 SLIDES = Stiffness(leg_size=1.0, leg_bend=0.01, root_speed=0.02, root_bend=0.05, root_hold=0.0)
+BLOCKS_BEND = 0.03
+"""Seconds over which the root of a figure of blocks changes its speed: its legs cannot bend. A yeti jolts at up to 16
+heights/s^2, its driving at 9; with 0.02 s at 23, and with 0.04 s soles of stiff legs are 3 % of a leg off."""
 HEIGHTS = Stiffness(leg_size=0.1, leg_bend=0.02, root_speed=0.02, root_bend=0.1, root_hold=100.0)
 
 
@@ -228,6 +238,7 @@ def plant_feet(
     scale: tuple[float, float],
     free_root: bool = True,
     slides: bool = True,
+    floor: Callable[[float], float] = float,
 ) -> PosedJoints:
     """Correct a motion so that soles stand where the driving's do; nothing changes if those never stand.
 
@@ -242,13 +253,14 @@ def plant_feet(
         free_root: whether the path of the root over the ground may change; where the driving walks in place it never
             does.
         slides: whether to correct slides, or heights only.
+        floor: height of the driving's floor from that of its planted soles.
     """
     contacts = find_contacts(track, feet.driving_leg, feet.hands)
     if contacts is None:
         return posed
     if feet.hands and not contacts.near[:, -feet.hands :].any():
         return plant_feet(
-            posed, track.without_hands(feet.hands), skinned, feet.without_hands(), scale, free_root, slides
+            posed, track.without_hands(feet.hands), skinned, feet.without_hands(), scale, free_root, slides, floor
         )
     leg, cyclic = feet.driving_leg * scale[1], is_cyclic(track, feet.driving_leg)
     soles, stiff = feet.identity_soles(posed.rotation, posed.root), feet.stiff
@@ -263,9 +275,16 @@ def plant_feet(
             along = _solve(weight, error @ axis, len(soles), track.fps, SLIDES, closed, stiff, free_root)
             found += along[..., None] * axis
     heights = feet.identity_heights(posed.rotation, posed.root)
-    weight, error = _heights(heights, contacts, scale[1], track.fps, leg, blocks)
-    stiffness = replace(HEIGHTS, root_bend=HEIGHTS.leg_bend) if blocks else HEIGHTS
-    found[..., 1] = _solve(weight, error, len(soles), track.fps, stiffness, (cyclic, cyclic), stiff)
+    resting = _resting(track, floor(contacts.height), feet.driving_leg) if feet.body is not None else None
+    raised = 0.0 if resting is None else resting.sunk
+    weight, error, apart = _heights(heights, contacts, raised, scale[1], track.fps, leg, blocks)
+    if resting is not None:  # one more foot, on a leg that stays as it is
+        lift = scale[1] * resting.height - apart - feet.identity_lowest(posed.rotation, posed.root)
+        also = np.c_[resting.feet * (np.arange(weight.shape[1]) < weight.shape[1] - feet.hands), resting.weight]
+        weight = np.maximum(np.c_[weight, np.zeros(len(weight))], also / (HEIGHT_SECONDS * track.fps) ** 2)
+        error, stiff = np.c_[error, lift], np.append(stiff, True)
+    stiffness = replace(HEIGHTS, root_bend=BLOCKS_BEND) if blocks else HEIGHTS
+    found[..., 1] = _solve(weight, error, len(soles), track.fps, stiffness, (cyclic, cyclic), stiff)[: len(found)]
     root, steps = found[0], found[1:]
     steps *= np.minimum(1, LARGEST_STEP * leg / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-9))
     positions = skinned.joint_positions(posed.rotation, posed.root)
@@ -358,13 +377,23 @@ def _slides(
 
 
 def _heights(
-    mine: Float[np.ndarray, "T F"], contacts: FootContacts, scale: float, fps: float, leg: float, lowest: bool
-) -> tuple[Float[np.ndarray, "T F"], Float[np.ndarray, "T F"]]:
+    mine: Float[np.ndarray, "T F"],
+    contacts: FootContacts,
+    raised: Float[np.ndarray, " T"] | float,
+    scale: float,
+    fps: float,
+    leg: float,
+    lowest: bool,
+) -> tuple[Float[np.ndarray, "T F"], Float[np.ndarray, "T F"], float]:
     """Compute the weight of each foot in each frame, and how far it has to be lifted to be as high as the driving's.
 
-    With `lowest`, that is how far the lowest one is: stiff legs swing through the ground, where the driving's bend.
+    The last value is how far all of the identity is below the driving, scaled.
+
+    Args:
+        raised: how far the driving is lifted.
+        lowest: compare the lowest soles of each frame: stiff legs swing through the ground, where the driving's bend.
     """
-    standing, theirs = contacts.near, contacts.soles[..., 1].min(axis=2)
+    standing, theirs = contacts.near, (contacts.soles[..., 1].min(axis=2).T + raised).T
     if lowest:
         standing = np.broadcast_to(standing.max(axis=1, keepdims=True), standing.shape)
         theirs, mine = (np.broadcast_to(of.min(axis=1, keepdims=True), of.shape) for of in (theirs, mine))
@@ -372,10 +401,61 @@ def _heights(
     # Where the ground is does not matter: it is the same for all frames.
     near, legs = standing > 0.5, error.shape[1] - contacts.hands
     part = slice(legs) if near[:, :legs].any() else slice(legs, None)  # feet tell it where any is on the ground
-    error = error - np.median(error[:, part][near[:, part]]) if near.any() else error
+    apart = float(np.median(error[:, part][near[:, part]])) if near.any() else 0.0
+    error = error - apart
     # Divided by the frame rate, as slides are, so that the rate has no influence on the balance with the penalties.
     weight = standing * falling(np.abs(error) / leg, MISREAD_HEIGHT) / (HEIGHT_SECONDS * fps) ** 2
-    return weight, np.sign(error) * np.maximum(np.abs(error) - EVEN * leg, 0)
+    return weight, np.sign(error) * np.maximum(np.abs(error) - EVEN * leg, 0), apart
+
+
+class Resting(NamedTuple):
+    """How a driving rests on knees, seat or back in each frame."""
+
+    weight: Float[np.ndarray, " T"]
+    """How far it does, from 0 (no) to 1."""
+    height: Float[np.ndarray, " T"]
+    """Height of these when they are on the floor, or as far above as they are."""
+    sunk: Float[np.ndarray, " T"]
+    """How far it is in the floor, where it rests there."""
+    feet: Float[np.ndarray, "T F"]
+    """How far each foot is on the floor while it rests: of who sits or lies none stands (`HIPS_HEIGHT`)."""
+
+
+def _resting(track: JointTrack, floor: float, leg: float) -> Resting | None:
+    """Compute how a driving rests on its floor; None where its surface is not known."""
+    if track.lowest is None:
+        return None
+    above, hips = (track.lowest - floor) / leg, (track.positions[:, 0, 1] - floor) / leg
+    weight = falling(above, RESTING) * falling(hips, KNEELING)
+    height = floor + leg * np.maximum(above - RESTING[0], 0)
+    sunk = weight * leg * np.maximum(-above, 0)
+    assert track.soles is not None
+    soles = (track.soles[..., 1].min(axis=2) + sunk[:, None] - floor) / leg
+    return Resting(weight, height, sunk, weight[:, None] * falling(soles, STANDING_HEIGHT))
+
+
+def resting_lift(posed: PosedJoints, track: JointTrack, feet: Feet, scale: float) -> float | None:
+    """Measure how far an identity has to be lifted to rest on y = 0 where a driving rests on its floor, in the median.
+
+    For clips in which nobody is upright; None where nobody rests on knees, seat or back.
+    """
+    if feet.body is None or track.lowest is None:
+        return None
+    contacts = find_contacts(track, feet.driving_leg, feet.hands)
+    floor = float(np.quantile(track.lowest, GROUND_SHARE)) if contacts is None else contacts.height
+    resting = _resting(track, floor, feet.driving_leg)
+    if resting is None or not (rests := resting.weight > 0.5).any():
+        return None
+    lowest = feet.identity_lowest(posed.rotation, posed.root, with_soles=True)
+    return float(np.median((scale * (resting.height - floor) - lowest)[rests]))
+
+
+def _lifted(track: JointTrack, lift: Float[np.ndarray, " T"]) -> JointTrack:
+    """Lift a motion by heights."""
+    assert track.soles is not None
+    way = np.multiply.outer(lift, [0.0, 1.0, 0.0])[:, None]
+    below = None if track.lowest is None else track.lowest + lift
+    return replace(track, positions=track.positions + way, soles=track.soles + way[:, None], lowest=below)
 
 
 def ever_upright(track: JointTrack, feet: Feet) -> bool:
@@ -423,9 +503,7 @@ def standing_track(track: JointTrack, leg: float) -> JointTrack:
     root, lowest = track.positions[:, 0], track.soles[..., 1].min(axis=(1, 2))
     if has_path(root, leg) or np.ptp(lowest) <= EVEN * leg or (root[:, 1] - lowest).max() < UPRIGHT * leg:
         return track
-    lift = np.zeros((len(root), 1, 3))
-    lift[:, 0, 1] = lowest.min() - lowest
-    return replace(track, positions=track.positions + lift, soles=track.soles + lift[:, None])
+    return _lifted(track, lowest.min() - lowest)
 
 
 def _solve(

@@ -19,11 +19,13 @@ class JointTrack:
     fps: float
     soles: Float[np.ndarray, "T F C 3"] | None = None
     """Positions of the contact points on the soles, of the surface itself; smoothing does not change them."""
+    lowest: Float[np.ndarray, " T"] | None = None
+    """Height of the lowest point of the rest of the surface."""
 
     def at(self, frames: Int[np.ndarray, " N"], fps: float) -> JointTrack:
         """Select some frames."""
-        soles = None if self.soles is None else self.soles[frames]
-        return JointTrack(self.rotation[frames], self.positions[frames], fps, soles)
+        soles, lowest = (None if of is None else of[frames] for of in (self.soles, self.lowest))
+        return JointTrack(self.rotation[frames], self.positions[frames], fps, soles, lowest)
 
     def without_hands(self, hands: int) -> JointTrack:
         """Leave out the contact points of the last feet, which are hands."""

@@ -5,6 +5,7 @@ Hands that stand on the floor (push-ups, crawling, handstands) are feet like oth
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +29,8 @@ LOWEST_PART = 0.2
 """Of a leg without an ankle, the foot is the part below this share of the height of its last joint's surface."""
 FEWEST = 4
 """A foot with fewer points than this is not found."""
+DIRECTIONS = np.array([p for p in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(p)])
+"""26 directions, along which points are outermost."""
 REST_FLOOR = (-0.25, 0.9)
 """Leg lengths over the soles of the rest pose between which the lowest soles of a clip are: in the air, on a seat, with
 toes in the ground. Elsewhere the rest pose stands on no floor of the clip, as where its hips are at the origin: planted
@@ -40,36 +43,48 @@ it is; None: no foot."""
 
 @dataclass(frozen=True, eq=False)
 class SolePoints:
-    """The contact points of F feet of a surface, C of each."""
+    """The contact points of F feet of a surface, C of each, and B outermost points of the rest of it."""
 
     feet: int
     surface: SurfacePoints
-    """The F * C * M points of the surface whose means they are."""
+    """The F * C * M points of the surface whose means the first are, then the others."""
+    rest: int = 0
+    """B."""
 
     @classmethod
-    def of(cls, soles: Soles, surface: SurfacePoints) -> SolePoints | None:
+    def of(cls, soles: Soles, surface: SurfacePoints, body: Int[np.ndarray, " B"] | None = None) -> SolePoints | None:
         """Select those of feet that were found; None if there is none.
 
         Args:
             soles: contact points as indices of the points of `surface`.
             surface: points of a mesh.
+            body: outermost points of the body, as indices of the same.
         """
         found = [indices.ravel() for indices in soles if indices is not None]
         if not found:
             return None
-        points = np.concatenate(found)
-        return cls(len(found), SurfacePoints(surface.corners[points], surface.barycentric[points]))
+        rest = np.zeros(0, int) if body is None else body
+        points = np.concatenate([*found, rest])
+        return cls(len(found), SurfacePoints(surface.corners[points], surface.barycentric[points]), len(rest))
 
-    def in_frame(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "F C 3"]:
-        """Return the contact points in a frame."""
-        return self.surface.points(vertices).reshape(self.feet, -1, MEAN_OF, 3).mean(axis=2)
+    def in_frame(
+        self, vertices: Float[np.ndarray, "U 3"]
+    ) -> tuple[Float[np.ndarray, "F C 3"], Float[np.ndarray, "B 3"]]:
+        """Return the contact points, and those of the body, in a frame."""
+        soles, body = self._split(self.surface.points(vertices)[None])
+        return soles[0], body[0]
 
-    def in_frames(self, frames: Frames, progress: Progress | None = None) -> Float[np.ndarray, "T F C 3"]:
-        """Return the contact points in all frames, of which only their vertices are read."""
+    def in_frames(
+        self, frames: Frames, progress: Progress | None = None
+    ) -> tuple[Float[np.ndarray, "T F C 3"], Float[np.ndarray, "T B 3"]]:
+        """Return the same in all frames, of which only their vertices are read."""
         used, corners = np.unique(self.surface.corners, return_inverse=True)
         few = SurfacePoints(corners.reshape(-1, 3), self.surface.barycentric)
-        points = few.points(vertices_of_all(frames, used, progress))
-        return points.reshape(len(points), self.feet, -1, MEAN_OF, 3).mean(axis=3)
+        return self._split(few.points(vertices_of_all(frames, used, progress)))
+
+    def _split(self, points: Float[np.ndarray, "T N 3"]) -> tuple[np.ndarray, np.ndarray]:
+        count = points.shape[1] - self.rest
+        return points[:, :count].reshape(len(points), self.feet, -1, MEAN_OF, 3).mean(axis=3), points[:, count:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +101,8 @@ class Feet:
     """The F * C * M points of the identity whose means are its contact points."""
     hands: int = 0
     """How many of the feet, the last ones, are hands."""
+    body: SkinnedMesh | None = None
+    """Outermost points of the rest of the identity; None where they are not known of both."""
 
     @classmethod
     def of(
@@ -97,6 +114,7 @@ class Feet:
         driving: Soles,
         surface: SurfacePoints,
         arms: tuple[tuple[int, ...], ...] = (),
+        bodies: tuple[Int[np.ndarray, " A"], Int[np.ndarray, " B"]] | None = None,
     ) -> Feet | None:
         """Select the feet that both meshes have; None if there is none.
 
@@ -108,6 +126,7 @@ class Feet:
             driving: contact points as indices of the points of `surface`.
             surface: points of the driving.
             arms: joints of each arm that may stand, from shoulder to wrist.
+            bodies: outermost points of the identity and of the driving, as indices of the same (`body_points`).
         """
         both = [
             (leg, mine, other)
@@ -117,7 +136,7 @@ class Feet:
         hands = sum(leg in arms for leg, _, _ in both)
         if len(both) == hands:
             return None
-        theirs = SolePoints.of(tuple(other for _, _, other in both), surface)
+        theirs = SolePoints.of(tuple(other for _, _, other in both), surface, None if bodies is None else bodies[1])
         assert theirs is not None
         return cls(
             tuple(leg for leg, _, _ in both),
@@ -125,6 +144,7 @@ class Feet:
             theirs,
             skinned.part(np.concatenate([mine.ravel() for _, mine, _ in both])),
             hands,
+            None if bodies is None else skinned.part(bodies[0]),
         )
 
     def without_hands(self) -> Feet:
@@ -162,6 +182,14 @@ class Feet:
         height = self._sole_points(rotation, root)[..., 1]
         return np.where(self.stiff, height.min(axis=(2, 3)), height.mean(axis=3).min(axis=2))
 
+    def identity_lowest(
+        self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"], with_soles: bool = False
+    ) -> Float[np.ndarray, " T"]:
+        """Return the height of the identity's lowest point in all frames, by default but those of feet and hands."""
+        assert self.body is not None
+        body = self.body.posed_frames(rotation, np.zeros_like(root))[..., 1].min(axis=1) + root[:, 1]
+        return np.minimum(body, self._sole_points(rotation, root)[..., 1].min(axis=(1, 2, 3))) if with_soles else body
+
     def _sole_points(
         self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
     ) -> Float[np.ndarray, "T F C M 3"]:
@@ -179,6 +207,26 @@ def find_soles(
     """Find the contact points of the foot of each leg, and of the hand of each arm; see `sole_points`."""
     feet = tuple(sole_points(points, rig, leg[-1], parents, len(leg) == 3) if leg else None for leg in legs)
     return feet + tuple(_palm_points(points, rig, arm, parents) if len(arm) == 3 else None for arm in arms)
+
+
+def body_points(
+    points: Float[np.ndarray, "N 3"],
+    rig: Rig,
+    limbs: tuple[tuple[int, ...], ...],
+    parents: tuple[int, ...],
+) -> Int[np.ndarray, " B"]:
+    """Find the outermost points of what each joint moves, along DIRECTIONS; feet and hands are left out.
+
+    Args:
+        limbs: joints of each leg and arm; what the last of three moves is a foot or a hand.
+    """
+    ends = descendants([limb[-1] for limb in limbs if len(limb) == 3], parents)
+    strongest = rig.weights.argmax(axis=1)
+    chosen = []
+    for joint in np.setdiff1d(strongest, ends):
+        of_joint = np.flatnonzero(strongest == joint)
+        chosen.append(of_joint[(points[of_joint] @ DIRECTIONS.T).argmax(axis=0)])
+    return np.unique(np.concatenate(chosen)) if chosen else np.zeros(0, int)
 
 
 def _palm_points(

@@ -73,6 +73,8 @@ class _Column:
     """Items of the list of each row; None for single values."""
 
 
+SPLAT = {"f_dc_0", "scale_0", "rot_0", "opacity"}
+"""Properties of the vertices of Gaussian splats (Kerbl et al. 2023)."""
 _Columns = dict[str, dict[str, _Column]]
 """Element -> property -> its values."""
 
@@ -99,6 +101,8 @@ def read_ply(path: Path) -> Mesh:
     corners = polygons.values.astype(np.int64) if polygons is not None else np.zeros(0, np.int64)
     triangles, _ = fan_corners(sizes)
     faces = corners[triangles]
+    if not len(faces) and columns["vertex"].keys() >= SPLAT:
+        raise InputError(f"{path}: expected a mesh, found a Gaussian splat, no mesh; make a mesh of it and give that")
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
         worst = faces.max() if faces.max() >= len(vertices) else faces.min()
         raise InputError(

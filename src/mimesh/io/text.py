@@ -17,8 +17,8 @@ UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _GAP = rb"(?:\s|\\\r?\n|\\\r)+"  # white space, or a backslash that continues the line
 _WORD = rb"[^\s\\#]+"
 # By the number of words before three numbers: groups of what stays before the first number and between the numbers.
-_WINDOWS_NAN = re.compile(rb"[-+]?\bnan\((?:ind|snan)\)")
-"""What the C library of Windows writes for NaN."""
+_WINDOWS_NAN = re.compile(rb"[-+]?\b(?:nan\((?:ind|snan)\)|1\.#(?:IND|QNAN|SNAN|INF)\d*)")
+"""What the C libraries of Windows write for NaN, older ones with the sign of a comment, and for infinity."""
 _THREE = {
     skip: re.compile(rb"(\s*(?:%b%b){%d})%b(%b)%b(%b)%b" % (_WORD, _GAP, skip, _WORD, _GAP, _WORD, _GAP, _WORD))
     for skip in (0, 1, 2, 3)
@@ -138,7 +138,8 @@ def replace_rows(
 
 
 def _cut_comment(line: bytes) -> bytes:
-    return re.sub(rb"\\(\r\n|\n|\r)", b" ", line).partition(b"#")[0]
+    line = re.sub(rb"\\(\r\n|\n|\r)", b" ", line)
+    return (_WINDOWS_NAN.sub(b"nan", line) if b".#" in line else line).partition(b"#")[0]
 
 
 def _are_numbers(words: Sequence[bytes]) -> bool:

@@ -24,7 +24,7 @@ from ..core.geometry import closest_on_mesh, vertex_normals
 from ..core.mesh import Clip, Mesh
 from ..core.rig import Rig, leg_length
 from ..core.skinning import SkinnedMesh
-from ..core.soles import find_soles
+from ..core.soles import body_points, find_soles
 from ..core.surface_points import SurfacePoints, generator
 from ..rigs.character import Character, names_above
 from ..rigs.confidence import MAX_UNMATCHED_SURFACE, Confidence
@@ -184,6 +184,7 @@ class Mime:
             leg=found.leg,
             surface=found.samples,
             soles=found.soles,
+            body=found.body,
             ankles=tuple(self.joints[leg[-1]] for leg in self.legs),
             confidence=_without_shares(found.confidence, keyframes.mesh),
             keyframes=keyframes,
@@ -364,7 +365,8 @@ class Mime:
         leg = leg_length(rig.joints, self.legs) if self.fits_body else best.leg
         near = _nearest_weights(sample.points, best.points, rig)
         soles = find_soles(sample.points, near, self.legs, self.parents, self.arms)
-        best = dataclasses.replace(best, consensus=rig, leg=leg, confidence=confidence, soles=soles)
+        body = body_points(sample.points, near, self.legs + self.arms, self.parents)
+        best = dataclasses.replace(best, consensus=rig, leg=leg, confidence=confidence, soles=soles, body=body)
         tracker = PartTracker.of(best.points, rig.weights, rig.joints, self.parents)
         return partial(_tracked_pose, tracker, tracked, rig.rotation), best
 

@@ -262,6 +262,8 @@ class KeyframePrediction:
     """All samples of the surface, more than are tracked."""
     soles: Soles = ()
     """Contact points of the soles, as indices of samples."""
+    body: Int[np.ndarray, " B"] | None = None
+    """Outermost points of the rest of the body, as indices of samples."""
 
     def surface(self, frames: list[np.ndarray], denoised: list[np.ndarray]) -> SurfaceSample:
         """Return the samples in the reference; normals are those of the denoised frame, whose surface is smaller."""

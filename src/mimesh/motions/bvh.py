@@ -6,6 +6,7 @@ Axes, unit and joint names are those of the file; `retarget` transfers the motio
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
@@ -15,6 +16,7 @@ from jaxtyping import Float
 
 from ..core.budgets import DEPTH, FRAMES, JOINTS, POSED_JOINTS
 from ..core.errors import InputError
+from ..core.printable import listed
 
 MOTION = re.compile(r"(?:\}\s*|^[ \t]*)(?P<word>MOTION)(?!\S)", re.MULTILINE)
 """The word between hierarchy and frames, which may be part of joints' names, too."""
@@ -22,6 +24,10 @@ OFFSETS, MINUS = re.compile(r"OFFSET\s+[-+.\d][^\n}]*"), re.compile(r"(?<=[\d.])
 """Numbers of offsets; a minus without a blank before it, as exporters with columns of fixed width write it."""
 ABSENT = 0.01
 """Lengths of a bone from the OFFSET up to which position channels are taken for 0."""
+SCALED = 1e-3
+"""Relative change of size from which on a joint is scaled."""
+SHOWN_JOINTS = 4
+"""Number of joints that a note names."""
 SHORTEST, LONGEST = 1e-6, 3600.0
 """Frame times (seconds) between which a file is not damaged."""
 
@@ -94,7 +100,17 @@ def load_bvh(path: str | Path) -> Bvh:
     # Joints without channels are posed in every frame, too: what they take is not in proportion to the file.
     POSED_JOINTS.check(len(values) * len(names), path, len(text))
     rotmat, root, moved, offsets = _apply_channels(channels, values, offsets)
+    of_column = [(name, kind) for name, kinds in zip(names, channels, strict=True) for kind, _ in kinds]
+    scaled = [name for (name, kind), column in zip(of_column, values.T, strict=True)
+              if kind == "scale" and np.abs(column - 1).max() > SCALED]  # fmt: skip
+    notes += scales_notes(path.stem, scaled)
     return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, fps, moved, notes)
+
+
+def scales_notes(name: str, joints: Iterable[str]) -> tuple[str, ...]:
+    """Return a note on joints that an animation scales; none where it scales none."""
+    scaled = listed([*dict.fromkeys(joints)], SHOWN_JOINTS)
+    return (f"{name} scales {scaled}: joints are turned and moved, their sizes are not carried over",) * bool(scaled)
 
 
 def _read_hierarchy(text: str, path: Path):
@@ -168,7 +184,7 @@ def _line_of_word(text: str, number: int) -> int:
 def _channel(word: str, path: Path) -> tuple[str, int]:
     """Parse the name of a channel: "Zrotation" is ("rotation", 2)."""
     axis, kind = word[:1].lower(), word[1:].lower()
-    if axis not in "xyz" or kind not in ("rotation", "position"):
+    if axis not in "xyz" or kind not in ("rotation", "position", "scale"):
         raise InputError(f"{path}: expected channels such as Zrotation, found {word[:40]!r}; export it again")
     return kind, "xyz".index(axis)
 
@@ -261,7 +277,7 @@ def _apply_channels(channels, values, offsets):
         for kind, axis in kinds:
             if kind == "rotation":
                 rotmat[:, j] = rotmat[:, j] @ _about_axis(axis, np.radians(values[:, column]))
-            else:
+            elif kind == "position":
                 path[:, axis] = values[:, column]
             column += 1
         placed = [axis for kind, axis in kinds if kind == "position"]

@@ -33,6 +33,7 @@ from ..core.normalization import axis_name
 from ..core.normalization import turn as turned_about_y
 from ..core.person_motion import PersonMotion
 from ..core.rig import descendants
+from .posed_rest import action_frames, rests_in_action
 from .retarget import BONES, limb_alignments, rest_heading
 
 LEG = ("UpLeg", "Leg", "Foot")
@@ -57,6 +58,8 @@ class HumanoidRig:
     """Rotation from the file's axes to y up, +z front."""
     heading: float = 0.0
     """Angle (radians, from z towards x, after `turn`) at which it faces, where that is between the axes."""
+    in_action: bool = False
+    """Whether it rests in another pose than a T- or A-pose, in which it need not stand on its soles."""
 
     body_name: ClassVar[str] = "human"
     """The shipped body whose joints these are."""
@@ -121,7 +124,7 @@ class HumanoidRig:
         weights = character.summed_weights(character.nearest_columns(column_of, 0), len(names))
         up, front = axis_name(self.turn[1]), axis_name(self.turn[2])
         at_rest = self.turn @ frames, rest[:, :3, 3] @ self.turn.T
-        surface = character.mesh.vertices
+        surface = None if self.in_action else character.mesh.vertices
         positions = world[..., :3, 3]
         return PersonMotion(
             names, moved @ frames, positions, self.leg, weights, surface, front, up, at_rest, self.heading
@@ -192,7 +195,8 @@ def humanoid_rig(
     joints = {name: joint for name, joint in named.items() if moving[joint] or name in ("Hips", "Head")}
     limbs = find_limbs(facing, joints, path)
     # Joints without weights, such as tips of fingers, still show where the bone above them points.
-    frames = rest_frames(facing.joints, named, limbs)
+    in_action = rests_in_action({name: facing.joints[joint] for name, joint in named.items()})
+    frames = action_frames(facing, named, limbs) if in_action else rest_frames(facing.joints, named, limbs)
     back = turn.T
     rig = HumanoidRig(
         facing.turned(back),
@@ -200,7 +204,8 @@ def humanoid_rig(
         {name: back @ frames[name] for name in joints},
         {name: Limb(limb.joint, back @ limb.start, back @ limb.end) for name, limb in limbs.items()},
         turn,
-        rest_heading(facing.joints, named),
+        0.0 if in_action else rest_heading(facing.joints, named),
+        in_action,
     )
     return rig, order.tolist()
 

@@ -327,7 +327,7 @@ def calibrated_joints(
         for upper, lower, end, direction in HINGES:
             trunk = estimates["Hips" if upper == "UpLeg" else "Spine1"][0]
             chain = (f"{side}{upper}", f"{side}{lower}", f"{side}{end}")
-            estimates |= _hinge_rotations(position, index, body_rest, body_index, chain, direction, trunk)
+            estimates |= hinge_rotations(position, index, body_rest, body_index, chain, direction, trunk)
         estimates[f"{side}Hand"] = estimates[f"{side}ForeArm"]
         estimates |= _foot_rotations(position, index, body_rest, body_index, side, estimates[f"{side}Leg"])
     measured = {}
@@ -383,7 +383,7 @@ def _trunk_rotations(position, index, body_rest, body_index):
     }
 
 
-def _hinge_rotations(position, index, body_rest, body_index, chain, direction, trunk):
+def hinge_rotations(position, index, body_rest, body_index, chain, direction, trunk):
     """Estimate rotation and weight of the two bones at a knee or an elbow in each frame.
 
     While the hinge is bent, a bone and the other bone define the rotation. The smallest rotation from the trunk's

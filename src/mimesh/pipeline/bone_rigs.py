@@ -90,7 +90,7 @@ def rig_of_bones(
 
 
 def _person(rig: SkinnedCharacter, upright: Float[np.ndarray, "3 3"], front: str | None, name: str) -> HumanoidRig:
-    facing = "+z" if front else standing_facing(rig.turned(upright), {}, "+z", name)
+    facing = "+z" if front else standing_facing(rig.turned(upright), {}, "+z", name, fallen=True)
 
     def poses() -> np.ndarray:
         return np.zeros((0, len(rig.parents), 4, 4))

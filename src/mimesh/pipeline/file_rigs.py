@@ -73,6 +73,7 @@ class Rigs:
             return cls(given=given)
         from ..io.gltf import still_joints
         from ..io.gltf.own_rig import GltfJoints, has_rig, read_own_rig
+        from ..motions.bvh import scales_notes
         from .gltf_rigs import beside_person, copied_motion, if_usable, person_motion, shared_motion
 
         own = shared = None
@@ -96,6 +97,8 @@ class Rigs:
             joints = skeleton
             driving, more, unnamed_driving = if_usable(lambda of: person_motion(joints, of), body, without)
             notes += more
+            if driving is not None and isinstance(joints, GltfJoints):
+                notes += scales_notes(clip.mesh.name, joints.scaled())
         beside = {} if shared is None or own is None else beside_person(own, shared.tracks)
         return cls(own, driving, None, notes, beside, (unnamed, unnamed_driving), only_copied, given)
 

@@ -66,6 +66,8 @@ class Character:
     standing: Mapping[str, Float[np.ndarray, "3 3"]] = field(default_factory=dict)
     """Rotations at rest of the body's joints that keep how they stand: they are turned from there by as much as the
     driving's from its own rest."""
+    in_action: bool = False
+    """Whether it sits, lies or moves at rest, so that it need not stand on its soles."""
 
     @classmethod
     def of_file(cls, humanoid: HumanoidRig, norm: Normalization, vertices: Float[np.ndarray, "V 3"]) -> Character:
@@ -108,6 +110,7 @@ class Character:
             whole=humanoid.whole_limbs,
             directions={name: end / np.linalg.norm(end) for name, end in ends.items()},
             standing={name: humanoid.turn @ humanoid.frames[name] for name in humanoid.stands & humanoid.joints.keys()},
+            in_action=humanoid.in_action,
         )
 
     @property
@@ -117,7 +120,9 @@ class Character:
 
     @property
     def floor(self) -> float | None:
-        """Height of the floor that it stands on: that of its lowest sole; None: it has no feet."""
+        """Height of the floor that it is on: that of its lowest sole, in action of its lowest point; None: no feet."""
+        if self.in_action and any(sole is not None for sole in self.soles[: len(self.legs)]):
+            return float(self.points[:, 1].min())
         return sole_height(self.points, self.soles, len(self.legs))
 
     def rig_of_file(self, norm: Normalization) -> Rig:

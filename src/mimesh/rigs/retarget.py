@@ -10,21 +10,29 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..bodies import load_body
 from ..bodies.anatomy import anatomy_of_joints, body_of_joints
 from ..bodies.character_limbs import SIDES
 from ..bodies.hands import straight_hands
 from ..bodies.joint_names import ancestors, finger_joints
-from ..core.foot_planting import PosedJoints, ever_upright, has_path, height_of_soles, plant_feet, standing_track
+from ..core.foot_planting import (
+    PosedJoints,
+    ever_upright,
+    has_path,
+    height_of_soles,
+    plant_feet,
+    resting_lift,
+    standing_track,
+)
 from ..core.frame_buffer import Progress, counted, each_frame, evenly_spread
 from ..core.joint_tracks import JointTrack, root_path
 from ..core.mesh import Clip, Mesh, check_size
 from ..core.normalization import Normalization
 from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
-from ..core.soles import Feet, SolePoints, Soles, find_soles, floor_height, sole_height
+from ..core.soles import Feet, SolePoints, Soles, body_points, find_soles, floor_height, sole_height
 from ..core.surface_points import SurfacePoints, generator
 from .character import Character, LinkedJoints, RestPose
 from .confidence import Confidence
@@ -62,6 +70,8 @@ class JointMotion:
     """Joint that moves each of these feet."""
     track: JointTrack | None = None
     """The joints in all frames, where the file has them."""
+    body: Int[np.ndarray, " B"] | None = None
+    """Outermost points of the rest of the body, as indices of the same; None: not known."""
     rest: RestPose | None = None
     """The joints at rest, where the file has them."""
     rest_floor: float | None = None
@@ -77,7 +87,7 @@ class JointMotion:
         surface = SurfacePoints.of(mesh, SOLE_SAMPLES, generator(seed, 1))
         soles: Soles = ()
         ankles: tuple[str, ...] = ()
-        floor = None
+        floor = body = None
         if motion.weights is not None:
             weights = (surface.barycentric[..., None] * motion.weights[surface.corners]).sum(axis=1)
             index = {name: k for k, name in enumerate(motion.joints)}
@@ -88,10 +98,14 @@ class JointMotion:
             )
             ankles = tuple(motion.joints[leg[-1]] if leg else "" for leg in legs)
             rig = Rig(track.rotation[0], track.positions[0], weights)
-            soles = find_soles(surface.points(mesh.vertices), rig, legs, body_parents(motion.joints), arms)
+            points, parents = surface.points(mesh.vertices), body_parents(motion.joints)
+            soles = find_soles(points, rig, legs, parents, arms)
+            body = body_points(points, rig, legs + arms, parents)
             if motion.rest_vertices is not None and has_path(motion.positions[:, 0], motion.leg):
                 floor = sole_height(surface.points(norm.apply(motion.rest_vertices)), soles, len(legs))
-        return cls(motion.joints, None, motion.leg / norm.radius, surface, soles, ankles, track, motion.rest, floor)
+        return cls(
+            motion.joints, None, motion.leg / norm.radius, surface, soles, ankles, track, body, motion.rest, floor
+        )
 
     def floor(self, lowest: float) -> float:
         """Return the height of the floor; `lowest` is that of the clip's planted soles, or of its lowest ones."""
@@ -105,23 +119,26 @@ class JointMotion:
             frames = (norm.apply(vertices) for vertices in each_frame(clip.vertices))
             return self.tracked(counted(frames, len(clip), progress), clip.fps, clip.mesh.name, soles)
         # Of a surface whose joints are known, only the points of the soles are read.
-        return (
-            self.track
-            if soles is None
-            else replace(self.track, soles=norm.apply(soles.in_frames(clip.vertices, progress)))
-        )
+        if soles is None:
+            return self.track
+        contacts, body = soles.in_frames(clip.vertices, progress)
+        lowest = norm.apply(body)[..., 1].min(axis=1) if soles.rest else None
+        return replace(self.track, soles=norm.apply(contacts), lowest=lowest)
 
     def tracked(
         self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float, name: str, feet: SolePoints | None = None
     ) -> JointTrack:
         """Return the joints in all frames of the clip `name`, and the contact points of its feet, if there are any."""
-        poses, soles = [], []
+        poses, soles, lowest = [], [], []
         for t, vertices in enumerate(check_size(frames, name)):
             poses.append(self.pose(t, vertices))
             if feet is not None:
-                soles.append(feet.in_frame(vertices))
+                contacts, body = feet.in_frame(vertices)
+                soles.append(contacts)
+                lowest += [body[:, 1].min()] if feet.rest else []
         rotation, positions = (np.stack(arrays) for arrays in zip(*poses, strict=True))
-        return JointTrack(rotation, positions, fps, np.stack(soles) if soles else None)
+        below = np.array(lowest) if lowest else None
+        return JointTrack(rotation, positions, fps, np.stack(soles) if soles else None, below)
 
     def pose(self, t: int, vertices: Float[np.ndarray, "U 3"]) -> Pose:
         """Return the pose of the joints in frame t of the clip, which has these vertices."""
@@ -196,20 +213,21 @@ class Retarget:
         if not ground or self.feet is None:
             return posed
         # In place, feet slide as they should: only heights are corrected.
-        return plant_feet(posed, track, self.character.skinned, self.feet, scale, across is None, not in_place)
+        free, skinned = across is None, self.character.skinned
+        return plant_feet(posed, track, skinned, self.feet, scale, free, not in_place, self.motion.floor)
 
     def lift(self, posed: PosedJoints, track: JointTrack) -> float | None:
         """Return how far up a motion of the character's joints must go to stand on the floor that the character is on.
 
         Its soles are then as high over that floor as the driving's are over theirs, scaled. This is where the height of
-        results is decided. None where soles do not tell: of meshes without feet, and of clips in which nobody is
-        upright.
+        results is decided. Where nobody is upright knees, seat or back tell. None where nothing does.
         """
         own = self.character.floor
         if self.feet is None or own is None or track.soles is None:
             return None
         if self.motion.rest_floor is None and not ever_upright(track, self.feet):
-            return None
+            lift = resting_lift(posed, track, self.feet, self.stride)
+            return None if lift is None else own + lift
         higher, lowest = height_of_soles(posed, track, self.feet, self.stride)
         return higher + own - self.stride * self.motion.floor(lowest)
 
@@ -241,4 +259,9 @@ def _feet(character: Character, motion: JointMotion) -> Feet | None:
     legs, arms = character.legs, character.arms
     if lacking or len(legs + arms) != len(motion.soles):
         return None
-    return Feet.of(legs, motion.leg, character.soles, character.skinned, motion.soles, motion.surface, arms)
+    bodies = None
+    if motion.body is not None and len(motion.body) and len(character.points):
+        parents = character.parents
+        bodies = body_points(character.points, character.rig, legs + arms, parents), motion.body
+    soles = character.soles, character.skinned, motion.soles, motion.surface
+    return Feet.of(legs, motion.leg, *soles, arms, bodies)

@@ -397,7 +397,7 @@ def _bones_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
         keeps = "without options for frames they are kept"
     else:
         kept = target.with_suffix(".glb").name
-        keeps = f"mimesh convert {source.name} {kept} keeps them"
+        keeps = f"mimesh convert {source.name} {kept} keeps them" if kept != source.name else f"{kept} keeps them"
         keeps += f", mimesh capture {source.name} writes the motion of bones" * bool(skins and animations)
     return (f"left out of {target.name}: {' and '.join(lost)}; {keeps}",)
 

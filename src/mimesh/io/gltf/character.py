@@ -45,6 +45,7 @@ from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
 from ...core.mesh import Mesh, check_mesh
 from ...motions.animal_rig import animal_facing
+from ...motions.posed_rest import action_front, on_all_fours, rests_in_action
 from .animation import animated_nodes, animation_names, frame_times, read_channels, sample_joints
 from .check import damaged
 from .document import Document, open_document
@@ -187,14 +188,14 @@ def read_standing(
 ) -> StandingCharacter:
     """Read the rig of a scene in its bind pose, or in the pose of the file's nodes where it stands in none.
 
-    A person who lies in both, as those of z-up programs that were not converted do, is read as it stands in its own
-    axes.
+    A person who lies in a T- or A-pose, as those of z-up programs that were not converted do, is read as it stands in
+    its own axes; others who do not stand were bound in an action.
 
     Args:
         find: finds joints whose names say nothing.
 
     Raises:
-        InputError: limbs that are not found, several characters, or a trunk that is upright along no axis.
+        InputError: limbs that are not found, or several characters; `NotUpright` of who is on all fours.
     """
     for T_world_node in bind_poses(document):
         bound = dataclasses.replace(scene, T_world_node=T_world_node)
@@ -208,13 +209,13 @@ def read_standing(
         return _standing(mesh, document, scene, find)
     except NotUpright:
         bound = dataclasses.replace(scene, T_world_node=rest_matrices(document))
-        return _standing(mesh, document, bound, find, lies=True)
+        return _standing(mesh, document, bound, find, fallen=True)
 
 
 def _standing(
-    mesh: Mesh, document: Document, scene: RestScene, find: FindJoints | None, lies: bool = False
+    mesh: Mesh, document: Document, scene: RestScene, find: FindJoints | None, fallen: bool = False
 ) -> StandingCharacter:
-    """Read the rig with the nodes of `scene` as its rest pose, in which it may lie; see `read_standing`."""
+    """Read the rig with the nodes of `scene` as its rest pose; who is `fallen` stands in none; see `read_standing`."""
     path, bones = document.path, vrm_bones(document)
     rig, nodes = rig_at_rest(mesh, document, scene, without_fingers(bones).values())
     known = {name: nodes.index(node) for name, node in bones.items() if node in nodes}
@@ -223,20 +224,23 @@ def _standing(
             name_sided_joints(rig, path, known)
         except UnnamedJoints:
             known = find(carried_part(rig))
-    upright = _upright(rig, name_sided_joints(rig, path, known)) if lies else np.eye(3)
-    facing = standing_facing(rig.turned(upright), known, "-z" if vrm_version(document) == 0 else "+z", path)
+    upright = _upright(rig, name_sided_joints(rig, path, known)) if fallen else np.eye(3)
+    rule = "-z" if vrm_version(document) == 0 else "+z"
+    facing = standing_facing(rig.turned(upright), known, rule, path, fallen)
     return StandingCharacter(rig, nodes, facing, known, scene, upright)
 
 
 def _upright(rig: SkinnedCharacter, joints: dict[str, int]) -> Float[np.ndarray, "3 3"]:
     """Compute the rotation that takes the axis nearest to a person's trunk, from the hips up, to y.
 
-    It is about x, as conversions between programs with other axes are, unless the trunk is along x.
+    It is about x, as conversions between programs with other axes are, unless the trunk is along x. None is needed
+    where the person is in action after it, too: then it was bound as it is.
     """
     trunk = _middle(rig, joints, "Arm") - _middle(rig, joints, "UpLeg")
     up = np.where(np.arange(3) == np.abs(trunk).argmax(), np.sign(trunk), 0.0)
     left = np.cross(up, [0.0, 0.0, 1.0]) if up[0] else np.array([1.0, 0.0, 0.0])
-    return np.stack([left, up, np.cross(left, up)])
+    upright = np.stack([left, up, np.cross(left, up)])
+    return np.eye(3) if rests_in_action(_places(rig.turned(upright), joints)) else upright
 
 
 def rig_at_rest(
@@ -291,11 +295,13 @@ def _limb_nodes(document: Document, nodes: Collection[int]) -> dict[str, int]:
     return {} if missing_limbs(found) else {name: order[joint] for name, joint in found.items()}
 
 
-def standing_facing(rig: SkinnedCharacter, known: dict[str, int], rule: str, path: object) -> str:
+def standing_facing(rig: SkinnedCharacter, known: dict[str, int], rule: str, path: object, fallen: bool = False) -> str:
     """Check that a rig is that of one person who stands, and find where the person faces; see `find_facing`.
 
     Args:
         known: joints that the file itself names.
+        fallen: who does not stand, lies in no T-pose and is not on all fours was bound in an action; the hips tell the
+            facing.
 
     Raises:
         InputError: limbs that are not found by name, several characters, or a trunk that is not upright.
@@ -303,6 +309,9 @@ def standing_facing(rig: SkinnedCharacter, known: dict[str, int], rule: str, pat
     part, joints = carried_part(rig), name_sided_joints(rig, path, known)
     _check_one_skeleton(part, joints, path)
     if not _stands(part, joints):
+        places = _places(part, joints)
+        if fallen and not on_all_fours(places) and np.array_equal(_upright(part, joints), np.eye(3)):
+            return _nearest_axis(action_front(places))
         raise NotUpright(f"{path}: expected a character that stands upright at rest, y up, found another rest pose; "
                          "turn it, or leave it out")  # fmt: skip
     return find_facing(part, joints, rule)
@@ -379,6 +388,11 @@ def _nearest_axis(direction: np.ndarray) -> str:
 def _middle(rig: SkinnedCharacter, joints: dict[str, int], part: str) -> Float[np.ndarray, " 3"]:
     """Compute the midpoint of the left and right joint of a part."""
     return (rig.joints[joints[f"Left{part}"]] + rig.joints[joints[f"Right{part}"]]) / 2
+
+
+def _places(rig: SkinnedCharacter, joints: dict[str, int]) -> dict[str, Float[np.ndarray, " 3"]]:
+    """Return the position of each named joint."""
+    return {name: rig.joints[joint] for name, joint in joints.items()}
 
 
 def _check_one_skeleton(rig: SkinnedCharacter, joints: dict[str, int], path: object) -> None:

@@ -62,6 +62,7 @@ from .scene import (
     read_morph_weights,
     read_skin_binding,
     target_count,
+    unbound_joints,
 )
 from .vrm import TRUNK, json_object, vrm_version
 
@@ -340,6 +341,10 @@ def _copied_file(animations: Sequence[OwnAnimation], root: RootBone | None = Non
             node["name"] = renamed[number]
         elif node.get("name") is not None and node["name"] in taken:
             node["name"] = f"{node['name']} (of the file)"
+    document = first.source.document
+    for number, skin in enumerate(draft.gltf.get("skins", [])):
+        if unbound_joints(document, number):
+            skin["inverseBindMatrices"] = draft.add_matrices(read_inverse_bind_matrices(document, number))
     if root is not None and root.is_new:
         root.insert(draft)
     return draft

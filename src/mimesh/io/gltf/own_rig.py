@@ -19,6 +19,7 @@ from ...core.mesh import Mesh
 from ...core.normalization import axis_name
 from ...core.person_motion import PersonMotion
 from ...motions.animal_rig import animal_rig
+from ...motions.bvh import SCALED
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
 from .animation import AnimatedValues, AnimationChannel, animated_nodes, sample_joints
 from .character import names_person, read_clips, read_standing, read_standing_animal, rig_at_rest
@@ -26,13 +27,14 @@ from .check import damaged
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS, front_before_placing, rest_matrices
-from .read import RestScene, check_weights, range_name, skin_joints, unweighted_parts
+from .read import RestScene, check_weights, find_skin, range_name, skin_joints, unweighted_parts
 from .scene import (
     local_matrices,
     local_matrix,
     node_parents,
     node_properties,
     sort_parents_first,
+    unbound_joints,
     used_skins,
     world_matrices,
 )
@@ -199,6 +201,16 @@ class GltfJoints:
         """Sample the animated values of all nodes."""
         return {(channel.node, channel.path): channel.sample(self.times) for channel in self.channels}
 
+    def scaled(self) -> list[str]:
+        """List the nodes whose sizes the animation changes, by name."""
+        nodes, found = self.document.gltf["nodes"], []
+        for channel in self.channels:
+            if channel.path == "scale":
+                own = node_properties(nodes[channel.node])["scale"]
+                if (np.abs(channel.sample(self.times) - own) > SCALED * np.abs(own).max()).any():
+                    found.append(str(nodes[channel.node].get("name", f"node{channel.node}")))
+        return found
+
     def person(self) -> PersonMotion:
         """Read the joints of a person.
 
@@ -275,7 +287,16 @@ def _check_skin(
     for joint, parent in enumerate(rig.parents):
         if not moving[joint] and (parent in still or _scale_fault(local[joint, None], True)):
             still.append(joint)
+    skins = {skin for span in scene.vertex_ranges if (skin := find_skin(document, span)) is not None}
+    unbound = [
+        document.gltf["skins"][skin]["joints"][joint]
+        for skin in sorted(skins)
+        for joint in unbound_joints(document, skin)
+    ]
     left = {
+        "joints without a usable inverse bind matrix, which count as bound where they are": dict.fromkeys(
+            str(document.gltf["nodes"][node].get("name", f"node{node}")) for node in unbound
+        ),
         "parts without weights, which are not bent": unweighted_parts(document, scene),
         "parts without a joint, which stay where they are": dict.fromkeys(
             range_name(document, span) for span in unskinned

@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ...core.geometry import finite_or_zero, nearest_rotation
 from .check import damaged
@@ -240,7 +240,40 @@ def joint_matrices(
 
 
 def read_inverse_bind_matrices(document: Document, skin: int) -> Float[np.ndarray, "J 4 4"]:
-    """Read the inverse bind matrices of a skin; one that has none has identity matrices (3.7.3.1)."""
+    """Read the inverse bind matrices of a skin; one that has none has identity matrices (3.7.3.1).
+
+    Those of `unbound_joints` are such that the nodes, as they are in the file, are the bind pose.
+    """
+    matrices = _stored_bind_matrices(document, skin)
+    unbound = unbound_joints(document, skin)
+    if unbound:
+        nodes = np.array(document.gltf["skins"][skin]["joints"])[unbound]
+        matrices[unbound] = np.linalg.pinv(world_matrices(document)[nodes])
+    return matrices
+
+
+def unbound_joints(document: Document, skin: int) -> list[int]:
+    """List the joints of a skin with an inverse bind matrix of zeros, or one of NaN that no vertex is bound to."""
+    matrices = _stored_bind_matrices(document, skin)
+    broken = ~np.isfinite(matrices).all(axis=(1, 2))
+    if broken.any():
+        broken &= ~_bound(document, skin)
+    return np.flatnonzero(broken | ~matrices[:, :3].any(axis=(1, 2))).tolist()
+
+
+def _bound(document: Document, skin: int) -> Bool[np.ndarray, " J"]:
+    """Tell which joints of a skin have weights."""
+    bound = np.zeros(len(document.gltf["skins"][skin]["joints"]), bool)
+    for node in document.gltf["nodes"]:
+        if node.get("skin") == skin and "mesh" in node:
+            for primitive in document.gltf["meshes"][node["mesh"]]["primitives"]:
+                if "JOINTS_0" in primitive["attributes"]:
+                    joints, weights = read_influences(document, primitive)
+                    bound[joints[(weights > 0) & (joints < len(bound))]] = True
+    return bound
+
+
+def _stored_bind_matrices(document: Document, skin: int) -> Float[np.ndarray, "J 4 4"]:
     entry = document.gltf["skins"][skin]
     count = len(entry["joints"])
     if "inverseBindMatrices" not in entry:

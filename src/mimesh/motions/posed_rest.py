@@ -1,0 +1,257 @@
+"""How the joints of a person are turned at rest where a rig was bound in an action: sitting, crouching, lying, running.
+
+Directions of bones do not tell how a trunk or a limb is turned about them. The frames that a file gives its joints do:
+in a T-pose one axis is along the bone and the others are along those of the body, in all makers' files but for some
+feet. So the rotation of a joint since the T-pose is that of its frame from an axis rotation, the nearest one to
+estimates from the positions of joints. Where frames are near to none, the estimates are used.
+
+Of 50 rigs of nine makers in a T- or A-pose, axes of hips lean by up to 8 degrees, those of chests and limbs by 17.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies.character_limbs import SIDES, Limb, carried_vertices
+from ..bodies.hands import body_with_fingers, hand_frames
+from ..bodies.joint_names import ancestors
+from ..bodies.skinned_character import SkinnedCharacter
+from ..core.geometry import angles_between, nearest_rotation, rotation_between, unit_vectors
+from ..core.normalization import ROTATIONS
+from .retarget import HINGES, hinge_rotations, limb_alignments
+
+TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Head")
+"""Joints of the trunk, from the hips up."""
+LEAN, TWIST, THIGH, KNEE, ELBOW = 12.0, 12.0, 40.0, 35.0, 60.0
+"""Largest angles (degrees) in a T- or A-pose: trunk from the vertical, shoulders from hips, thighs to front or back,
+bend of knees and elbows. Of 225 humanoids of the pool and 50 files up to 8, 5, 39, 23 and 25."""
+LYING = 0.9
+"""Sine of the angle (64 degrees) by which the front of the hips points up or down when a person lies."""
+PARALLEL, ALONG = 40.0, 30.0
+"""Largest angle (degrees) between arms and legs on all fours, and smallest one of both from the line of the trunk."""
+NEAR = 30.0
+"""Largest angle (degrees) of an estimate from the axes of a joint's frame; beyond it they say nothing."""
+ANKLE, BENT = 70, 0.2
+"""Largest bend of an ankle (degrees), and by which share of its height a foot counts as higher for each radian."""
+SOLE_PITCH = 40.0
+"""Largest angle (degrees) of a flat sole from where the foot is lowest."""
+UP = np.array([0.0, 1.0, 0.0])
+
+Positions = Mapping[str, Float[np.ndarray, " 3"]]
+"""Joint of the shipped body, or a finger's -> its position, y up."""
+Frames = dict[str, Float[np.ndarray, "3 3"]]
+"""Rotations of such joints."""
+
+
+def rests_in_action(joints: Positions) -> bool:
+    """Tell whether a rest pose is neither a T- nor an A-pose."""
+    hips, shoulders = _pair(joints, "UpLeg"), _pair(joints, "Arm")
+    left, across = (unit_vectors(pair[0] - pair[1]) for pair in (hips, shoulders))
+    if _angle(_trunk(joints), UP) > LEAN or _angle(left, across) > TWIST:
+        return True
+    for (*limb, _), most in zip(HINGES, (KNEE, ELBOW), strict=True):
+        for side in SIDES:
+            bones = np.diff([joints[side + name] for name in limb if side + name in joints], axis=0)
+            if len(bones) == 2 and _angle(*bones) > most:
+                return True
+            thigh = bones[0] - (bones[0] @ left) * left if limb[0] == "UpLeg" and len(bones) else -UP
+            if _angle(thigh, -UP) > THIGH:
+                return True
+    return False
+
+
+def on_all_fours(joints: Positions) -> bool:
+    """Tell whether arms and legs are about parallel and across the trunk, as those of animals at rest."""
+    limbs = []
+    for *names, _ in HINGES:
+        last = next(name for name in reversed(names) if all(side + name in joints for side in SIDES))
+        limbs.append((_pair(joints, last) - _pair(joints, names[0])).sum(axis=0))
+    return _angle(*limbs) < PARALLEL and all(ALONG < _angle(limb, _trunk(joints)) < 180 - ALONG for limb in limbs)
+
+
+def action_front(joints: Positions) -> Float[np.ndarray, " 2"]:
+    """Compute the horizontal direction (x, z) to the front of the hips; of who lies, from feet to head or its opposite.
+
+    Who lies on the back, with the head to the back, faces the front when set up, and so who lies on the belly, with the
+    head to the front.
+    """
+    frame = _frame(np.subtract(*_pair(joints, "UpLeg")), _trunk(joints))
+    front = frame[:, 2] if abs(frame[1, 2]) < LYING else -np.sign(frame[1, 2]) * frame[:, 1]
+    return front[[0, 2]]
+
+
+def action_frames(character: SkinnedCharacter, joints: Mapping[str, int], limbs: Mapping[str, Limb]) -> Frames:
+    """Compute the rotation of each named joint from the shipped body's T-pose to a rest pose in action.
+
+    Args:
+        character: y up, with the frames of its file at its joints.
+        joints: joint of the body, or a finger's -> index of the character's joint.
+    """
+    body, positions = body_with_fingers(), {name: character.joints[j] for name, j in joints.items()}
+    axes = {name: nearest_rotation(character.T_world_joint[j, :3, :3]) for name, j in joints.items()}
+    if not _tell(axes, positions, limbs):
+        axes = {}
+    frames = _trunk_frames(positions, axes)
+    legs, arms = HINGES
+    frames |= _limb_frames(limbs, axes, legs, frames["Hips"]) | _limb_frames(limbs, axes, arms, frames[_chest(joints)])
+    for side in SIDES:
+        foot, hand = f"{side}Foot", f"{side}Hand"
+        if foot in frames:
+            points = character.mesh.vertices[carried_vertices(character, joints[foot])]
+            frames |= dict.fromkeys((foot, f"{side}ToeBase"), _foot_frame(points, frames[foot]))
+        if hand in frames:
+            frames |= hand_frames(positions, frames[hand], side)
+    above = {name: [body.joint_names[j] for j in ancestors(body.parents, body.joint(name))] for name in joints}
+    return {name: frames[next(known for known in above[name] if known in frames)] for name in joints}
+
+
+def _tell(axes: Frames, joints: Positions, limbs: Mapping[str, Limb]) -> bool:
+    """Tell whether frames are near those of a T-pose: those of hips and thighs, whose estimates are good."""
+    hips = _trunk_frames(joints, {})["Hips"]
+    found = {"Hips": hips} | {f"{side}UpLeg": _estimates(limbs, side, HINGES[0], hips)[0][0] for side in SIDES}
+    return all(angles_between(estimate, _by_axes(estimate, axes[name])) < NEAR for name, estimate in found.items())
+
+
+def _trunk_frames(joints: Positions, axes: Frames) -> Frames:
+    """Compute the rotations of the joints of the trunk, from the hips up.
+
+    Hips and chest are estimated by thighs and shoulders, others by the smallest rotation from the joint below.
+    """
+    chain = [name for name in TRUNK if name in joints]
+    frames: Frames = {}
+    below = np.eye(3)
+    for name, above in zip(chain, [*chain[1:], None], strict=True):
+        part = {"Hips": "UpLeg", _chest(joints): "Arm"}.get(name)
+        start = _pair(joints, "UpLeg").mean(axis=0) if name == "Hips" else joints[name]
+        bone = below[:, 1] if above is None else joints[above] - start  # nothing tells the direction of a head
+        estimate = rotation_between(below[:, 1], bone) @ below
+        if part is not None:
+            estimate = _frame(np.subtract(*_pair(joints, part)), bone)
+        below = frames[name] = _by_axes(estimate, axes.get(name))
+    return frames
+
+
+def _limb_frames(
+    limbs: Mapping[str, Limb],
+    axes: Frames,
+    hinge: tuple[str, str, str, tuple[float, float, float]],
+    trunk: Float[np.ndarray, "3 3"],
+) -> Frames:
+    """Compute the rotations of the joints of both arms or legs, whose bones keep their directions, of hands and feet.
+
+    Elbows of animations by hand do not bend about one axis. All joints of both limbs have the same axis up in a T-pose,
+    left and right in the same or the opposite direction, so all estimates together choose it.
+    """
+    names = hinge[:2]
+    estimates = {side: _estimates(limbs, side, hinge, trunk) for side in SIDES}
+    kept = {side: [name for name in names if side + name in limbs] for side in SIDES}
+    chosen: dict[str, np.ndarray] = {}
+    if axes:
+        totals = [
+            sum(each.T @ axes[side + name] for name, of in zip(kept[side], estimates[side], strict=True) for each in of)
+            for side in SIDES
+        ]
+        scores = np.stack([np.einsum("rkl,kl->r", ROTATIONS, total) for total in totals])
+        same_axis = np.einsum("rl,sl->rs", np.abs(ROTATIONS[:, 1]), np.abs(ROTATIONS[:, 1])) > 0.5
+        pairs = np.where(same_axis, scores[0][:, None] + scores[1], -np.inf)
+        best = np.unravel_index(pairs.argmax(), pairs.shape)
+        chosen = {side: ROTATIONS[k].T for side, k in zip(SIDES, best, strict=True)}
+    frames: Frames = {}
+    for side in SIDES:
+        for name, found in zip(kept[side], estimates[side], strict=True):
+            joint, limb = side + name, limbs[side + name]
+            turned = axes[joint] @ chosen[side] if axes else found[0]
+            aligned = limb_alignments({joint: (limb.end - limb.start) @ turned}, body_with_fingers())
+            frames |= {of: turned @ each for of, each in aligned.items()}
+            hand = f"{side}Hand"
+            if hand in aligned and hand in axes:
+                frames[hand] = axes[hand] @ chosen[side] @ aligned[hand]
+    return frames
+
+
+def _estimates(
+    limbs: Mapping[str, Limb],
+    side: str,
+    hinge: tuple[str, str, str, tuple[float, float, float]],
+    trunk: Float[np.ndarray, "3 3"],
+) -> list[list[Float[np.ndarray, "3 3"]]]:
+    """Estimate the rotations of the joints of a limb: by its hinge, that of the first also by the trunk's alone."""
+    body, (*names, direction) = body_with_fingers(), hinge
+    chain = [side + name for name in names]
+    upper, lower = limbs[chain[0]], limbs.get(chain[1])
+    bone = _bone(chain[0], chain[1])
+    straight = rotation_between(trunk @ bone, upper.end - upper.start) @ trunk
+    if lower is None:
+        return [[straight]]
+    places = np.stack([upper.start, upper.end, upper.end + lower.end - lower.start])[None]
+    index, at_rest = {name: k for k, name in enumerate(chain)}, {name: body.joint(name) for name in chain}
+    bent = hinge_rotations(places, index, body.joints[None], at_rest, chain, direction, trunk[None])
+    return [[bent[chain[0]][0][0], straight], [bent[chain[1]][0][0]]]
+
+
+def _foot_frame(points: Float[np.ndarray, "V 3"], shin: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """Compute the rotation of a foot from its surface and as it goes with its shin: about the left axis to a flat sole.
+
+    A foot is longer than high, so it is flat where it is lowest; then its heel and its ball are at one height. In 50
+    rigs in T- and A-poses that is up to 3 degrees off.
+    """
+    if len(points) == 0:
+        return shin
+    pitches = np.radians(np.arange(-ANKLE, ANKLE + 1))
+    heights = np.einsum("vk,pk->pv", points @ shin, _pitched(pitches)[..., 1])
+    turned = shin @ _pitched(pitches[(np.ptp(heights, axis=1) * (1 + BENT * np.abs(pitches))).argmin()])
+    height, length = (points @ turned)[:, 1:].T
+    front = length > (length.min() + length.max()) / 2
+    heel, ball = (int(np.where(half, height, np.inf).argmin()) for half in (~front, front))
+    sole = np.arctan2(height[ball] - height[heel], length[ball] - length[heel])
+    return turned @ _pitched(-sole) if abs(np.degrees(sole)) < SOLE_PITCH else turned
+
+
+def _pitched(angle: Float[np.ndarray, "*P"]) -> Float[np.ndarray, "*P 3 3"]:
+    """Return rotations about x (radians): toes go down."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(np.multiply.outer(angle, [1.0, 0.0, 0.0])).as_matrix()
+
+
+def _by_axes(estimate: Float[np.ndarray, "3 3"], axes: Float[np.ndarray, "3 3"] | None) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation of a frame from the axis rotation nearest to an estimate; without a frame the estimate."""
+    if axes is None:
+        return estimate
+    return axes @ ROTATIONS[np.einsum("rkl,kl->r", ROTATIONS, estimate.T @ axes).argmax()].T
+
+
+def _chest(joints: Mapping[str, object]) -> str:
+    """Return the highest joint of the trunk below neck and head."""
+    return next(name for name in reversed(TRUNK[:4]) if name in joints)
+
+
+def _trunk(joints: Positions) -> Float[np.ndarray, " 3"]:
+    """Compute the vector from the middle of the hips to that of the shoulders."""
+    return _pair(joints, "Arm").mean(axis=0) - _pair(joints, "UpLeg").mean(axis=0)
+
+
+def _frame(left: Float[np.ndarray, " 3"], up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """Build a frame with its first column along `left` and its second towards `up`."""
+    x = unit_vectors(left)
+    y = unit_vectors(up - (up @ x) * x)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def _pair(joints: Positions, part: str) -> Float[np.ndarray, "2 3"]:
+    """Select the positions of the left and right joint of a part."""
+    return np.stack([joints[side + part] for side in SIDES])
+
+
+def _bone(joint: str, tail: str) -> Float[np.ndarray, " 3"]:
+    """Return a bone of the shipped body in its T-pose."""
+    body = body_with_fingers()
+    return body.joints[body.joint(tail)] - body.joints[body.joint(joint)]
+
+
+def _angle(first: Float[np.ndarray, " 3"], second: Float[np.ndarray, " 3"]) -> float:
+    """Compute the angle (degrees) between two directions."""
+    return float(np.degrees(np.arccos(np.clip(unit_vectors(first) @ unit_vectors(second), -1, 1))))
