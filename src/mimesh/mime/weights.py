@@ -56,10 +56,12 @@ in the pool's `train` and `val` characters, the median is below 0.04 (docs/log/m
 BLOCK_VERTICES, BLOCK_AREA, LIMB_SHARE = 24, 0.02, 0.9
 """A piece of at most so many vertices and more than this share of the surface moves rigidly too (of 17 such pieces of
 the pool's characters 16 do); its joint is the last one whose subtree has LIMB_SHARE of its weight to its limb."""
-SOLID_AREA, SOLID = 0.01, 0.85
+SOLID_AREA, SOLID, OTHER_LIMB = 0.01, 0.75, 0.6
 """A closed piece of more than the first share of the surface that fills more than the second of its convex hull is
 solid. Of 362 such pieces of the pool's `train` and `val` characters, 350 are of one limb; the votes for it are right
 for 347 (docs/log/mime.md, "Weights alone")."""
+LEAST_LIMB, LEAST_VOTE = 0.02, 0.2
+"""Share of the surface that a limb has at least, and of a solid piece's weight for which it becomes a lost limb."""
 STEEP, STEEP_EXPONENT, SMOOTHED = 40.0, 4, 3
 """Change of weights (L1) over the square root of the surface's area from which on they are averaged, how fast that
 sets in, and how many times: 29 per metre of a person of 1.7 m. An elbow has 20 to 30."""
@@ -200,7 +202,17 @@ def _of_one_limb(
         return weights
     mixed = (1 - BODY_SHARE) * predicted + BODY_SHARE * nearest.weights
     summed, limbs = pieces.summed(mixed), _limbs(nearest.body)
-    limb = np.stack([summed[:, joints].sum(axis=1) for joints in limbs], axis=1).argmax(axis=1)
+    votes = np.stack([summed[:, joints].sum(axis=1) for joints in limbs], axis=1)
+    limb = votes.argmax(axis=1)
+    solid &= np.sort(votes[:, 2:], axis=1)[:, -2] < OTHER_LIMB * votes.max(axis=1)  # trousers may be closed
+    # A figure has all of its limbs: one that hardly any of the surface is of takes the block that is most of it.
+    rest = pieces.summed(weights)[~solid].sum(axis=0)
+    held = np.array([rest[joints].sum() for joints in limbs])
+    held += np.bincount(limb[solid], pieces.area[solid], minlength=len(limbs))
+    for lost in np.flatnonzero(held < LEAST_LIMB * pieces.area.sum()):
+        best = int(np.where(solid, votes[:, lost], 0.0).argmax())
+        if votes[best, lost] > LEAST_VOTE * pieces.area[best]:
+            limb[best] = lost
     of_limb = np.stack([np.isin(np.arange(weights.shape[1]), joints) for joints in limbs])
     summed = np.where(of_limb[limb], summed, 0.0)
     summed /= np.maximum(summed.sum(axis=1, keepdims=True), 1e-30)
