@@ -6,6 +6,7 @@ import trimesh
 
 from mimesh.bodies import load_body
 from mimesh.bodies.anatomy import anatomy_of
+from mimesh.core.rig import descendants
 from mimesh.mime.body_fit import NearestBody
 from mimesh.mime.weights import MAX_BONES, bone_distances, clean_weights, without_steps
 
@@ -122,12 +123,12 @@ def moved_by(**share):
     return weights
 
 
-def cleaned_with(piece, weights):
+def cleaned_with(piece, weights, of_body=BODY.weights):
     """Clean the weights of the body with another piece, and return those of the piece."""
     count = len(BODY.vertices)
     vertices = np.concatenate([BODY.vertices, piece.vertices])
     faces = np.concatenate([BODY.faces, np.asarray(piece.faces) + count])
-    weights = np.concatenate([BODY.weights, weights])
+    weights = np.concatenate([of_body, weights])
     return clean_weights(weights, vertices, faces, BODY.parents, nearest_body(vertices))[count:]
 
 
@@ -159,6 +160,18 @@ def test_a_solid_piece_goes_with_one_limb_alone():
     assert (found[:, BODY.joint("Spine")] > 0.32).all()
     ball.update_faces(ball.triangles_center[:, 1] < ball.center_mass[1] + 0.13)
     assert np.allclose(cleaned_with(ball, weights), weights, atol=1e-12)
+
+
+def test_a_block_that_narrowly_misses_a_limb_is_that_limb_if_the_figure_lacks_it():
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    ball.vertices += (BODY.joints[ARM] + BODY.joints[ELBOW]) / 2
+    weights = np.tile(moved_by(LeftArm=0.25, Spine1=0.75), (len(ball.vertices), 1))
+    assert np.allclose(cleaned_with(ball, weights), moved_by(Spine1=1), atol=1e-12)
+    arm = descendants([ARM], BODY.parents)
+    without = BODY.weights.copy()
+    without[:, BODY.joint("Spine1")] += without[:, arm].sum(axis=1)
+    without[:, arm] = 0
+    assert cleaned_with(ball, weights, without)[:, arm].sum(axis=1) == pytest.approx(1)
 
 
 def test_a_step_of_weights_is_spread_over_neighbours():

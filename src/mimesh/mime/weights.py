@@ -61,8 +61,9 @@ SOLID_AREA, SOLID, OTHER_LIMB = 0.01, 0.75, 0.6
 solid, unless a second arm or leg has more than the third share of the votes of the first one. Of 307 solid pieces of
 the pool's `train` and `val` characters 301 are of one limb; the votes for it are right for 300 (docs/log/mime.md,
 "Weights alone")."""
-LEAST_LIMB, LEAST_VOTE = 0.02, 0.2
-"""Share of the surface that a limb has at least, and of a solid piece's weight for which it becomes a lost limb."""
+LEAST_LIMB, NARROW = 0.02, 0.7
+"""Share of the surface that a limb has at least, and ratio of its votes to the most from which on it narrowly lost.
+Blocks that are clearly another's stay, as joints of lost limbs are rarely where these begin."""
 STEEP, STEEP_EXPONENT, SMOOTHED = 40.0, 4, 3
 """Change of weights (L1) over the square root of the surface's area from which on they are averaged, how fast that
 sets in, and how many times: 29 per metre of a person of 1.7 m. An elbow has 20 to 30."""
@@ -206,14 +207,8 @@ def _of_one_limb(
     votes = np.stack([summed[:, joints].sum(axis=1) for joints in limbs], axis=1)
     limb = votes.argmax(axis=1)
     solid &= np.sort(votes[:, 2:], axis=1)[:, -2] < OTHER_LIMB * votes.max(axis=1)  # trousers may be closed
-    # A figure has all of its limbs: one that hardly any of the surface is of takes the block that is most of it.
     rest = pieces.summed(weights)[~solid].sum(axis=0)
-    held = np.array([rest[joints].sum() for joints in limbs])
-    held += np.bincount(limb[solid], pieces.area[solid], minlength=len(limbs))
-    for lost in np.flatnonzero(held < LEAST_LIMB * pieces.area.sum()):
-        best = int(np.where(solid, votes[:, lost], 0.0).argmax())
-        if votes[best, lost] > LEAST_VOTE * pieces.area[best]:
-            limb[best] = lost
+    _return_lost(limb, votes, solid, pieces.area, np.array([rest[joints].sum() for joints in limbs]))
     of_limb = np.stack([np.isin(np.arange(weights.shape[1]), joints) for joints in limbs])
     summed = np.where(of_limb[limb], summed, 0.0)
     summed /= np.maximum(summed.sum(axis=1, keepdims=True), 1e-30)
@@ -223,6 +218,27 @@ def _of_one_limb(
     weights = weights.copy()
     weights[rows] = kept + (1 - kept.sum(axis=1, keepdims=True)) * summed[piece]
     return weights
+
+
+def _return_lost(
+    limb: Int[np.ndarray, " P"],
+    votes: Float[np.ndarray, "P L"],
+    solid: Bool[np.ndarray, " P"],
+    area: Float[np.ndarray, " P"],
+    rest: Float[np.ndarray, " L"],
+) -> None:
+    """Give limbs that hardly any of the surface is of the solid pieces that they narrowly lost: figures have all limbs.
+
+    Args:
+        limb: of each piece, changed in place.
+        votes: for each limb.
+        rest: area of each limb without solid pieces.
+    """
+    held = rest + np.bincount(limb[solid], area[solid], minlength=len(rest))
+    for lost in np.flatnonzero(held < LEAST_LIMB * area.sum()):
+        best = int(np.where(solid, votes[:, lost], 0.0).argmax())
+        if votes[best, lost] > NARROW * votes[best].max():
+            limb[best] = lost
 
 
 def _solid(
