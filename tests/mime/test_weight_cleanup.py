@@ -1,4 +1,4 @@
-"""A hand that is weighted to a knee gets the weights of its arm, and correct weights stay as they are."""
+"""A hand that is weighted to a knee gets the weights of its arm, a piece those of its limb; correct weights stay."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,9 @@ import trimesh
 
 from mimesh.bodies import load_body
 from mimesh.bodies.anatomy import anatomy_of
+from mimesh.core.rig import descendants
 from mimesh.mime.body_fit import NearestBody
-from mimesh.mime.weights import MAX_BONES, bone_distances, clean_weights
+from mimesh.mime.weights import MAX_BONES, bone_distances, clean_weights, without_steps
 
 BODY = load_body()
 HAND = np.isin(BODY.weights.argmax(axis=1), [BODY.joint(f"Left{name}") for name in ("HandFinger1", "FingerBase")])
@@ -114,14 +115,72 @@ def test_a_piece_that_follows_the_body_keeps_bending():
     assert np.abs(found - weights)[worn].max() < 0.05
 
 
-def test_a_box_that_stands_for_an_arm_moves_with_its_first_joint():
-    """Its eight vertices are at both ends of the arm: weighted to two joints, it would shear."""
-    box = trimesh.primitives.Box(extents=(0.62, 0.12, 0.12))
-    shoulder, hand = BODY.joints[BODY.joint("LeftArm")], BODY.joints[BODY.joint("LeftHand")]
-    corners = np.asarray(box.vertices) + (shoulder + hand) / 2
-    vertices = np.concatenate([BODY.vertices, corners])
-    faces = np.concatenate([BODY.faces, np.asarray(box.faces) + len(BODY.vertices)])
-    ends = np.where(corners[:, :1] > corners[:, 0].mean(), *np.eye(len(BODY.parents))[[BODY.joint("LeftHand"), ARM]])
-    weights = np.concatenate([BODY.weights, ends])
-    found = clean_weights(weights, vertices, faces, BODY.parents, nearest_body(vertices))[len(BODY.vertices) :]
-    assert np.array_equal(found, np.eye(len(BODY.parents))[[ARM] * len(corners)])
+def moved_by(**share):
+    """Weights of a vertex by the names of its joints."""
+    weights = np.zeros(len(BODY.parents))
+    for name, value in share.items():
+        weights[BODY.joint(name)] = value
+    return weights
+
+
+def cleaned_with(piece, weights, of_body=BODY.weights):
+    """Clean the weights of the body with another piece, and return those of the piece."""
+    count = len(BODY.vertices)
+    vertices = np.concatenate([BODY.vertices, piece.vertices])
+    faces = np.concatenate([BODY.faces, np.asarray(piece.faces) + count])
+    weights = np.concatenate([of_body, weights])
+    return clean_weights(weights, vertices, faces, BODY.parents, nearest_body(vertices))[count:]
+
+
+FAR_END, NEAR_END = moved_by(LeftHand=1), moved_by(LeftArm=1)
+LIKE_A_HEAD = moved_by(Head=0.6, LeftArm=0.4), moved_by(Head=0.4, LeftHand=0.6)
+
+
+@pytest.mark.parametrize(("ends", "at_far_end"), [((NEAR_END, FAR_END), 4), (LIKE_A_HEAD, 2)])
+def test_a_box_that_stands_for_an_arm_moves_with_its_first_joint(ends, at_far_end):
+    """Its eight vertices are at both ends of the arm: weighted to two joints, it would shear.
+
+    Where head and arm share a vertex, the weaker one is too far away to stay; it counts for the whole box all the same.
+    """
+    box = trimesh.primitives.Box(extents=(0.62, 0.12, 0.12)).to_mesh()
+    box.vertices += (BODY.joints[BODY.joint("LeftArm")] + BODY.joints[BODY.joint("LeftHand")]) / 2
+    rank = np.argsort(np.argsort(-box.vertices[:, 0], kind="stable"))
+    found = cleaned_with(box, np.stack(ends)[(rank < at_far_end).astype(int)])
+    assert np.array_equal(found, np.eye(len(BODY.parents))[[ARM] * len(found)])
+
+
+def test_a_solid_piece_goes_with_one_limb_alone():
+    """A block of the trunk keeps nothing of the head; an open shell, which may be cloth, keeps its weights."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.15)
+    ball.vertices += BODY.joints[BODY.joint("Spine")]
+    weights = np.tile(moved_by(Spine=0.32, Spine1=0.28, Neck=0.2, Hips=0.1, LowerBack=0.1), (len(ball.vertices), 1))
+    found = cleaned_with(ball, weights)
+    assert np.abs(found[:, BODY.joint("Neck")]).max() < 1e-12
+    assert np.allclose(found.sum(axis=1), 1)
+    assert (found[:, BODY.joint("Spine")] > 0.32).all()
+    ball.update_faces(ball.triangles_center[:, 1] < ball.center_mass[1] + 0.13)
+    assert np.allclose(cleaned_with(ball, weights), weights, atol=1e-12)
+
+
+def test_a_block_that_narrowly_misses_a_limb_is_that_limb_if_the_figure_lacks_it():
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    ball.vertices += (BODY.joints[ARM] + BODY.joints[ELBOW]) / 2
+    weights = np.tile(moved_by(LeftArm=0.25, Spine1=0.75), (len(ball.vertices), 1))
+    assert np.allclose(cleaned_with(ball, weights), moved_by(Spine1=1), atol=1e-12)
+    arm = descendants([ARM], BODY.parents)
+    without = BODY.weights.copy()
+    without[:, BODY.joint("Spine1")] += without[:, arm].sum(axis=1)
+    without[:, arm] = 0
+    assert cleaned_with(ball, weights, without)[:, arm].sum(axis=1) == pytest.approx(1)
+
+
+def test_a_step_of_weights_is_spread_over_neighbours():
+    """The triangle changes by 2 over a length of 1, where the area is 400: by STEEP, so a quarter is averaged."""
+    leg = np.sqrt(2 * (400 - np.sqrt(3) / 4))
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0.5, np.sqrt(0.75), 0], [9, 0, 0], [9 + leg, 0, 0], [9, leg, 0]])
+    faces, weights = np.arange(6).reshape(2, 3), np.eye(2)[[0, 1, 1, 0, 1, 1]]
+    first = [0.49609375, 0.251953125, 0.251953125]
+    expected = np.array([*first, 1, 0, 0])  # the large triangle changes slowly
+    assert np.allclose(without_steps(weights, vertices, faces), np.stack([expected, 1 - expected], 1), atol=1e-6)
+    assert np.array_equal(without_steps(weights, vertices, faces, known=1.0), weights)
+    assert without_steps(weights, vertices, faces[:0]) is weights

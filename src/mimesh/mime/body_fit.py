@@ -199,6 +199,11 @@ class BodyFit:
         """Sum of the gaps of all limbs."""
         return sum(self.gaps.values())
 
+    @property
+    def share(self) -> float:
+        """How far the body has the shape of the surface, from 0 to 1: so far its weights replace predicted ones."""
+        return 1 / (1 + (self.distance / SAME_SHAPE) ** SHAPE_EXPONENT)
+
     def nearest(self, points: Float[np.ndarray, "V 3"]) -> NearestBody:
         """Find the nearest point of the fitted body to each of some points of the surface."""
         from scipy.spatial import KDTree
@@ -221,8 +226,7 @@ class BodyFit:
         """
         body = self.posed.body
         hands = [j for side in SIDES for j in hand_joints(body.names, side)] if body.name == "human" else []
-        of_body = 1 / (1 + (self.distance / SAME_SHAPE) ** SHAPE_EXPONENT)
-        share = of_body * (1 - nearest.weights[:, hands].sum(axis=1, keepdims=True))
+        share = self.share * (1 - nearest.weights[:, hands].sum(axis=1, keepdims=True))
         return (1 - share) * predicted + share * nearest.weights
 
 

@@ -54,7 +54,7 @@ from .prediction import (
     face_outward,
     sampled_points,
 )
-from .weights import DENSE, CoarseSurface, clean_weights, corrected_weights, with_whole_tail
+from .weights import DENSE, CoarseSurface, clean_weights, corrected_weights, with_whole_tail, without_steps
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -265,12 +265,13 @@ class Mime:
         else:
             rig, confidence, fit = self._with_corrections(mean, confidence, sample, queries, targets)
             confidence = self._with_weights(confidence, rig.weights[len(vertices) :])
-        weights, nearest = rig.weights[: len(vertices)], None
+        weights, nearest, known = rig.weights[: len(vertices)], None, 0.0
         if fit:
-            nearest = fit.nearest(vertices)
+            nearest, known = fit.nearest(vertices), fit.share
             weights = fit.blended_weights(weights, nearest)
         weights = with_whole_tail(weights, vertices, faces, self.joints, self.parents)
         weights = clean_weights(weights, vertices, faces, self.parents, nearest, self.trunk)
+        weights = without_steps(weights, vertices, faces, known)
         weights = weights if coarse is None else coarse.carried(weights)
         return dataclasses.replace(rig, weights=weights), confidence
 
