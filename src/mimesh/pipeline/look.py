@@ -12,6 +12,7 @@ animal, a mesh that is not clearly a person is one (`agreed`).
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -201,9 +202,18 @@ def second_look(mime: Mime, taken: str, subject: Subject, confidence: Confidence
     for body in mime.bodies:
         fit = fits.get(body) or predicted_body(mime.of_body(body), subject.mesh, subject.axes)[2]
         fits |= {body: fit} if fit.fitted else {}
+    return fitting_body(taken, fits, turned)
+
+
+def fitting_body(taken: str, fits: Mapping[str, Confidence], turned: bool) -> str | None:
+    """Decide which body a mesh has by the fits of several: see `second_look`.
+
+    Args:
+        turned: half a turn leaves the mesh as it is.
+    """
     if turned:
         person = fits.get("human")
-        found = person is not None and person.other_kind < FITS and person.prediction_spread <= TURNED_SPREAD
+        found = person is not None and person.misfit < FITS and person.prediction_spread <= TURNED_SPREAD
         return "human" if found else None
     agreed_on = [body for body, fit in fits.items() if body == taken or fit.prediction_spread <= MAX_SPREAD]
     best = min(agreed_on, key=lambda body: fits[body].misfit)
