@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from matrix import matrix
 from people import person
 
@@ -39,6 +40,29 @@ def test_axes_of_the_user_are_kept():
 def test_axes_of_a_recognised_mesh_are_kept():
     norm = detected_norm(MESH, "-y", "+z")
     assert reorient(MIME, MESH, norm, (None, None), Confidence(2.0, 0.5, {})) is norm
+
+
+HEAD = int(MESH.vertices[:, 1].argmax())
+
+
+@pytest.mark.parametrize(("mismatch", "up"), [(2e-3, "+y"), (5e-4, "-y"), (1.0, "-y")])
+def test_of_orientations_that_are_about_as_decided_the_one_of_the_nearest_shape_wins(mismatch, up, monkeypatch):
+    """Upside down the prediction is the most decided, and the fitted body has some mismatch (m): upright it has 1 mm.
+
+    What would be refused as it is (1 m) stays so: other orientations of things often fit a little better.
+    """
+
+    def quick_predict(_, mesh):
+        height = mesh.vertices[HEAD, 1]
+        return (0.9 if height > 0.5 else 0.8 if height < -0.5 else 2.0), np.eye(3)
+
+    def predict_rig(_, mesh):
+        return None, Confidence(20.0, 0.85, {}, fit_distance=1e-3 if mesh.vertices[HEAD, 1] > 0.5 else mismatch)
+
+    monkeypatch.setattr(Mime, "quick_predict", quick_predict)
+    monkeypatch.setattr(Mime, "predict_rig", predict_rig)
+    doubtful = dataclasses.replace(NOT_RECOGNISED, fit_distance=mismatch)
+    assert reorient(MIME, MESH, detected_norm(MESH, "-y", "+z"), (None, None), doubtful).up == up
 
 
 def test_axes_are_kept_where_no_others_are_better(monkeypatch):
