@@ -45,11 +45,16 @@ def test_axes_of_a_recognised_mesh_are_kept():
 HEAD = int(MESH.vertices[:, 1].argmax())
 
 
-@pytest.mark.parametrize(("mismatch", "up"), [(2e-3, "+y"), (5e-4, "-y"), (1.0, "-y")])
-def test_of_orientations_that_are_about_as_decided_the_one_of_the_nearest_shape_wins(mismatch, up, monkeypatch):
-    """Upside down the prediction is the most decided, and the fitted body has some mismatch (m): upright it has 1 mm.
+@pytest.mark.parametrize(
+    ("upside_down", "upright", "up"),
+    [(2e-3, 1e-3, "+y"), (5e-4, 1e-3, "-y"), (0.05, 1e-3, "+y"), (0.05, 0.01, "-y")],
+)
+def test_of_orientations_that_are_about_as_decided_the_one_of_the_nearest_shape_wins(
+    upside_down, upright, up, monkeypatch
+):
+    """Upside down the prediction is the most decided. The fitted body has a mismatch (m) in both orientations.
 
-    What would be refused as it is (1 m) stays so: other orientations of things often fit a little better.
+    What would be refused as it is (0.05) must surely fit in another orientation, not only better.
     """
 
     def quick_predict(_, mesh):
@@ -57,11 +62,12 @@ def test_of_orientations_that_are_about_as_decided_the_one_of_the_nearest_shape_
         return (0.9 if height > 0.5 else 0.8 if height < -0.5 else 2.0), np.eye(3)
 
     def predict_rig(_, mesh):
-        return None, Confidence(20.0, 0.85, {}, fit_distance=1e-3 if mesh.vertices[HEAD, 1] > 0.5 else mismatch)
+        distance = upright if mesh.vertices[HEAD, 1] > 0.5 else upside_down
+        return None, Confidence(20.0, 0.85, {}, fit_distance=distance)
 
     monkeypatch.setattr(Mime, "quick_predict", quick_predict)
     monkeypatch.setattr(Mime, "predict_rig", predict_rig)
-    doubtful = dataclasses.replace(NOT_RECOGNISED, fit_distance=mismatch)
+    doubtful = dataclasses.replace(NOT_RECOGNISED, fit_distance=upside_down)
     assert reorient(MIME, MESH, detected_norm(MESH, "-y", "+z"), (None, None), doubtful).up == up
 
 

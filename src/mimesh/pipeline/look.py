@@ -313,8 +313,9 @@ def reorient(
     """Return a normalisation with corrected axes, or the same one if no other orientation is clearly better.
 
     Needed only where axes were detected and the mesh is not recognised in them. The most decided prediction wins. Where
-    up is not known, and what it shows would not be refused, a body is fitted in each orientation in which a prediction
-    stands: people who sit with folded legs may be as decided upside down, but the shape of the body is another.
+    up is not known, a body is fitted in each orientation in which a prediction stands, and the one whose shape is nearest
+    wins: people who sit with folded legs may be as decided upside down. What would be refused as it is must surely fit
+    in another one, as things often fit a little better somewhere.
     """
     if not norm.detected or confidence is None or confidence.recognised:
         return norm
@@ -322,9 +323,11 @@ def reorient(
     # A small gain may be noise of the prediction: the detector's axes are then kept.
     decided = norm if lowest > detected - MIN_GAIN else chosen
     standing = standing_orientations(mime, mesh, norm, axes) if confidence.fitted else []
-    if len(standing) < 2 or _fit(mime, mesh, decided).misfit > REJECTION_THRESHOLD:
+    if len(standing) < 2:
         return decided
-    return _present_or(norm, min(standing, key=lambda other: _shape_cost(_fit(mime, mesh, other))))
+    best = min(standing, key=lambda other: _shape_cost(_fit(mime, mesh, other)))
+    refused = _fit(mime, mesh, decided).misfit > REJECTION_THRESHOLD
+    return decided if refused and _fit(mime, mesh, best).misfit > FITS else _present_or(norm, best)
 
 
 def standing_orientations(mime: Mime, mesh: Mesh, norm: Normalization, axes: UpFront) -> list[Normalization]:
