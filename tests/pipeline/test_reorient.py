@@ -54,7 +54,7 @@ def test_of_orientations_that_are_about_as_decided_the_one_of_the_nearest_shape_
 ):
     """Upside down the prediction is the most decided. The fitted body has a mismatch (m) in both orientations.
 
-    What would be refused as it is (0.05) must surely fit in another orientation, not only better.
+    What would be refused as it is (0.05) must look like the body in another orientation, not only fit better.
     """
 
     def quick_predict(_, mesh):

@@ -41,7 +41,7 @@ from ..core.threads import both
 from ..methods.base import Method
 from ..methods.find import INDEX_PAIRED, NETWORK_OF_BODY, SHIPPED_NETWORKS, TABLE_MODELS, find_mime
 from ..mime.model import Mime
-from ..rigs.confidence import MAX_ENTROPY, MAX_SPREAD, Confidence, if_it_is
+from ..rigs.confidence import MAX_ENTROPY, MAX_OTHER_KIND, MAX_SPREAD, Confidence, if_it_is
 
 UpFront = tuple[str | None, str | None]
 """Up and front of a mesh; None is detected."""
@@ -313,9 +313,9 @@ def reorient(
     """Return a normalisation with corrected axes, or the same one if no other orientation is clearly better.
 
     Needed only where axes were detected and the mesh is not recognised in them. The most decided prediction wins. Where
-    up is not known, a body is fitted in each orientation in which a prediction stands, and the one whose shape is nearest
-    wins: people who sit with folded legs may be as decided upside down. What would be refused as it is must surely fit
-    in another one, as things often fit a little better somewhere.
+    up is not known, a body is fitted in each orientation in which a prediction stands, and the nearest shape wins:
+    people who sit with folded legs may be as decided upside down. What would be refused as it is must look like the
+    body in another one, as things often fit a little better somewhere.
     """
     if not norm.detected or confidence is None or confidence.recognised:
         return norm
@@ -327,7 +327,7 @@ def reorient(
         return decided
     best = min(standing, key=lambda other: _shape_cost(_fit(mime, mesh, other)))
     refused = _fit(mime, mesh, decided).misfit > REJECTION_THRESHOLD
-    return decided if refused and _fit(mime, mesh, best).misfit > FITS else _present_or(norm, best)
+    return decided if refused and _fit(mime, mesh, best).misfit > MAX_OTHER_KIND else _present_or(norm, best)
 
 
 def standing_orientations(mime: Mime, mesh: Mesh, norm: Normalization, axes: UpFront) -> list[Normalization]:
