@@ -247,9 +247,9 @@ def test_a_body_that_fits_badly_and_belongs_to_no_limb_is_of_another_kind():
 
 
 def test_a_surface_away_from_the_fitted_person_is_a_misfit_and_one_of_an_animal_is_not():
-    near, far = fitted(surface_distance=0.02), fitted(surface_distance=0.04)
+    near, far = fitted(surface_distance=0.022), fitted(surface_distance=0.044)
     assert near.misfit == near.other_kind
-    assert far.misfit == pytest.approx(far.other_kind + 6 * np.log(2))
+    assert far.misfit == pytest.approx(far.other_kind + 10 * np.log(2))
     cow = dataclasses.replace(far, standards=Standards.of(load_body("quadruped").joint_names), limbs={})
     assert cow.misfit == cow.other_kind
 

@@ -322,10 +322,11 @@ def reorient(
     lowest, detected, chosen = predicted_orientation(mime, mesh, norm, axes)
     # A small gain may be noise of the prediction: the detector's axes are then kept.
     decided = norm if lowest > detected - MIN_GAIN else chosen
-    standing = standing_orientations(mime, mesh, norm, axes) if confidence.fitted else []
-    if len(standing) < 2:
+    others = standing_orientations(mime, mesh, norm, axes) if confidence.fitted else []
+    others = [other for other in others if other.up != decided.up]
+    if not others:
         return decided
-    best = min(standing, key=lambda other: _shape_cost(_fit(mime, mesh, other)))
+    best = min((decided, *others), key=lambda other: _shape_cost(_fit(mime, mesh, other)))
     refused = _fit(mime, mesh, decided).misfit > REJECTION_THRESHOLD
     return decided if refused and _fit(mime, mesh, best).misfit > MAX_OTHER_KIND else _present_or(norm, best)
 
