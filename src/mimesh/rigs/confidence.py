@@ -57,7 +57,7 @@ MAX_OTHER_KIND = 1.1
 of blocks that is misread."""
 PERSON_DISTANCE, DISTANCE_WEIGHT = 0.022, 10.0
 """Mean distance of the surface from the fitted person (metres of the body) from which on a mesh is the less accepted,
-and the weight of its logarithm. Clothes reach 0.036 and noise 0.030, at an `other_kind` below -2; people who sit and
+and the weight of its logarithm. Clothes reach 0.036 and noise 0.030, at an `other_kind` below -1.8; people who sit and
 are misread 0.025 to 0.07 (docs/log/mime.md, 2026-11-28). Animals of blocks have up to 0.068."""
 OTHER_KIND_ERROR = 0.15
 """Smallest expected error (heights of the identity) of a mesh above that: what animals and things were given in the fit
