@@ -34,14 +34,13 @@ from mimesh.methods.find import NETWORK_OF_BODY, find_mime
 from mimesh.mime.model import Mime
 from mimesh.pipeline.look import (
     FITS,
-    REJECTION_THRESHOLD,
-    TURNED_SPREAD,
     Subject,
+    fitting_body,
     look,
     predicted_body,
     same_after_half_turn,
 )
-from mimesh.rigs.confidence import MAX_OTHER_KIND, MAX_SPREAD, Confidence, Standards
+from mimesh.rigs.confidence import MAX_OTHER_KIND, Confidence, Standards
 
 PER_PACK = 8
 """Most people of a pack of the split `train`."""
@@ -99,7 +98,8 @@ def figures(mime: Mime, mesh: Mesh) -> dict[str, Any]:
     taken = look(mime, Subject(mesh, (None, None)), None, quick=True).body
     row: dict[str, Any] = {"taken": taken, "same_after_half_turn": same_after_half_turn(mesh)}
     for body in sorted(NETWORK_OF_BODY, key=lambda body: body != taken):
-        if body == taken or row["same_after_half_turn"] or read(row, taken).uncertainty > 1:
+        doubt = body != taken and (read(row, taken).misfit > FITS or read(row, taken).uncertainty > 1)
+        if body == taken or doubt or row["same_after_half_turn"]:
             row[body] = dataclasses.asdict(predicted_body(mime.of_body(body), mesh, (None, None))[2])
             del row[body]["standards"]
     return row
@@ -150,26 +150,17 @@ def fitted(values: Float[np.ndarray, "N F"], wrong: Bool[np.ndarray, " N"]) -> F
 
 
 def decided(row: dict[str, Any]) -> str | None:
-    """Say what a mesh is after the second look; None: of neither kind (as `second_look` does with the same fits)."""
-    taken = row["taken"]
-    other = next(body for body in NETWORK_OF_BODY if body != taken)
-    fits = {body: read(row, body) for body in (taken, other) if body in row}
-    if row["same_after_half_turn"]:
-        person = fits.get("human")
-        found = person and person.other_kind < FITS and person.prediction_spread <= TURNED_SPREAD
-        return "human" if found else None
-    if not fits[taken].is_other_kind:
-        return taken
-    if fits[other].other_kind < FITS and fits[other].prediction_spread <= MAX_SPREAD:
-        return other
-    return next((body for body, fit in fits.items() if fit.other_kind <= REJECTION_THRESHOLD), None)
+    """Say what a mesh is after the second look, from the same fits; None: of neither kind."""
+    fits = {body: read(row, body) for body in (row["taken"], *NETWORK_OF_BODY) if body in row}
+    surely = fits[row["taken"]].misfit <= FITS and not row["same_after_half_turn"]
+    return row["taken"] if surely else fitting_body(row["taken"], fits, row["same_after_half_turn"])
 
 
 def compact(row: dict[str, Any]) -> dict[str, Any]:
     """Return the figures of a mesh that are stored."""
     own = read(row, row["taken"])
     about = {name: row[name] for name in ("kind", "split", "mesh", "up", "taken")}
-    facts = {"decided": decided(row), "other_kind": round(own.other_kind, 2), "expected": round(own.expected_error, 3)}
+    facts = {"decided": decided(row), "misfit": round(own.misfit, 2), "expected": round(own.expected_error, 3)}
     return about | facts | {"note": own.uncertainty > 1}
 
 

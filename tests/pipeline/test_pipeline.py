@@ -7,7 +7,7 @@ import pytest
 from grouped_options import grouped
 from networks import write_mime_network, write_network
 from people import person, walk
-from zoo import cube
+from zoo import cube, grid
 
 from mimesh.core.errors import InputError
 from mimesh.core.frame_buffer import LazyFrames
@@ -152,6 +152,7 @@ def test_quality_of_known_changes():
     assert measured(1.0) == {
         "edge_stretch_max": 1.0,
         "edge_stretch_p99": 1.0,
+        "torn_share": 0.0,
         "flipped_share": 0.0,
     }
     assert np.isclose(measured(2.0)["edge_stretch_max"], 2)
@@ -159,9 +160,26 @@ def test_quality_of_known_changes():
     assert measured(1.0, Mesh(mesh.vertices, np.zeros((0, 3), int))) == {}
 
 
-def test_pushed_in_corner_flips_its_triangles():
-    from zoo import grid
+def test_a_corner_pulled_away_is_torn_and_a_larger_result_is_not():
+    """Of 12 sides and 4 diagonals of cells, squares 12 + 4 x 2, the two sides at a corner without a diagonal count."""
+    mesh = grid(3)
+    pulled = 5 * mesh.vertices
+    assert quality(mesh, LazyFrames.stored(pulled[None]))["torn_share"] == 0
+    pulled[2] *= 20
+    assert quality(mesh, LazyFrames.stored(pulled[None]))["torn_share"] == pytest.approx(2 / 20)
 
+
+def test_a_torn_result_has_a_note():
+    rest, driving = person(0), person(1, 0)
+    torn = driving.vertices.copy()
+    torn[np.argsort(torn[:, 1])[::3]] *= 2
+    said = "of the surface of identity is torn, its edges more than 3 times as long as at rest"
+    for vertices, noted in ((driving.vertices, 0), (torn, 1)):
+        notes = transfer(dataclasses.replace(rest, name="identity"), driving.with_vertices(vertices), "copy").notes
+        assert sum(said in note for note in notes) == noted
+
+
+def test_pushed_in_corner_flips_its_triangles():
     mesh = grid(5)
     folded = mesh.vertices.copy()
     folded[12] += [0.6, 0, 0]

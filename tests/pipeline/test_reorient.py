@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from matrix import matrix
 from people import person
 
@@ -39,6 +40,35 @@ def test_axes_of_the_user_are_kept():
 def test_axes_of_a_recognised_mesh_are_kept():
     norm = detected_norm(MESH, "-y", "+z")
     assert reorient(MIME, MESH, norm, (None, None), Confidence(2.0, 0.5, {})) is norm
+
+
+HEAD = int(MESH.vertices[:, 1].argmax())
+
+
+@pytest.mark.parametrize(
+    ("upside_down", "upright", "up"),
+    [(2e-3, 1e-3, "+y"), (5e-4, 1e-3, "-y"), (0.05, 1e-3, "+y"), (0.05, 0.01, "-y")],
+)
+def test_of_orientations_that_are_about_as_decided_the_one_of_the_nearest_shape_wins(
+    upside_down, upright, up, monkeypatch
+):
+    """Upside down the prediction is the most decided. The fitted body has a mismatch (m) in both orientations.
+
+    What would be refused as it is (0.05) must look like the body in another orientation, not only fit better.
+    """
+
+    def quick_predict(_, mesh):
+        height = mesh.vertices[HEAD, 1]
+        return (0.9 if height > 0.5 else 0.8 if height < -0.5 else 2.0), np.eye(3)
+
+    def predict_rig(_, mesh):
+        distance = upright if mesh.vertices[HEAD, 1] > 0.5 else upside_down
+        return None, Confidence(20.0, 0.85, {}, fit_distance=distance)
+
+    monkeypatch.setattr(Mime, "quick_predict", quick_predict)
+    monkeypatch.setattr(Mime, "predict_rig", predict_rig)
+    doubtful = dataclasses.replace(NOT_RECOGNISED, fit_distance=upside_down)
+    assert reorient(MIME, MESH, detected_norm(MESH, "-y", "+z"), (None, None), doubtful).up == up
 
 
 def test_axes_are_kept_where_no_others_are_better(monkeypatch):

@@ -14,15 +14,16 @@ from people import person
 from zoo import figure, point_cloud, ring, table
 
 from mimesh.__main__ import run
+from mimesh.bodies import load_body
 from mimesh.bodies.animals import animal
 from mimesh.core.errors import RefusedMeshError
 from mimesh.core.mesh import Mesh
 from mimesh.io import save_mesh
 from mimesh.methods.find import INDEX_PAIRED, find_mime
 from mimesh.pipeline import transfer
-from mimesh.pipeline.look import REJECTION_THRESHOLD, Subject, predicted_body, same_after_half_turn, second_look
+from mimesh.pipeline.look import REJECTION_THRESHOLD, Subject, fitting_body, same_after_half_turn, second_look
 from mimesh.pipeline.rigging import rig
-from mimesh.rigs.confidence import MAX_OTHER_KIND
+from mimesh.rigs.confidence import MAX_SPREAD, OTHER_KIND, Confidence, Standards
 from mimesh.tools.inspect import facts_of
 
 pytestmark = pytest.mark.usefixtures("kept")
@@ -105,32 +106,40 @@ def test_tables_rings_and_figures_are_the_same_after_half_a_turn_and_bodies_are_
     assert not any(same_after_half_turn(mesh) for mesh in (MESHES["man"], MESHES["cow"], point_cloud()))
 
 
+def fit(body: str, misfit: float, spread: float = 5.0) -> Confidence:
+    """A fit of a body with a spread of the predictions, and the mismatch of a misfit."""
+    standards = Standards.of(load_body(body).joint_names)
+    mismatch = np.expm1((misfit - OTHER_KIND["constant"] - 0.5 * OTHER_KIND["entropy"]) / OTHER_KIND["fit_distance"])
+    return Confidence(spread, 0.5, {}, fit_distance=1e-3 * mismatch, standards=standards)
+
+
+DOUBT, REFUSED = REJECTION_THRESHOLD - 0.1, REJECTION_THRESHOLD + 0.1
+
+
 @pytest.mark.parametrize(
-    ("taken", "other_kind", "found"),
+    ("person", "animal", "spread", "found"),
     [
-        ("human", MAX_OTHER_KIND - 0.1, "human"),
-        ("human", REJECTION_THRESHOLD - 0.1, "human"),
-        ("human", REJECTION_THRESHOLD + 0.1, None),
-        ("quadruped", REJECTION_THRESHOLD + 0.1, "human"),
+        (0.5, 1.0, 5.0, "human"),
+        (0.5, 0.3, 5.0, "quadruped"),
+        (0.5, -1.0, 2 * MAX_SPREAD, "human"),
+        (DOUBT, REFUSED, 5.0, "human"),
+        (REFUSED, DOUBT, 2 * MAX_SPREAD, "quadruped"),
+        (REFUSED, REFUSED + 0.1, 5.0, None),
     ],
 )
-def test_a_mesh_in_doubt_is_moved_and_one_that_fits_no_body_is_refused(taken, other_kind, found, monkeypatch):
-    """A person in an extreme pose, taken for an animal, is one as long as the fit of a person leaves it in doubt."""
-    mime, man = find_mime("mime"), Subject(MESHES["man"], UP)
-    norm, body, fit = predicted_body(mime, man.mesh, UP)
+def test_a_mesh_in_doubt_has_the_body_that_fits_better_and_one_that_fits_none_is_refused(person, animal, spread, found):
+    """A mesh taken for a person; the spread is that of the predictions for an animal, which must agree to be better."""
+    fits = {"human": fit("human", person), "quadruped": fit("quadruped", animal, spread)}
+    assert fits["human"].misfit == pytest.approx(person)
+    assert fitting_body("human", fits, turned=False) == found
 
-    def of_other_kind(value):
-        """The fit with the distance that gives a value of other_kind."""
-        distances = np.linspace(1e-4, 0.05, 2000)
-        fits = [replace(fit, fit_distance=float(distance)) for distance in distances]
-        return min(fits, key=lambda fit: abs(fit.other_kind - value))
 
-    others = {"human": 1.5, "quadruped": 5.0}
-    monkeypatch.setattr(
-        "mimesh.pipeline.look.predicted_body",
-        lambda network, mesh, axes: (norm, body, of_other_kind(others[network.body])),
-    )
-    assert second_look(mime, taken, man, of_other_kind(other_kind)) == found
+@pytest.mark.parametrize(("distance", "found"), [(0.02, "human"), (0.08, None)])
+def test_a_person_whose_surface_is_away_from_the_fitted_body_is_refused(distance, found, monkeypatch):
+    """As people who sit and are read upside down, by predictions that agree."""
+    read = replace(fit("human", -1.0), surface_distance=distance)
+    monkeypatch.setattr("mimesh.pipeline.look.predicted_body", lambda *_: (None, None, fit("quadruped", 5.0)))
+    assert second_look(find_mime("mime"), "human", Subject(MESHES["man"], UP), read) == found
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
 """Whole people are recognised without a note; for halves, missing limbs and chairs the note says why."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from grouped_options import grouped
@@ -242,6 +244,14 @@ def test_a_body_that_fits_badly_and_belongs_to_no_limb_is_of_another_kind():
     assert "lamp does not look like a person, as far as can be told" in note
     assert 'body="other"' in note
     assert wrong.facts()["expected_error"] >= OTHER_KIND_ERROR
+
+
+def test_a_surface_away_from_the_fitted_person_is_a_misfit_and_one_of_an_animal_is_not():
+    near, far = fitted(surface_distance=0.022), fitted(surface_distance=0.044)
+    assert near.misfit == near.other_kind
+    assert far.misfit == pytest.approx(far.other_kind + 10 * np.log(2))
+    cow = dataclasses.replace(far, standards=Standards.of(load_body("quadruped").joint_names), limbs={})
+    assert cow.misfit == cow.other_kind
 
 
 def test_a_note_on_limbs_says_that_the_mesh_may_be_something_else_where_the_error_is_large():

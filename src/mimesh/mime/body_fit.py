@@ -161,6 +161,7 @@ def fit_body(
         joints=targets.apply(positions) if targets else positions,
         unmatched_body=unmatched_body,
         unmatched_surface=unmatched_surface,
+        surface_distance=float(surface.nearest_of(posed.points, state.size)[1].mean()),
         distance=distance,
         angle=mean_angle(state.rotation, rotation),
         posed=posed,
@@ -180,6 +181,8 @@ class BodyFit:
     """Share of each limb of the body that is farther than UNMATCHED_BODY from the surface."""
     unmatched_surface: float
     """Share of the surface that is farther than UNMATCHED_SURFACE from the body."""
+    surface_distance: float
+    """Mean distance of the surface from the body (metres of the body, FAR at most)."""
     distance: float
     """Mismatch of the shapes of body and surface (metres of the body); see `_mismatch`."""
     angle: float

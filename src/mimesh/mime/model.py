@@ -460,6 +460,7 @@ def _with_measures(confidence: Confidence, fit: BodyFit) -> Confidence:
         confidence,
         unmatched_body=fit.unmatched_body,
         unmatched_surface=fit.unmatched_surface,
+        surface_distance=fit.surface_distance,
         fit_distance=fit.distance,
         fit_angle=fit.angle,
     )

@@ -62,7 +62,7 @@ from .placed import (
     with_up,
 )
 from .refine import Refinement
-from .report import TransferReport, fingered_hands
+from .report import TransferReport, fingered_hands, torn_note
 from .result import Timer
 
 if TYPE_CHECKING:
@@ -143,7 +143,8 @@ class JointRoute(Placed):
                 moved = moved.kept()
             report = surface_report(identity, clip, moved, self.facings)
         report |= {"body": self.mime.body} | ({} if self.rigs.humanoid is None else {"rig": "own"})
-        notes += report_confidence(retarget, report, self.names) + self.all_notes(own is not None)
+        notes += report_confidence(retarget, report, self.names)
+        notes += torn_note(report, identity.name, self.rigs.humanoid is None) + self.all_notes(own is not None)
         report["fingers"] = fingered_hands(retarget.character.joints)  # elsewhere they follow the hand
         report |= self._skates(retarget, track, posed, across, options)
         if limited:

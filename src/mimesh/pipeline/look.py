@@ -12,6 +12,7 @@ animal, a mesh that is not clearly a person is one (`agreed`).
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -40,7 +41,7 @@ from ..core.threads import both
 from ..methods.base import Method
 from ..methods.find import INDEX_PAIRED, NETWORK_OF_BODY, SHIPPED_NETWORKS, TABLE_MODELS, find_mime
 from ..mime.model import Mime
-from ..rigs.confidence import MAX_ENTROPY, MAX_SPREAD, Confidence, if_it_is
+from ..rigs.confidence import MAX_ENTROPY, MAX_OTHER_KIND, MAX_SPREAD, Confidence, if_it_is
 
 UpFront = tuple[str | None, str | None]
 """Up and front of a mesh; None is detected."""
@@ -60,11 +61,16 @@ Chosen on the same meshes: the largest of an animal, a pug, is 0.43. Animals are
 people already."""
 MIN_GAIN = 0.15
 """Decrease of the skinning weights' mean entropy (nats) from which on other axes are taken (docs/log/mime.md)."""
+OPEN = 0.7
+"""By how much less decided (nats) than the most decided orientation another one may be to be fitted. Of sitting people
+who are not recognised at first, the right one is at most 0.3 above (docs/log/mime.md, 2026-11-28)."""
+SHAPE_WEIGHT = 1.5
+"""Weight of the logarithm of the mismatch (mm) beside the entropy (nats), by which orientations are compared. Tuned on
+people who sit, and on the pool without axes (docs/log/mime.md, 2026-11-28)."""
 FITS = 0.0
-"""Largest `Confidence.other_kind` of a mesh that another body is found on. It is below MAX_OTHER_KIND, so that no mesh
-changes its kind for a trifle."""
+"""Largest `Confidence.misfit` of a mesh that surely has the body: above it the other body is fitted, too."""
 REJECTION_THRESHOLD = 1.8
-"""Largest `Confidence.other_kind` of a mesh that is moved at all, with a note from MAX_OTHER_KIND on. Tuned on
+"""Largest `Confidence.misfit` of a mesh that is moved at all, with a note from MAX_OTHER_KIND on. Tuned on
 development data (docs/log/mime.md, 2026-11-27): ordinary people at the joint limits reach 1.76."""
 HALF_TURN = 0.008
 """Mean distance (in root mean square radii) up to which a surface and itself after half a turn count as the same. Of
@@ -179,9 +185,9 @@ def look(mime: Mime, subject: Subject, known: str | None, quick: bool = False) -
 def second_look(mime: Mime, taken: str, subject: Subject, confidence: Confidence | None = None) -> str | None:
     """Say which body a mesh has, by fits of the bodies; None: it looks like none, and is refused.
 
-    It has the body that it was taken for if that fits, else another one that does. An uncertain mesh has the one or
-    the other, too, and the result gets a note. What half a turn leaves as it is has no front: a table is no animal,
-    and a lamp no person, however well they fit.
+    It has the body that it was taken for if that fits, else the one that fits better and that the predictions agree on.
+    An uncertain mesh has the one or the other, too, and the result gets a note. What half a turn leaves as it is has no
+    front: a table is no animal, and a lamp no person, however well they fit.
 
     Args:
         confidence: of the body that it was taken for, if that was fitted already.
@@ -190,20 +196,28 @@ def second_look(mime: Mime, taken: str, subject: Subject, confidence: Confidence
     if not confidence.fitted:
         return taken
     turned = same_after_half_turn(subject.mesh)
-    if not (confidence.is_other_kind or turned):
+    if confidence.misfit <= FITS and not turned:
         return taken
     fits = {taken: confidence}
     for body in mime.bodies:
         fit = fits.get(body) or predicted_body(mime.of_body(body), subject.mesh, subject.axes)[2]
         fits |= {body: fit} if fit.fitted else {}
+    return fitting_body(taken, fits, turned)
+
+
+def fitting_body(taken: str, fits: Mapping[str, Confidence], turned: bool) -> str | None:
+    """Decide which body a mesh has by the fits of several: see `second_look`.
+
+    Args:
+        turned: half a turn leaves the mesh as it is.
+    """
     if turned:
         person = fits.get("human")
-        found = person is not None and person.other_kind < FITS and person.prediction_spread <= TURNED_SPREAD
+        found = person is not None and person.misfit < FITS and person.prediction_spread <= TURNED_SPREAD
         return "human" if found else None
-    for body, fit in fits.items():
-        if body != taken and fit.other_kind < FITS and fit.prediction_spread <= MAX_SPREAD:
-            return body
-    return next((body for body, fit in fits.items() if fit.other_kind <= REJECTION_THRESHOLD), None)
+    agreed_on = [body for body, fit in fits.items() if body == taken or fit.prediction_spread <= MAX_SPREAD]
+    best = min(agreed_on, key=lambda body: fits[body].misfit)
+    return next((body for body in (best, *fits) if fits[body].misfit <= REJECTION_THRESHOLD), None)
 
 
 def same_after_half_turn(mesh: Mesh) -> bool:
@@ -298,49 +312,109 @@ def reorient(
 ) -> Normalization:
     """Return a normalisation with corrected axes, or the same one if no other orientation is clearly better.
 
-    Needed only where axes were detected and the mesh is not recognised in them.
+    Needed only where axes were detected and the mesh is not recognised in them. The most decided prediction wins. Where
+    up is not known, a body is fitted in each orientation in which a prediction stands, and the nearest shape wins:
+    people who sit with folded legs may be as decided upside down. What would be refused as it is must look like the
+    body in another one, as things often fit a little better somewhere.
     """
     if not norm.detected or confidence is None or confidence.recognised:
         return norm
     lowest, detected, chosen = predicted_orientation(mime, mesh, norm, axes)
     # A small gain may be noise of the prediction: the detector's axes are then kept.
-    return norm if lowest > detected - MIN_GAIN else chosen
+    decided = norm if lowest > detected - MIN_GAIN else chosen
+    others = standing_orientations(mime, mesh, norm, axes) if confidence.fitted else []
+    others = [other for other in others if other.up != decided.up]
+    if not others:
+        return decided
+    best = min((decided, *others), key=lambda other: _shape_cost(_fit(mime, mesh, other)))
+    refused = _fit(mime, mesh, decided).misfit > REJECTION_THRESHOLD
+    return decided if refused and _fit(mime, mesh, best).misfit > MAX_OTHER_KIND else _present_or(norm, best)
+
+
+def standing_orientations(mime: Mime, mesh: Mesh, norm: Normalization, axes: UpFront) -> list[Normalization]:
+    """List the orientations, one for each up axis, in which the hips of the most decided prediction are upright.
+
+    Those whose entropy is more than OPEN above the lowest are left out.
+    """
+    best: dict[str, OrientedPrediction] = {}
+    for prediction in oriented_predictions(mime, mesh, norm, axes):
+        up = prediction.norm.up
+        best[up] = min(best.get(up, prediction), prediction, key=lambda other: other.entropy)
+    lowest = min(prediction.entropy for prediction in best.values())
+    return [
+        prediction.norm
+        for prediction in best.values()
+        if prediction.entropy <= lowest + OPEN and axis_name(prediction.hips[:, 1]) == "+y"
+    ]
+
+
+def _fit(mime: Mime, mesh: Mesh, norm: Normalization) -> Confidence:
+    """Fit a body to a mesh in an orientation, in which it faces the front."""
+    facing, _ = facing_front(mime, mesh, norm, known=True)
+    return mime.predict_rig(normalised(mesh, facing))[1]
+
+
+def _shape_cost(fit: Confidence) -> float:
+    """Return the entropy of the weights (nats), larger where the shapes of body and surface differ."""
+    return fit.weight_entropy + SHAPE_WEIGHT * fit.features()["fit_distance"]
+
+
+class OrientedPrediction(NamedTuple):
+    """A prediction of a mesh in one of the 24 orientations along its axes."""
+
+    entropy: float
+    """Mean entropy (nats) of the skinning weights."""
+    norm: Normalization
+    hips: Float[np.ndarray, "3 3"]
+    """Rotation of the hips in it."""
+
+
+def oriented_predictions(mime: Mime, mesh: Mesh, norm: Normalization, axes: UpFront) -> list[OrientedPrediction]:
+    """Predict once in each of the 24 orientations that the axes of the user and the file allow.
+
+    These are 4 where up is known, 1 where front is, too.
+
+    Args:
+        norm: the present normalisation.
+        axes: up and front as the user gave them.
+    """
+    up, front = parse_axis(axes[0], option("up")), parse_axis(axes[1], option("front"))
+    up = norm.up if norm.up_from == "file" else up
+    allowed = [names for names in ORIENTATIONS if up in (None, names[0]) and front in (None, names[1])]
+    predictions = []
+    for names in allowed:
+        candidate = Normalization.fit(mesh, *names)
+        entropy, hips = mime.quick_predict(normalised(mesh, candidate))
+        predictions.append(OrientedPrediction(entropy, candidate, hips))
+    return predictions
 
 
 def predicted_orientation(
     mime: Mime, mesh: Mesh, norm: Normalization, axes: UpFront
 ) -> tuple[float, float, Normalization]:
-    """Find the orientation in which a network's prediction is most decided.
+    """Find the orientation in which a network's prediction is most decided (`oriented_predictions`).
 
-    It predicts once for each of the 24 orientations that the axes of the user and the file allow, 4 where up is known,
-    1 where both are. The one with the lowest entropy of skinning weights wins, and the axes of the hips predicted in
-    it, rounded to the mesh's, are the new up and front.
-
-    Args:
-        norm: the present normalisation.
-        axes: up and front as the user gave them.
+    The one with the lowest entropy of skinning weights wins, and the axes of the hips predicted in it, rounded to the
+    mesh's, are the new up and front.
 
     Returns the lowest entropy (nats), that in the present orientation, and the normalisation with the new axes: the
     present one if they are the same.
     """
-    up, front = parse_axis(axes[0], option("up")), parse_axis(axes[1], option("front"))
-    up = norm.up if norm.up_from == "file" else up
-    allowed = [names for names in ORIENTATIONS if up in (None, names[0]) and front in (None, names[1])]
-    predictions: list[tuple[float, Normalization, Float[np.ndarray, "3 3"]]] = []
-    for names in allowed:
-        candidate = Normalization.fit(mesh, *names)
-        entropy, hips = mime.quick_predict(normalised(mesh, candidate))
-        predictions.append((entropy, candidate, hips))
-    lowest, best, hips = min(predictions, key=lambda prediction: prediction[0])
+    predictions = oriented_predictions(mime, mesh, norm, axes)
+    lowest, best, hips = min(predictions, key=lambda prediction: prediction.entropy)
     # Columns 1 and 2 of the hips' rotation are their up and front; `best.rotation.T` brings them into the mesh's axes.
     names = tuple(axis_name(best.rotation.T @ hips[:, k]) for k in (1, 2))
-    chosen = Normalization.fit(mesh, *names) if names in allowed else best
+    chosen = next((n for _, n, _ in predictions if (n.up, n.front) == names), best)
     present = next(entropy for entropy, n, _ in predictions if (n.up, n.front) == (norm.up, norm.front))
+    return lowest, present, _present_or(norm, chosen)
+
+
+def _present_or(norm: Normalization, chosen: Normalization) -> Normalization:
+    """Return the present normalisation if another one has the same axes, else that one, as an uncertain one."""
     if (chosen.up, chosen.front) == (norm.up, norm.front):
-        return lowest, present, norm
+        return norm
     # A margin of 0 makes the report say that the facing is uncertain.
-    uncertain = dataclasses.replace(chosen, detected=True, margin=0.0, up_from=norm.up_from, shape_up=norm.shape_up)
-    return lowest, present, uncertain
+    return dataclasses.replace(chosen, detected=True, margin=0.0, up_from=norm.up_from, shape_up=norm.shape_up)
 
 
 def predicted_body(mime: Mime, mesh: Mesh, axes: UpFront) -> tuple[Normalization, Rig, Confidence]:

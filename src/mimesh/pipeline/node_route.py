@@ -21,7 +21,7 @@ from .creatures import MatchedCreatures
 from .file_rigs import Rigs
 from .known import Axes
 from .placed import Moved, first_frame, surface_report
-from .report import TransferReport, facing
+from .report import TransferReport, facing, torn_note
 from .result import Timer
 
 
@@ -67,7 +67,7 @@ class NodeRoute:
         facts = {"copied": True} if self.matched is None else {"copied": False, "match": self.matched.facts()}
         report |= {"rig": "own", **facts, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
         notes = () if self.matched is None else self.matched.notes
-        notes += missing_images_notes(missing_images(identity))
+        notes += torn_note(report, identity.name, found=False) + missing_images_notes(missing_images(identity))
         return Moved(moved, None, own, cast(TransferReport, report), notes)
 
     def _animation(self, root: str = "scale") -> OwnAnimation:

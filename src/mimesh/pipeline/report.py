@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Literal, NotRequired, TypedDict
+from typing import Any, Literal, NotRequired, TypedDict
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -20,6 +20,10 @@ MOST_FRAMES, MOST_POINTS = 32, 250_000
 """Largest number of frames, evenly spread, by which a clip is measured, and of vertices in all of them together."""
 MIN_EDGE = 1e-3
 """Share of the mean edge length below which the stretch of an edge is not measured."""
+TORN = 3.0
+"""Factor over the median edge by which a torn edge is longer than at rest."""
+MAX_TORN = 0.01
+"""Largest share of torn surface of a result without a note: see docs/log/mime.md, 2026-11-28."""
 
 
 class MeshReport(TypedDict):
@@ -154,6 +158,8 @@ class TransferReport(TypedDict):
     """Largest factor by which an edge became longer or shorter in any frame; absent for point clouds."""
     edge_stretch_p99: NotRequired[float]
     """The same of 99 % of the edges: a factor."""
+    torn_share: NotRequired[float]
+    """Share of the surface whose edges became more than three times as long, in the worst frame."""
     flipped_share: NotRequired[float]
     """Share of the triangles that face against their neighbours and did not before."""
     acceleration: NotRequired[Accelerations]
@@ -218,21 +224,27 @@ def saved_clip(path: str | Path, *deviations: Deviations) -> SavedClip:
 
 
 def quality(identity: Mesh, moved: LazyFrames) -> dict[str, float]:
-    """Measure the worst edge stretch and share of flipped triangles over all frames; empty for a point cloud."""
+    """Measure edge stretch, and shares of torn surface and flipped triangles, in the worst frame of all.
+
+    Empty for a point cloud.
+    """
     if len(identity.faces) == 0:
         return {}
     identity, moved = merged_mesh(identity, moved.group), moved.distinct
     pairs = edges(identity.faces)
     lengths = edge_lengths(identity.vertices, pairs)
     before = against_neighbours(identity.faces, identity.vertices)
-    stretches, flips = [], []
+    stretches, torn, flips = [], [], []
     # Frame by frame: the edges of a large mesh in all frames would take gigabytes.
     most = max(2, min(MOST_FRAMES, MOST_POINTS // len(identity.vertices)))
     for vertices in moved.at(evenly_spread(len(moved), most)):
-        stretches.append(_largest_stretches(edge_stretch(lengths, edge_lengths(vertices, pairs))))
+        posed = edge_lengths(vertices, pairs)
+        stretches.append(_largest_stretches(edge_stretch(lengths, posed)))
+        torn.append(torn_share(lengths, posed))
         flips.append(flipped_share(identity.faces, before, vertices))
     largest, p99 = np.max(stretches, axis=0)
-    return {"edge_stretch_max": float(largest), "edge_stretch_p99": float(p99), "flipped_share": max(flips)}
+    stretch = {"edge_stretch_max": float(largest), "edge_stretch_p99": float(p99)}
+    return stretch | {"torn_share": max(torn), "flipped_share": max(flips)}
 
 
 def edge_lengths(vertices: Float[np.ndarray, "V 3"], pairs: Int[np.ndarray, "E 2"]) -> Float[np.ndarray, " E"]:
@@ -257,6 +269,41 @@ def edge_stretch(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> 
 def _largest_stretches(stretch: Float[np.ndarray, " S"]) -> tuple[float, float]:
     """Return the largest stretch of a frame and its 99th percentile."""
     return float(stretch.max(initial=1.0)), float(np.quantile(stretch, 0.99)) if stretch.size else 1.0
+
+
+def torn_share(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> float:
+    """Return the share of a surface whose edges are more than TORN times as long as before, over the median edge.
+
+    Edges count by their squared lengths before, as triangles do by their areas: slivers weigh nothing.
+
+    Args:
+        old: lengths of the edges before.
+        new: the same after.
+    """
+    weights = np.square(old)
+    measured = weights > 0
+    if not measured.any():
+        return 0.0
+    ratio = new[measured] / old[measured]
+    return float(weights[measured][ratio > TORN * np.median(ratio)].sum() / weights.sum())
+
+
+def torn_note(report: Mapping[str, Any], name: str, found: bool) -> tuple[str, ...]:
+    """Return a note for the user if much of the result `name` is torn (`quality`).
+
+    Args:
+        report: of the result.
+        name: of the identity.
+        found: joints were found on its surface.
+    """
+    share = report.get("torn_share", 0.0)
+    if share <= MAX_TORN:
+        return ()
+    helps = f": {option('joints', ...)} corrects joints, {option('body', ...)} says what the mesh is" if found else ""
+    return (
+        f"{share:.0%} of the surface of {name} is torn, its edges more than {TORN:g} times as long as at rest, as "
+        f"where limbs are found wrongly; look at the result{helps}",
+    )
 
 
 def flipped_share(

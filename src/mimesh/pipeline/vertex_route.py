@@ -24,7 +24,7 @@ from .look import check_known_body, normalised, trained_on_people, turned_as_ani
 from .marked_mesh import MarkedFrame
 from .placed import SOLE_ERROR, Moved, Placed, first_frame, keyframes_of, surface_report, with_up
 from .refine import Refinement
-from .report import MeshReport, TransferReport, facing
+from .report import MeshReport, TransferReport, facing, torn_note
 from .result import Timer
 from .same_mesh import ReferenceFrame, paired_note
 
@@ -104,7 +104,8 @@ class VertexRoute(Placed):
             moved = LazyFrames.stored(stored)
             report = surface_report(identity, clip, moved, self.facings)
         report |= {} if self.reference is None else {"reference": self.reference.facts()}
-        return Moved(moved, None, None, cast(TransferReport, report), self.all_notes(False))
+        notes = torn_note(report, identity.name, found=False) + self.all_notes(False)
+        return Moved(moved, None, None, cast(TransferReport, report), notes)
 
     def _placed(self, driving: Iterable[Float[np.ndarray, "U 3"]], timer: Timer) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield frames at the identity's place: the first one has its position."""

@@ -55,6 +55,10 @@ compares other figures. The spread of the predictions is not among them: those o
 MAX_OTHER_KIND = 1.1
 """Largest of these of a person or an animal. Of 46 meshes of people of the pool's split val one is above it: a figure
 of blocks that is misread."""
+PERSON_DISTANCE, DISTANCE_WEIGHT = 0.022, 10.0
+"""Mean distance of the surface from the fitted person (metres of the body) from which on a mesh is the less accepted,
+and the weight of its logarithm. Clothes reach 0.036 and noise 0.030, at an `other_kind` below -1.8; people who sit and
+are misread 0.025 to 0.07 (docs/log/mime.md, 2026-11-28). Animals of blocks have up to 0.068."""
 OTHER_KIND_ERROR = 0.15
 """Smallest expected error (heights of the identity) of a mesh above that: what animals and things were given in the fit
 of EXPECTED_ERROR. Their true error is not defined."""
@@ -95,6 +99,8 @@ class Standards:
     """As MAX_ERROR."""
     folded: float = FOLDED
     """As FOLDED."""
+    distance: float = np.inf
+    """As PERSON_DISTANCE."""
 
     @classmethod
     def of(cls, joints: tuple[str, ...]) -> Standards:
@@ -102,7 +108,9 @@ class Standards:
         return QUADRUPED_STANDARDS if anatomy_of_joints(joints) is QUADRUPED else HUMAN_STANDARDS
 
 
-HUMAN_STANDARDS = Standards("a person", HUMAN, MAX_ENTROPY, MIN_SHARE, EXPECTED_ERROR, MAX_ERROR)
+HUMAN_STANDARDS = Standards(
+    "a person", HUMAN, MAX_ENTROPY, MIN_SHARE, EXPECTED_ERROR, MAX_ERROR, distance=PERSON_DISTANCE
+)
 QUADRUPED_STANDARDS = Standards(
     kind="a four-legged animal",
     anatomy=QUADRUPED,
@@ -128,6 +136,8 @@ class Confidence:
     """Share of each limb of the fitted body that is far from the surface; empty without a fit."""
     unmatched_surface: float = 0.0
     """Share of the surface that is far from the fitted body."""
+    surface_distance: float = 0.0
+    """Mean distance of the surface from the fitted body (metres of the body)."""
     fit_distance: float | None = None
     """Mismatch of the shapes of fitted body and surface (metres of the body); None without a fit."""
     fit_angle: float = 0.0
@@ -186,6 +196,15 @@ class Confidence:
         """Logarithm of the odds that the mesh is of another kind than the body that was looked for; needs a fit."""
         features = self.features()
         return OTHER_KIND["constant"] + sum(OTHER_KIND[name] * features[name] for name in ("entropy", "fit_distance"))
+
+    @property
+    def misfit(self) -> float:
+        """Measure by which a mesh is refused: `other_kind`, and more where the surface is away from the fitted body.
+
+        People who sit are read upside down or folded by predictions that agree; the body then covers less of them.
+        """
+        away = max(self.surface_distance / self.standards.distance, 1.0)
+        return self.other_kind + DISTANCE_WEIGHT * float(np.log(away))
 
     @property
     def is_other_kind(self) -> bool:
