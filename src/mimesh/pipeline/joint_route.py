@@ -36,6 +36,7 @@ from .file_rigs import Rigs, heading_note, read_rigs
 from .known import Known
 from .look import (
     OTHER,
+    REJECTION_THRESHOLD,
     Look,
     Subject,
     agreed,
@@ -360,11 +361,14 @@ def found_alone(
     if asked != "auto" or subject.body is not None:
         return seen, found, norm
     kind = second_look(mime, seen.body, subject, found.confidence)
-    if kind is None:
-        raise RefusedMeshError(different_kinds([None, None], (subject, subject)))
-    if kind != seen.body:
+    if kind is not None and kind != seen.body:
         seen = look(mime, subject, kind)
         found, norm = find(mime.of_body(kind), seen)
+        # The second look fits it as it stands; found are the joints of what faces the front.
+        fit = found.confidence
+        kind = None if fit is not None and fit.fitted and fit.misfit > REJECTION_THRESHOLD else kind
+    if kind is None:
+        raise RefusedMeshError(different_kinds([None, None], (subject, subject)))
     return seen, found, norm
 
 
