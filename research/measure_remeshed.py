@@ -22,7 +22,6 @@ import trimesh
 from jaxtyping import Float
 from scipy import ndimage
 from skimage.measure import marching_cubes
-from tqdm import tqdm
 
 from mimesh import InputError, Mesh, rig, save_mesh
 from mimesh.evaluate.rigs import COMPARED, ListedRig, RigTrial, rigs
@@ -51,14 +50,14 @@ def main() -> None:
         for i in np.linspace(0, protocol.count("people", split=split) - 1, count)
     ]
     rows = []
-    for split, i in tqdm(chosen, unit="character"):
+    for split, i in chosen:
         trial = protocol.pair(split, "people", i)
         mesh, facts = remeshed(trial.identity, rng)
         if args.files:
             args.files.mkdir(parents=True, exist_ok=True)
             save_mesh(mesh, args.files / f"{mesh.name}.ply")
         rows.append({"file": mesh.name, "split": split} | facts | measured(trial, mesh))
-        tqdm.write(json.dumps(rows[-1]))
+        print(json.dumps(rows[-1]), flush=True)
     report = {"provenance": provenance({"counts": COUNTS, "seed": 7}), "characters": rows}
     with whole_file(args.output) as temporary:
         temporary.write_text(json.dumps(report, indent=1) + "\n")
