@@ -164,6 +164,7 @@ class Mime:
             legs=self.legs,
             leg=leg_length(rig.joints, self.legs),
             soles=find_soles(points, rig, self.legs, self.parents, self.arms),
+            faces=ranked.group[mesh.faces],
             arms=self.arms,
             confidence=_without_shares(confidence, mesh),
         )
@@ -185,6 +186,7 @@ class Mime:
             surface=found.samples,
             soles=found.soles,
             ankles=tuple(self.joints[leg[-1]] for leg in self.legs),
+            skin=(found.points, found.consensus),
             confidence=_without_shares(found.confidence, keyframes.mesh),
             keyframes=keyframes,
             found=found,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -26,8 +27,10 @@ from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
 from ..core.soles import Feet, SolePoints, Soles, find_soles, floor_height, sole_height
 from ..core.surface_points import SurfacePoints, generator
+from .body_grid import BodyGrid
 from .character import Character, LinkedJoints, RestPose
 from .confidence import Confidence
+from .contacts import Contacts
 
 Pose = tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]
 """World rotation and position of every joint."""
@@ -66,6 +69,8 @@ class JointMotion:
     """The joints at rest, where the file has them."""
     rest_floor: float | None = None
     """Height of the soles at rest, where the file has a rig whose hips move."""
+    skin: tuple[Float[np.ndarray, "S 3"], Rig] | None = None
+    """Points of the surface in some pose, and the joints in it with their weights; None: the file has no weights."""
     confidence: Confidence | None = None
     """How certainly the joints were found; None: they are those of a file."""
 
@@ -76,6 +81,7 @@ class JointMotion:
         track = JointTrack(norm.rotation @ motion.rotation, positions, fps)
         surface = SurfacePoints.of(mesh, SOLE_SAMPLES, generator(seed, 1))
         soles: Soles = ()
+        skin = None
         ankles: tuple[str, ...] = ()
         floor = None
         if motion.weights is not None:
@@ -88,10 +94,19 @@ class JointMotion:
             )
             ankles = tuple(motion.joints[leg[-1]] if leg else "" for leg in legs)
             rig = Rig(track.rotation[0], track.positions[0], weights)
-            soles = find_soles(surface.points(mesh.vertices), rig, legs, body_parents(motion.joints), arms)
+            skin = surface.points(mesh.vertices), rig
+            soles = find_soles(*skin, legs, body_parents(motion.joints), arms)
             if motion.rest_vertices is not None and has_path(motion.positions[:, 0], motion.leg):
                 floor = sole_height(surface.points(norm.apply(motion.rest_vertices)), soles, len(legs))
-        return cls(motion.joints, None, motion.leg / norm.radius, surface, soles, ankles, track, motion.rest, floor)
+        leg = motion.leg / norm.radius
+        return cls(motion.joints, None, leg, surface, soles, ankles, track, motion.rest, floor, skin)
+
+    @property
+    def grid(self) -> BodyGrid | None:
+        """Points on the surface that correspond to those of other people."""
+        if self.skin is None or body_of_joints(self.joints) != "human":
+            return None
+        return BodyGrid.of_pose(*self.skin, self.joints, body_parents(self.joints))
 
     def floor(self, lowest: float) -> float:
         """Return the height of the floor; `lowest` is that of the clip's planted soles, or of its lowest ones."""
@@ -180,7 +195,16 @@ class Retarget:
         """Contact points of the driving, if both have feet."""
         return None if self.feet is None else self.feet.driving
 
-    def posed_joints(self, track: JointTrack, across: float | None, in_place: bool, ground: bool) -> PosedJoints:
+    @cached_property
+    def contacts(self) -> Contacts | None:
+        """What keeps contacts of arms with the own body; None for animals, and where joints or surfaces lack."""
+        driving = self.motion.grid
+        identity = None if driving is None else self.character.grid
+        return Contacts.of(driving, identity, self.character.skinned, self.character.arms)
+
+    def posed_joints(
+        self, track: JointTrack, across: float | None, in_place: bool, ground: bool, contacts: bool
+    ) -> PosedJoints:
         """Return the motion of the character's joints.
 
         Args:
@@ -189,14 +213,15 @@ class Retarget:
                 then; None is `stride`.
             in_place: no displacement over the ground.
             ground: correct root path and legs so that soles stand where the driving's do.
+            contacts: correct arms so that hands touch the own body where the driving's do.
         """
         scale = (self.stride if across is None else across, self.stride)
         rotation = self.links.rotations(track.rotation, track.positions)
         posed = PosedJoints(rotation, root_path(track, *scale, in_place))
-        if not ground or self.feet is None:
-            return posed
-        # In place, feet slide as they should: only heights are corrected.
-        return plant_feet(posed, track, self.character.skinned, self.feet, scale, across is None, not in_place)
+        if ground and self.feet is not None:
+            # In place, feet slide as they should: only heights are corrected.
+            posed = plant_feet(posed, track, self.character.skinned, self.feet, scale, across is None, not in_place)
+        return self.contacts.kept(posed, track) if contacts and self.contacts is not None else posed
 
     def lift(self, posed: PosedJoints, track: JointTrack) -> float | None:
         """Return how far up a motion of the character's joints must go to stand on the floor that the character is on.
@@ -220,7 +245,7 @@ class Retarget:
         known = self.motion.track
         motion = self.motion if known is None else replace(self.motion, track=known.at(chosen, fps))
         track = motion.over(Clip(clip.mesh, clip.vertices[chosen], fps), norm, self.driving_soles)
-        return self.lift(self.posed_joints(track, None, False, False), track)
+        return self.lift(self.posed_joints(track, None, False, False, False), track)
 
     def standing(self, track: JointTrack) -> JointTrack:
         """Put the lowest sole of a driving without a path on the floor in every frame; others stay as they are."""
