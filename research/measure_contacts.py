@@ -13,6 +13,7 @@ head or legs. Lengths are in centimetres of a person whose arm has 53 cm, as it 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import tempfile
 from dataclasses import dataclass
@@ -21,12 +22,13 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from retargets import FPS, choose_characters, write_pool
+from retargets import FPS, body_limbs, choose_characters, write_pool
 from scipy.spatial import KDTree
 
 from mimesh.bodies import load_body
 from mimesh.bodies.character_limbs import SIDES
-from mimesh.bodies.character_pool import PoolCharacter, read_pool
+from mimesh.bodies.character_pool import CharacterMeta, PoolCharacter, read_pool
+from mimesh.bodies.contacts import contact_bank
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.commands.terminal import progress
 from mimesh.core.geometry import slerp
@@ -51,22 +53,24 @@ EVERYDAY: dict[str, list[tuple[float, float, float]]] = {
     "on thighs": [(0.18, -0.35, -0.26), (0.4, -0.45, -1.05), (0.42, -0.41, -0.05), (0.37, 0.07, -0.17)],
     "on knees": [(0.03, -0.35, -0.18), (0.26, -0.5, -0.79), (0.47, -0.84, 0.09), (0.44, 0.1, 0.03)],
     "on head": [(-0.18, 0.35, 0.47), (-1.17, -0.73, -0.22), (-0.29, -2.34, 0.18), (0.35, -0.18, 0.15)],
-    "arms folded": [(-0.06, -0.35, -0.26), (0.16, -1.53, -1.66), (0.22, -1.02, -0.18), (0.01, 0.04, 0.02)],
+    "arms folded": [(0.18, 0.22, -0.16), (1.01, -0.78, -1.19), (0.73, -1.96, -0.09), (0.38, 0.04, 0.82)],
     "clap": [(-0.01, -0.22, -0.26), (-0.12, -1.1, -0.68), (-0.17, -0.91, 0.07), (-0.13, 0.08, 0.36)],
 }
 """Rotation vectors (radians) of the joints ARM of the left arm, of the right arm mirrored: a face of the palm of the
 shipped body is on a face of the part (`bodies.contacts`)."""
 SEATED = {"UpLeg": (-1.4, 0.0, 0.0), "Leg": (1.5, 0.0, 0.0)}
 """Legs of those with their hands on their knees."""
-FRAMES = 16
-"""Of an everyday contact, from arms that hang to the contact in the last frame."""
+FRAMES, HELD = 16, 8
+"""Frames of an everyday contact, from arms that hang to the contact, and those in which it is held."""
 SAMPLES, HAND_SAMPLES = 16000, 4000
 TOUCHES, SURFACE = 2.0, 0.5
 """Centimetres: distance of a hand that touches; depth from which on a point is inside."""
 ARM_CM = 53.0
+BANK, SHAPES = 200, 3
+"""People of the shipped body among which the thinnest and the fattest are chosen, and how many of each."""
 LEVELS = 3
 """Parts of a trunk, one above the other."""
-GIRTHS = {"thin": (0.0, 0.45), "medium": (0.45, 0.7), "fat": (0.7, np.inf)}
+GIRTHS = {"thin": (0.0, 0.45), "medium": (0.45, 0.58), "fat": (0.58, np.inf)}
 """Girth of the trunk at half its height over the height of the person."""
 
 
@@ -104,6 +108,8 @@ class Person:
             upper, fore, wrist = (places[f"{side}{name}"] for name in ("Arm", "ForeArm", "Hand"))
             prop = np.linalg.norm(points - wrist, axis=1) > np.linalg.norm(wrist - fore)
             part[(part == f"{side}Hand") & prop] = ""
+            if not (part == f"{side}Hand").any():  # forearms of blocks end in hands
+                part[(part == f"{side}ForeArm") & ((points - fore) @ (wrist - fore) > 0.75 * np.sum((wrist - fore) ** 2))] = f"{side}Hand"
             arm += (np.linalg.norm(fore - upper) + np.linalg.norm(wrist - fore)) / 2
         return cls(surface, part.astype(str), float(arm) / ARM_CM)
 
@@ -142,12 +148,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pool", type=Path)
     parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/contacts.json"))
-    parser.add_argument("--characters", type=int, default=24)
+    parser.add_argument("--characters", type=int, default=18)
     parser.add_argument("--clips", type=int, default=4)
     args = parser.parse_args()
     pool = [character for split in ("train", "val") for character in read_pool(args.pool, split).characters]
     pool = [c for c in pool if {f"{s}{name}" for s in SIDES for name in ("Arm", "ForeArm", "Hand")} <= c.joints.keys()]
-    chosen, rows = choose_characters(tuple(pool), args.characters), []
+    chosen, rows = choose_characters(tuple(pool), args.characters) + shaped_people(SHAPES), []
     drivings: list[tuple[str, str, Clip, Person]] = [("everyday", *everyday) for everyday in everyday_clips()]
     with tempfile.TemporaryDirectory() as folder, progress("characters", quiet=False) as advance:
         players = choose_characters(tuple(c for c in pool if c.clips), 6)
@@ -169,6 +175,24 @@ def main() -> None:
     print(json.dumps(report["results"], indent=1))
 
 
+def shaped_people(count: int) -> list[PoolCharacter]:
+    """Return the thinnest and the fattest shapes among people of the shipped body (`bodies.contacts`), as many each."""
+    body, rig = load_body(), body_limbs().character
+    found = []
+    for k, shape in enumerate(contact_bank()[0][:BANK]):
+        points, joints = body.shaped(shape)
+        frames = rig.T_world_joint.copy()
+        frames[:, :3, 3] = joints
+        mesh, points = body.mesh(points), np.broadcast_to(points[:, None], rig.points.shape)
+        meta = CharacterMeta(f"body_{k}", "shipped body", "", "", "realistic", "humanoid", "train", "+z", "")
+        own = dataclasses.replace(rig, mesh=mesh, T_world_joint=frames, points=points)
+        places = {name: j for j, name in enumerate(body.joint_names)}
+        found.append(PoolCharacter(meta, own, places, {}, {}, body.parents, np.arange(len(body.parents))))
+    found.sort(key=lambda character: girth(character, person_of(character)))
+    every = 4  # neighbours in this order are alike
+    return found[: every * count : every] + found[: -every * count - 1 : -every]
+
+
 def everyday_clips() -> list[tuple[str, Clip, Person]]:
     """Make the everyday contacts of the shipped body, at 30 frames a second."""
     body = load_body()
@@ -185,8 +209,8 @@ def everyday_clips() -> list[tuple[str, Clip, Person]]:
                 for joint, vector in SEATED.items():
                     poses[:, body.joint(f"{side}{joint}")] = vector
         start, stop = rotvec_to_rotmat(poses)
-        rotation = np.stack([slerp(start, stop, np.array([t])) for t in np.linspace(0, 1, FRAMES)])
-        made.append((name, played(Motion(name, body.joint_names, rotation, np.zeros((FRAMES, 3)), FPS), "+z"), person))
+        rotation = np.stack([slerp(start, stop, np.array([t])) for t in np.minimum(np.arange(FRAMES + HELD) / FRAMES, 1)])
+        made.append((name, played(Motion(name, body.joint_names, rotation, np.zeros((len(rotation), 3)), FPS), "+z"), person))
     return made
 
 
@@ -216,11 +240,13 @@ def measure_pair(
     mine = person_of(character)
     row: dict[str, Any] = {"identity": character.meta.file, "pack": character.meta.pack, "driving": name}
     row |= {"everyday": maker == "everyday", "girth": round(girth(character, mine), 3)}
-    frames = [FRAMES - 1] if row["everyday"] else np.linspace(0, len(clip) - 1, 6).round().astype(int).tolist()
+    frames = [FRAMES + HELD - 1] if row["everyday"] else np.linspace(0, len(clip) - 1, 6).round().astype(int).tolist()
     driving = [theirs.posed(np.asarray(clip.vertices[t], float)) for t in frames]
     distances = [posed.distances(side) for posed in driving for side in SIDES]
     touched = [{part: (apart < TOUCHES).mean() for part, apart in of.items() if apart[0] < TOUCHES} for of in distances]
     row["touches"] = sum(map(len, touched))
+    near = [of[part][: max(1, round(share * len(of[part])))].mean() for parts, of in zip(touched, distances, strict=True) for part, share in parts.items()]
+    row["contact driving"] = float(np.mean(near)) if near else None
     row["penetration driving"] = float(np.mean([posed.penetration() for posed in driving]))
     for label, contacts in (("copied", False), ("ours", True)):
         moved = animate(mesh, clip, motion=MotionOptions(contacts=contacts))

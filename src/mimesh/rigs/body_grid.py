@@ -38,6 +38,9 @@ HEAD_TOP, FINGERTIPS = 1.2, 0.7
 """Where the line of a head ends: median height of its surface over the joint times this (hair and ears are above it).
 Where that of a hand does: share of the length of the hand."""
 
+END_OF_FOREARM = 0.75
+"""Share of its length from which on a forearm is the hand, where no joint of a hand moves a surface."""
+
 
 @dataclass(frozen=True, eq=False)
 class BodyGrid:
@@ -90,9 +93,8 @@ class BodyGrid:
         parts, found, count = {}, [], 0
         for part in PARTS:
             rows = np.flatnonzero(part_of == part)
-            if part.endswith("Hand"):  # a hand is shorter than its forearm; what is farther away is a prop in it
-                wrist, elbow = place[part], place[part.replace("Hand", "ForeArm")]
-                rows = rows[np.linalg.norm(points[rows] - wrist, axis=1) < np.linalg.norm(wrist - elbow)]
+            if part.endswith("Hand"):
+                rows = _of_hand(points, rows, np.flatnonzero(part_of == part.replace("Hand", "ForeArm")), place, part)
             line = _line(part, place, points[rows]) if len(rows) >= FEWEST else None
             if line is not None:
                 found.append(_rings(part, line, points[rows], weights[rows]))
@@ -143,6 +145,22 @@ def part_of_joint(name: str) -> str:
     if side and own in ("Foot", "ToeBase"):
         return ""
     return f"{side}{own}" if own in ROWS and side else "Trunk"
+
+
+def _of_hand(
+    points: Float[np.ndarray, "N 3"],
+    hand: Int[np.ndarray, " H"],
+    forearm: Int[np.ndarray, " F"],
+    place: dict[str, np.ndarray],
+    part: str,
+) -> Int[np.ndarray, " P"]:
+    """Select the samples of a hand: not of a prop in it; of blocks whose forearms end in hands the end."""
+    wrist, elbow = place[part], place[part.replace("Hand", "ForeArm")]
+    length = np.linalg.norm(wrist - elbow)
+    if len(hand) < FEWEST:
+        along = (points[forearm] - elbow) @ (wrist - elbow) / length**2
+        hand = forearm[along > END_OF_FOREARM]
+    return hand[np.linalg.norm(points[hand] - wrist, axis=1) < length]  # a hand is shorter than its forearm
 
 
 def _line(part: str, place: dict[str, np.ndarray], surface: Float[np.ndarray, "N 3"]) -> Line | None:
