@@ -16,7 +16,7 @@ from mimesh.bodies.character_pool import FACING, facing_rotation
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
-from mimesh.io.gltf.character import animal_facing
+from mimesh.motions.animal_rig import animal_facing
 
 SHAPES = (None, 0, 1, 2)
 OF_TRUNK = {"Spine1", "Spine2", "Spine3", "Spine4", "Chest"}

@@ -344,3 +344,8 @@ def test_worst_pairs_are_drawn(tmp_path):
     (path,) = dump_worst(HUMAN_NPT, "val", "seen", "copy", {}, [{"pmd_e4": 5.0}, {}], tmp_path / "worst")
     assert path.name == "copy-seen-1.png"
     assert path.stat().st_size > 10_000
+
+
+def test_results_without_an_error_are_drawn_too(tmp_path):
+    evaluate_command("human-npt", ["truth"], pairs=1, dump=tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["truth-seen-1.png", "truth-unseen-1.png"]

@@ -66,6 +66,28 @@ def test_moved_integer_points_become_floats(tmp_path):
     np.testing.assert_array_equal(load_mesh(tmp_path / "b.npz").vertices, moved)
 
 
+def test_people_seen_in_images_stand_where_the_camera_sees_them(tmp_path):
+    cube = zoo.cube()
+    seen = np.stack([cube.vertices, cube.vertices + [0, 0.5, 0]]).astype(np.float32)
+    offset = np.array([[0.25, 1.0, 4.0], [0.5, 1.0, 4.0]], np.float32)
+    for name, k in (("clip", slice(None)), ("frames/0", 0), ("frames/1", 1)):
+        (tmp_path / "frames").mkdir(exist_ok=True)
+        np.savez(tmp_path / f"{name}.npz", pred_vertices=seen[k], pred_cam_t=offset[k], faces=cube.faces)
+    for clip in (load_clip(tmp_path / "clip.npz"), load_clip(tmp_path / "frames")):
+        np.testing.assert_allclose(clip.vertices, seen + offset[:, None], atol=1e-6)
+        assert clip.mesh.up == "-y"
+    mesh = load_mesh(tmp_path / "frames/1.npz")
+    save_mesh(mesh.with_vertices(mesh.vertices + 1), tmp_path / "moved.npz")
+    with np.load(tmp_path / "moved.npz") as moved:
+        np.testing.assert_allclose(moved["pred_vertices"], seen[1] + 1, atol=1e-6)
+    np.savez(tmp_path / "a.npz", pred_vertices=seen)
+    with pytest.raises(InputError, match=r"expected faces beside 'pred_vertices', found none; save them, too"):
+        load_clip(tmp_path / "a.npz")
+    np.savez(tmp_path / "b.npz", pred_vertices=seen, pred_cam_t=offset[0], faces=cube.faces)
+    with pytest.raises(InputError, match=r"'pred_cam_t' to be numbers of shape \(2, 3\), found float32 \(3,\)"):
+        load_clip(tmp_path / "b.npz")
+
+
 def test_pickled_arrays_are_never_loaded(tmp_path):
     np.savez(tmp_path / "a.npz", vertices=np.array([[0, 0, None]], dtype=object))
     with pytest.raises(InputError, match="expected a NumPy archive of plain arrays"):
@@ -75,7 +97,10 @@ def test_pickled_arrays_are_never_loaded(tmp_path):
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
-        ({"positions": np.zeros((3, 3))}, "expected an array called vertices, v, verts, points, found 'positions'"),
+        (
+            {"positions": np.zeros((3, 3))},
+            "expected an array called vertices, v, verts, points, pred_vertices, found 'positions'",
+        ),
         ({"vertices": np.zeros((3, 4))}, r"found float64 \(3, 4\)"),
         ({"vertices": np.zeros((3, 3), complex)}, r"found complex128 \(3, 3\)"),
         ({"vertices": np.eye(3), "faces": np.eye(3)}, r"expected faces to be whole numbers .* found float64 \(3, 3\)"),

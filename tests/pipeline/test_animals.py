@@ -24,6 +24,7 @@ from mimesh.evaluate.pairs import Pair
 from mimesh.evaluate.protocols import PROTOCOLS, QUADRUPED
 from mimesh.io import load_clip
 from mimesh.motions.animal_clips import gait_clip
+from mimesh.tools.inspect import inspect_file
 
 pytestmark = pytest.mark.usefixtures("kept")
 OTHER = proportioned(
@@ -34,6 +35,7 @@ OTHER = proportioned(
 )
 """A smaller animal whose bones have the directions of the shipped quadruped's and other lengths: poses are exact."""
 FRAMES = 4
+LEG_BONES = [name for name in bones() if name.startswith(("Left", "Right")) and name not in FEET]
 
 
 def other(kept=None, detached=()) -> Animal:
@@ -292,17 +294,16 @@ def test_a_person_and_an_animal_without_rigs_are_refused():
         mimesh.transfer(person, surfaces(0).driving, hints=mimesh.Hints(up="+y", driving_up="+y"))
 
 
-def test_an_animal_in_a_bvh_is_refused_with_the_format_that_works(tmp_path, capsys):
-    cow, walk = other().write(tmp_path / "cow.glb"), tmp_path / "walk.bvh"
-    joints = "".join(
-        f"JOINT {name} {{ OFFSET {x} 0 {z} CHANNELS 3 Zrotation Xrotation Yrotation End Site {{ OFFSET 0 -1 0 }} }}\n"
-        for name, x, z in (("FrontLeg.L", 1, 1), ("FrontLeg.R", -1, 1), ("BackLeg.L", 1, -1), ("BackLeg.R", -1, -1))
-    )
-    channels = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
-    head = f"HIERARCHY\nROOT Body {{ OFFSET 0 0 0 {channels}\n{joints}}}\nMOTION\nFrames: 1\nFrame Time: 0.03\n"
-    walk.write_text(head + " ".join(["0"] * 18) + "\n")
-    assert run(["animate", str(cow), str(walk)]) == 2
-    assert "give an animal or another creature as .glb, with its mesh" in capsys.readouterr().err
+@pytest.mark.parametrize("suffix", [".bvh", ".glb"])
+def test_joints_of_an_animal_alone_move_another_animal(tmp_path, suffix):
+    walk = dance(LEG_BONES)
+    driving = animal().write(tmp_path / "cat.glb", {"walk": walk})
+    joints = mimesh.capture(driving).save(tmp_path / f"walk{suffix}")
+    result = mimesh.animate(other().write(tmp_path / "cow.glb"), joints)
+    assert result.report["body"] == "quadruped"
+    assert not any("people" in note for note in result.notes)
+    assert errors(result, other(), walk).max() < 0.02
+    assert "of a four-legged animal" in dict(inspect_file(joints).details)["motion"]
 
 
 @pytest.mark.slow

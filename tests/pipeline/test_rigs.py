@@ -128,6 +128,22 @@ def test_mirroring_nodes_that_the_bind_pose_does_not_have_are_taken_back(scale, 
     assert deviation(load_clip(tmp_path / "out.glb").vertices, truth(person)) < EXACT
 
 
+def test_rigs_below_mirroring_nodes_are_kept_and_move_as_they_are_seen(model, driving, tmp_path):
+    """The mirror image of an identity in the mirror image of a motion is that of the result; left is where it is."""
+    person, flip = rigs.figure(), np.array([-1.0, 1.0, 1.0])
+    clips = {"move": rigs.exercise(person)}
+    seen = rigs.character(tmp_path / "seen.glb", clips=clips, change=rigs.mirror)
+    identity = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"), frames=3, change=rigs.mirror)
+    both = animate(str(identity), str(seen), model)
+    assert both.own is not None
+    assert deviation(both.clip.vertices, truth(person) * flip) < EXACT
+    both.save_skinned(tmp_path / "out.glb")
+    assert deviation(load_clip(tmp_path / "out.glb").vertices, truth(person) * flip) < EXACT
+    plain = rigs.character(tmp_path / "b.glb", name=renamed("mixamo"), frames=3)
+    mirrored = animate(str(identity), str(driving), model).clip.vertices
+    assert deviation(mirrored, animate(str(plain), str(seen), model).clip.vertices * flip) < EXACT
+
+
 def test_limbs_of_one_joint_point_where_the_drivings_limbs_do(model, driving, tmp_path):
     person = rigs.changed(rigs.figure(), "one joint a limb")
     path = rigs.character(tmp_path / "blocks.glb", person=person, name=renamed("kaykit"))

@@ -85,8 +85,7 @@ def test_below_a_mirroring_node_the_surface_stays_right_side_out(skinned, model,
     else:
         save_mesh(person(0), tmp_path / "a.glb")
     draft = AccessorCopier(open_document(tmp_path / "a.glb"), whole=True).draft
-    draft.gltf["nodes"].append({"scale": [-1, 1, 1], "children": draft.gltf["scenes"][0]["nodes"]})
-    draft.gltf["scenes"][0]["nodes"] = [len(draft.gltf["nodes"]) - 1]
+    rigs.mirror(draft)
     draft.save(tmp_path / "mirrored.glb")
     mesh = load_mesh(tmp_path / "mirrored.glb")
     expected = volume(mesh, mesh.vertices)

@@ -9,7 +9,7 @@ from people import person, walk
 from vrm_files import vrm
 from waiting import finished, wait_until
 
-from mimesh import Hints, animate, capture, load_clip, rig, save_clip, save_mesh
+from mimesh import Hints, MotionOptions, animate, capture, load_clip, rig, save_clip, save_mesh
 from mimesh.bodies.engine_rig import Layout
 from mimesh.io.gltf.vrm import PUBLIC_LICENSE
 from mimesh.studio import make_session
@@ -56,6 +56,20 @@ def test_bones_are_named_and_arranged_as_by_animate(moved, tmp_path):
     bones = exported(session, ".vrma")
     assert bones.path.name == "hero-walk.vrma"
     assert bones.path.read_bytes() == result.save(tmp_path / "expected.vrma").read_bytes()
+
+
+@pytest.mark.slow
+def test_files_have_as_many_weights_a_vertex_as_asked(moved, visit, tmp_path):
+    (session, files), expected = moved, tmp_path / "expected.glb"
+    client, wanted = visit(session), {"suffix": ".glb", "skinned": True, "influences": 8}
+    assert client.post("/api/exports", json=wanted | {"influences": 6}).status_code == 422
+    animate(*files, motion=MotionOptions(influences=8)).save_skinned(expected)
+    for order, content in (
+        (wanted, expected.read_bytes()),
+        ({"what": "rig", "influences": 8}, rig(files[0]).save(tmp_path / "rig.glb", influences=8).read_bytes()),
+    ):
+        assert downloaded(client, **order)[1] == content
+        assert b"JOINTS_1" in content
 
 
 @pytest.mark.slow
@@ -169,6 +183,7 @@ def test_messages_name_fields_of_the_page(tmp_path):
         (".vrma", {"layout": Layout("unreal")}, "bone names, root bone, rest pose: expected a .glb or .gltf"),
         (".pc2", {"skinned": True}, ".pc2: expected .glb, .gltf or .fbx for bones"),
         (".glb", {"layout": Layout(root_bone=True)}, "expected with bones, found without"),
+        (".glb", {"influences": 8}, "expected with bones, found without"),
         (".fbx", {"blendshapes": 3}, ".fbx: expected .glb or .gltf for blend shapes"),
     ],
 )

@@ -13,8 +13,9 @@ from matrix import matrix
 from people import person, walk
 from waiting import finished, wait_until
 
-from mimesh import InputError, animate, save_clip, save_mesh, transfer
+from mimesh import Hints, InputError, Mesh, animate, save_clip, save_mesh, transfer
 from mimesh.bodies.animals import animal
+from mimesh.core.mesh import Part
 from mimesh.motions.animal_clips import gait_clip
 from mimesh.studio import make_session
 from mimesh.studio.exports import Order
@@ -86,6 +87,31 @@ def test_the_body_is_found_or_given(tmp_path):
     session.set_options({"model": "copy", "body": "quadruped"})
     assert finished(session).outcome.current, "models without bodies ignore the option"
     assert describe(session)["identities"][0]["outcome"]["body"] == ""
+    session.close()
+
+
+def test_parts_are_chosen_of_both_meshes(files, model, tmp_path):
+    two = person(0), person(2, 1)
+    starts = np.cumsum([0, *(len(mesh.faces) for mesh in two)])
+    vertices = np.concatenate([two[0].vertices, two[1].vertices + [3.0, 0, 0]])
+    faces = np.concatenate([two[0].faces, two[1].faces + len(two[0].vertices)])
+    parts = tuple(Part(name, *map(int, starts[k : k + 2])) for k, name in enumerate(("hero", "twin")))
+    save_mesh(Mesh(vertices, faces, "scene", parts=parts), tmp_path / "scene.obj")
+    session = make_session([tmp_path / "scene.obj", tmp_path / "scene.obj"], 2**20, model)
+    finished(session)
+    assert describe(session)["identities"][0]["parts"] == describe(session)["driving"]["parts"] == ("hero", "twin")
+    session.set_item(only_item(session).number, {"part": "hero"})
+    driving = describe(session)["driving"]["number"]
+    session.set_item(driving, {"part": "twin"})
+    moved = finished(session).outcome.result.clip.vertices[0]
+    hints = Hints(part="hero", driving_part="twin")
+    expected = transfer(tmp_path / "scene.obj", tmp_path / "scene.obj", model, hints=hints)
+    np.testing.assert_array_equal(moved, expected.vertices)
+    hero = len(two[0].vertices)
+    np.testing.assert_allclose(moved[hero:], vertices[hero:], atol=1e-5)
+    assert np.abs(moved[:hero] - vertices[:hero]).max() > 0.05
+    with pytest.raises(InputError, match="expected one of its parts, found 'dog'"):
+        session.set_item(driving, {"part": "dog"})
     session.close()
 
 

@@ -327,3 +327,9 @@ def _properties(matrix: np.ndarray) -> dict[str, list[float]]:
     scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
     rotation = Rotation.from_matrix(matrix[:3, :3] / scale).as_quat()
     return {"translation": matrix[:3, 3].tolist(), "rotation": rotation.tolist(), "scale": [scale] * 3}
+
+
+def mirror(draft: Draft) -> None:
+    """Put the scene below a node that mirrors it at x = 0."""
+    draft.gltf["nodes"].append({"scale": [-1, 1, 1], "children": draft.gltf["scenes"][0]["nodes"]})
+    draft.gltf["scenes"][0]["nodes"] = [len(draft.gltf["nodes"]) - 1]

@@ -108,6 +108,8 @@ export class ExportForm {
     this.names = field(details, "Bone names", choice([], again), "Names and hierarchy of the bones that another program expects");
     this.rest = field(details, "Rest pose", choice(Object.entries(RESTS), again), "Pose that the skeleton is bound in; bones of the file keep theirs");
     this.root = field(details, "Root bone", checkbox(again), "Add a bone on the ground above all others, which has the way over it");
+    const weights = choice([["", "4, of all engines"], ["8", "8"]], again);
+    this.influences = field(details, "Weights per vertex", weights, "Largest number of bones that move a vertex; bones of the file keep theirs");
     const fps = make("input", "", { type: "number", min: 1, max: 1000, step: "any" });
     this.fps = field(details, "Frames per second", fps, "Frame rate of the file, sampled from that of the driving motion");
     this.details = details.closest("details");
@@ -127,6 +129,7 @@ export class ExportForm {
       names: given(this.names, this.names.value),
       rest: given(this.rest, this.rest.value),
       root_bone: given(this.root, this.root.checked),
+      influences: number(this.influences),
       fps: number(this.fps),
       author: given(this.author, this.author.value),
       license: given(this.license, this.license.value),
@@ -166,6 +169,7 @@ export class ExportForm {
     const bones = what === "rig" || format.bones || (this.skinned.checked && !this.skinned.disabled);
     setEnabled(this.shapes, moving && format.shapes && !bones, "Only for clips as .glb or .gltf, without bones.");
     for (const control of [this.names, this.rest, this.root]) setEnabled(control, bones && format.joints, "Only with bones, in .glb, .gltf and .fbx.");
+    setEnabled(this.influences, bones && format.joints && format.suffix !== ".vrm", "Only with bones, in .glb, .gltf and .fbx.");
     setEnabled(this.fps, bones && moving, "Only with bones, for clips.");
   }
 

@@ -76,16 +76,17 @@ function showProgress(bar, { state, outcome, uploading }) {
   else bar.value = done;
 }
 
-/** Add fields for the facing of a mesh, and for animation and frame rate of a clip; returns what shows their state. */
+/** Add fields for facing and part of a mesh, animation and frame rate of a clip; returns what shows their state. */
 function addFacing(row, mesh, act) {
   const box = row.appendChild(make("details", ""));
-  const summary = box.appendChild(make("summary", "", { title: "Correct which way the mesh faces" }));
+  const summary = box.appendChild(make("summary", "", { title: "Correct which way the mesh faces, and choose what of it is meant" }));
   const grid = box.appendChild(make("div", "fields"));
   const change = (name) => (value) => act.change(mesh.number, { [name]: value || null });
   const axes = ["+x", "+y", "+z", "-x", "-y", "-z"];
   const options = (axis) => [["", axis ? `detected: ${axis}` : "detected"], ...axes.map((name) => [name, name])];
   const up = field(grid, "Up", choice(options(), change("up")), "Axis of the file that points up");
   const front = field(grid, "Front", choice(options(), change("front")), "Axis of the file that the mesh faces");
+  const part = field(grid, "Part", choice([], change("part")), "Object, group or node of the file that is meant; all else stays where it is");
   const animation = field(grid, "Animation", choice([], change("animation")), "Which animation of the file drives");
   const rate = make("input", "", { type: "number", min: 1, max: 1000, step: "any" });
   const fps = field(grid, "Frames per second", rate, "Frame rate of the clip, instead of that of its file");
@@ -102,6 +103,9 @@ function addFacing(row, mesh, act) {
     fill(front, options(now.front ? "" : now.facing.front));
     showValue(up, now.up ?? "");
     showValue(front, now.front ?? "");
+    setShown(part, now.parts.length > 0);
+    fill(part, [["", "automatic"], ...now.parts.map((name) => [name, name])]);
+    showValue(part, now.part ?? "");
     setShown(animation, now.animations.length > 1);
     fill(animation, [["", "the first"], ...now.animations.map((name) => [name, name])]);
     showValue(animation, now.animation ?? "");

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core.mesh import Mesh, permute_vertices
-from ..core.rig import homogeneous
+from ..core.rig import homogeneous, nearest_columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,10 +100,7 @@ class SkinnedCharacter:
             column_of: column of some joints.
             other: column of joints without such an ancestor, and of the world.
         """
-        columns = np.full(len(self.parents) + 1, other)
-        for j, parent in enumerate(self.parents):
-            columns[j] = column_of.get(j, columns[parent])  # parent -1 is the last entry, the world
-        return columns
+        return nearest_columns(column_of, self.parents, other)
 
     def part(self, faces: Int[np.ndarray, "F 3"]) -> SkinnedCharacter:
         """Keep some triangles and their vertices, with all joints."""

@@ -252,6 +252,7 @@ def plant_feet(
         )
     leg, cyclic = feet.driving_leg * scale[1], is_cyclic(track, feet.driving_leg)
     soles, stiff = feet.identity_soles(posed.rotation, posed.root), feet.stiff
+    blocks = bool(stiff.all())
     found = np.zeros((1 + len(feet.legs), *posed.root.shape))
     if slides:
         # Where the driving walks in place, a corrected root would drift.
@@ -262,8 +263,8 @@ def plant_feet(
             along = _solve(weight, error @ axis, len(soles), track.fps, SLIDES, closed, stiff, free_root)
             found += along[..., None] * axis
     heights = feet.identity_heights(posed.rotation, posed.root)
-    weight, error = _heights(heights, contacts, scale[1], track.fps, leg, bool(stiff.all()))
-    stiffness = replace(HEIGHTS, root_bend=HEIGHTS.leg_bend) if stiff.all() else HEIGHTS
+    weight, error = _heights(heights, contacts, scale[1], track.fps, leg, blocks)
+    stiffness = replace(HEIGHTS, root_bend=HEIGHTS.leg_bend) if blocks else HEIGHTS
     found[..., 1] = _solve(weight, error, len(soles), track.fps, stiffness, (cyclic, cyclic), stiff)
     root, steps = found[0], found[1:]
     steps *= np.minimum(1, LARGEST_STEP * leg / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-9))

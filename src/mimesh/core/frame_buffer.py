@@ -55,13 +55,13 @@ class PosedFrames(NDArrayOperatorsMixin):
         return (self[t] for t in range(len(self)))
 
     def __getitem__(self, key: Any) -> Any:
-        """Pose the frames of a key, as of an array; those of a slice are posed when they are read."""
+        """Pose the frames of a key, as of an array; those of a slice or of numbers are posed when they are read."""
         first, rest = (key[0], key[1:]) if isinstance(key, tuple) else (key, ())
         if isinstance(first, int | np.integer):
             posed = self.skinned.posed(self.rotation[first], self.root[first]).astype(self.dtype)
             return posed[rest] if rest else posed
         chosen = replace(self, rotation=self.rotation[first], root=self.root[first])
-        if isinstance(first, slice) and not rest:
+        if not rest and (isinstance(first, slice) or np.ndim(first) == 1):
             return chosen
         return np.asarray(chosen)[(slice(None), *rest)]
 

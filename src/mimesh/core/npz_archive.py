@@ -21,7 +21,9 @@ import numpy as np
 from .budgets import UNPACKED
 from .errors import InputError
 
-POINTS = ("vertices", "v", "verts", "points")
+SEEN_POINTS = "pred_vertices"
+"""Name of points that were estimated from an image by SAM 3D Body (github.com/facebookresearch/sam-3d-body)."""
+POINTS = ("vertices", "v", "verts", "points", SEEN_POINTS)
 """Array names that stand for the points of a mesh or clip, in order of preference."""
 LARGEST_HEADER = 1 << 16
 """Bytes of the header of an array; NumPy itself parses up to 10,000."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -48,6 +48,20 @@ def descendants(tops: Iterable[int], parents: tuple[int, ...]) -> list[int]:
         if parent in found:
             found.add(j)
     return sorted(found)
+
+
+def nearest_columns(column_of: Mapping[int, int], parents: tuple[int, ...], other: int) -> Int[np.ndarray, " K"]:
+    """Return the column of each joint: its own, or that of its nearest ancestor with one; the last one is `other`.
+
+    Args:
+        column_of: column of some joints.
+        parents: come before their children, -1 for roots.
+        other: column of joints without such an ancestor.
+    """
+    columns = np.full(len(parents) + 1, other)
+    for j, parent in enumerate(parents):
+        columns[j] = column_of.get(j, columns[parent])  # parent -1 is the last entry
+    return columns
 
 
 def homogeneous(

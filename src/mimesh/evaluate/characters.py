@@ -219,7 +219,7 @@ def _make_pair(identity, driving, rest, transforms, labels, across: bool) -> Cha
         height=height,
         metres=1.7 / height,
         truth_name=f"{identity.meta.file}_{labels[1]}",
-        groups=(_group(identity.meta), _group(driving.meta)),
+        groups=(character_label(identity.meta), character_label(driving.meta)),
         identity_character=identity_posed,
         driving_character=driving_posed,
         truth_known=not across,
@@ -227,7 +227,7 @@ def _make_pair(identity, driving, rest, transforms, labels, across: bool) -> Cha
     )
 
 
-def _group(meta: CharacterMeta) -> str:
+def character_label(meta: CharacterMeta) -> str:
     """Return maker, pack and file of a character, for reports."""
     return f"{meta.maker}: {meta.pack}: {meta.file}"
 

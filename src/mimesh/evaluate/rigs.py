@@ -25,9 +25,10 @@ from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.errors import InputError
 from ..core.mesh import Mesh
 from ..core.options import Hints
-from ..core.rig import Rig
+from ..core.rig import Rig, nearest_columns
 from ..core.skinning import SkinnedMesh
 from .character_folder import read_character_folder
+from .characters import character_label
 from .pairs import Pair
 from .protocols import Protocol
 from .rig_metrics import (
@@ -82,14 +83,11 @@ class ListedRig:
         Joints above all of these count as the first of them.
         """
         kept = sorted({joint: name for name, joint in known.items() if name in LISTED}.items())
-        column = {joint: k for k, (joint, _) in enumerate(kept)}
-        nearest = np.zeros(len(joints), int)
-        above = np.full(len(joints), -1)
-        for j, parent in enumerate(parents):
-            above[j] = -1 if parent < 0 else column.get(parent, above[parent])
-            nearest[j] = column.get(j, max(above[j], 0))
-        order, summed = [joint for joint, _ in kept], weights @ (nearest[:, None] == np.arange(len(kept)))
-        return cls(tuple(name for _, name in kept), joints[order], tuple(above[order].tolist()), summed)
+        order = [joint for joint, _ in kept]
+        nearest = nearest_columns({joint: k for k, joint in enumerate(order)}, parents, -1)
+        above = tuple(int(nearest[parents[joint]]) for joint in order)  # parent -1 is the last entry
+        summed = weights @ (nearest[:-1, None].clip(0) == np.arange(len(kept)))
+        return cls(tuple(name for _, name in kept), joints[order], above, summed)
 
     @classmethod
     def of_maker(cls, character: PoolCharacter) -> ListedRig:
@@ -119,10 +117,8 @@ class ListedRig:
 
     def columns(self, names: tuple[str, ...]) -> Float[np.ndarray, "V N"]:
         """Add up the weights by some of the joints, which has the root; the others count as the nearest above."""
-        at = {name: k for k, name in enumerate(names)}
-        nearest = np.zeros(len(self.names), int)
-        for j, (name, parent) in enumerate(zip(self.names, self.parents, strict=True)):
-            nearest[j] = at.get(name, nearest[max(parent, 0)])
+        column_of = {self.names.index(name): k for k, name in enumerate(names)}
+        nearest = nearest_columns(column_of, self.parents, column_of.get(0, 0))[:-1]
         return self.weights @ (nearest[:, None] == np.arange(len(names)))
 
 
@@ -161,7 +157,7 @@ class RiggedPeople(Protocol):
         character = self.pool(split).characters[i]
         mesh = Mesh(character.rig.mesh.vertices, character.rig.mesh.faces, name=character.meta.file)
         height = float(np.ptp(mesh.vertices[:, 1]))
-        label = f"{character.meta.maker}: {character.meta.pack}: {character.meta.file}"
+        label = character_label(character.meta)
         return RigTrial(
             identity=mesh,
             driving=mesh,
@@ -242,8 +238,7 @@ def deformation_error(trial: RigTrial, found: ListedRig) -> float | None:
     chosen = [clips[k * len(clips) // min(len(clips), CLIPS)] for k in range(min(len(clips), CLIPS))]
     if not chosen:
         return None
-    joints, above = character.joints, found.parents
-    turning = [joints.get(name, -1) for name in found.names]
+    turning = [character.joints.get(name, -1) for name in found.names]
     for j, parent in enumerate(found.parents):
         turning[j] = turning[parent] if turning[j] < 0 <= parent else turning[j]
     unmoved = found.weights.sum(axis=1, keepdims=True) == 0
@@ -259,7 +254,7 @@ def deformation_error(trial: RigTrial, found: ListedRig) -> float | None:
         for transforms in character.transforms_of_frames(name, frames):
             moves = transforms[turning]
             positions = _moved(moves, found.joints)
-            for j, parent in enumerate(above):
+            for j, parent in enumerate(found.parents):
                 if parent >= 0:
                     place = positions[parent] + moves[parent, :3, :3] @ (found.joints[j] - found.joints[parent])
                     positions[j] = place + _moved(moves[j], pivots[j]) - _moved(moves[parent], pivots[j])

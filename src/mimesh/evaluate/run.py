@@ -397,8 +397,8 @@ def dump_worst(
     Means do not show them. The worst have the largest PMD or, where no true mesh is known, the largest angle between
     limbs. Of rigs their joints are farthest from the maker's.
     """
-    measured = {i: next(filter(None, map(metrics.get, WORST_BY)), None) for i, metrics in enumerate(figures)}
-    errors = {i: error for i, error in measured.items() if error is not None}
+    measured = {i: [metrics[by] for by in WORST_BY if metrics.get(by) is not None] for i, metrics in enumerate(figures)}
+    errors = {i: known[0] for i, known in measured.items() if known}
     worst = sorted(errors, key=errors.__getitem__, reverse=True)[:WORST]
     folder.mkdir(parents=True, exist_ok=True)
     paths = []

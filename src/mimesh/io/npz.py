@@ -19,13 +19,15 @@ from ..core.budgets import CORNERS, FACES, VERTICES, check_clip_size
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh
-from ..core.npz_archive import POINTS, check_array_size, open_archive, read_array, read_array_header
+from ..core.npz_archive import POINTS, SEEN_POINTS, check_array_size, open_archive, read_array, read_array_header
 from .atomic import whole_file
 from .polygons import fan_corners
 from .timing import DEFAULT_FPS
 
 _FACES = ("faces", "f", "triangles")
 """Names of the array of faces, likeliest first."""
+_CAMERA_OFFSET = "pred_cam_t"
+"""Name of what is added to SEEN_POINTS, (3,) or (T, 3), for their positions in the axes of the camera: y down."""
 _COMPRESSION_LEVEL = 1
 """zlib level, 1 to 9: higher ones take five times as long and save next to nothing on floating-point numbers."""
 
@@ -40,6 +42,8 @@ class NpzSource:
     points: np.ndarray
     """The points as stored. A written file keeps their shape, and their type unless it is an integer type or too
     small."""
+    offset: Float[np.ndarray, "*T 1 3"]
+    """What has been added to the points; see `_CAMERA_OFFSET`."""
     suffix = ".npz"
 
     def write(self, mesh: Mesh, path: Path) -> None:
@@ -51,7 +55,7 @@ class NpzSource:
         if np.abs(mesh.vertices).max() > np.finfo(dtype).max:  # of half precision 65,504
             dtype = np.dtype(np.float64)
         points = io.BytesIO()
-        np.save(points, mesh.vertices.reshape(self.points.shape).astype(dtype), allow_pickle=False)
+        np.save(points, (mesh.vertices.reshape(self.points.shape) - self.offset).astype(dtype), allow_pickle=False)
         with zipfile.ZipFile(io.BytesIO(self.data)) as old, zipfile.ZipFile(path, "w") as new:
             for entry in old.infolist():
                 is_points = entry.filename == f"{self.key}.npy"
@@ -61,7 +65,8 @@ class NpzSource:
 def read_npz(path: Path) -> Mesh:
     """Read one mesh from an archive: `vertices` (V, 3) and, for a surface, `faces` (F, 3) or (F, 4), from 0.
 
-    The arrays may also be called v, verts or points, and f or triangles. One frame (1, V, 3) is a mesh too.
+    The arrays may also be called v, verts, points or pred_vertices (see SEEN_POINTS), and f or triangles. One frame
+    (1, V, 3) is a mesh too.
 
     Raises:
         InputError: no such arrays, wrong shapes or types, several frames, or the archive is damaged.
@@ -72,15 +77,16 @@ def read_npz(path: Path) -> Mesh:
             raise zipfile.BadZipFile(f"bad checksum of {broken!r}")
         key, faces = _find(POINTS, names, path), _read_faces(archive, names, path)
         points = read_array(archive, key)
-    _check_points(key, points.dtype, points.shape, path)
+        _check_points(key, points.dtype, points.shape, path)
+        offset = _read_offset(archive, names, key, points.shape, path)
     VERTICES.check(points.shape[-2], path)
     if points.ndim == 3 and len(points) != 1:
         raise InputError(
             f"{path}: expected one mesh, found a clip of {len(points)} frames; "
             "give it as the driving clip or save one frame"
         )
-    vertices = points.reshape(points.shape[-2:]).astype(np.float64)
-    return Mesh(vertices, faces, name=path.stem, source=NpzSource(data, key, points))
+    vertices = (points.astype(np.float64) + offset).reshape(points.shape[-2:])
+    return Mesh(vertices, faces, name=path.stem, up=_up(key), source=NpzSource(data, key, points, offset))
 
 
 def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = None) -> Clip:
@@ -101,14 +107,17 @@ def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = Non
             check_array_size(header, archive.getinfo(f"{key}.npy").file_size)
             count, vertices = math.prod(shape[:-2]), shape[-2]
             check_clip_size(count, vertices, path)
+            offset = _read_offset(archive, names, key, shape, path)
             # In Fortran order the numbers of one frame are spread over the whole array, so it is read at once.
             if header.fortran:
                 frames = each_frame(read_array(archive, key).reshape(count, vertices, 3))
             else:
                 frames = _read_frames(member.read, count, vertices, dtype)
+            if offset.any():
+                frames = (points + moved for points, moved in zip(frames, offset.reshape(count, 1, 3), strict=True))
             stored = store_frames(frames, count, vertices, dtype if dtype.kind == "f" else np.float64, progress)
     first = stored[0].astype(np.float64) if count else np.zeros((vertices, 3))
-    return Clip(Mesh(first, faces, name=path.stem), stored, float(fps if fps is not None else file_fps))
+    return Clip(Mesh(first, faces, name=path.stem, up=_up(key)), stored, float(fps if fps is not None else file_fps))
 
 
 def write_npz(mesh: Mesh, path: Path) -> None:
@@ -149,6 +158,38 @@ def _read_faces(archive: zipfile.ZipFile, names: list[str], path: Path) -> Int[n
     """Read the faces as triangles; empty where the archive has no array of faces."""
     key = next((name for name in _FACES if name in names), None)
     return np.zeros((0, 3), np.int64) if key is None else _triangles(read_array(archive, key), path)
+
+
+def _up(key: str) -> str | None:
+    """Return the up axis that the name of the points tells: images are upright, and y points down in them."""
+    return "-y" if key == SEEN_POINTS else None
+
+
+def _read_offset(
+    archive: zipfile.ZipFile, names: list[str], key: str, shape: tuple[int, ...], path: Path
+) -> Float[np.ndarray, "*T 1 3"]:
+    """Read what is added to points of a shape (see `_CAMERA_OFFSET`); nothing to other points than SEEN_POINTS.
+
+    Raises:
+        InputError: another shape, or there are no faces: the estimator has them, and does not save them.
+    """
+    expected = (*shape[:-2], 3)
+    if key != SEEN_POINTS:
+        return np.zeros((1, 3))
+    if not any(name in names for name in _FACES):
+        raise InputError(
+            f"{path}: expected faces beside '{key}', found none; save them, too: "
+            "numpy.savez(file, **output, faces=estimator.faces)"
+        )
+    if _CAMERA_OFFSET not in names:
+        return np.zeros((1, 3))
+    offset = read_array(archive, _CAMERA_OFFSET)
+    if offset.shape != expected or offset.dtype.kind != "f":
+        raise InputError(
+            f"{path}: expected '{_CAMERA_OFFSET}' to be numbers of shape {expected}, found {offset.dtype} "
+            f"{offset.shape}; save one for each frame"
+        )
+    return offset[..., None, :].astype(np.float64)
 
 
 def _check_points(key: str, dtype: np.dtype, shape: tuple[int, ...], path: Path) -> None:

@@ -6,6 +6,7 @@ The same as `humanoid_rig` for another body: A_j (`frames`) takes the shipped qu
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -15,16 +16,20 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody, load_body
 from ..bodies.anatomy import QUADRUPED
-from ..bodies.animal_limbs import LEGS, LOOSE_FOOT, NECK, TAIL, name_animal_joints
+from ..bodies.animal_limbs import LEGS, LOOSE_FOOT, NECK, TAIL, name_animal_joints, named_tail
 from ..bodies.character_limbs import SIDES, moves_vertices, with_parents
+from ..bodies.character_pool import FACING, facing_rotation
 from ..bodies.joint_names import ancestors
 from ..bodies.skinned_character import SkinnedCharacter
+from ..core.errors import InputError
 from ..core.geometry import rotation_between
 from ..core.rig import leg_length
 from .humanoid_rig import HumanoidRig
 
 CHAINS = tuple(tuple(side + part for part in parts) for side in SIDES for parts in LEGS.values())
 """Joints of each leg from the top."""
+LEG_WORDS = {"front": re.compile("front|fore"), "hind": re.compile("back|hind|rear")}
+"""Words in the names of the joints of forelegs and of hind legs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,14 +91,14 @@ def animal_rig(
     """
     facing = character.turned(turn)
     joints = name_animal_joints(facing, path)
-    facing, joints, order = with_parents(facing, joints, _attached(facing, joints))
+    facing, joints, order = with_parents(facing, joints, _attached(facing, joints, path))
     positions = {name: facing.joints[joint] for name, joint in joints.items()}
     turned = rest_directions(positions, float(facing.mesh.vertices[:, 1].min()), load_body("quadruped"))
     frames = {name: turn.T @ turned.get(name, np.eye(3)) for name in joints}
     return AnimalRig(facing.turned(turn.T), joints, frames, {}, turn), order.tolist()
 
 
-def _attached(rig: SkinnedCharacter, joints: Mapping[str, int]) -> list[int]:
+def _attached(rig: SkinnedCharacter, joints: Mapping[str, int], path: object) -> list[int]:
     """Return the parents of all joints, those of feet on roots of their own being the ends of their legs."""
     parents = rig.parents
     attached, trunk = list(parents), ancestors(parents, joints["Hips"])
@@ -103,8 +108,13 @@ def _attached(rig: SkinnedCharacter, joints: Mapping[str, int]) -> list[int]:
         tops.append(own[0])
         ends.append(own[-1])
         for above, below in itertools.pairwise(own):
-            apart = [j for j in ancestors(parents, below) if j not in trunk]
-            if above not in apart:
+            own_above = ancestors(attached, above)
+            apart = [j for j in ancestors(attached, below) if j not in trunk and j not in own_above]
+            if not apart:
+                raise InputError(
+                    f"{path}: expected legs that are chains of joints, found one upside down; is it an animal?"
+                )
+            if above not in ancestors(attached, below):
                 attached[apart[-1]] = above
     known = {above for joint in joints.values() for above in ancestors(parents, joint)}
     low, high = rig.mesh.vertices[:, 1].min(), rig.mesh.vertices[:, 1].max()
@@ -112,7 +122,8 @@ def _attached(rig: SkinnedCharacter, joints: Mapping[str, int]) -> list[int]:
         if foot not in known and parents[foot] in (-1, *trunk):  # the leg carries more of the foot than its own joint
             distance = np.linalg.norm(rig.joints[ends] - rig.joints[foot], axis=1)
             nearest = int(distance.argmin())
-            if distance[nearest] < rig.joints[tops[nearest], 1] - low:
+            loose = foot not in ancestors(attached, ends[nearest])
+            if loose and distance[nearest] < rig.joints[tops[nearest], 1] - low:
                 attached[foot] = ends[nearest]
     return attached
 
@@ -148,3 +159,36 @@ def rest_directions(
         if chain == TAIL and len(had) > 1:
             turned[had[-1]] = turned[had[-2]]
     return turned
+
+
+def animal_facing(rig: SkinnedCharacter, path: object) -> str:
+    """Find where an animal faces: where the largest part that sticks out from its legs, the head, is in front.
+
+    Names of legs are believed first (leg-front-left), and a tail that has this name is behind.
+
+    Raises:
+        InputError: there are no four legs on one skeleton, whatever it faces.
+    """
+    scores, reasons = {}, []
+    for facing in filter(None, FACING):
+        turned = rig.turned(facing_rotation(facing))
+        try:
+            joints = name_animal_joints(turned, path)
+        except InputError as error:
+            reasons.append(error)
+            continue
+        tops = {pair: [joints[side + parts[0]] for side in SIDES] for pair, parts in LEGS.items()}
+        names = [(pair, turned.joint_names[joint].lower()) for pair in LEGS for joint in tops[pair]]
+        said = sum(bool(LEG_WORDS[pair].search(name)) for pair, name in names)
+        center = turned.joints[[*tops["front"], *tops["hind"]], 2].mean()
+        head = [joints["Head"]] if "Head" in joints else []
+        scores[facing] = said, _ahead(turned, head, center) - _ahead(turned, named_tail(turned), center)
+    if not scores:
+        raise reasons[0]
+    return max(scores, key=lambda facing: scores[facing])  # the first, +z, where they are equal
+
+
+def _ahead(rig: SkinnedCharacter, joints: list[int], center: float) -> float:
+    """Compute how far in front of the legs' center joints are, times the share of the vertices that they move."""
+    share = rig.joint_weights()[:, joints].mean(axis=0)
+    return float(share @ (rig.joints[joints, 2] - center))

@@ -22,9 +22,10 @@ from ..core.person_motion import KnownJoints, PersonMotion
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from .amass import is_amass, load_amass
+from .animal_skeleton import retarget_animal
 from .bvh import Bvh, load_bvh
 from .motion import Motion, cut_motion, joint_tracks, leg_length, resample
-from .retarget import rests_standing, retarget, righted
+from .retarget import NEEDED, rests_standing, retarget, righted
 
 BVH = ".bvh"
 """Suffix of BVH files."""
@@ -44,7 +45,7 @@ def motion_joints(path: str | Path) -> tuple[tuple[str, ...], tuple[int, ...]]:
 
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
-    """The motion of a skeleton on the shipped body, with its fingers where the skeleton has fingers."""
+    """The motion of a skeleton on the shipped body, with fingers where the skeleton has some, or on the quadruped."""
 
     motion: Motion
     front: str | None
@@ -59,17 +60,22 @@ class BodyMotion:
 def on_body(source: Bvh, path: str | Path) -> BodyMotion:
     """Retarget a skeleton's motion to the shipped body, at its frame rate (see `retarget`); errors name `path`.
 
+    What does not stand as a person in its rest pose, and has four legs there, moves the shipped quadruped.
+
     Raises:
         InputError: the hips and limbs are not found by name.
     """
     upright = righted(source)
     known = named_joints(source.joint_names, source.parents)
+    person = all(joint in known for joint in NEEDED) and rests_standing(source.rest(), known)
+    if not person and (animal := retarget_animal(source)) is not None:
+        return BodyMotion(animal, "+z", source.notes)
     fingered = captured_fingers(source.joint_names, source.parents, known)
     body = body_with_fingers() if fingered else load_body()
     # The path of who stood upside down says nothing about the floor of the rest pose.
     found = retarget(upright, body, str(path), hands=True, stands_at_rest=upright is source)
     motion = dataclasses.replace(found, name=source.name)
-    if rests_standing(source.rest(), known):
+    if person:
         return BodyMotion(motion, "+z", upright.notes)
     note = (
         f"{source.name} does not stand in its rest pose: its frames show how its joints are turned, with hips and head "
@@ -151,8 +157,9 @@ def played_rig(clip: Clip) -> AnimatedRig:
 
 
 def _body_of(joints: int) -> RiggedBody:
-    """Return the shipped body with so many joints: without fingers, or with them."""
-    return next(body for body in (load_body(), body_with_fingers()) if len(body.parents) == joints)
+    """Return the shipped body with so many joints: without fingers, with them, or the quadruped."""
+    bodies = (load_body, body_with_fingers, lambda: load_body("quadruped"))
+    return next(body for body in (load() for load in bodies) if len(body.parents) == joints)
 
 
 def _at_rest(body: RiggedBody) -> Rig:

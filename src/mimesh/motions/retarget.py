@@ -117,7 +117,7 @@ def retarget(
             hips = (source.offsets[0] + rest[index["Hips"]]) @ axes.T * scale
             turned = [axes @ rest_rotation[joint] if joint in index else None for joint in body.joint_names]
             at_rest = _rest_height(turned, hips, body)
-        path = _grounded(path, target, body, at_rest)
+        path = on_floor(path, target, body, at_rest)
     return Motion(name or source.name, body.joint_names, local_rotations(target, body.parents), path, source.fps)
 
 
@@ -240,8 +240,15 @@ def _rest_height(turned, hips, body):
     return float(lowest(body, local_rotations(target, body.parents), hips[None])[0])
 
 
-def _grounded(path, target, body, at_rest):
-    """Shift the path to start at x = z = 0, with the floor at y = 0."""
+def on_floor(
+    path: Float[np.ndarray, "T 3"], target: Float[np.ndarray, "T J 3 3"], body: RiggedBody, at_rest: float | None = None
+) -> Float[np.ndarray, "T 3"]:
+    """Shift the path of a root to start at x = z = 0, with the floor at y = 0.
+
+    Args:
+        target: world rotations of the joints.
+        at_rest: height of the soles of the rest pose, along this path; None: not known.
+    """
     path = path - path[0] * [1.0, 0.0, 1.0]
     step = slice(None, None, max(len(path) // FLOOR_FRAMES, 1))
     floor = np.quantile(lowest(body, local_rotations(target[step], body.parents), path[step]), FLOOR_QUANTILE)

@@ -20,9 +20,9 @@ from ..core.mesh import Clip, Mesh, stored_clip
 from ..core.normalization import ORIENTATIONS, ROTATIONS, axis_name
 from ..core.person_motion import KnownJoints, PersonMotion
 from ..core.rig import local_rotations
-from ..io.gltf.character import NO_PERSON, animal_facing, carried_part, standing_facing
+from ..io.gltf.character import NO_PERSON, carried_part, standing_facing
 from ..io.gltf.own_rig import check_sound
-from ..motions.animal_rig import animal_rig
+from ..motions.animal_rig import animal_facing, animal_rig
 from ..motions.bvh import Bvh
 from ..motions.humanoid_rig import HumanoidRig, humanoid_rig
 from ..motions.motion import LEG, leg_length

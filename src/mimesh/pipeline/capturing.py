@@ -206,11 +206,6 @@ def capture(
     report = facing(norm) | _unit(first) | _contacts(track.smoothed(smooth), motion)
     notes = () if part is None else part.notes
     notes += facing_note(norm, first.name, "front") + rigs.notes + taken.notes + far_frames_note(taken, first.name)
-    if seen.body != "human":
-        notes += (
-            f"files of joints alone are read as people's: to move another animal give {first.name} itself, or "
-            "mimesh.retarget in Python",
-        )
     if motion.confidence is not None:
         report |= motion.confidence.facts()
         notes = motion.confidence.notes(first.name) + notes

@@ -7,6 +7,7 @@ import dataclasses
 from collections.abc import Callable, Iterable
 from typing import NamedTuple, TypeVar
 
+from ..bodies.anatomy import body_of_joints
 from ..bodies.character_limbs import SIDES, UnnamedJoints
 from ..bodies.joint_names import ancestors, finger_joints
 from ..core.errors import InputError
@@ -14,7 +15,7 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import axis_name
 from ..core.person_motion import JointSource, PersonMotion
 from ..io.gltf.animation import AnimatedValues
-from ..io.gltf.character import NO_PERSON
+from ..io.gltf.character import NO_PERSON, NotUpright
 from ..io.gltf.copied_motion import SharedMotion, copy_morphs, copy_motion, morph_tracks, named_weights
 from ..io.gltf.edit import GltfSource
 from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
@@ -40,12 +41,19 @@ def if_usable(read: Callable[[str], T], body: str, without: str) -> tuple[T | No
 
 
 def person_motion(joints: JointSource, body: str) -> PersonMotion:
-    """Read the joints of a clip as those of a body; only rigged meshes may be animals."""
+    """Read the joints of a clip as those of a body.
+
+    Raises:
+        InputError: they are those of another; `NotUpright` of an animal's that are read as a person's.
+    """
     if isinstance(joints, GltfJoints | BoneJoints) and joints.mesh is not None:
         return dataclasses.replace(joints, body=body).person()
+    found = joints.person()
+    if body_of_joints(found.joints) == body:
+        return found
     if body == "quadruped":
         raise InputError("expected the rig of an animal, found joints of a person")
-    return joints.person()
+    raise NotUpright("expected joints of a person, found those of an animal")
 
 
 def shared_motion(identity: Mesh, clip: Clip) -> SharedMotion | None:

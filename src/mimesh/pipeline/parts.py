@@ -205,21 +205,30 @@ def _without_base(mesh: Mesh, asked: str) -> MeshPart | None:
     return MeshPart(mesh, chosen_faces(mesh, kept, index), index, (note,))
 
 
-def _named(mesh: Mesh, name: str, asked: str) -> Bool[np.ndarray, " P"]:
-    """Tell which parts of a mesh have a name, or are below a node that has it; case counts only where it decides."""
+def named_parts(mesh: Mesh) -> dict[str, Bool[np.ndarray, " P"]]:
+    """Return the parts of a mesh by each name that finds them: characters, parts, and nodes above these."""
     above = [(part.name,) for part in mesh.parts]
     people: dict[str, np.ndarray] = {}
     if _gltf_source(mesh) is not None:
         from ..io.gltf.parts import characters, names_above
 
         above, people = names_above(mesh), characters(mesh)
+    named = dict(people)
+    for k, names in enumerate(above):
+        for name in names:
+            if name not in people:
+                named.setdefault(name, np.zeros(len(above), bool))[k] = True
+    return named
+
+
+def _named(mesh: Mesh, name: str, asked: str) -> Bool[np.ndarray, " P"]:
+    """Tell which parts of a mesh have a name, or are below a node that has it; case counts only where it decides."""
+    named = named_parts(mesh)
     for fold in (str, str.casefold):
-        named = [mask for known, mask in people.items() if fold(known) == fold(name)]
-        chosen = named[0] if named else np.array([fold(name) in map(fold, names) for names in above], bool)
-        if chosen.any():
-            return chosen
-    names = list(dict.fromkeys([*people, *(known for names in above for known in names)]))
-    found = listed(names, MOST_NAMED) or "it has none"
+        same = [mask for known, mask in named.items() if fold(known) == fold(name)]
+        if same:
+            return np.any(same, axis=0)
+    found = listed(list(named), MOST_NAMED) or "it has none"
     raise InputError(f"{mesh.name}: expected one of its parts ({found}) for {option(asked, name)}; name one of them")
 
 

@@ -21,8 +21,9 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
+from ..core.animated_rig import INFLUENCES
 from ..core.errors import InputError, naming_options
-from ..core.options import Layout, check_value
+from ..core.options import Layout, check_influences, check_value
 from ..io.joint_file import SUFFIX
 from .exports import NEEDED, Order
 from .fields import field_name
@@ -239,8 +240,17 @@ class Routes:
         names, rest = (str(body.get(key, default)) for key, default in (("names", "own"), ("rest", "file")))
         layout = Layout(names, body.get("root_bone") is True, rest, parse_rate(body.get("fps")))
         made_by = {key: str(body.get(key) or "").strip() or None for key in ("author", "license")}
-        skinned = body.get("skinned") is True
-        order = Order(what=what, suffix=suffix, skinned=skinned, blendshapes=shapes, layout=layout, **made_by)
+        skinned, influences = body.get("skinned") is True, body.get("influences", INFLUENCES)
+        check_influences(influences)
+        order = Order(
+            what=what,
+            suffix=suffix,
+            skinned=skinned,
+            influences=influences,
+            layout=layout,
+            blendshapes=shapes,
+            **made_by,
+        )
         return {"export": self._session.export(order, numbers)}
 
     async def download_export(self, request: Request) -> Response:

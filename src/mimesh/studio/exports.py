@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
+from ..core.animated_rig import INFLUENCES
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.options import Layout
@@ -63,6 +65,8 @@ class Order:
     """Number of morph targets; None for one per frame."""
     layout: Layout = AS_IT_IS
     """Names and arrangement of the bones."""
+    influences: int = INFLUENCES
+    """Weights a vertex of joints that were found."""
     author: str | None = None
     """Who made the character; only a .vrm has it, and the licence."""
     license: str | None = None
@@ -155,7 +159,9 @@ def _write_result(order: Order, result: ClipResult, driving: str, target: Path, 
         save_clip(result.clip, path, suffix=order.suffix.removeprefix("frames"), progress=progress)
         written = ()
     elif jointed:
-        (deviations,) = save_skinned([result], path, animations=[driving], layout=order.layout).deviations
+        skeleton = result.skeleton and dataclasses.replace(result.skeleton, influences=order.influences)
+        limited = dataclasses.replace(result, skeleton=skeleton)
+        (deviations,) = save_skinned([limited], path, animations=[driving], layout=order.layout).deviations
         written = skinned_note({**result.report, **deviations})
         written += resampled_note(len(result.frames), result.fps, order.layout.fps)
     else:
@@ -169,7 +175,7 @@ def _write_rig(order: Order, item: Item, options: Options, target: Path, progres
     rigged, path, layout = rig_mesh(item, options), _with_suffix(target, order), order.layout
     progress(1, 2)
     bones = {"names": layout.names, "root_bone": layout.root_bone, "rest": layout.rest}
-    rigged.save(path, **bones, author=order.author, license=order.license)
+    rigged.save(path, **bones, author=order.author, license=order.license, influences=order.influences)
     return [*rigged.notes, *not_kept(rigged.skeleton.mesh, path), *metres_note(rigged.mesh, path)]
 
 
@@ -187,12 +193,14 @@ def _with_suffix(target: Path, order: Order) -> Path:
 def _check(order: Order, name: str) -> None:
     """Check that the format of a result has what is asked for."""
     suffix, layout = order.suffix, order.layout
+    of_bones = layout != AS_IT_IS or order.influences != INFLUENCES
     if suffix == BONES_ONLY:
         check_bones_layout(layout, Path(f"{name}{suffix}"))
-    elif (order.skinned or layout != AS_IT_IS) and suffix not in JOINTED:
+    elif (order.skinned or of_bones) and suffix not in JOINTED:
         raise InputError(f"{suffix}: expected .glb, .gltf or .fbx for bones, found this; choose one")
-    elif layout != AS_IT_IS and not order.skinned:
-        raise InputError("bone names, root bone, rest pose, frame rate: expected with bones, found without; add bones")
+    elif of_bones and not order.skinned:
+        fields = "bone names, root bone, rest pose, weights per vertex, frame rate"
+        raise InputError(f"{fields}: expected with bones, found without; add bones")
     if order.blendshapes and suffix not in MORPHED:
         raise InputError(f"{suffix}: expected .glb or .gltf for blend shapes, found this; choose one")
 

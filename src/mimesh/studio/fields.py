@@ -18,6 +18,8 @@ FIELDS = {
     "driving_up": "up of the driving",
     "driving_front": "front of the driving",
     "license": "licence",
+    "driving_part": "part of the driving",
+    "influences": "weights per vertex",
     "joints": "corrected joints",
     "driving_joints": "corrected joints of the driving",
 }

@@ -109,6 +109,10 @@ class Item:
     """Names of the animations in the file."""
     animation: str | None = None
     """Chosen animation; None for the first."""
+    parts: tuple[str, ...] = ()
+    """Names of the parts of the mesh, if it has several."""
+    part: str | None = None
+    """Chosen part; None: see `pipeline.parts.find_part`."""
     fps: float | None = None
     """Chosen frame rate; None for the file's own."""
     corrections: JointCorrections | None = None
@@ -190,7 +194,8 @@ def preparation_inputs(item: Item, driving: Item, options: Options) -> tuple:
     """Return everything that preparing a mesh and the driving clip for a model depends on."""
     corrections = tuple(_corrections_key(entry) for entry in (item, driving))
     chosen = options.model, options.body, options.rig
-    return (driving.number, item.read, driving.read, *chosen, *item.axes, *driving.axes, *corrections)
+    given = (*item.axes, item.part, *driving.axes, driving.part)
+    return (driving.number, item.read, driving.read, *chosen, *given, *corrections)
 
 
 def _corrections_key(item: Item) -> tuple:

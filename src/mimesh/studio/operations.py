@@ -32,7 +32,7 @@ from ..pipeline.capturing import CapturedClip, capture
 from ..pipeline.corrections import Corrections, correctable_joints, shown_bones
 from ..pipeline.known import Known
 from ..pipeline.look import OTHER
-from ..pipeline.parts import PartRoute
+from ..pipeline.parts import PartRoute, named_parts
 from ..pipeline.read import driving_axes
 from ..pipeline.report import facing
 from ..pipeline.result import ClipResult, Timer
@@ -83,6 +83,12 @@ def animations(content: Mesh | Clip) -> tuple[str, ...]:
     return tuple(getattr(mesh.source, "animations", ()))
 
 
+def parts(content: Mesh | Clip) -> tuple[str, ...]:
+    """Return the names of the parts of a mesh, or of the mesh of a clip; none if it is one part."""
+    mesh = content.mesh if isinstance(content, Clip) else content
+    return tuple(named_parts(mesh)) if len(mesh.parts) > 1 else ()
+
+
 def prepare_inputs(identity: Item, driving: Item, options: Options) -> Route | PartRoute:
     """Choose the way to move an identity by a driving clip, which have been read, without refinement."""
     assert isinstance(identity.content, Mesh)
@@ -90,7 +96,8 @@ def prepare_inputs(identity: Item, driving: Item, options: Options) -> Route | P
     model = find_model(options.model)
     rig, body = options.kind(model)
     corrections = Corrections() if body == OTHER else applicable_corrections(model, identity, driving)
-    known = Known((*identity.axes, *driving.axes), rig, body, corrections)
+    parts = identity.part, driving.part
+    known = Known((*identity.axes, *driving.axes), rig, body, corrections, parts)
     return find_route(identity.content, driving.content, model, known, options.motion(model))
 
 
@@ -131,7 +138,7 @@ def capture_driving(item: Item, options: Options, progress: Progress) -> Capture
 def _hints(item: Item, options: Options) -> Hints:
     """Return what the page says of one mesh or clip."""
     kind, body = options.kind(find_mime(options.model))
-    return Hints(up=item.up, front=item.front, rig=kind, body=body, joints=item.corrections)
+    return Hints(up=item.up, front=item.front, rig=kind, body=body, joints=item.corrections, part=item.part)
 
 
 def _unread(item: Item) -> InputError:

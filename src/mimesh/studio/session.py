@@ -122,19 +122,22 @@ class Session:
         return any(item.upload == upload for item in (*self.identities.values(), self.driving) if item is not None)
 
     def set_item(self, number: int, changes: dict[str, Any]) -> None:
-        """Change the axes of an item, or the animation and frame rate of the driving clip, which is then read again.
+        """Change axes and part of an item, or animation and frame rate of the driving clip, which is then read again.
 
         Raises:
             InputError: an unknown field, or a value that is not possible.
         """
         item = self.item(number)
-        unknown = changes.keys() - {"up", "front", "animation", "fps"}
+        unknown = changes.keys() - {"up", "front", "part", "animation", "fps"}
         if unknown:
-            raise InputError(f"{min(unknown)}: expected up, front, animation or fps, found it; leave it out")
+            raise InputError(f"{min(unknown)}: expected up, front, part, animation or fps, found it; leave it out")
         up, front = (parse_axis(changes.get(axis, getattr(item, axis)) or None, axis) for axis in ("up", "front"))
         if up and front and up[1] == front[1]:
             raise InputError(f"{item.name}: expected up and front on two axes, found {up} and {front}; change one")
-        item.up, item.front = up, front
+        part = changes.get("part", item.part) or None
+        if part not in (None, item.part, *item.parts):
+            raise InputError(f"{item.name}: expected one of its parts, found {str(part)[:60]!r}; choose one of them")
+        item.up, item.front, item.part = up, front, part
         if item.content is not None:
             item.facing = operations.detect_facing(item.content, item.axes)
         if item is self.driving and changes.keys() & {"animation", "fps"} and item.path is not None:
@@ -283,6 +286,7 @@ class Session:
             if error is None:
                 content, item.facing = future.result()
                 item.content, item.animations = content, operations.animations(content)
+                item.parts = operations.parts(content)
                 self._use_side_file(item)
             self.refresh()
 

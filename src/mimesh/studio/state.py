@@ -136,6 +136,8 @@ def _describe_item(session: Session, item: Item) -> dict[str, Any]:
         "given_fps": item.fps,
         "animations": item.animations,
         "animation": item.animation,
+        "parts": item.parts,
+        "part": item.part,
         "up": item.up,
         "front": item.front,
         "facing": used_facing(session, item),

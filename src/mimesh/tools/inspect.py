@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..bodies.anatomy import body_of_joints
 from ..bodies.joint_names import person_joints
 from ..core.errors import RefusedMeshError
 from ..core.geometry import face_areas, face_vectors, weld
@@ -264,7 +265,7 @@ def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[s
     if path.suffix.lower() in ANIMATED:
         document = open_document(path)
         skeleton = read_skeleton(document)
-        motion = _motion_detail(gltf_joints(document), skeleton.joint_names, skeleton.parents)
+        motion = _motion_detail(gltf_joints(document), skeleton.joint_names, skeleton.parents, clip)
         return animation_names(document), (motion, *document_details(document))
     if path.suffix.lower() in COLLECTIONS:
         return _clips_of_file(path, clip.fps)
@@ -274,7 +275,7 @@ def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[s
         return (), ()
     names, parents = motion_joints(path)
     recorded = () if path.suffix.lower() == BVH else recording_facts(path)
-    return (), (_motion_detail(len(names), names, parents), *recorded)
+    return (), (_motion_detail(len(names), names, parents, clip), *recorded)
 
 
 def _clips_of_file(path: Path, fps: float) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
@@ -288,8 +289,9 @@ def _clips_of_file(path: Path, fps: float) -> tuple[tuple[str, ...], tuple[tuple
     return tuple(lengths), (("clips", f"{len(lengths)}, of which these facts describe the first"), *rows)
 
 
-def _motion_detail(joints: int, names: tuple[str, ...], parents: tuple[int, ...]) -> tuple[str, str]:
-    known = known_joints(person_joints(names, parents))
+def _motion_detail(joints: int, names: tuple[str, ...], parents: tuple[int, ...], clip: Clip) -> tuple[str, str]:
+    animal = clip.skeleton is not None and body_of_joints(clip.skeleton.person().joints) == "quadruped"
+    known = "of a four-legged animal" if animal else known_joints(person_joints(names, parents))
     return "motion", f"{_plural(joints, 'joint')}, {known}, played on the shipped body, which these facts describe"
 
 

@@ -104,7 +104,7 @@ def wrapped(transform: np.ndarray, inside: np.ndarray | None = None):
 
 TURN = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 GOOD = {"tiny, turned and back": (np.diag([0.01, 0.01, 0.01, 1.0]) @ TURN, TURN.T)}
-BAD = {"mirrored": ([-1.0, 1.0, 1.0, 1.0], "mirrored"), "stretched": ([1.0, 1.3, 1.0, 1.0], "scaled equally")}
+STRETCHED = np.diag([1.0, 1.3, 1.0, 1.0])
 
 
 @pytest.mark.parametrize("frame", GOOD)
@@ -119,16 +119,14 @@ def test_frames_above_the_joints_that_node_transforms_can_undo(frame, model, dri
     assert distance(result.clip.vertices - shift, expected) < EXACT
 
 
-@pytest.mark.parametrize("frame", BAD)
-def test_frames_above_the_joints_that_node_transforms_cannot_undo_give_a_note(frame, model, driving, tmp_path):
-    scale, message = BAD[frame]
-    change = wrapped(np.diag(scale))
+def test_frames_above_the_joints_that_node_transforms_cannot_undo_give_a_note(model, driving, tmp_path):
+    change = wrapped(STRETCHED)
     path = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"), change=change, armature=np.eye(4))
     result = animate(str(path), str(driving), model)
     assert result.own is None
     notes = [note for note in result.notes if "is not used" in note]
     assert len(notes) == 1
-    assert message in notes[0]
+    assert "scaled equally" in notes[0]
     saved_as_computed(result, tmp_path / "out.glb", 1e-3)
 
 

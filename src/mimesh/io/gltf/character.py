@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import re
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ...bodies.animal_limbs import LEGS, name_animal_joints, named_tail
+from ...bodies.animal_limbs import name_animal_joints
 from ...bodies.character_limbs import (
     SIDES,
     FindJoints,
@@ -34,7 +33,6 @@ from ...bodies.character_limbs import (
     name_sided_joints,
 )
 from ...bodies.character_pool import (
-    FACING,
     CharacterClip,
     CharacterMeta,
     PoolCharacter,
@@ -46,6 +44,7 @@ from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
 from ...core.mesh import Mesh, check_mesh
+from ...motions.animal_rig import animal_facing
 from .animation import animated_nodes, animation_names, frame_times, read_channels, sample_joints
 from .check import damaged
 from .document import Document, open_document
@@ -78,8 +77,6 @@ PAIRS = ("UpLeg", "Arm")
 """Joints whose two sides say where left is."""
 AXES = {"+z": (0, 1), "-z": (0, -1), "+x": (1, 0), "-x": (-1, 0)}
 """Horizontal direction (x, z) of each facing."""
-LEG_WORDS = {"front": re.compile("front|fore"), "hind": re.compile("back|hind|rear")}
-"""Words in the names of the joints of forelegs and of hind legs."""
 
 
 def read_rigged_character(
@@ -450,36 +447,3 @@ def read_standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> St
 def _standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> StandingCharacter:
     rig, nodes = rig_at_rest(mesh, document, scene)
     return StandingCharacter(rig, nodes, animal_facing(carried_part(rig), document.path), {}, scene)
-
-
-def animal_facing(rig: SkinnedCharacter, path: object) -> str:
-    """Find where an animal faces: where the largest part that sticks out from its legs, the head, is in front.
-
-    Names of legs are believed first (leg-front-left), and a tail that has this name is behind.
-
-    Raises:
-        InputError: there are no four legs on one skeleton, whatever it faces.
-    """
-    scores, reasons = {}, []
-    for facing in filter(None, FACING):
-        turned = rig.turned(facing_rotation(facing))
-        try:
-            joints = name_animal_joints(turned, path)
-        except InputError as error:
-            reasons.append(error)
-            continue
-        tops = {pair: [joints[side + parts[0]] for side in SIDES] for pair, parts in LEGS.items()}
-        names = [(pair, turned.joint_names[joint].lower()) for pair in LEGS for joint in tops[pair]]
-        said = sum(bool(LEG_WORDS[pair].search(name)) for pair, name in names)
-        center = turned.joints[[*tops["front"], *tops["hind"]], 2].mean()
-        head = [joints["Head"]] if "Head" in joints else []
-        scores[facing] = said, _ahead(turned, head, center) - _ahead(turned, named_tail(turned), center)
-    if not scores:
-        raise reasons[0]
-    return max(scores, key=lambda facing: scores[facing])  # the first, +z, where they are equal
-
-
-def _ahead(rig: SkinnedCharacter, joints: list[int], center: float) -> float:
-    """Compute how far in front of the legs' center joints are, times the share of the vertices that they move."""
-    share = rig.joint_weights()[:, joints].mean(axis=0)
-    return float(share @ (rig.joints[joints, 2] - center))

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...bodies.joint_names import ancestors
-from ...core.geometry import nearest_rotation, rotation_between
+from ...core.geometry import MIRROR, nearest_rotation, rotation_between
 from ...core.normalization import ORIENTATIONS, ROTATIONS, axis_name
 from ...core.rig import local_rotations
 from ...motions.bvh import Bvh
@@ -97,7 +97,7 @@ def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
     World from bind space, through joint j in the file's pose, is node j times its inverse bind matrix. Undoing it takes
     a node from that pose into bind space; an orientation and the median scale take bind space back to the world, where
     each joint gets the scale that its node has in the file. Nodes that the skin does not list follow the nearest joint
-    above them.
+    above them. Below a node that mirrors, the bind pose is mirrored, too, as the file shows it.
 
     Without usable inverse bind matrices, these are the nodes' transforms in the file. Skins without them have vertices
     in the frame of their joints (glTF 2.0, 3.7.3.1), which says nothing about a pose.
@@ -123,14 +123,22 @@ def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
     order = sort_parents_first(document, parent)
     above_joints = parent[next(node for node in order if node in joint_of_node)]
     own_scale = _kept_scales(T_world_bind, scale, invertible)
-    for orientation in _bind_orientations(T_world_bind[invertible], _append_world(T_world_node)[above_joints]):
+    mirror = _mirror(T_world_bind[invertible])
+    bound, above = mirror @ T_world_bind[invertible, :3, :3], mirror @ _append_world(T_world_node)[above_joints, :3, :3]
+    for orientation in _bind_orientations(bound, above):
         T_rest_bind = np.eye(4)
-        T_rest_bind[:3, :3] = orientation * own_scale[invertible[0]]
+        T_rest_bind[:3, :3] = mirror @ orientation * own_scale[invertible[0]]
         T_bound_node = np.empty_like(T_world_node)
         for node in order:
             nearest_joint[node] = joint_of_node.get(node, nearest_joint[parent[node]])
             T_bound_node[node] = T_rest_bind @ np.linalg.inv(T_world_bind[nearest_joint[node]]) @ T_world_node[node]
         yield _enlarged(T_bound_node, own_scale[[nearest_joint[node] for node in range(len(parent))]], order, parent)
+
+
+def _mirror(T_world_bind: Float[np.ndarray, "J 4 4"]) -> Float[np.ndarray, "3 3"]:
+    """Return the reflection at x = 0 where most joints mirror what they are bound to, else the identity."""
+    mirrors = np.median(np.sign(np.linalg.det(T_world_bind[:, :3, :3]))) < 0
+    return np.diag(MIRROR) if mirrors else np.eye(3)
 
 
 def _largest_skin(document: Document) -> int | None:
@@ -184,7 +192,8 @@ def front_before_placing(document: Document, T_rest_node: Float[np.ndarray, "N 4
     largest = _largest_skin(document)
     if largest is None:
         return front
-    T_rest_bind = nearest_rotation(joint_matrices(document, largest, T_rest_node)[:, :3, :3]).sum(axis=0)
+    T_joint_bind = joint_matrices(document, largest, T_rest_node)
+    T_rest_bind = nearest_rotation(_mirror(T_joint_bind) @ T_joint_bind[:, :3, :3]).sum(axis=0)
     orientation = _nearest_axis_rotation(nearest_rotation(T_rest_bind))
     up = orientation.T @ [0.0, 1.0, 0.0]
     if up[1] < 0:  # upside down: which way it was turned cannot be told
@@ -197,7 +206,7 @@ def front_before_placing(document: Document, T_rest_node: Float[np.ndarray, "N 4
 
 
 def _bind_orientations(
-    T_world_bind: Float[np.ndarray, "J 4 4"], T_world_above: Float[np.ndarray, "4 4"]
+    T_world_bind: Float[np.ndarray, "J 3 3"], T_world_above: Float[np.ndarray, "3 3"]
 ) -> list[Float[np.ndarray, "3 3"]]:
     """List axis-aligned rotations from bind space to the world, the likeliest first.
 
@@ -206,9 +215,9 @@ def _bind_orientations(
     the identity: the first one with about the same up axis as the mean rotation of the joints. What remains is the
     joints' pose. If none fits, it is the axis-aligned rotation nearest to that mean.
     """
-    rotations = nearest_rotation(T_world_bind[:, :3, :3])
+    rotations = nearest_rotation(T_world_bind)
     mean = nearest_rotation(rotations.sum(axis=0))
-    candidates = [_nearest_axis_rotation(nearest_rotation(T_world_above[:3, :3])), np.eye(3)]
+    candidates = [_nearest_axis_rotation(nearest_rotation(T_world_above)), np.eye(3)]
     posed = np.einsum("jkl,kl->j", rotations, mean).min() < 1 + 2 * SAME_ROTATION_COSINE  # the trace of a rotation
     likely = [candidate for candidate in candidates if posed and (mean @ candidate.T)[1, 1] > SAME_UP_COSINE]
     first = (likely or [_nearest_axis_rotation(mean)])[0]
