@@ -18,7 +18,15 @@ from ..bodies.anatomy import anatomy_of_joints, body_of_joints
 from ..bodies.character_limbs import SIDES
 from ..bodies.hands import straight_hands
 from ..bodies.joint_names import ancestors, finger_joints
-from ..core.foot_planting import PosedJoints, ever_upright, has_path, height_of_soles, plant_feet, standing_track
+from ..core.foot_planting import (
+    PosedJoints,
+    ever_upright,
+    has_path,
+    height_of_soles,
+    is_cyclic,
+    plant_feet,
+    standing_track,
+)
 from ..core.frame_buffer import Progress, counted, each_frame, evenly_spread
 from ..core.joint_tracks import JointTrack, root_path
 from ..core.mesh import Clip, Mesh, check_size
@@ -221,7 +229,9 @@ class Retarget:
         if ground and self.feet is not None:
             # In place, feet slide as they should: only heights are corrected.
             posed = plant_feet(posed, track, self.character.skinned, self.feet, scale, across is None, not in_place)
-        return self.contacts.kept(posed, track) if contacts and self.contacts is not None else posed
+        if contacts and self.contacts is not None:
+            posed = self.contacts.kept(posed, track, is_cyclic(track, self.motion.leg))
+        return posed
 
     def lift(self, posed: PosedJoints, track: JointTrack) -> float | None:
         """Return how far up a motion of the character's joints must go to stand on the floor that the character is on.
