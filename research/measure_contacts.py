@@ -6,8 +6,8 @@ POOL is a pool of rigged characters; those of its splits train and val follow ev
 (EVERYDAY) and clips of the pool of other makers, with contacts and without ("copied directions").
 
 Contact error: of each hand of the driving some share is within 2 cm of another part; it is the mean distance from the
-same part of the identity, of as large a share of its hand. Penetration: share of the surface of hands and forearms that is inside trunk,
-head or legs. Lengths are in centimetres of a person whose arm has 53 cm, as it has at 1.75 m.
+same part of the identity, of as large a share of its hand. Penetration: share of the surface of hands and forearms that
+is inside trunk, head or legs. Lengths are in centimetres of a person whose arm has 53 cm, as it has at 1.75 m.
 """
 
 from __future__ import annotations
@@ -85,9 +85,7 @@ class Person:
     """Length of a centimetre in the file's unit."""
 
     @classmethod
-    def of(
-        cls, mesh: Mesh, joint: Float[np.ndarray, " V"], names: list[str], places: dict[str, np.ndarray]
-    ) -> Person:
+    def of(cls, mesh: Mesh, joint: Float[np.ndarray, " V"], names: list[str], places: dict[str, np.ndarray]) -> Person:
         """Sample a person at rest.
 
         Args:
@@ -109,7 +107,9 @@ class Person:
             prop = np.linalg.norm(points - wrist, axis=1) > np.linalg.norm(wrist - fore)
             part[(part == f"{side}Hand") & prop] = ""
             if not (part == f"{side}Hand").any():  # forearms of blocks end in hands
-                part[(part == f"{side}ForeArm") & ((points - fore) @ (wrist - fore) > 0.75 * np.sum((wrist - fore) ** 2))] = f"{side}Hand"
+                part[
+                    (part == f"{side}ForeArm") & ((points - fore) @ (wrist - fore) > 0.75 * np.sum((wrist - fore) ** 2))
+                ] = f"{side}Hand"
             arm += (np.linalg.norm(fore - upper) + np.linalg.norm(wrist - fore)) / 2
         return cls(surface, part.astype(str), float(arm) / ARM_CM)
 
@@ -209,8 +209,12 @@ def everyday_clips() -> list[tuple[str, Clip, Person]]:
                 for joint, vector in SEATED.items():
                     poses[:, body.joint(f"{side}{joint}")] = vector
         start, stop = rotvec_to_rotmat(poses)
-        rotation = np.stack([slerp(start, stop, np.array([t])) for t in np.minimum(np.arange(FRAMES + HELD) / FRAMES, 1)])
-        made.append((name, played(Motion(name, body.joint_names, rotation, np.zeros((len(rotation), 3)), FPS), "+z"), person))
+        rotation = np.stack(
+            [slerp(start, stop, np.array([t])) for t in np.minimum(np.arange(FRAMES + HELD) / FRAMES, 1)]
+        )
+        made.append(
+            (name, played(Motion(name, body.joint_names, rotation, np.zeros((len(rotation), 3)), FPS), "+z"), person)
+        )
     return made
 
 
@@ -245,7 +249,11 @@ def measure_pair(
     distances = [posed.distances(side) for posed in driving for side in SIDES]
     touched = [{part: (apart < TOUCHES).mean() for part, apart in of.items() if apart[0] < TOUCHES} for of in distances]
     row["touches"] = sum(map(len, touched))
-    near = [of[part][: max(1, round(share * len(of[part])))].mean() for parts, of in zip(touched, distances, strict=True) for part, share in parts.items()]
+    near = [
+        of[part][: max(1, round(share * len(of[part])))].mean()
+        for parts, of in zip(touched, distances, strict=True)
+        for part, share in parts.items()
+    ]
     row["contact driving"] = float(np.mean(near)) if near else None
     row["penetration driving"] = float(np.mean([posed.penetration() for posed in driving]))
     for label, contacts in (("copied", False), ("ours", True)):

@@ -48,6 +48,8 @@ class BodyGrid:
 
     skinned: SkinnedMesh
     """The G points, then the same points moved along their normals."""
+    rest: Float[np.ndarray, "G 3"]
+    """The points in a T-pose."""
     parts: dict[str, slice]
     """Part, such as Trunk or LeftHand -> its points among the G."""
     arm: float
@@ -104,14 +106,19 @@ class BodyGrid:
         skinned = SkinnedMesh.of(
             np.concatenate([grid, grid + step * normals]), Rig(still, joints, np.tile(weights, (2, 1))), parents
         )
-        return cls(skinned, parts, arm)
+        return cls(skinned, grid, parts, arm)
 
     def chosen(self, parts: list[str]) -> BodyGrid:
         """Select parts, in this order."""
         ends = np.cumsum([0, *(self.parts[part].stop - self.parts[part].start for part in parts)])
         cells = self.cells(parts)
         skinned = self.skinned.part(np.concatenate([cells, cells + len(self.skinned.place) // 2]))
-        return replace(self, skinned=skinned, parts=dict(zip(parts, map(slice, ends, ends[1:]), strict=True)))
+        return replace(
+            self,
+            skinned=skinned,
+            rest=self.rest[cells],
+            parts=dict(zip(parts, map(slice, ends, ends[1:]), strict=True)),
+        )
 
     def cells(self, parts: Iterable[str]) -> Int[np.ndarray, " P"]:
         """Return the indices of the points of parts."""
@@ -119,11 +126,11 @@ class BodyGrid:
 
     def posed(
         self, rotation: Float[np.ndarray, "T J 3 3"], positions: Float[np.ndarray, "T J 3"]
-    ) -> tuple[Float[np.ndarray, "T G 3"], Float[np.ndarray, "T G 3"]]:
+    ) -> Float[np.ndarray, "T G 6"]:
         """Return the points, relative to the root joint and in arm lengths, and their unit normals."""
         both = self.skinned.posed_frames_at(rotation, positions - positions[:, :1]) / self.arm
         points, moved = np.split(both.astype(np.float32), 2, axis=1)
-        return points, unit_vectors(moved - points)
+        return np.concatenate([points, unit_vectors(moved - points)], axis=2, dtype=np.float32)
 
 
 def joints_in_t_pose(rig: Rig, parents: tuple[int, ...]) -> Float[np.ndarray, "J 3"]:
