@@ -3,8 +3,8 @@
 Both bodies have corresponding points (`body_grid`). Where points of the driving's hands and forearms are near its
 trunk, head, legs or other arm, the identity's should be as near to the corresponding place, in units of the arm, and
 they should not be deeper inside its body than the driving's are. A few Gauss-Newton steps find for each frame and arm
-how the wrist moves; shoulder and elbow follow by inverse kinematics, and the hand keeps its direction. Turning hands and
-swivelling elbows as well changed next to nothing (docs/log/rigs.md).
+how the wrist moves; shoulder and elbow follow by inverse kinematics, and the hand keeps its direction. Turning hands
+and swivelling elbows as well changed next to nothing (docs/log/rigs.md).
 """
 
 from __future__ import annotations
@@ -57,6 +57,23 @@ Corrections = Float[np.ndarray, "A T 3"]
 
 
 @dataclass(frozen=True, eq=False)
+class Target:
+    """Points of a body that an arm may touch."""
+
+    points: Int[np.ndarray, " O"]
+    """Which of the body's points these are."""
+    beside: Int[np.ndarray, "O K"]
+    """Those of the body's points nearest to each of these at rest, itself the first."""
+
+    @classmethod
+    def of(cls, points: Int[np.ndarray, " O"], rest: Float[np.ndarray, "G 3"]) -> Target:
+        """Find the neighbours among some of a body's points."""
+        from scipy.spatial import KDTree
+
+        return cls(points, points[KDTree(rest[points]).query(rest[points], NEIGHBOURS)[1]])
+
+
+@dataclass(frozen=True, eq=False)
 class Arm:
     """An arm of both bodies."""
 
@@ -66,12 +83,10 @@ class Arm:
     """Points of forearm and hand that should touch what the driving's do."""
     share: Float[np.ndarray, " M"]
     """How far each goes with the wrist: 1 for those of the hand."""
-    others: Int[np.ndarray, " O"]
-    """What they may touch: all points but those of the arm."""
-    beside: Int[np.ndarray, "O K"]
-    """The points nearest to each of these on the body at rest, itself the first."""
-    arm_from: int
-    """From which point of the body on they are those of arms."""
+    body: Target
+    """Trunk, head and legs, which it should not be in: the first points of the body."""
+    others: Target
+    """What it may touch: these and the other arm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,22 +109,22 @@ class Places:
     """1, less half of what the weights of the other arm are: two arms that meet go half-way each."""
 
     @classmethod
-    def of(cls, surface: Surface, arm: Arm) -> Places:
+    def of(cls, surface: Surface, arm: Arm, target: Target) -> Places:
         """Find the points of an arm on the surface."""
-        points, others = surface[:, arm.points, :3], surface[:, arm.others, :3]
+        points, others = surface[:, arm.points, :3], surface[:, target.points, :3]
         level = np.square(others).sum(axis=2, keepdims=True) / -2
         ones = np.ones_like(points[..., :1])
         # |p - o|^2 = |p|^2 - 2 (p o - |o|^2 / 2): the nearest point has the largest value in brackets.
         nearest = (
             np.concatenate([points, ones], axis=2) @ np.concatenate([others, level], axis=2).swapaxes(1, 2)
         ).argmax(axis=2)
-        around = arm.others[arm.beside[nearest]]
+        around = target.beside[nearest]
         square = np.square(points[:, :, None] - _rows(surface, around)[..., :3]).sum(axis=3)
         shares = np.exp((square[..., :1] - square) / np.float32(2 * SPREAD**2))
         shares /= shares.sum(axis=2, keepdims=True)
         gap, normal, along = _over(surface, arm, around, shares)
         contact = falling(np.maximum(gap, np.sqrt(square[..., 0]) - BETWEEN), TOUCHING)
-        alone = 1 - (shares * (around >= arm.arm_from)).sum(axis=2) / 2
+        alone = 1 - (shares * (around >= len(arm.body.points))).sum(axis=2) / 2
         return cls(around, shares, contact, gap, normal, along, alone)
 
     def at(self, frames: Bool[np.ndarray, " T"]) -> Places:
@@ -164,8 +179,6 @@ class Contacts:
             skinned: the identity.
             arms: its joints of each arm, from shoulder to wrist, those of them that it has.
         """
-        from scipy.spatial import KDTree
-
         if driving is None or identity is None:
             return None
         common = [part for part in driving.parts if part in identity.parts]
@@ -176,9 +189,10 @@ class Contacts:
         whole = [k for k in range(len(SIDES)) if len(arms[k]) == len(limbs[k]) == len(_arm_parts(SIDES[k]))]
         found = []
         for k in whole:
-            others = np.concatenate([cells[0], cells[2 - k]])
-            beside = KDTree(driving.rest[others]).query(driving.rest[others], NEIGHBOURS)[1]
-            found.append(Arm(arms[k], *_moved_points(identity, SIDES[k]), others, beside, len(cells[0])))
+            targets = [
+                Target.of(points, driving.rest) for points in (cells[0], np.concatenate([cells[0], cells[2 - k]]))
+            ]
+            found.append(Arm(arms[k], *_moved_points(identity, SIDES[k]), *targets))
         return cls(driving, identity, tuple(found), skinned) if found else None
 
     def kept(self, posed: PosedJoints, track: JointTrack, cyclic: bool) -> PosedJoints:
@@ -200,10 +214,10 @@ class Contacts:
         self, theirs: Surface, rotation: Float[np.ndarray, "T J 3 3"], positions: Float[np.ndarray, "T J 3"]
     ) -> Corrections:
         """Find the corrections of all arms in some frames."""
-        places = [Places.of(theirs, arm) for arm in self.arms]
+        places = [Places.of(theirs, arm, arm.others) for arm in self.arms]
         first = self.identity.posed(rotation, positions)
         found = np.zeros((len(self.arms), len(positions), 3))
-        own = [Places.of(first, arm) for arm in self.arms]
+        own = [Places.of(first, arm, arm.body) for arm in self.arms]
         deep = [_too_deep(by, of) for by, of in zip(own, places, strict=True)]
         some = np.any([of.contact + depth for of, depth in zip(places, deep, strict=True)], axis=(0, 2))
         if not some.any():
@@ -276,7 +290,7 @@ def _step(
         driving: its points on the driving.
         found: the correction so far.
     """
-    own = Places.of(now, arm)
+    own = Places.of(now, arm, arm.body)
     points = now[:, arm.points, :3]
     gap, normal, along = _over(now, arm, driving.around, driving.shares)
     target = driving.along - along
@@ -293,7 +307,7 @@ def _step(
     diagonal = (weight * arm.share**2).sum(axis=1) + STIFFNESS
     matrix = diagonal[:, None, None] * np.eye(3) + pushed.swapaxes(1, 2) @ own.normal
     side = ((weight * arm.share * driving.alone)[..., None] * target).sum(axis=1) - STIFFNESS * found
-    side += ((push * arm.share * depth * own.alone)[..., None] * own.normal).sum(axis=1)
+    side += ((push * arm.share * depth)[..., None] * own.normal).sum(axis=1)
     return np.linalg.solve(matrix, side[..., None])[..., 0]
 
 
