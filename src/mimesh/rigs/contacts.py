@@ -25,7 +25,7 @@ CENTIMETRE = 1 / 53
 """Arm lengths: a person of 1.75 m has arms of 53 cm, from shoulder to wrist."""
 TOUCHING = (2 * CENTIMETRE, 8 * CENTIMETRE)
 """Distances below which a point touches, and from which on it does not."""
-NEAR = 2 * CENTIMETRE
+NEAR = 3 * CENTIMETRE
 """A point that is further away than the nearest one by this much counts less, by e."""
 NEIGHBOURS = 9
 """Points, the nearest one included, that a place on a surface is among."""
@@ -35,14 +35,16 @@ BETWEEN = 4 * CENTIMETRE
 """How far a surface may be from its nearest points."""
 DEEPEST, TOLERANCE = 1 * CENTIMETRE, 0.5 * CENTIMETRE
 """How deep points may be inside the body where the driving's are; what they may be deeper than the driving's."""
-PUSH = 2.0
+PUSH = 5.0
 """Weight of points that are too deep; that of all points that touch is 1."""
 STIFFNESS = 0.02
 """Weight of the square of a correction (arm lengths)."""
 SECONDS = 0.05
 """Standard deviation of the Gaussian filter over corrections."""
-ROUNDS = 4
+ROUNDS = 5
 """Gauss-Newton steps."""
+FPS = 30
+"""Frames a second for which corrections are found, about; others are interpolated: corrections are smooth."""
 LEAST = 1e-6
 """Smaller corrections are none."""
 BLOCK = 128
@@ -198,13 +200,16 @@ class Contacts:
     def kept(self, posed: PosedJoints, track: JointTrack, cyclic: bool) -> PosedJoints:
         """Correct the arms of a motion of the identity that follows the driving's `track`."""
         positions = self.skinned.joint_positions(posed.rotation, posed.root)
-        found = np.zeros((len(self.arms), len(positions), 3))
-        for start in range(0, len(positions), BLOCK):
+        count = len(positions)
+        chosen = np.unique(np.append(np.arange(0, count, max(1, round(track.fps / FPS))), count - 1))
+        found = np.zeros((len(self.arms), len(chosen), 3))
+        for start in range(0, len(chosen), BLOCK):
             block = slice(start, start + BLOCK)
-            theirs = self.driving.posed(track.rotation[block], track.positions[block])
-            found[:, block] = self._corrections(theirs, posed.rotation[block], positions[block])
-        if len(positions) > 1:
-            found = _smoothed(found, track.fps, cyclic)
+            frames = chosen[block]
+            theirs = self.driving.posed(track.rotation[frames], track.positions[frames])
+            found[:, block] = self._corrections(theirs, posed.rotation[frames], positions[frames])
+        if count > 1:
+            found = _smoothed(_between(found, chosen, count), track.fps, cyclic)
         some = (np.abs(found) > LEAST).any(axis=(0, 2))  # the other frames stay as they are to the last bit
         rotation = posed.rotation.copy()
         rotation[some] = self._moved(rotation[some], positions[some], found[:, some])
@@ -309,6 +314,15 @@ def _step(
     side = ((weight * arm.share * driving.alone)[..., None] * target).sum(axis=1) - STIFFNESS * found
     side += ((push * arm.share * depth)[..., None] * own.normal).sum(axis=1)
     return np.linalg.solve(matrix, side[..., None])[..., 0]
+
+
+def _between(found: Corrections, chosen: Int[np.ndarray, " K"], count: int) -> Corrections:
+    """Interpolate corrections of chosen frames, the first and the last of `count` included, linearly to all."""
+    if len(chosen) == count:
+        return found
+    after = np.searchsorted(chosen, np.arange(count)).clip(1)
+    share = ((np.arange(count) - chosen[after - 1]) / (chosen[after] - chosen[after - 1]))[:, None]
+    return (1 - share) * found[:, after - 1] + share * found[:, after]
 
 
 def _smoothed(found: Corrections, fps: float, cyclic: bool) -> Corrections:
