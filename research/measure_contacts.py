@@ -31,7 +31,6 @@ from mimesh.bodies.character_pool import CharacterMeta, PoolCharacter, read_pool
 from mimesh.bodies.contacts import contact_bank
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.commands.terminal import progress
-from mimesh.core.geometry import slerp
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.options import MotionOptions
 from mimesh.core.surface_points import SurfacePoints, generator
@@ -53,16 +52,15 @@ EVERYDAY: dict[str, list[tuple[float, float, float]]] = {
     "on thighs": [(0.14, -0.42, -0.24), (0.42, -0.44, -1.06), (0.43, -0.39, -0.14), (0.32, 0.25, -0.05)],
     "on knees": [(0.04, -0.34, -0.22), (0.27, -0.52, -0.77), (0.51, -0.82, 0.14), (0.49, 0.25, 0.05)],
     "on head": [(-0.14, 0.3, 0.48), (-1.23, -0.73, -0.23), (-0.23, -2.33, 0.2), (0.56, -0.19, 0.29)],
-    "arms folded": [(0.51, 0.15, -0.26), (1.2, -0.57, -1.27), (0.33, -1.97, -0.36), (0.78, -0.18, 0.57)],
     "clap": [(0.01, -0.22, -0.29), (-0.19, -1.11, -0.71), (-0.17, -0.88, 0.1), (-0.11, 0.05, 0.2)],
 }
 """Rotation vectors (radians) of the joints ARM of the left arm, of the right arm mirrored. A palm of the shipped body
 lies on the part, at most 1.5 cm deep; least squares made them."""
 SEATED = {"UpLeg": (-1.4, 0.0, 0.0), "Leg": (1.5, 0.0, 0.0)}
 """Legs of those with their hands on their knees."""
-FRAMES, HELD = 16, 8
-"""Frames of an everyday contact, from arms that hang to the contact, and those in which it is held."""
-SAMPLES, HAND_SAMPLES = 16000, 4000
+FRAMES = 2
+"""Frames of an everyday contact, which is held."""
+SAMPLES = 16000
 TOUCHES, SURFACE = 2.0, 0.5
 """Centimetres: distance of a hand that touches; depth from which on a point is inside."""
 ARM_CM = 53.0
@@ -200,21 +198,15 @@ def everyday_clips() -> list[tuple[str, Clip, Person]]:
     person = Person.of(body.mesh(), body.weights.argmax(axis=1), list(body.joint_names), places)
     made = []
     for name, vectors in EVERYDAY.items():
-        poses = np.zeros((2, len(body.joint_names), 3))
+        pose = np.zeros((len(body.joint_names), 3))
         for side, sign in zip(SIDES, (1, -1), strict=True):
-            poses[0, body.joint(f"{side}Arm")] = (0, 0, -1.3 * sign)
             for joint, vector in zip(ARM, vectors, strict=True):
-                poses[1, body.joint(f"{side}{joint}")] = np.array(vector) * (1, sign, sign)
+                pose[body.joint(f"{side}{joint}")] = np.array(vector) * (1, sign, sign)
             if name == "on knees":
                 for joint, vector in SEATED.items():
-                    poses[:, body.joint(f"{side}{joint}")] = vector
-        start, stop = rotvec_to_rotmat(poses)
-        rotation = np.stack(
-            [slerp(start, stop, np.array([t])) for t in np.minimum(np.arange(FRAMES + HELD) / FRAMES, 1)]
-        )
-        made.append(
-            (name, played(Motion(name, body.joint_names, rotation, np.zeros((len(rotation), 3)), FPS), "+z"), person)
-        )
+                    pose[body.joint(f"{side}{joint}")] = vector
+        rotation = np.repeat(rotvec_to_rotmat(pose)[None], FRAMES, axis=0)
+        made.append((name, played(Motion(name, body.joint_names, rotation, np.zeros((FRAMES, 3)), FPS), "+z"), person))
     return made
 
 
@@ -240,11 +232,11 @@ def girth(character: PoolCharacter, person: Person) -> float:
 def measure_pair(
     character: PoolCharacter, mesh: Mesh, maker: str, name: str, clip: Clip, theirs: Person
 ) -> dict[str, Any]:
-    """Measure one clip on one character: in its last frame and, of clips of the pool, in others."""
+    """Measure one clip on one character: in its last frame; of clips of the pool in six frames."""
     mine = person_of(character)
     row: dict[str, Any] = {"identity": character.meta.file, "pack": character.meta.pack, "driving": name}
     row |= {"everyday": maker == "everyday", "girth": round(girth(character, mine), 3)}
-    frames = [FRAMES + HELD - 1] if row["everyday"] else np.linspace(0, len(clip) - 1, 6).round().astype(int).tolist()
+    frames = [FRAMES - 1] if row["everyday"] else np.linspace(0, len(clip) - 1, 6).round().astype(int).tolist()
     driving = [theirs.posed(np.asarray(clip.vertices[t], float)) for t in frames]
     distances = [posed.distances(side) for posed in driving for side in SIDES]
     touched = [{part: (apart < TOUCHES).mean() for part, apart in of.items() if apart[0] < TOUCHES} for of in distances]
