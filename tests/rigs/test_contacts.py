@@ -10,7 +10,7 @@ from mimesh.bodies import load_body
 from mimesh.bodies.character_limbs import SIDES
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.foot_planting import PosedJoints
-from mimesh.core.geometry import slerp, vertex_normals
+from mimesh.core.geometry import vertex_normals
 from mimesh.core.joint_tracks import JointTrack
 from mimesh.core.rig import Rig
 from mimesh.core.skinning import SkinnedMesh, skinning_transforms
@@ -35,11 +35,11 @@ def posed(pose, joints):
     return rotation, (rotation @ joints[..., None])[..., 0] + translation
 
 
-def belly(share=1.0):
+def belly():
     pose = np.zeros((1, len(BODY.joint_names), 3))
     for name, vector in BELLY.items():
         for side, sign in zip(SIDES, (1, -1), strict=True):
-            pose[0, BODY.joint(f"{side}{name}")] = share * np.array(vector) * (1, sign, sign)
+            pose[0, BODY.joint(f"{side}{name}")] = np.array(vector) * (1, sign, sign)
     return pose
 
 
@@ -76,24 +76,21 @@ def depth(skinned, of):
 
 def test_hands_on_the_belly_are_not_in_a_fat_one():
     skinned, copied, moved = kept(FAT, belly())
-    print("fat", np.percentile(depth(skinned, copied), [1, 50, 99]), np.percentile(depth(skinned, moved), [1, 50, 99]))
+    assert np.median(depth(skinned, copied)) > 0.03
+    assert np.median(depth(skinned, moved)) < 0.015
     hands = [arm[-1] for arm in ARMS]
     np.testing.assert_array_equal(moved.rotation[:, hands], copied.rotation[:, hands])
 
 
 def test_hands_on_the_belly_reach_a_thin_one():
     skinned, copied, moved = kept(THIN, belly())
-    print("thin", np.percentile(depth(skinned, copied), [1, 50, 99]), np.percentile(depth(skinned, moved), [1, 50, 99]))
+    assert np.percentile(depth(skinned, copied), 99) < -0.01
+    assert abs(np.percentile(depth(skinned, moved), 99)) < 0.003
 
 
 def test_the_same_body_keeps_its_arms():
     skinned, copied, moved = kept((BODY.vertices, BODY.joints), belly())
-    print(
-        "same",
-        depth(skinned, copied).max(),
-        depth(skinned, moved).max(),
-        np.abs(wrists(skinned, moved) - wrists(skinned, copied)).max(),
-    )
+    np.testing.assert_allclose(wrists(skinned, moved), wrists(skinned, copied), atol=0.003)
 
 
 @pytest.mark.parametrize("identity", [FAT, THIN])
@@ -105,16 +102,15 @@ def test_arms_away_from_the_body_stay_to_the_last_bit(identity):
 
 
 def test_the_frame_rate_changes_little():
-    still, target = (rotvec for rotvec in (belly(0)[0], belly()[0]))
     share = np.clip(np.arange(121) / 60, 0, 1)[:, None, None]
-    slow = kept(FAT, (still + share * (target - still))[::4], 30.0)
-    fast = kept(FAT, still + share * (target - still), 120.0)
-    print("rate", np.abs(wrists(slow[0], slow[2]) - wrists(fast[0], fast[2])[::4]).max())
-    step = np.diff(wrists(fast[0], fast[2]) - wrists(fast[0], fast[1]), n=2, axis=0)
-    print("acc", np.abs(step).max() * 120**2, np.abs(np.diff(wrists(fast[0], fast[1]), n=2, axis=0)).max() * 120**2)
+    slow, fast = kept(FAT, share[::4] * belly()), kept(FAT, share * belly(), 120.0)
+    np.testing.assert_allclose(wrists(fast[0], fast[2])[::4], wrists(slow[0], slow[2]), atol=0.0005)
+    bend = np.diff(wrists(fast[0], fast[2]) - wrists(fast[0], fast[1]), n=2, axis=0) * 120**2
+    assert np.abs(bend).max() < 3  # m/s^2, of a movement with 128
 
 
 def test_a_cycle_ends_as_it_begins():
-    share = np.sin(np.linspace(0, np.pi, 31))[:, None, None] ** 2
-    skinned, _, moved = kept(FAT, belly() * (0.6 + 0.4 * np.roll(share[:-1], 15, axis=0)[np.r_[0:30, 0]]), cyclic=True)
-    print("cycle", np.abs(wrists(skinned, moved)[[0]] - wrists(skinned, moved)[[-1]]).max())
+    share = 1 - 0.4 * np.sin(np.arange(31) / 30 * np.pi)[:, None, None] ** 2
+    skinned, _, moved = kept(FAT, share[np.r_[0:30, 0]] * belly(), cyclic=True)
+    found = wrists(skinned, moved)
+    np.testing.assert_array_equal(found[0], found[-1])
