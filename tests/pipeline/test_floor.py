@@ -129,7 +129,8 @@ def test_what_hangs_below_the_soles_does_not_lift_a_person(model, tmp_path):
     staff = dataclasses.replace(plain, vertices=vertices, weights=weights)
     found = []
     for figure in (plain, staff):
-        result = mimesh.animate(hero(tmp_path / "hero.glb", figure), driving, model).clip.vertices
+        motion = MotionOptions(contacts=False)  # the staff is part of the hand that would touch the thigh
+        result = mimesh.animate(hero(tmp_path / "hero.glb", figure), driving, model, motion=motion).clip.vertices
         found.append(result[:, kept != tip])
         np.testing.assert_allclose(height_of(found[-1]), stride() * HEIGHTS, atol=CLOSE)
     assert height_of(result).min() < -0.5

@@ -30,6 +30,8 @@ ROWS: dict[str, tuple[int, list[tuple[float, float]]]] = {
 }
 """Of each part the points of a ring, and the rings: share of the line, and elevation at its ends (degrees)."""
 PARTS = ("Trunk", "Head", *(side + part for side in SIDES for part in ROWS if part not in ("Trunk", "Head")))
+NEEDED = frozenset(side + joint for side in SIDES for joint in ("Arm", "ForeArm", "Hand", "UpLeg"))
+"""Joints without which there are no points."""
 NEAREST = 8
 """Samples of the surface whose median distance is the girth at a point: of layers of clothes the middle one."""
 FEWEST = 12
@@ -88,7 +90,7 @@ class BodyGrid:
             parents: parent of each joint.
         """
         place = {name: joints[j] for j, name in reversed(list(enumerate(names)))}  # the topmost joint of a name
-        if not {f"{side}{joint}" for side in SIDES for joint in ("Arm", "ForeArm", "Hand", "UpLeg")} <= place.keys():
+        if not place.keys() >= NEEDED:
             return None
         part_of = np.array([part_of_joint(name) for name in names])[weights.argmax(axis=1)]
         arm = float(np.mean([np.linalg.norm(place[f"{side}Hand"] - place[f"{side}Arm"]) for side in SIDES]))

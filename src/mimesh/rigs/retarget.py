@@ -35,7 +35,7 @@ from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
 from ..core.soles import Feet, SolePoints, Soles, find_soles, floor_height, sole_height
 from ..core.surface_points import SurfacePoints, generator
-from .body_grid import BodyGrid
+from .body_grid import NEEDED, BodyGrid
 from .character import Character, LinkedJoints, RestPose
 from .confidence import Confidence
 from .contacts import Contacts
@@ -78,7 +78,7 @@ class JointMotion:
     rest_floor: float | None = None
     """Height of the soles at rest, where the file has a rig whose hips move."""
     skin: tuple[Float[np.ndarray, "S 3"], Rig] | None = None
-    """Points of the surface in some pose, and the joints in it with their weights; None: the file has no weights."""
+    """Points of the surface in some pose, and the joints in it but fingers, with their weights; None: the file has none."""
     confidence: Confidence | None = None
     """How certainly the joints were found; None: they are those of a file."""
 
@@ -112,9 +112,10 @@ class JointMotion:
     @property
     def grid(self) -> BodyGrid | None:
         """Points on the surface that correspond to those of other people."""
-        if self.skin is None or body_of_joints(self.joints) != "human":
+        if self.skin is None or not NEEDED.issubset(self.joints) or body_of_joints(self.joints) != "human":
             return None
-        return BodyGrid.of_pose(*self.skin, self.joints, body_parents(self.joints))
+        joints = self.joints[: len(self.skin[1].joints)]  # fingers come last
+        return BodyGrid.of_pose(*self.skin, joints, body_parents(joints))
 
     def floor(self, lowest: float) -> float:
         """Return the height of the floor; `lowest` is that of the clip's planted soles, or of its lowest ones."""
