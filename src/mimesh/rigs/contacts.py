@@ -33,8 +33,8 @@ SPREAD = 4 * CENTIMETRE
 """Standard deviation of the weights of points around the nearest one: the distance between points is about 6 cm."""
 BETWEEN = 4 * CENTIMETRE
 """How far a surface may be from its nearest points."""
-DEEPEST, TOLERANCE = 1 * CENTIMETRE, 0.5 * CENTIMETRE
-"""How deep points may be inside the body where the driving's are; what they may be deeper than the driving's."""
+TOLERANCE = 0.5 * CENTIMETRE
+"""How much deeper in the body points may be than the driving's."""
 PUSH = 5.0
 """Weight of points that are too deep; that of all points that touch is 1."""
 STIFFNESS = 0.02
@@ -45,8 +45,8 @@ ROUNDS = 5
 """Gauss-Newton steps."""
 FPS = 30
 """Frames a second for which corrections are found, about; others are interpolated: corrections are smooth."""
-LEAST = 1e-6
-"""Smaller corrections are none."""
+LEAST = (0.5 * CENTIMETRE, 1.5 * CENTIMETRE)
+"""Corrections below the first are none: surfaces are known to about as much. From the second on they are whole."""
 BLOCK = 128
 """Frames that are corrected at once: 6 MiB for distances."""
 MOVED = {"ForeArm": [1, 2, 3], "Hand": [0, 1, 3]}
@@ -210,7 +210,7 @@ class Contacts:
             found[:, block] = self._corrections(theirs, posed.rotation[frames], positions[frames])
         if count > 1:
             found = _smoothed(_between(found, chosen, count), track.fps, cyclic)
-        some = (np.abs(found) > LEAST).any(axis=(0, 2))  # the other frames stay as they are to the last bit
+        some = found.any(axis=(0, 2))  # the other frames stay as they are to the last bit
         rotation = posed.rotation.copy()
         rotation[some] = self._moved(rotation[some], positions[some], found[:, some])
         return PosedJoints(rotation, posed.root)
@@ -220,22 +220,26 @@ class Contacts:
     ) -> Corrections:
         """Find the corrections of all arms in some frames."""
         places = [Places.of(theirs, arm, arm.others) for arm in self.arms]
+        allowed = [np.maximum(-Places.of(theirs, arm, arm.body).gap, 0) + TOLERANCE for arm in self.arms]
         first = self.identity.posed(rotation, positions)
         found = np.zeros((len(self.arms), len(positions), 3))
         own = [Places.of(first, arm, arm.body) for arm in self.arms]
-        deep = [_too_deep(by, of) for by, of in zip(own, places, strict=True)]
+        deep = [np.maximum(-by.gap - most, 0) for by, most in zip(own, allowed, strict=True)]
         some = np.any([of.contact + depth for of, depth in zip(places, deep, strict=True)], axis=(0, 2))
         if not some.any():
             return found
-        places, rotation, positions = [of.at(some) for of in places], rotation[some], positions[some]
+        places, allowed = [of.at(some) for of in places], [most[some] for most in allowed]
+        rotation, positions = rotation[some], positions[some]
         first, steps = first[some], found[:, some]
         now = first
         for _ in range(ROUNDS):
             for k, (arm, of) in enumerate(zip(self.arms, places, strict=True)):
-                steps[k] = self._within_reach(positions, arm, steps[k] + _step(first, now, arm, of, steps[k]))
+                steps[k] = self._within_reach(
+                    positions, arm, steps[k] + _step(first, now, arm, of, allowed[k], steps[k])
+                )
             turned = self._moved(rotation, positions, steps)
             now = self.identity.posed(turned, self.skinned.joint_positions(turned, positions[:, 0]))
-        found[:, some] = steps
+        found[:, some] = steps * (1 - falling(np.linalg.norm(steps, axis=2, keepdims=True), LEAST))
         return found
 
     def _within_reach(
@@ -275,13 +279,13 @@ def _moved_points(grid: BodyGrid, side: str) -> tuple[Int[np.ndarray, " M"], Flo
     return np.concatenate(points), np.concatenate(shares)
 
 
-def _too_deep(own: Places, driving: Places) -> Float[np.ndarray, "T M"]:
-    """Compute how much deeper points are inside the identity than they may be (arm lengths)."""
-    return np.maximum(-own.gap - np.clip(-driving.gap, 0, DEEPEST) - TOLERANCE, 0)
-
-
 def _step(
-    first: Surface, now: Surface, arm: Arm, driving: Places, found: Float[np.ndarray, "T 3"]
+    first: Surface,
+    now: Surface,
+    arm: Arm,
+    driving: Places,
+    allowed: Float[np.ndarray, "T M"],
+    found: Float[np.ndarray, "T 3"],
 ) -> Float[np.ndarray, "T 3"]:
     """Compute a Gauss-Newton step of the displacement of a wrist.
 
@@ -293,19 +297,20 @@ def _step(
         now: the identity with the correction found so far.
         arm: the arm.
         driving: its points on the driving.
+        allowed: how deep its points may be in the body.
         found: the correction so far.
     """
     own = Places.of(now, arm, arm.body)
     points = now[:, arm.points, :3]
     gap, normal, along = _over(now, arm, driving.around, driving.shares)
     target = driving.along - along
-    target += ((np.maximum(driving.gap, -DEEPEST) - gap) - (target * normal).sum(axis=2))[..., None] * normal
+    target += ((driving.gap - gap) - (target * normal).sum(axis=2))[..., None] * normal
     contact = driving.contact[..., None]
     target = contact * target + (1 - contact) * (first[:, arm.points, :3] - points)
     weight = driving.contact * np.exp((driving.gap.min(axis=1, keepdims=True) - driving.gap) / NEAR)
     total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
     weight *= driving.contact.max(axis=1, keepdims=True) / total
-    depth = _too_deep(own, driving)
+    depth = np.maximum(-own.gap - allowed, 0)
     push = PUSH / len(arm.points) * (depth > 0)
     # A point moves by its share of the displacement.
     pushed = (push * arm.share**2)[..., None] * own.normal

@@ -78,7 +78,8 @@ class JointMotion:
     rest_floor: float | None = None
     """Height of the soles at rest, where the file has a rig whose hips move."""
     skin: tuple[Float[np.ndarray, "S 3"], Rig] | None = None
-    """Points of the surface in some pose, and the joints in it but fingers, with their weights; None: the file has none."""
+    """Points of the surface in some pose, and the joints in it but fingers, with their weights; None where the file has
+    none."""
     confidence: Confidence | None = None
     """How certainly the joints were found; None: they are those of a file."""
 
