@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies.character_limbs import SIDES
+from ..bodies.joint_names import ancestors
 from ..core.geometry import unit_vectors
 from ..core.rig import Rig
-from ..core.skinning import SkinnedMesh, place_joints, skin_points
+from ..core.skinning import SkinnedMesh, skin_points
 
 Line = tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]
 """Start and end of a part's line."""
@@ -136,9 +137,9 @@ class BodyGrid:
 
 
 def joints_in_t_pose(rig: Rig, parents: tuple[int, ...]) -> Float[np.ndarray, "J 3"]:
-    """Compute the positions of the joints where none is turned, relative to the root."""
-    still = np.broadcast_to(np.eye(3), rig.rotation.shape)
-    return place_joints(np.zeros(3), rig.bones(parents), still, parents)
+    """Compute the positions of the joints where none is turned, relative to the root, whatever the order of joints."""
+    bones = np.concatenate([np.zeros((1, 3)), rig.bones(parents)])
+    return np.stack([bones[ancestors(parents, j)].sum(axis=0) for j in range(len(parents))])
 
 
 def part_of_joint(name: str) -> str:

@@ -45,7 +45,7 @@ ROUNDS = 5
 """Gauss-Newton steps."""
 FPS = 30
 """Frames a second for which corrections are found, about; others are interpolated: corrections are smooth."""
-LEAST = (0.5 * CENTIMETRE, 1.5 * CENTIMETRE)
+LEAST = (1 * CENTIMETRE, 2 * CENTIMETRE)
 """Corrections below the first are none: surfaces are known to about as much. From the second on they are whole."""
 BLOCK = 128
 """Frames that are corrected at once: 6 MiB for distances."""
