@@ -105,6 +105,10 @@ class JointMotion:
             rig = Rig(track.rotation[0], track.positions[0], weights)
             skin = surface.points(mesh.vertices), rig
             soles = find_soles(*skin, legs, body_parents(motion.joints), arms)
+            if motion.rest is not None and motion.rest_vertices is not None:  # taking back a pose bends joints
+                turned, places = motion.rest
+                rig = Rig(norm.rotation @ turned, norm.apply(places), weights)
+                skin = surface.points(norm.apply(motion.rest_vertices)), rig
             if motion.rest_vertices is not None and has_path(motion.positions[:, 0], motion.leg):
                 floor = sole_height(surface.points(norm.apply(motion.rest_vertices)), soles, len(legs))
         leg = motion.leg / norm.radius
