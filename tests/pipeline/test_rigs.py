@@ -32,6 +32,8 @@ EXACT = 1e-5
 LOOSE = {"A-pose": 2e-3, "no hands": 0.05}
 """The same for kinds of rigs whose rest pose has to be estimated: limbs are aligned by their directions, which does not
 show their twist, and a forearm without a hand joint by its surface."""
+COPIED = MotionOptions(contacts=False)
+"""Directions alone: girths that are found from another rest pose differ by centimetres on so few vertices."""
 QUARTER = Rotation.from_euler("y", 90, degrees=True).as_matrix()
 
 
@@ -72,7 +74,7 @@ def test_the_same_person_on_a_rig_of_another_kind(kind, model, driving, tmp_path
 def test_the_rig_of_the_driving_may_be_of_any_kind(kind, model, tmp_path):
     path, *_ = rigs.of_kind(tmp_path / "move.glb", kind, name=renamed("biped"))
     identity = rigs.character(tmp_path / "a.glb", name=renamed("godot"), frames=3)
-    result = animate(str(identity), str(path), model)
+    result = animate(str(identity), str(path), model, motion=COPIED)
     assert deviation(result.clip.vertices, truth(rigs.figure())) < LOOSE.get(kind, EXACT)
 
 
@@ -134,14 +136,15 @@ def test_rigs_below_mirroring_nodes_are_kept_and_move_as_they_are_seen(model, dr
     clips = {"move": rigs.exercise(person)}
     seen = rigs.character(tmp_path / "seen.glb", clips=clips, change=rigs.mirror)
     identity = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"), frames=3, change=rigs.mirror)
-    both = animate(str(identity), str(seen), model)
+    both = animate(str(identity), str(seen), model, motion=COPIED)
     assert both.own is not None
     assert deviation(both.clip.vertices, truth(person) * flip) < EXACT
     both.save_skinned(tmp_path / "out.glb")
     assert deviation(load_clip(tmp_path / "out.glb").vertices, truth(person) * flip) < EXACT
     plain = rigs.character(tmp_path / "b.glb", name=renamed("mixamo"), frames=3)
-    mirrored = animate(str(identity), str(driving), model).clip.vertices
-    assert deviation(mirrored, animate(str(plain), str(seen), model).clip.vertices * flip) < EXACT
+    mirrored = animate(str(identity), str(driving), model, motion=COPIED).clip.vertices
+    expected = animate(str(plain), str(seen), model, motion=COPIED).clip.vertices * flip
+    assert deviation(mirrored, expected) < EXACT
 
 
 def test_limbs_of_one_joint_point_where_the_drivings_limbs_do(model, driving, tmp_path):
@@ -182,7 +185,7 @@ def test_a_clip_without_a_mesh_drives_a_rig(model, tmp_path):
     """The person has the size of the clip's skeleton; the motion's path scales with the legs."""
     path, *_ = rigs.of_kind(tmp_path / "move.glb", "T-pose", change=without_mesh, armature=np.eye(4))
     identity = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"))
-    result = animate(str(identity), str(path), model, motion=MotionOptions(ground=False))
+    result = animate(str(identity), str(path), model, motion=MotionOptions(ground=False, contacts=False))
     assert result.own is not None
     transforms, expected = result.skeleton.transforms(), rigs.exercise(rigs.figure())
     names = rigs.figure().names
