@@ -62,6 +62,7 @@ class MIMESH_PT_motion(_Sidebar, Panel):
         layout.enabled = settings.model == "mime"
         layout.prop(settings, "root")
         layout.prop(settings, "ground")
+        layout.prop(settings, "contacts")
         layout.prop(settings, "smooth")
 
 

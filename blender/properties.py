@@ -111,6 +111,11 @@ class MimeshSettings(PropertyGroup):
         default=True,
         description="Soles slide no more than those of the driving while they stand on the ground (mime only)",
     )
+    contacts: BoolProperty(
+        name="Keep hands in contact",
+        default=False,
+        description="Hands touch the body where those of the driving do, and arms stay out of it (mime only)",
+    )
     smooth: FloatProperty(
         name="Smooth",
         default=0.0,
@@ -167,7 +172,8 @@ class MimeshSettings(PropertyGroup):
         """Return how joints move; options of mime are left out for other models."""
         from mimesh import MotionOptions
 
-        of_joints = {"root": self.root, "ground": self.ground, "smooth": self.smooth} if self.model == "mime" else {}
+        names = ("root", "ground", "contacts", "smooth") if self.model == "mime" else ()
+        of_joints = {name: getattr(self, name) for name in names}
         return MotionOptions(skinned=self.result == "ARMATURE", **of_joints)
 
 

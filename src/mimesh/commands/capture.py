@@ -32,7 +32,7 @@ def capture(
     model: Model = "mime",
     output: Annotated[OutputOptions, Without("open", "preview")],
     taken: Annotated[ClipOptions, Without("body_model")],
-    motion: Annotated[MotionOptions, Without("root", "ground", "skinned", "influences")],
+    motion: Annotated[MotionOptions, Without("root", "ground", "contacts", "skinned", "influences")],
     hints: Annotated[Hints, Without("driving_up", "driving_front", "driving_joints", "driving_part")],
     joints: Annotated[JointOptions, Without("save_joints", "save_driving_joints")],
     seed: Seed = 0,

@@ -40,7 +40,7 @@ def rig(
     output: Annotated[OutputOptions, Without("open")],
     layout: Annotated[Layout, Without("fps")],
     options: RigOptions,
-    weights: Annotated[MotionOptions, Without("root", "ground", "smooth", "skinned")],
+    weights: Annotated[MotionOptions, Without("root", "ground", "contacts", "smooth", "skinned")],
     hints: Annotated[Hints, Without("driving_up", "driving_front", "driving_joints", "driving_part")],
     joints: Annotated[JointOptions, Without("save_driving_joints")],
     seed: Seed = 0,

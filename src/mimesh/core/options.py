@@ -204,6 +204,13 @@ class MotionOptions:
     )
     """Weights a vertex of joints that were found, in files: 4, which all readers of glTF support, or 8, of which four
     are in a second set of attributes. A file's own rig keeps its weights."""
+    contacts: bool = declared(
+        False,
+        "Keep hands where DRIVING's touch its body, and arms out of the own (mime).",
+        name="--contacts/--no-contacts",
+    )
+    """Move arms so that hands touch the own body, and each other, where the driving's do, whatever the girth, and are
+    not inside it where the driving's are not. Of people alone; has no effect with a model without joints."""
 
     def __post_init__(self) -> None:
         """Raise InputError if a time or a number of weights is not allowed."""

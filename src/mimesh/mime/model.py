@@ -164,6 +164,7 @@ class Mime:
             legs=self.legs,
             leg=leg_length(rig.joints, self.legs),
             soles=find_soles(points, rig, self.legs, self.parents, self.arms),
+            faces=ranked.group[mesh.faces],
             arms=self.arms,
             confidence=_without_shares(confidence, mesh),
         )
@@ -186,6 +187,7 @@ class Mime:
             soles=found.soles,
             body=found.body,
             ankles=tuple(self.joints[leg[-1]] for leg in self.legs),
+            skin=(found.points, found.consensus),
             confidence=_without_shares(found.confidence, keyframes.mesh),
             keyframes=keyframes,
             found=found,

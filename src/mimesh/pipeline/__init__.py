@@ -166,8 +166,9 @@ def prepare(
     looked at, as by `animate`, which finds joints more exactly and tells whether fingers move (docs/api.md has the
     figures): record some seconds with various poses where you can.
 
-    A session makes the frames of `animate` with `ground=False` and `smooth=0`, which both need later frames. Joints in
-    the driving's file are not used, because frames of a stream are vertices only; the rig of the identity's file is.
+    A session makes the frames of `animate` with `ground=False` and `smooth=0`: all need later
+    frames. Joints in the driving's file are not used, because frames of a stream are vertices only; the rig of the
+    identity's file is.
 
     Args:
         identity: the mesh to move, or its path.

@@ -134,7 +134,7 @@ class JointRoute(Placed):
                 notes = () if standing is track else (no_path_note(clip.mesh.name),)
                 track = standing
             across = self.norms[1].radius / self.norms[0].radius if options.root == "keep" else None
-            posed = retarget.posed_joints(track, across, options.root == "drop", options.ground)
+            posed = retarget.posed_joints(track, across, options.root == "drop", options.ground, options.contacts)
             route = dataclasses.replace(self, retarget=retarget)
             shift = self.shift(route.turned(posed, 0), retarget.lift(posed, track))
             skeleton = dataclasses.replace(route.animated_rig(posed, shift), influences=options.influences)

@@ -200,8 +200,8 @@ def _follow_joints(
 
     def joints(vertices: Float[np.ndarray, "U 3"]) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, " 3"]]:
         rotation, positions = retarget.motion.pose(0, vertices)
-        # The frame rate is for smoothing and for feet, which are left out.
-        posed = retarget.posed_joints(JointTrack(rotation[None], positions[None], 1.0), across, False, False)
+        # The frame rate is for smoothing, feet and contacts, which are left out.
+        posed = retarget.posed_joints(JointTrack(rotation[None], positions[None], 1.0), across, False, False, False)
         return posed.rotation[0], posed.root[0]
 
     start = joints(first)[1]

@@ -16,10 +16,13 @@ from jaxtyping import Float, Int
 
 from ..bodies.joint_names import ancestors, followed_fingers
 from ..core.geometry import rotate_between, unit_vectors
+from ..core.mesh import Mesh
 from ..core.normalization import Normalization
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from ..core.soles import Soles, find_soles, sole_height
+from ..core.surface_points import SurfacePoints, generator, interpolate
+from .body_grid import BodyGrid, joints_in_t_pose
 from .confidence import Confidence
 
 if TYPE_CHECKING:
@@ -27,6 +30,9 @@ if TYPE_CHECKING:
 
 RestPose = tuple[Float[np.ndarray, "D 3 3"], Float[np.ndarray, "D 3"]]
 """World rotations and positions of a driving's joints at rest."""
+
+GRID_SAMPLES = 4096
+"""Points of a character's surface among which its girths are measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +61,8 @@ class Character:
     """Length of a leg."""
     soles: Soles
     """Contact points of the feet, then of the hands, as indices of `points`."""
+    faces: Int[np.ndarray, "F 3"]
+    """Triangles of `points`; none of a point cloud."""
     arms: tuple[tuple[int, ...], ...] = ()
     """Of each arm of a person shoulder, elbow and wrist, those of them that it has."""
     confidence: Confidence | None = None
@@ -106,12 +114,23 @@ class Character:
             legs=legs,
             leg=humanoid.leg / norm.radius,
             soles=find_soles(vertices, rig, legs, parents, arms),
+            faces=character.mesh.faces,
             arms=arms,
             whole=humanoid.whole_limbs,
             directions={name: end / np.linalg.norm(end) for name, end in ends.items()},
             standing={name: humanoid.turn @ humanoid.frames[name] for name in humanoid.stands & humanoid.joints.keys()},
             in_action=humanoid.in_action,
         )
+
+    @cached_property
+    def grid(self) -> BodyGrid | None:
+        """Points on its surface that correspond to those of other people."""
+        joints = joints_in_t_pose(self.rig, self.parents)
+        surface = SurfacePoints.of(Mesh(self.points, self.faces), GRID_SAMPLES, generator(0, 2))
+        straight = self.skinned.posed_at(np.broadcast_to(np.eye(3), self.rig.rotation.shape), joints)
+        weights = interpolate(self.rig.weights, surface.corners, surface.barycentric)
+        names = tuple(names[0] if names else "Hips" for names in self.above)
+        return BodyGrid.of(surface.points(straight), weights, joints, names, self.parents)
 
     @property
     def shared(self) -> Int[np.ndarray, " V"] | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -22,6 +23,7 @@ from ..core.foot_planting import (
     ever_upright,
     has_path,
     height_of_soles,
+    is_cyclic,
     plant_feet,
     resting_lift,
     standing_track,
@@ -34,8 +36,10 @@ from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
 from ..core.soles import Feet, SolePoints, Soles, body_points, find_soles, floor_height, sole_height
 from ..core.surface_points import SurfacePoints, generator
+from .body_grid import NEEDED, BodyGrid
 from .character import Character, LinkedJoints, RestPose
 from .confidence import Confidence
+from .contacts import Contacts
 
 Pose = tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]
 """World rotation and position of every joint."""
@@ -76,6 +80,9 @@ class JointMotion:
     """The joints at rest, where the file has them."""
     rest_floor: float | None = None
     """Height of the soles at rest, where the file has a rig whose hips move."""
+    skin: tuple[Float[np.ndarray, "S 3"], Rig] | None = None
+    """Points of the surface in some pose, and the joints in it but fingers, with their weights; None where the file has
+    none."""
     confidence: Confidence | None = None
     """How certainly the joints were found; None: they are those of a file."""
 
@@ -86,6 +93,7 @@ class JointMotion:
         track = JointTrack(norm.rotation @ motion.rotation, positions, fps)
         surface = SurfacePoints.of(mesh, SOLE_SAMPLES, generator(seed, 1))
         soles: Soles = ()
+        skin = None
         ankles: tuple[str, ...] = ()
         floor = body = None
         if motion.weights is not None:
@@ -101,11 +109,23 @@ class JointMotion:
             points, parents = surface.points(mesh.vertices), body_parents(motion.joints)
             soles = find_soles(points, rig, legs, parents, arms)
             body = body_points(points, rig, legs + arms, parents)
+            skin = points, rig
+            if motion.rest is not None and motion.rest_vertices is not None:  # taking back a pose bends joints
+                turned, places = motion.rest
+                rig = Rig(norm.rotation @ turned, norm.apply(places), weights)
+                skin = surface.points(norm.apply(motion.rest_vertices)), rig
             if motion.rest_vertices is not None and has_path(motion.positions[:, 0], motion.leg):
                 floor = sole_height(surface.points(norm.apply(motion.rest_vertices)), soles, len(legs))
-        return cls(
-            motion.joints, None, motion.leg / norm.radius, surface, soles, ankles, track, body, motion.rest, floor
-        )
+        leg = motion.leg / norm.radius
+        return cls(motion.joints, None, leg, surface, soles, ankles, track, body, motion.rest, floor, skin)
+
+    @property
+    def grid(self) -> BodyGrid | None:
+        """Points on the surface that correspond to those of other people."""
+        if self.skin is None or not NEEDED.issubset(self.joints) or body_of_joints(self.joints) != "human":
+            return None
+        joints = self.joints[: len(self.skin[1].joints)]  # fingers come last
+        return BodyGrid.of_pose(*self.skin, joints, body_parents(joints))
 
     def floor(self, lowest: float) -> float:
         """Return the height of the floor; `lowest` is that of the clip's planted soles, or of its lowest ones."""
@@ -197,7 +217,16 @@ class Retarget:
         """Contact points of the driving, if both have feet."""
         return None if self.feet is None else self.feet.driving
 
-    def posed_joints(self, track: JointTrack, across: float | None, in_place: bool, ground: bool) -> PosedJoints:
+    @cached_property
+    def contacts(self) -> Contacts | None:
+        """What keeps contacts of arms with the own body; None for animals, and where joints or surfaces lack."""
+        driving = self.motion.grid
+        identity = None if driving is None else self.character.grid
+        return Contacts.of(driving, identity, self.character.skinned, self.character.arms)
+
+    def posed_joints(
+        self, track: JointTrack, across: float | None, in_place: bool, ground: bool, contacts: bool
+    ) -> PosedJoints:
         """Return the motion of the character's joints.
 
         Args:
@@ -206,15 +235,18 @@ class Retarget:
                 then; None is `stride`.
             in_place: no displacement over the ground.
             ground: correct root path and legs so that soles stand where the driving's do.
+            contacts: correct arms so that hands touch the own body where the driving's do.
         """
         scale = (self.stride if across is None else across, self.stride)
         rotation = self.links.rotations(track.rotation, track.positions)
         posed = PosedJoints(rotation, root_path(track, *scale, in_place))
-        if not ground or self.feet is None:
-            return posed
-        # In place, feet slide as they should: only heights are corrected.
-        free, skinned = across is None, self.character.skinned
-        return plant_feet(posed, track, skinned, self.feet, scale, free, not in_place, self.motion.floor)
+        if ground and self.feet is not None:
+            # In place, feet slide as they should: only heights are corrected.
+            free, skinned = across is None, self.character.skinned
+            posed = plant_feet(posed, track, skinned, self.feet, scale, free, not in_place, self.motion.floor)
+        if contacts and self.contacts is not None:
+            posed = self.contacts.kept(posed, track, is_cyclic(track, self.motion.leg))
+        return posed
 
     def lift(self, posed: PosedJoints, track: JointTrack) -> float | None:
         """Return how far up a motion of the character's joints must go to stand on the floor that the character is on.
@@ -238,7 +270,7 @@ class Retarget:
         known = self.motion.track
         motion = self.motion if known is None else replace(self.motion, track=known.at(chosen, fps))
         track = motion.over(Clip(clip.mesh, clip.vertices[chosen], fps), norm, self.driving_soles)
-        return self.lift(self.posed_joints(track, None, False, False), track)
+        return self.lift(self.posed_joints(track, None, False, False, False), track)
 
     def standing(self, track: JointTrack) -> JointTrack:
         """Put the lowest sole of a driving without a path on the floor in every frame; others stay as they are."""

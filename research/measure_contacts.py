@@ -1,0 +1,284 @@
+"""Measure hands that touch the own body: contact error and penetration, as MeshRet does (Ye et al., NeurIPS 2024).
+
+    python research/measure_contacts.py POOL [-o benchmarks/contacts.json] [--characters 24] [--clips 4]
+
+POOL is a pool of rigged characters; those of its splits train and val follow everyday contacts of the shipped body
+(EVERYDAY) and clips of the pool of other makers, with contacts and without ("copied directions").
+
+Contact error: of each hand of the driving some share is within 2 cm of another part; it is the mean distance from the
+same part of the identity, of as large a share of its hand. Penetration: share of the surface of hands and forearms that
+is inside trunk, head or legs. Lengths are in centimetres of a person whose arm has 53 cm, as it has at 1.75 m.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from retargets import FPS, body_limbs, choose_characters, write_pool
+from scipy.spatial import KDTree
+
+from mimesh.bodies import load_body
+from mimesh.bodies.character_limbs import SIDES
+from mimesh.bodies.character_pool import CharacterMeta, PoolCharacter, read_pool
+from mimesh.bodies.contacts import contact_bank
+from mimesh.bodies.sampling import rotvec_to_rotmat
+from mimesh.commands.terminal import progress
+from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.options import MotionOptions
+from mimesh.core.surface_points import SurfacePoints, generator
+from mimesh.evaluate.provenance import commit, libraries, machine
+from mimesh.io import load_clip, load_mesh
+from mimesh.io.atomic import whole_file
+from mimesh.motions.motion import Motion
+from mimesh.motions.on_body import played
+from mimesh.pipeline import animate
+from mimesh.rigs.body_grid import part_of_joint
+
+ARM = ("Shoulder", "Arm", "ForeArm", "Hand")
+EVERYDAY: dict[str, list[tuple[float, float, float]]] = {
+    "hands on hips": [(0.13, 0.36, 0.12), (0.59, -0.17, -1.15), (0.35, -1.58, -0.23), (0.16, 0.5, 0.18)],
+    "on belly": [(0.17, -0.08, 0.18), (0.5, -0.47, -1.09), (0.24, -1.73, -0.18), (-0.01, -0.18, -0.3)],
+    "on chest": [(0.18, -0.06, 0.42), (0.31, -0.59, -0.89), (0.24, -2.25, -0.04), (-0.44, -0.24, -0.09)],
+    "on cheeks": [(-0.15, 0.04, -0.32), (-0.36, -1.34, -1.46), (0.26, -2.16, 0.02), (0.23, -0.1, 0.44)],
+    "on back": [(0.11, 0.34, -0.04), (0.73, 0.72, -1.66), (-0.15, -1.57, -0.18), (-0.23, 0.27, 0.78)],
+    "on thighs": [(0.14, -0.42, -0.24), (0.42, -0.44, -1.06), (0.43, -0.39, -0.14), (0.32, 0.25, -0.05)],
+    "on knees": [(0.04, -0.34, -0.22), (0.27, -0.52, -0.77), (0.51, -0.82, 0.14), (0.49, 0.25, 0.05)],
+    "on head": [(-0.14, 0.3, 0.48), (-1.23, -0.73, -0.23), (-0.23, -2.33, 0.2), (0.56, -0.19, 0.29)],
+    "clap": [(0.01, -0.22, -0.29), (-0.19, -1.11, -0.71), (-0.17, -0.88, 0.1), (-0.11, 0.05, 0.2)],
+}
+"""Rotation vectors (radians) of the joints ARM of the left arm, of the right arm mirrored. A palm of the shipped body
+lies on the part, at most 1.5 cm deep; least squares made them."""
+SEATED = {"UpLeg": (-1.4, 0.0, 0.0), "Leg": (1.5, 0.0, 0.0)}
+"""Legs of those with their hands on their knees."""
+FRAMES = 2
+"""Frames of an everyday contact, which is held."""
+SAMPLES = 16000
+TOUCHES, SURFACE = 2.0, 0.5
+"""Centimetres: distance of a hand that touches; depth from which on a point is inside."""
+ARM_CM = 53.0
+BANK, SHAPES = 200, 3
+"""People of the shipped body among which the thinnest and the fattest are chosen, and how many of each."""
+LEVELS = 3
+"""Parts of a trunk, one above the other."""
+GIRTHS = {"thin": (0.0, 0.45), "medium": (0.45, 0.58), "fat": (0.58, np.inf)}
+"""Girth of the trunk at half its height over the height of the person."""
+
+
+@dataclass(frozen=True, eq=False)
+class Person:
+    """Samples of a person's surface, with the part that each is on."""
+
+    surface: SurfacePoints
+    part: np.ndarray
+    """Part of each sample: Head, Trunk0, LeftUpLeg, LeftHand, ..."""
+    unit: float
+    """Length of a centimetre in the file's unit."""
+
+    @classmethod
+    def of(cls, mesh: Mesh, joint: Float[np.ndarray, " V"], names: list[str], places: dict[str, np.ndarray]) -> Person:
+        """Sample a person at rest.
+
+        Args:
+            joint: strongest joint of each vertex.
+            names: joint of the shipped body that each joint is or is below.
+            places: positions of the joints of the shipped body.
+        """
+        surface = SurfacePoints.of(mesh, SAMPLES, generator(0, 0))
+        strongest = surface.barycentric.argmax(axis=1)
+        of_joint = np.array([part_of_joint(name) for name in names])
+        part = of_joint[joint[surface.corners[np.arange(SAMPLES), strongest]]].astype(object)
+        points = surface.points(mesh.vertices)
+        low, high = (np.mean([places[f"{s}{name}"][1] for s in SIDES]) for name in ("UpLeg", "Arm"))
+        level = np.clip((points[:, 1] - low) / (high - low) * LEVELS, 0, LEVELS - 1).astype(int)
+        part = np.where(part == "Trunk", np.char.add("Trunk", level.astype(str)).astype(object), part)
+        arm = 0.0
+        for side in SIDES:
+            upper, fore, wrist = (places[f"{side}{name}"] for name in ("Arm", "ForeArm", "Hand"))
+            prop = np.linalg.norm(points - wrist, axis=1) > np.linalg.norm(wrist - fore)
+            part[(part == f"{side}Hand") & prop] = ""
+            if not (part == f"{side}Hand").any():  # forearms of blocks end in hands
+                part[
+                    (part == f"{side}ForeArm") & ((points - fore) @ (wrist - fore) > 0.75 * np.sum((wrist - fore) ** 2))
+                ] = f"{side}Hand"
+            arm += (np.linalg.norm(fore - upper) + np.linalg.norm(wrist - fore)) / 2
+        return cls(surface, part.astype(str), float(arm) / ARM_CM)
+
+    def posed(self, vertices: Float[np.ndarray, "V 3"]) -> Posed:
+        """Return the samples in a frame."""
+        return Posed(self, self.surface.points(vertices) / self.unit, self.surface.normals(vertices))
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A person in a frame (centimetres)."""
+
+    person: Person
+    points: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"]
+
+    def distances(self, side: str) -> dict[str, Float[np.ndarray, " M"]]:
+        """Measure the distances of the points of a hand from each part that it may touch, the smallest first."""
+        part = self.person.part
+        hand = self.points[part == f"{side}Hand"]
+        others = [name for name in np.unique(part) if name and name.removeprefix(side) not in ARM]
+        return {name: np.sort(KDTree(self.points[part == name]).query(hand)[0]) for name in others if len(hand)}
+
+    def penetration(self) -> float:
+        """Measure the share of hands and forearms that is inside trunk, head or legs."""
+        part = self.person.part
+        arms = np.isin(part, [f"{side}{name}" for side in SIDES for name in ("ForeArm", "Hand")])
+        body = np.flatnonzero([name.startswith(("Trunk", "Head")) or name.endswith("Leg") for name in part])
+        nearest = body[KDTree(self.points[body]).query(self.points[arms])[1]]
+        depth = ((self.points[nearest] - self.points[arms]) * self.normals[nearest]).sum(axis=1)
+        return float((depth > SURFACE).mean())
+
+
+def main() -> None:
+    """Measure all pairs and write the report."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("pool", type=Path)
+    parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/contacts.json"))
+    parser.add_argument("--characters", type=int, default=18)
+    parser.add_argument("--clips", type=int, default=4)
+    args = parser.parse_args()
+    pool = [character for split in ("train", "val") for character in read_pool(args.pool, split).characters]
+    pool = [c for c in pool if {f"{s}{name}" for s in SIDES for name in ("Arm", "ForeArm", "Hand")} <= c.joints.keys()]
+    chosen, rows = choose_characters(tuple(pool), args.characters) + shaped_people(SHAPES), []
+    drivings: list[tuple[str, str, Clip, Person]] = [("everyday", *everyday) for everyday in everyday_clips()]
+    with tempfile.TemporaryDirectory() as folder, progress("characters", quiet=False) as advance:
+        players = choose_characters(tuple(c for c in pool if c.clips), 6)
+        paths = write_pool([*{c.meta.file: c for c in (*chosen, *players)}.values()], Path(folder))
+        for player in players:
+            for clip in list(player.clips)[:: max(1, len(player.clips) // 2)][:2]:
+                loaded = load_clip(paths[player.meta.file], animation=clip)
+                drivings.append((player.meta.maker, f"{player.meta.file} {clip}", loaded, person_of(player)))
+        for k, character in enumerate(chosen):
+            others = [driving for driving in drivings if driving[0] not in ("everyday", character.meta.maker)]
+            used = [driving for driving in drivings if driving[0] == "everyday"] + others[k % 2 :: 2][: args.clips]
+            rows += [measure_pair(character, load_mesh(paths[character.meta.file]), *driving) for driving in used]
+            if advance is not None:
+                advance(k + 1, len(chosen))
+    report = {"commit": commit(), "machine": machine(), "libraries": libraries(), "characters": len(chosen)}
+    report |= {"pairs": len(rows), "results": summary(rows)}
+    with whole_file(args.output) as path:
+        path.write_text(json.dumps(report | {"figures": rows}, indent=1) + "\n")
+    print(json.dumps(report["results"], indent=1))
+
+
+def shaped_people(count: int) -> list[PoolCharacter]:
+    """Return the thinnest and the fattest shapes among people of the shipped body (`bodies.contacts`), as many each."""
+    body, rig = load_body(), body_limbs().character
+    found = []
+    for k, shape in enumerate(contact_bank()[0][:BANK]):
+        points, joints = body.shaped(shape)
+        frames = rig.T_world_joint.copy()
+        frames[:, :3, 3] = joints
+        mesh, points = body.mesh(points), np.broadcast_to(points[:, None], rig.points.shape)
+        meta = CharacterMeta(f"body_{k}", "shipped body", "", "", "realistic", "humanoid", "train", "+z", "")
+        own = dataclasses.replace(rig, mesh=mesh, T_world_joint=frames, points=points)
+        places = {name: j for j, name in enumerate(body.joint_names)}
+        found.append(PoolCharacter(meta, own, places, {}, {}, body.parents, np.arange(len(body.parents))))
+    found.sort(key=lambda character: girth(character, person_of(character)))
+    every = 4  # neighbours in this order are alike
+    return found[: every * count : every] + found[: -every * count - 1 : -every]
+
+
+def everyday_clips() -> list[tuple[str, Clip, Person]]:
+    """Make the everyday contacts of the shipped body, at 30 frames a second."""
+    body = load_body()
+    places = dict(zip(body.joint_names, body.joints, strict=True))
+    person = Person.of(body.mesh(), body.weights.argmax(axis=1), list(body.joint_names), places)
+    made = []
+    for name, vectors in EVERYDAY.items():
+        pose = np.zeros((len(body.joint_names), 3))
+        for side, sign in zip(SIDES, (1, -1), strict=True):
+            for joint, vector in zip(ARM, vectors, strict=True):
+                pose[body.joint(f"{side}{joint}")] = np.array(vector) * (1, sign, sign)
+            if name == "on knees":
+                for joint, vector in SEATED.items():
+                    pose[body.joint(f"{side}{joint}")] = vector
+        rotation = np.repeat(rotvec_to_rotmat(pose)[None], FRAMES, axis=0)
+        made.append((name, played(Motion(name, body.joint_names, rotation, np.zeros((FRAMES, 3)), FPS), "+z"), person))
+    return made
+
+
+def person_of(character: PoolCharacter) -> Person:
+    """Return the surface of a character of the pool."""
+    rig, names = character.rig, {joint: name for name, joint in reversed(character.joints.items())}
+    nearest = []
+    for j, parent in enumerate(rig.parents):
+        nearest.append(names.get(j, nearest[parent] if parent >= 0 else "Hips"))
+    strongest = np.take_along_axis(rig.joint_of, rig.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    places = {name: rig.T_world_joint[joint, :3, 3] for name, joint in character.joints.items()}
+    return Person.of(rig.mesh, strongest.clip(max=len(nearest) - 1), nearest, places)
+
+
+def girth(character: PoolCharacter, person: Person) -> float:
+    """Measure the girth of the trunk at half its height, of an ellipse, over the height of the person."""
+    points = person.surface.points(character.rig.mesh.vertices)
+    waist = points[person.part == "Trunk1"]
+    width, depth = np.ptp(np.percentile(waist[:, [0, 2]], (5, 95), axis=0), axis=0) / 2
+    return float(np.pi * (width + depth) / np.ptp(points[:, 1]))
+
+
+def measure_pair(
+    character: PoolCharacter, mesh: Mesh, maker: str, name: str, clip: Clip, theirs: Person
+) -> dict[str, Any]:
+    """Measure one clip on one character: in its last frame; of clips of the pool in six frames."""
+    mine = person_of(character)
+    row: dict[str, Any] = {"identity": character.meta.file, "pack": character.meta.pack, "driving": name}
+    row |= {"everyday": maker == "everyday", "girth": round(girth(character, mine), 3)}
+    frames = [FRAMES - 1] if row["everyday"] else np.linspace(0, len(clip) - 1, 6).round().astype(int).tolist()
+    driving = [theirs.posed(np.asarray(clip.vertices[t], float)) for t in frames]
+    distances = [posed.distances(side) for posed in driving for side in SIDES]
+    touched = [{part: (apart < TOUCHES).mean() for part, apart in of.items() if apart[0] < TOUCHES} for of in distances]
+    row["touches"] = sum(map(len, touched))
+    near = [
+        of[part][: max(1, round(share * len(of[part])))].mean()
+        for parts, of in zip(touched, distances, strict=True)
+        for part, share in parts.items()
+    ]
+    row["contact driving"] = float(np.mean(near)) if near else None
+    row["penetration driving"] = float(np.mean([posed.penetration() for posed in driving]))
+    for label, contacts in (("copied", False), ("ours", True)):
+        moved = animate(mesh, clip, motion=MotionOptions(contacts=contacts))
+        posed = [mine.posed(np.asarray(moved.clip.vertices[t], float)) for t in frames]
+        found = [of.distances(side) for of in posed for side in SIDES]
+        apart = [
+            of[part][: max(1, round(share * len(of[part])))].mean()
+            for parts, of in zip(touched, found, strict=True)
+            for part, share in parts.items()
+            if part in of
+        ]
+        row[f"contact {label}"] = float(np.mean(apart)) if apart else None
+        row[f"penetration {label}"] = float(np.mean([of.penetration() for of in posed]))
+    return row
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Average the figures of each group of girths, and of each everyday contact."""
+
+    def means(some: list[dict[str, Any]]) -> dict[str, Any]:
+        keys = [key for key in rows[0] if key.startswith(("contact ", "penetration "))]
+        known = {key: [row[key] for row in some if row[key] is not None] for key in keys}
+        return {"pairs": len(some)} | {key: round(float(np.mean(v)), 4) if v else None for key, v in known.items()}
+
+    table: dict[str, Any] = {}
+    for label, everyday in (("everyday", True), ("clips", False)):
+        some = [row for row in rows if row["everyday"] is everyday]
+        groups = {g: [r for r in some if low <= r["girth"] < high] for g, (low, high) in GIRTHS.items()}
+        table[label] = {group: means(of) for group, of in groups.items() if of}
+    table["contacts"] = {name: means([row for row in rows if row["driving"] == name]) for name in EVERYDAY}
+    return table
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,232 @@
+"""Corresponding points on the surfaces of people: rings around trunk, head, arms and legs.
+
+A part of the body is a line between two joints in a T-pose. Its points have the same place along the line and the same
+direction from it on every person; only their distance, the girth, is the person's own. They move with the skin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..bodies.character_limbs import SIDES
+from ..bodies.joint_names import ancestors
+from ..core.geometry import unit_vectors
+from ..core.rig import Rig
+from ..core.skinning import SkinnedMesh, skin_points
+
+Line = tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]
+"""Start and end of a part's line."""
+ROWS: dict[str, tuple[int, list[tuple[float, float]]]] = {
+    "Trunk": (16, [(0, -50), (0, 0), (0.2, 0), (0.4, 0), (0.6, 0), (0.8, 0), (1, 0), (1, 40)]),
+    "Head": (12, [(0, -45), (0, -15), (0.5, 0), (1, 15), (1, 45), (1, 80)]),
+    "UpLeg": (10, [(0.1, 0), (0.3, 0), (0.5, 0), (0.7, 0), (0.9, 0)]),
+    "Leg": (8, [(0.1, 0), (0.35, 0), (0.6, 0), (0.85, 0)]),
+    "Arm": (8, [(0.35, 0), (0.65, 0), (0.95, 0)]),
+    "ForeArm": (8, [(0.2, 0), (0.45, 0), (0.7, 0), (0.95, 0)]),
+    "Hand": (8, [(0.3, 0), (0.8, 0), (1, 10), (1, 60)]),
+}
+"""Of each part the points of a ring, and the rings: share of the line, and elevation at its ends (degrees)."""
+PARTS = ("Trunk", "Head", *(side + part for side in SIDES for part in ROWS if part not in ("Trunk", "Head")))
+NEEDED = frozenset(side + joint for side in SIDES for joint in ("Arm", "ForeArm", "Hand", "UpLeg"))
+"""Joints without which there are no points."""
+NEAREST = 8
+"""Samples of the surface whose median distance is the girth at a point: of layers of clothes the middle one."""
+FEWEST = 12
+"""Samples of the surface that a part has at least."""
+HEAD_TOP, FINGERTIPS = 1.2, 0.7
+"""Where the line of a head ends: median height of its surface over the joint times this (hair and ears are above it).
+Where that of a hand does: share of the length of the hand."""
+
+END_OF_FOREARM = 0.75
+"""Share of its length from which on a forearm is the hand, where no joint of a hand moves a surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyGrid:
+    """Points on the surface of a person, and which part each belongs to."""
+
+    skinned: SkinnedMesh
+    """The G points, then the same points moved along their normals."""
+    rest: Float[np.ndarray, "G 3"]
+    """The points in a T-pose."""
+    parts: dict[str, slice]
+    """Part, such as Trunk or LeftHand -> its points among the G."""
+    arm: float
+    """Length of an arm, from shoulder to wrist: the unit of distances."""
+
+    @classmethod
+    def of_pose(
+        cls, points: Float[np.ndarray, "N 3"], rig: Rig, names: tuple[str, ...], parents: tuple[int, ...]
+    ) -> BodyGrid | None:
+        """Find the points on a surface in any pose; see `of`.
+
+        Args:
+            points: samples of the surface.
+            rig: the joints in that pose, with the weights of the samples.
+        """
+        joints, undo = joints_in_t_pose(rig, parents), rig.rotation.swapaxes(-1, -2)
+        straight = skin_points(points, rig.weights, undo, joints - (undo @ rig.joints[..., None])[..., 0])
+        return cls.of(straight, rig.weights, joints, names, parents)
+
+    @classmethod
+    def of(
+        cls,
+        points: Float[np.ndarray, "N 3"],
+        weights: Float[np.ndarray, "N J"],
+        joints: Float[np.ndarray, "J 3"],
+        names: tuple[str, ...],
+        parents: tuple[int, ...],
+    ) -> BodyGrid | None:
+        """Find the points on a surface in a T-pose; None where shoulders, hips, elbows or wrists are not known.
+
+        Args:
+            points: samples of the surface.
+            weights: their weights.
+            joints: positions of the joints.
+            names: for each joint the joint of the shipped body that it is or is below.
+            parents: parent of each joint.
+        """
+        place = {name: joints[j] for j, name in reversed(list(enumerate(names)))}  # the topmost joint of a name
+        if not place.keys() >= NEEDED:
+            return None
+        part_of = np.array([part_of_joint(name) for name in names])[weights.argmax(axis=1)]
+        arm = float(np.mean([np.linalg.norm(place[f"{side}Hand"] - place[f"{side}Arm"]) for side in SIDES]))
+        parts, found, count = {}, [], 0
+        for part in PARTS:
+            rows = np.flatnonzero(part_of == part)
+            if part.endswith("Hand"):
+                rows = _of_hand(points, rows, np.flatnonzero(part_of == part.replace("Hand", "ForeArm")), place, part)
+            line = _line(part, place, points[rows]) if len(rows) >= FEWEST else None
+            if line is not None:
+                found.append(_rings(part, line, points[rows], weights[rows]))
+                parts[part] = slice(count, count := count + len(found[-1][0]))
+        grid, normals, weights = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+        step, still = 0.1 * arm, np.broadcast_to(np.eye(3), (len(joints), 3, 3))
+        skinned = SkinnedMesh.of(
+            np.concatenate([grid, grid + step * normals]), Rig(still, joints, np.tile(weights, (2, 1))), parents
+        )
+        return cls(skinned, grid, parts, arm)
+
+    def chosen(self, parts: list[str]) -> BodyGrid:
+        """Select parts, in this order."""
+        ends = np.cumsum([0, *(self.parts[part].stop - self.parts[part].start for part in parts)])
+        cells = self.cells(parts)
+        skinned = self.skinned.part(np.concatenate([cells, cells + len(self.skinned.place) // 2]))
+        return replace(
+            self,
+            skinned=skinned,
+            rest=self.rest[cells],
+            parts=dict(zip(parts, map(slice, ends, ends[1:]), strict=True)),
+        )
+
+    def cells(self, parts: Iterable[str]) -> Int[np.ndarray, " P"]:
+        """Return the indices of the points of parts."""
+        return np.concatenate([np.r_[self.parts[part]] for part in parts] + [np.zeros(0, int)])
+
+    def posed(
+        self, rotation: Float[np.ndarray, "T J 3 3"], positions: Float[np.ndarray, "T J 3"]
+    ) -> Float[np.ndarray, "T G 6"]:
+        """Return the points, relative to the root joint and in arm lengths, and their unit normals."""
+        both = self.skinned.posed_frames_at(rotation, positions - positions[:, :1]) / self.arm
+        points, moved = np.split(both.astype(np.float32), 2, axis=1)
+        return np.concatenate([points, unit_vectors(moved - points)], axis=2, dtype=np.float32)
+
+
+def joints_in_t_pose(rig: Rig, parents: tuple[int, ...]) -> Float[np.ndarray, "J 3"]:
+    """Compute the positions of the joints where none is turned, relative to the root, whatever the order of joints."""
+    bones = np.concatenate([np.zeros((1, 3)), rig.bones(parents)])
+    return np.stack([bones[ancestors(parents, j)].sum(axis=0) for j in range(len(parents))])
+
+
+def part_of_joint(name: str) -> str:
+    """Return the part of the body that a joint of the shipped body moves; "" for feet."""
+    if name in ("Neck", "Neck1", "Head"):
+        return "Head"
+    if name in ("LThumb", "RThumb"):
+        return {"L": "Left", "R": "Right"}[name[0]] + "Hand"
+    side = next((side for side in SIDES if name.startswith(side)), "")
+    own = name.removeprefix(side)
+    if own.startswith(("Hand", "FingerBase")):
+        return f"{side}Hand"
+    if side and own in ("Foot", "ToeBase"):
+        return ""
+    return f"{side}{own}" if own in ROWS and side else "Trunk"
+
+
+def _of_hand(
+    points: Float[np.ndarray, "N 3"],
+    hand: Int[np.ndarray, " H"],
+    forearm: Int[np.ndarray, " F"],
+    place: dict[str, np.ndarray],
+    part: str,
+) -> Int[np.ndarray, " P"]:
+    """Select the samples of a hand: not of a prop in it; of blocks whose forearms end in hands the end."""
+    wrist, elbow = place[part], place[part.replace("Hand", "ForeArm")]
+    length = np.linalg.norm(wrist - elbow)
+    if len(hand) < FEWEST:
+        along = (points[forearm] - elbow) @ (wrist - elbow) / length**2
+        hand = forearm[along > END_OF_FOREARM]
+    return hand[np.linalg.norm(points[hand] - wrist, axis=1) < length]  # a hand is shorter than its forearm
+
+
+def _line(part: str, place: dict[str, np.ndarray], surface: Float[np.ndarray, "N 3"]) -> Line | None:
+    """Return the line of a part in a T-pose; None if a joint is lacking or the line has no length."""
+    side = next((side for side in SIDES if part.startswith(side)), "")
+    own = part.removeprefix(side)
+    following = {"UpLeg": "Leg", "Leg": "Foot", "Arm": "ForeArm", "ForeArm": "Hand"}
+    if own == "Trunk":  # hips and shoulders, because rigs have the joint of the hips anywhere in the pelvis
+        start, end = (np.mean([place[f"{s}{joint}"] for s in SIDES], axis=0) for joint in ("UpLeg", "Arm"))
+    elif own == "Head":
+        start = np.median(surface, axis=0)
+        start[1] = place["Head" if "Head" in place else "Neck"][1]
+        end = start + [0, HEAD_TOP * (np.median(surface[:, 1]) - start[1]), 0]
+    elif own == "Hand":
+        start = place[part]
+        end = start + [FINGERTIPS * float(np.percentile(surface[:, 0] - start[0], 98 if side == "Left" else 2)), 0, 0]
+    elif part in place and side + following[own] in place:
+        start, end = place[part], place[side + following[own]]
+    else:
+        return None
+    return (start, end) if np.linalg.norm(end - start) > 1e-6 else None
+
+
+def _rings(
+    part: str, line: Line, surface: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, "N J"]
+) -> tuple[Float[np.ndarray, "P 3"], Float[np.ndarray, "P 3"], Float[np.ndarray, "P J"]]:
+    """Return the points of a part, their unit normals and weights, from samples of its surface in a T-pose.
+
+    A point is found by its direction from the line: its distance is that of the samples in about this direction.
+    """
+    from scipy.spatial import KDTree
+
+    count, rows = ROWS[part.removeprefix("Left").removeprefix("Right")]
+    start, along = line[0], line[1] - line[0]
+    length, axis = float(np.linalg.norm(along)), along / np.linalg.norm(along)
+    front = np.array([0.0, 0.0, 1.0]) if abs(axis[1]) > abs(axis[0]) else np.array([0.0, 1.0, 0.0])
+    front = unit_vectors(front - (front @ axis) * axis)
+    across = np.cross(axis, front)
+    share = np.clip((surface - start) @ axis / length, 0, 1)
+    offset = surface - start - share[:, None] * along
+    distance = np.linalg.norm(offset, axis=1)
+    stretch = length / float(np.median(distance))  # so that steps along the line and around it count alike
+    tree = KDTree(np.column_stack([share * stretch, offset / np.maximum(distance, 1e-12)[:, None]]))
+    at, up = np.repeat(np.array(rows, float), count, axis=0).T
+    up, angle = np.radians(up), np.tile(np.arange(count) * (2 * np.pi / count), len(rows))
+    level = np.cos(angle)[:, None] * front + np.sin(angle)[:, None] * across
+    direction = np.cos(up)[:, None] * level + np.sin(up)[:, None] * axis
+    nearest = tree.query(np.column_stack([at * stretch, direction]), NEAREST)[1]
+    grid = start + at[:, None] * along + np.median(distance[nearest], axis=1)[:, None] * direction
+    return grid, _normals(grid.reshape(len(rows), count, 3), direction), weights[nearest].mean(axis=1)
+
+
+def _normals(grid: Float[np.ndarray, "R C 3"], outward: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
+    """Compute the unit normals of rings; where they are folded, the direction away from the line."""
+    around = np.roll(grid, -1, axis=1) - np.roll(grid, 1, axis=1)
+    normals = unit_vectors(np.cross(around, np.gradient(grid, axis=0)).reshape(-1, 3))
+    cosine = (normals * outward).sum(axis=1, keepdims=True)
+    normals = normals * np.sign(cosine)
+    return unit_vectors(np.where(np.abs(cosine) > 0.3, normals, outward))
