@@ -4,13 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 from matrix import matrix
 from people import person
+from scipy.spatial import KDTree
 
+from mimesh.core.mesh import Mesh
 from mimesh.core.normalization import Normalization
 from mimesh.methods.find import find_mime
 from mimesh.mime.model import Mime
-from mimesh.pipeline.look import reorient
+from mimesh.pipeline.look import coarse_mesh, reorient
 from mimesh.rigs.confidence import Confidence
 
 MESH = person(0, pose=3)
@@ -61,14 +64,28 @@ def test_of_orientations_that_are_about_as_decided_the_one_of_the_nearest_shape_
         height = mesh.vertices[HEAD, 1]
         return (0.9 if height > 0.5 else 0.8 if height < -0.5 else 2.0), np.eye(3)
 
-    def predict_rig(_, mesh):
+    def fit_body(_, mesh):
         distance = upright if mesh.vertices[HEAD, 1] > 0.5 else upside_down
-        return None, Confidence(20.0, 0.85, {}, fit_distance=distance)
+        return Confidence(20.0, 0.85, {}, fit_distance=distance)
 
     monkeypatch.setattr(Mime, "quick_predict", quick_predict)
-    monkeypatch.setattr(Mime, "predict_rig", predict_rig)
+    monkeypatch.setattr(Mime, "fit", fit_body)
     doubtful = dataclasses.replace(NOT_RECOGNISED, fit_distance=upside_down)
     assert reorient(MIME, MESH, detected_norm(MESH, "-y", "+z"), (None, None), doubtful).up == up
+
+
+def test_a_coarse_surface_of_a_dense_mesh_is_looked_at():
+    """Of more than 30,000 vertices some thousand, not farther from the surface than a cell; others are as they are."""
+    vertices, faces = MESH.vertices, MESH.faces
+    for _ in range(4):
+        vertices, faces = trimesh.remesh.subdivide(vertices, faces)
+    dense = Mesh(vertices, faces)
+    coarse = coarse_mesh(dense)
+    assert coarse_mesh(MESH) is MESH
+    assert len(coarse.vertices) < len(dense.vertices) / 3
+    assert KDTree(coarse.vertices).query(vertices)[0].max() < 0.1 * np.ptp(vertices[:, 1])
+    confidence = MIME.fit(MESH)
+    assert confidence == MIME.predict_rig(MESH)[1]
 
 
 def test_axes_are_kept_where_no_others_are_better(monkeypatch):

@@ -234,6 +234,11 @@ class Mime:
         group = canonical_order(mesh.vertices).group
         return dataclasses.replace(rig, weights=rig.weights.take(group, axis=0)), _without_shares(confidence, mesh)
 
+    def fit(self, mesh: Mesh) -> Confidence:
+        """Say how well the body fits a normalised mesh, as `predict_rig` does, which also weighs the vertices."""
+        mesh = face_outward(mesh)
+        return _without_shares(self._consensus(mesh, weighted=False)[1], mesh)
+
     @kept(most=KEPT_QUICK)
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict once: mean entropy (nats) of the skinning weights of a mesh, and world rotation of its root joint."""
@@ -245,14 +250,22 @@ class Mime:
     def _rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:
         return self._consensus(mesh)
 
-    def _consensus(self, mesh: Mesh, targets: JointTargets | None = None) -> tuple[Rig, Confidence]:
-        """Predict the joints of a mesh and the skinning weights of its distinct positions: a consensus of ENSEMBLE."""
+    def _consensus(
+        self, mesh: Mesh, targets: JointTargets | None = None, weighted: bool = True
+    ) -> tuple[Rig, Confidence]:
+        """Predict the joints of a mesh and the skinning weights of its distinct positions: a consensus of ENSEMBLE.
+
+        Args:
+            weighted: whether the weights are needed; without, there are none.
+        """
         ranked = canonical_order(mesh.vertices)
         vertices = ranked.merge(mesh.vertices)
         faces = ranked.group[canonical_faces(mesh.faces, ranked.group)]
         coarse = CoarseSurface.of(vertices, faces) if len(vertices) > DENSE and len(faces) else None
         if coarse is not None:
             vertices, faces = coarse.points, coarse.faces
+        if not weighted:
+            vertices, faces = vertices[:0], faces[:0]
         normals = vertex_normals(vertices, faces) if len(faces) else np.zeros_like(vertices)
         samples, denoised = self._sampled(mesh, ranked, ENSEMBLE)
         # Confidence is measured at samples, which are spread evenly over the surface; vertices are not.
@@ -268,6 +281,8 @@ class Mime:
             rig, confidence, fit = self._with_corrections(mean, confidence, sample, queries, targets)
             confidence = self._with_weights(confidence, rig.weights[len(vertices) :])
         weights, nearest, known = rig.weights[: len(vertices)], None, 0.0
+        if not weighted:
+            return dataclasses.replace(rig, weights=weights), confidence
         if fit:
             nearest, known = fit.nearest(vertices), fit.share
             weights = fit.blended_weights(weights, nearest)

@@ -41,6 +41,7 @@ from ..core.threads import both
 from ..methods.base import Method
 from ..methods.find import INDEX_PAIRED, NETWORK_OF_BODY, SHIPPED_NETWORKS, TABLE_MODELS, find_mime
 from ..mime.model import Mime
+from ..mime.weights import CoarseSurface
 from ..rigs.confidence import MAX_ENTROPY, MAX_OTHER_KIND, MAX_SPREAD, Confidence, if_it_is
 
 UpFront = tuple[str | None, str | None]
@@ -78,6 +79,9 @@ things that are 0.006 is the largest, of 663 people, animals and creatures 0.013
 TURNED_SPREAD = 7.0
 """Largest spread (degrees) of the predictions for a person of whom that is true: figures of boxes have 3 to 6, ladders
 and letters 8 or more."""
+DENSE, COARSE = 30_000, 5_000
+"""Vertices of a mesh of which a coarse surface is looked at where it is not recognised, and cells of that: two or three
+times as many vertices. Each of up to 18 fits and 200 predictions takes time in proportion to them."""
 TURNED_POINTS, TURNED_STEPS, TURNED_NEAR = 8192, 16, 0.06
 """Points of the surface that turned ones are compared with, an eighth of them turned, in so many steps; and the
 distance (root mean square radii) up to which it counts along the normal, because samples of one surface lie some way
@@ -192,7 +196,8 @@ def second_look(mime: Mime, taken: str, subject: Subject, confidence: Confidence
     Args:
         confidence: of the body that it was taken for, if that was fitted already.
     """
-    confidence = confidence or predicted_body(mime.of_body(taken), subject.mesh, subject.axes)[2]
+    coarse = coarse_mesh(subject.mesh)
+    confidence = confidence or predicted_body(mime.of_body(taken), coarse, subject.axes)[2]
     if not confidence.fitted:
         return taken
     turned = same_after_half_turn(subject.mesh)
@@ -200,7 +205,7 @@ def second_look(mime: Mime, taken: str, subject: Subject, confidence: Confidence
         return taken
     fits = {taken: confidence}
     for body in mime.bodies:
-        fit = fits.get(body) or predicted_body(mime.of_body(body), subject.mesh, subject.axes)[2]
+        fit = fits.get(body) or predicted_body(mime.of_body(body), coarse, subject.axes)[2]
         fits |= {body: fit} if fit.fitted else {}
     return fitting_body(taken, fits, turned)
 
@@ -319,25 +324,35 @@ def reorient(
     """
     if not norm.detected or confidence is None or confidence.recognised:
         return norm
-    lowest, detected, chosen = predicted_orientation(mime, mesh, norm, axes)
+    predictions = oriented_predictions(mime, mesh, norm, axes)
+    lowest, detected, chosen = most_decided(predictions, norm)
     # A small gain may be noise of the prediction: the detector's axes are then kept.
     decided = norm if lowest > detected - MIN_GAIN else chosen
-    others = standing_orientations(mime, mesh, norm, axes) if confidence.fitted else []
-    others = [other for other in others if other.up != decided.up]
-    if not others:
+    others = [other for other in standing_orientations(predictions) if other.up != decided.up]
+    if not (confidence.fitted and others):
         return decided
-    best = min((decided, *others), key=lambda other: _shape_cost(_fit(mime, mesh, other)))
-    refused = _fit(mime, mesh, decided).misfit > REJECTION_THRESHOLD
-    return decided if refused and _fit(mime, mesh, best).misfit > MAX_OTHER_KIND else _present_or(norm, best)
+    coarse = coarse_mesh(mesh)
+    fits = [(other, _fit(mime, coarse, other)) for other in (decided, *others)]
+    best, nearest = min(fits, key=lambda found: _shape_cost(found[1]))
+    refused = fits[0][1].misfit > REJECTION_THRESHOLD
+    return decided if refused and nearest.misfit > MAX_OTHER_KIND else _present_or(norm, best)
 
 
-def standing_orientations(mime: Mime, mesh: Mesh, norm: Normalization, axes: UpFront) -> list[Normalization]:
+def coarse_mesh(mesh: Mesh) -> Mesh:
+    """Return a coarse surface of a dense mesh, and others as they are: what it is and how it stands is no detail."""
+    if len(mesh.vertices) <= DENSE or len(mesh.faces) == 0:
+        return mesh
+    surface = CoarseSurface.of(mesh.vertices, mesh.faces, COARSE)
+    return Mesh(surface.points, surface.faces, mesh.name, up=mesh.up)
+
+
+def standing_orientations(predictions: list[OrientedPrediction]) -> list[Normalization]:
     """List the orientations, one for each up axis, in which the hips of the most decided prediction are upright.
 
     Those whose entropy is more than OPEN above the lowest are left out.
     """
     best: dict[str, OrientedPrediction] = {}
-    for prediction in oriented_predictions(mime, mesh, norm, axes):
+    for prediction in predictions:
         up = prediction.norm.up
         best[up] = min(best.get(up, prediction), prediction, key=lambda other: other.entropy)
     lowest = min(prediction.entropy for prediction in best.values())
@@ -351,7 +366,7 @@ def standing_orientations(mime: Mime, mesh: Mesh, norm: Normalization, axes: UpF
 def _fit(mime: Mime, mesh: Mesh, norm: Normalization) -> Confidence:
     """Fit a body to a mesh in an orientation, in which it faces the front."""
     facing, _ = facing_front(mime, mesh, norm, known=True)
-    return mime.predict_rig(normalised(mesh, facing))[1]
+    return mime.fit(normalised(mesh, facing))
 
 
 def _shape_cost(fit: Confidence) -> float:
@@ -381,10 +396,10 @@ def oriented_predictions(mime: Mime, mesh: Mesh, norm: Normalization, axes: UpFr
     up, front = parse_axis(axes[0], option("up")), parse_axis(axes[1], option("front"))
     up = norm.up if norm.up_from == "file" else up
     allowed = [names for names in ORIENTATIONS if up in (None, names[0]) and front in (None, names[1])]
-    predictions = []
+    predictions, coarse = [], coarse_mesh(mesh)
     for names in allowed:
         candidate = Normalization.fit(mesh, *names)
-        entropy, hips = mime.quick_predict(normalised(mesh, candidate))
+        entropy, hips = mime.quick_predict(normalised(coarse, candidate))
         predictions.append(OrientedPrediction(entropy, candidate, hips))
     return predictions
 
@@ -392,7 +407,12 @@ def oriented_predictions(mime: Mime, mesh: Mesh, norm: Normalization, axes: UpFr
 def predicted_orientation(
     mime: Mime, mesh: Mesh, norm: Normalization, axes: UpFront
 ) -> tuple[float, float, Normalization]:
-    """Find the orientation in which a network's prediction is most decided (`oriented_predictions`).
+    """Find the orientation in which a network's prediction is most decided: see `most_decided`."""
+    return most_decided(oriented_predictions(mime, mesh, norm, axes), norm)
+
+
+def most_decided(predictions: list[OrientedPrediction], norm: Normalization) -> tuple[float, float, Normalization]:
+    """Choose the orientation whose prediction is most decided.
 
     The one with the lowest entropy of skinning weights wins, and the axes of the hips predicted in it, rounded to the
     mesh's, are the new up and front.
@@ -400,7 +420,6 @@ def predicted_orientation(
     Returns the lowest entropy (nats), that in the present orientation, and the normalisation with the new axes: the
     present one if they are the same.
     """
-    predictions = oriented_predictions(mime, mesh, norm, axes)
     lowest, best, hips = min(predictions, key=lambda prediction: prediction.entropy)
     # Columns 1 and 2 of the hips' rotation are their up and front; `best.rotation.T` brings them into the mesh's axes.
     names = tuple(axis_name(best.rotation.T @ hips[:, k]) for k in (1, 2))
