@@ -210,7 +210,7 @@ def _foot_frame(points: Float[np.ndarray, "V 3"], shin: Float[np.ndarray, "3 3"]
     return turned @ _pitched(-sole) if abs(np.degrees(sole)) < SOLE_PITCH else turned
 
 
-def _pitched(angle: Float[np.ndarray, "*P"]) -> Float[np.ndarray, "*P 3 3"]:
+def _pitched(angle: float | Float[np.ndarray, " P"]) -> Float[np.ndarray, "*P 3 3"]:
     """Return rotations about x (radians): toes go down."""
     from scipy.spatial.transform import Rotation
 

@@ -321,7 +321,7 @@ def _step(
     return np.linalg.solve(matrix, side[..., None])[..., 0]
 
 
-def _between(found: Corrections, chosen: Int[np.ndarray, " K"], count: int) -> Corrections:
+def _between(found: Float[np.ndarray, "A K 3"], chosen: Int[np.ndarray, " K"], count: int) -> Corrections:
     """Interpolate corrections of chosen frames, the first and the last of `count` included, linearly to all."""
     if len(chosen) == count:
         return found
