@@ -69,6 +69,8 @@ def on_all_fours(joints: Positions) -> bool:
     for *names, _ in HINGES:
         last = next(name for name in reversed(names) if all(side + name in joints for side in SIDES))
         limbs.append((_pair(joints, last) - _pair(joints, names[0])).sum(axis=0))
+    if not all(np.any(limb) for limb in limbs):  # limbs of one joint have no direction, and are an animal's rather
+        return True
     return _angle(*limbs) < PARALLEL and all(ALONG < _angle(limb, _trunk(joints)) < 180 - ALONG for limb in limbs)
 
 

@@ -22,11 +22,11 @@ from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from ..core.soles import Soles, find_soles, sole_height
 from ..core.surface_points import SurfacePoints, generator, interpolate
-from .body_grid import BodyGrid, joints_in_t_pose
 from .confidence import Confidence
 
 if TYPE_CHECKING:
     from ..motions.humanoid_rig import HumanoidRig
+    from .body_grid import BodyGrid
 
 RestPose = tuple[Float[np.ndarray, "D 3 3"], Float[np.ndarray, "D 3"]]
 """World rotations and positions of a driving's joints at rest."""
@@ -125,6 +125,8 @@ class Character:
     @cached_property
     def grid(self) -> BodyGrid | None:
         """Points on its surface that correspond to those of other people."""
+        from .body_grid import BodyGrid, joints_in_t_pose
+
         joints = joints_in_t_pose(self.rig, self.parents)
         surface = SurfacePoints.of(Mesh(self.points, self.faces), GRID_SAMPLES, generator(0, 2))
         straight = self.skinned.posed_at(np.broadcast_to(np.eye(3), self.rig.rotation.shape), joints)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -36,10 +37,12 @@ from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
 from ..core.soles import Feet, SolePoints, Soles, body_points, find_soles, floor_height, sole_height
 from ..core.surface_points import SurfacePoints, generator
-from .body_grid import NEEDED, BodyGrid
 from .character import Character, LinkedJoints, RestPose
 from .confidence import Confidence
-from .contacts import Contacts
+
+if TYPE_CHECKING:
+    from .body_grid import BodyGrid
+    from .contacts import Contacts
 
 Pose = tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]
 """World rotation and position of every joint."""
@@ -122,6 +125,8 @@ class JointMotion:
     @property
     def grid(self) -> BodyGrid | None:
         """Points on the surface that correspond to those of other people."""
+        from .body_grid import NEEDED, BodyGrid
+
         if self.skin is None or not NEEDED.issubset(self.joints) or body_of_joints(self.joints) != "human":
             return None
         joints = self.joints[: len(self.skin[1].joints)]  # fingers come last
@@ -220,6 +225,8 @@ class Retarget:
     @cached_property
     def contacts(self) -> Contacts | None:
         """What keeps contacts of arms with the own body; None for animals, and where joints or surfaces lack."""
+        from .contacts import Contacts
+
         driving = self.motion.grid
         identity = None if driving is None else self.character.grid
         return Contacts.of(driving, identity, self.character.skinned, self.character.arms)
