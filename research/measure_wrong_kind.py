@@ -40,7 +40,7 @@ from mimesh.pipeline.look import (
     predicted_body,
     same_after_half_turn,
 )
-from mimesh.rigs.confidence import MAX_OTHER_KIND, Confidence, Standards
+from mimesh.rigs.confidence import HUMAN_STANDARDS, MAX_OTHER_KIND, QUADRUPED_STANDARDS, Confidence
 
 PER_PACK = 8
 """Most people of a pack of the split `train`."""
@@ -108,9 +108,9 @@ def figures(mime: Mime, mesh: Mesh) -> dict[str, Any]:
 def read(row: dict[str, Any], body: str) -> Confidence:
     """Read the confidence of a body's fit from a line."""
     names = {field.name for field in dataclasses.fields(Confidence)}
-    joints = ("LeftForeFoot",) if body == "quadruped" else ()
+    standards = QUADRUPED_STANDARDS if body == "quadruped" else HUMAN_STANDARDS
     given = {name: value for name, value in row[body].items() if name in names}
-    return Confidence(**given, standards=Standards.of(joints))
+    return Confidence(**given, standards=standards)
 
 
 @app.command()
