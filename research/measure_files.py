@@ -90,7 +90,8 @@ def main() -> None:
             print(f"{row['verdict']:8} {entry['file']}: {'; '.join(row['why'])[:160]}", flush=True)
             report = {"commit": commit(), "machine": machine(), "makers": _table(rows), "files": rows}
             with whole_file(args.output) as temporary:
-                temporary.write_text(json.dumps(report, indent=1) + "\n")
+                # Messages name files as the list does, wherever the folder is.
+                temporary.write_text(json.dumps(report, indent=1).replace(f"{args.folder}/", "") + "\n")
         worker.terminate()
         if args.sheets:
             draw_sheets(rows, written, args.sheets)

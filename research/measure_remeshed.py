@@ -4,7 +4,7 @@
     python research/measure_remeshed.py POOL [-o benchmarks/remeshed.json] [--files FOLDER]
 
 Each character becomes one closed surface of marching cubes over a blurred grid of 180 to 420 cells: fingers fuse,
-clothes grow to legs, some surfaces are rough; 100,000 to 500,000 triangles, without names, axes or rig. Figures are the
+clothes grow to legs, some surfaces are rough; 55,000 to 550,000 triangles, without names, axes or rig. Figures are the
 mean distance of joints of limbs, neck and head from the maker's (percent of the height) of the remeshed character and
 of the maker's mesh, both found without any hint.
 """
@@ -19,12 +19,11 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from jaxtyping import Float
 from scipy import ndimage
 from skimage.measure import marching_cubes
 
 from mimesh import InputError, Mesh, rig, save_mesh
-from mimesh.evaluate.rigs import COMPARED, ListedRig, RigTrial, rigs
+from mimesh.evaluate.rigs import ListedRig, RigTrial, joint_errors, mean_of_compared, rigs
 from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
 
@@ -91,7 +90,7 @@ def remeshed(mesh: Mesh, rng: np.random.Generator) -> tuple[Mesh, dict[str, Any]
 
 def measured(trial: RigTrial, mesh: Mesh) -> dict[str, Any]:
     """Find the joints of a character's two meshes and compare them with the maker's."""
-    truth = joints_of(ListedRig.of_maker(trial.character))
+    truth = ListedRig.of_maker(trial.character)
     figures: dict[str, Any] = {}
     for key, given in (("remeshed", mesh), ("maker", trial.identity)):
         started = time.perf_counter()
@@ -100,19 +99,13 @@ def measured(trial: RigTrial, mesh: Mesh) -> dict[str, Any]:
         except InputError as error:
             figures[key] = {"refused": str(error)}
             continue
-        found = joints_of(ListedRig.found(rigged.skeleton))
-        errors = [np.linalg.norm(found[name] - truth[name]) for name in COMPARED if name in found and name in truth]
+        errors = joint_errors(ListedRig.found(rigged.skeleton), truth, trial.height)
         figures[key] = {
-            "joints_pct": round(100 / trial.height * float(np.mean(errors)), 2),
+            "joints_pct": round(mean_of_compared(errors), 2),
             "seconds": round(time.perf_counter() - started, 1),
             "notes": list(rigged.notes),
         }
     return figures
-
-
-def joints_of(rig: ListedRig) -> dict[str, Float[np.ndarray, " 3"]]:
-    """Return the joints of a rig by name."""
-    return dict(zip(rig.names, rig.joints, strict=True))
 
 
 if __name__ == "__main__":

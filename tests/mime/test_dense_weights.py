@@ -10,7 +10,7 @@ from mimesh import transfer
 from mimesh.core.geometry import edges, links
 from mimesh.core.mesh import Mesh, permute_vertices
 from mimesh.evaluate.remesh import split_faces
-from mimesh.mime import model, weights
+from mimesh.mime import model
 from mimesh.mime.weights import CoarseSurface
 
 
@@ -26,9 +26,8 @@ def dense() -> Mesh:
     return divided(divided(divided(person(0))))
 
 
-def test_smooth_fields_are_carried_smoothly(dense, monkeypatch):
-    monkeypatch.setattr(weights, "COUNT", 2000)
-    coarse = CoarseSurface.of(dense.vertices, dense.faces)
+def test_smooth_fields_are_carried_smoothly(dense):
+    coarse = CoarseSurface.of(dense.vertices, dense.faces, 2000)
     assert 2000 < len(coarse.points) < len(dense.vertices) / 4
     error = np.linalg.norm(coarse.carried(coarse.points) - dense.vertices, axis=1) / coarse.side
     assert error.max() < 1.5
@@ -38,16 +37,15 @@ def test_smooth_fields_are_carried_smoothly(dense, monkeypatch):
     np.testing.assert_allclose(coarse.carried(np.ones((len(coarse.points), 1))), 1.0)
 
 
-def test_nothing_is_carried_across_a_gap(monkeypatch):
+def test_nothing_is_carried_across_a_gap():
     """Two sheets that face each other, nearer than a cell is long."""
-    monkeypatch.setattr(weights, "COUNT", 100)
     x, z = np.meshgrid(np.linspace(0, 1, 60), np.linspace(0, 1, 60), indexing="ij")
     corner = (np.arange(59)[:, None] * 60 + np.arange(59)).ravel()
     halves = [(corner, corner + 1, corner + 60), (corner + 61, corner + 60, corner + 1)]
     up = np.concatenate([np.stack(half, axis=1) for half in halves])
     sheet = np.stack([x.ravel(), np.zeros(3600), z.ravel()], axis=1)
     faces = np.concatenate([up, up[:, ::-1] + 3600])
-    coarse = CoarseSurface.of(np.concatenate([sheet, sheet + [0, 0.02, 0]]), faces)
+    coarse = CoarseSurface.of(np.concatenate([sheet, sheet + [0, 0.02, 0]]), faces, 100)
     carried = coarse.carried((coarse.points[:, 1:2] > 0.01).astype(float))[:, 0]
     assert (carried[:3600] == 0).all()
     assert (carried[3600:] == 1).all()

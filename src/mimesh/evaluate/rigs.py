@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -210,12 +211,11 @@ def compare(trial: RigTrial, found: ListedRig) -> dict[str, Any]:
     """Compare a rig that was found with the maker's; both are of the mesh of the trial."""
     truth, size = ListedRig.of_maker(trial.character), float(np.ptp(trial.identity.vertices, axis=0).max())
     shared = tuple(name for name in truth.names if name in found.names)
-    at, of = ({name: rig.joints[k] for k, name in enumerate(rig.names)} for rig in (found, truth))
-    error = {name: 100 / trial.height * float(np.linalg.norm(at[name] - of[name])) for name in shared}
+    error = joint_errors(found, truth, trial.height)
     tolerance = limb_radius(truth.joints, truth.directions(), trial.identity.vertices, trial.identity.faces)
     skeletons = (found.joints, found.bones), (truth.joints, truth.bones)
     figures: dict[str, Any] = {
-        "joints_pct": float(np.mean([error[name] for name in shared if name in COMPARED])),
+        "joints_pct": mean_of_compared(error),
         "j2j": 100 / size * joints_to_joints(found.joints, truth.joints),
         "j2b": 100 / size * joints_to_bones(*skeletons),
         "b2b": 100 / size * bones_to_bones(found.bones, truth.bones),
@@ -225,6 +225,17 @@ def compare(trial: RigTrial, found: ListedRig) -> dict[str, Any]:
     }
     deformed = deformation_error(trial, found)
     return figures | ({} if deformed is None else {"deform_mm": deformed})
+
+
+def joint_errors(found: ListedRig, truth: ListedRig, height: float) -> dict[str, float]:
+    """Compute the distances of the joints that both rigs have, in percent of the height of the mesh."""
+    at, of = (dict(zip(rig.names, rig.joints, strict=True)) for rig in (found, truth))
+    return {name: 100 / height * float(np.linalg.norm(at[name] - of[name])) for name in truth.names if name in at}
+
+
+def mean_of_compared(errors: Mapping[str, float]) -> float:
+    """Return the mean over the joints of COMPARED."""
+    return float(np.mean([error for name, error in errors.items() if name in COMPARED]))
 
 
 def deformation_error(trial: RigTrial, found: ListedRig) -> float | None:

@@ -54,7 +54,7 @@ from .prediction import (
     face_outward,
     sampled_points,
 )
-from .weights import DENSE, CoarseSurface, clean_weights, corrected_weights, with_whole_tail, without_steps
+from .weights import COUNT, DENSE, CoarseSurface, clean_weights, corrected_weights, with_whole_tail, without_steps
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -234,6 +234,7 @@ class Mime:
         group = canonical_order(mesh.vertices).group
         return dataclasses.replace(rig, weights=rig.weights.take(group, axis=0)), _without_shares(confidence, mesh)
 
+    @kept(most=KEPT_RIGS)
     def fit(self, mesh: Mesh) -> Confidence:
         """Say how well the body fits a normalised mesh, as `predict_rig` does, which also weighs the vertices."""
         mesh = face_outward(mesh)
@@ -259,13 +260,13 @@ class Mime:
             weighted: whether the weights are needed; without, there are none.
         """
         ranked = canonical_order(mesh.vertices)
-        vertices = ranked.merge(mesh.vertices)
-        faces = ranked.group[canonical_faces(mesh.faces, ranked.group)]
-        coarse = CoarseSurface.of(vertices, faces) if len(vertices) > DENSE and len(faces) else None
+        vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+        if weighted:
+            vertices = ranked.merge(mesh.vertices)
+            faces = ranked.group[canonical_faces(mesh.faces, ranked.group)]
+        coarse = CoarseSurface.of(vertices, faces, COUNT) if len(vertices) > DENSE and len(faces) else None
         if coarse is not None:
             vertices, faces = coarse.points, coarse.faces
-        if not weighted:
-            vertices, faces = vertices[:0], faces[:0]
         normals = vertex_normals(vertices, faces) if len(faces) else np.zeros_like(vertices)
         samples, denoised = self._sampled(mesh, ranked, ENSEMBLE)
         # Confidence is measured at samples, which are spread evenly over the surface; vertices are not.

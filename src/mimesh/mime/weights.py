@@ -456,14 +456,14 @@ class CoarseSurface:
     """Of a cell of the grid, in the unit of the vertices."""
 
     @classmethod
-    def of(cls, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int = 0) -> CoarseSurface:
+    def of(cls, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int) -> CoarseSurface:
         """Keep one vertex of each cell of a grid and octant of normals: sheets that face each other stay apart.
 
         Args:
-            count: of cells in the area of the surface (0: COUNT); two or three times as many points are kept.
+            count: of cells in the area of the surface; two or three times as many points are kept.
         """
         octant = (vertex_normals(vertices, faces) > 0) @ np.array([1, 2, 4])
-        found = clusters(vertices, faces, count or COUNT, octant)
+        found = clusters(vertices, faces, count, octant)
         return cls(vertices[found.vertices], found.faces, vertices, found.cluster, found.side)
 
     def carried(self, weights: Float[np.ndarray, "C J"]) -> Float[np.ndarray, "V J"]:

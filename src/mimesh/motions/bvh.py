@@ -101,9 +101,8 @@ def load_bvh(path: str | Path) -> Bvh:
     POSED_JOINTS.check(len(values) * len(names), path, len(text))
     rotmat, root, moved, offsets = _apply_channels(channels, values, offsets)
     of_column = [(name, kind) for name, kinds in zip(names, channels, strict=True) for kind, _ in kinds]
-    scaled = [name for (name, kind), column in zip(of_column, values.T, strict=True)
-              if kind == "scale" and np.abs(column - 1).max() > SCALED]  # fmt: skip
-    notes += scales_notes(path.stem, scaled)
+    scaled = [kind == "scale" for _, kind in of_column] & (np.abs(values - 1).max(axis=0) > SCALED)
+    notes += scales_notes(path.stem, [of_column[k][0] for k in np.flatnonzero(scaled)])
     return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, fps, moved, notes)
 
 

@@ -42,6 +42,8 @@ UP = np.array([0.0, 1.0, 0.0])
 
 Positions = Mapping[str, Float[np.ndarray, " 3"]]
 """Joint of the shipped body, or a finger's -> its position, y up."""
+Hinge = tuple[str, str, str, tuple[float, float, float]]
+"""One of HINGES."""
 Frames = dict[str, Float[np.ndarray, "3 3"]]
 """Rotations of such joints."""
 
@@ -139,7 +141,7 @@ def _trunk_frames(joints: Positions, axes: Frames) -> Frames:
 def _limb_frames(
     limbs: Mapping[str, Limb],
     axes: Frames,
-    hinge: tuple[str, str, str, tuple[float, float, float]],
+    hinge: Hinge,
     trunk: Float[np.ndarray, "3 3"],
 ) -> Frames:
     """Compute the rotations of the joints of both arms or legs, whose bones keep their directions, of hands and feet.
@@ -177,7 +179,7 @@ def _limb_frames(
 def _estimates(
     limbs: Mapping[str, Limb],
     side: str,
-    hinge: tuple[str, str, str, tuple[float, float, float]],
+    hinge: Hinge,
     trunk: Float[np.ndarray, "3 3"],
 ) -> list[list[Float[np.ndarray, "3 3"]]]:
     """Estimate the rotations of the joints of a limb: by its hinge, that of the first also by the trunk's alone."""
