@@ -128,7 +128,7 @@ def test_a_person_is_still_taken_for_one(tmp_path):
 
 def test_what_cannot_be_driven_is_refused(tmp_path, capsys):
     bird, worm = Boxes.of(BIRD).mesh, Boxes.of(snake(4)).mesh
-    with pytest.raises(InputError, match="rigs in both files, two shapes of one mesh, or limbs"):
+    with pytest.raises(InputError, match="rigs in both files, or two shapes of one mesh, found neither"):
         animate(bird, clip_of([worm, worm]), hints=Hints(body="other"))
     with pytest.raises(InputError, match=r"give it with reference=..."):
         animate(tube(), clip_of([tube(bend=0.5)]), hints=Hints(body="other"))

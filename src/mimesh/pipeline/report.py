@@ -131,12 +131,8 @@ class ReferenceReport(TypedDict):
 
     frame: int
     """Number of the frame, from 0."""
-    distance: NotRequired[float]
+    distance: float
     """Distance from the identity's pose, as a share of its size."""
-    confidence: NotRequired[float]
-    """How certain the ends of limbs are, from 0 to 1."""
-    ends: NotRequired[int]
-    """Number of ends of limbs that were found."""
 
 
 class TransferReport(TypedDict):

@@ -24,7 +24,6 @@ from .parts import PartRoute, find_part
 from .placed import check_identity, first_frame
 
 if TYPE_CHECKING:
-    from .marked_mesh import MarkedFrame
     from .node_route import NodeRoute
     from .same_mesh import ReferenceFrame
     from .vertex_route import NamedMethod, VertexRoute
@@ -99,7 +98,7 @@ def _route(identity: Mesh, clip: Clip, model: Model, known: Known, options: Moti
     return vertex_route(identity, clip, model, known, options, rigs)
 
 
-def _reference(identity: Mesh, clip: Clip, rigs: Rigs, mime: Mime, known: Known) -> ReferenceFrame | MarkedFrame | None:
+def _reference(identity: Mesh, clip: Clip, rigs: Rigs, mime: Mime, known: Known) -> ReferenceFrame | None:
     """Find the frame of a driving that has about the pose of an identity that is no body; None where it may be one."""
     if rigs.copied is not None or known.corrections.given or known.body not in ("auto", OTHER):
         return None
@@ -107,12 +106,10 @@ def _reference(identity: Mesh, clip: Clip, rigs: Rigs, mime: Mime, known: Known)
         return None
     if known.body != OTHER and (rigs.bodies != (None, None) or len(clip) == 1 or not same_mesh(identity, clip.mesh)):
         return None
-    from .marked_mesh import marked_frame
     from .same_mesh import nearest_frame
 
     if known.body == OTHER:
-        same = same_mesh(identity, clip.mesh)
-        return nearest_frame(identity, clip) if same else marked_frame(identity, clip, known.axes)
+        return nearest_frame(identity, clip)
     if looks_like(mime, identity, known.axes[:2]) or looks_like(mime, first_frame(clip), known.axes[2:]):
         return None
     return nearest_frame(identity, clip)

@@ -81,8 +81,14 @@ def nearest_frame(identity: Mesh, clip: Clip) -> ReferenceFrame:
     """Find the frame of a clip of the same mesh that is nearest to the identity, whatever its heading and size.
 
     Raises:
-        InputError: there is one frame only, or all vertices of the identity or of each frame are at one point.
+        InputError: other meshes, one frame only, or all vertices of the identity or of each frame are at one point.
     """
+    if not same_mesh(identity, clip.mesh):
+        raise InputError(
+            f"{identity.name}, {clip.mesh.name}: expected rigs in both files, or two shapes of one mesh, found "
+            f"neither; rig both, or give {option('markers', ...)} and {option('reference', ...)} with "
+            f"{option('model', 'deformation-transfer')}"
+        )
     if len(clip) == 1:
         raise InputError(
             f"{clip.mesh.name}: expected a clip, in which one frame has about the pose of {identity.name}, found one "

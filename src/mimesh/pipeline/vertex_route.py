@@ -21,7 +21,6 @@ from ..rigs.retarget import JointMotion
 from .file_rigs import NO_RIGS, Rigs
 from .known import Known
 from .look import check_known_body, normalised, trained_on_people, turned_as_animal
-from .marked_mesh import MarkedFrame
 from .placed import SOLE_ERROR, Moved, Placed, first_frame, keyframes_of, surface_report, with_up
 from .refine import Refinement
 from .report import MeshReport, TransferReport, facing, torn_note
@@ -50,7 +49,7 @@ class VertexRoute(Placed):
 
     method: Method = field(kw_only=True)
     drive: Drive = field(kw_only=True)
-    reference: ReferenceFrame | MarkedFrame | None = field(default=None, kw_only=True)
+    reference: ReferenceFrame | None = field(default=None, kw_only=True)
     """The frame of the driving in about the identity's pose, for deformation transfer of what is no body."""
     found_axes: tuple[MeshReport, MeshReport] | None = field(default=None, kw_only=True)
     """Axes for the report, where those of `norms` are not the caller's but were found with the reference."""
@@ -149,7 +148,7 @@ def vertex_route(
 
 
 def reference_route(
-    identity: Mesh, clip: Clip, reference: ReferenceFrame | MarkedFrame, known: Known, options: MotionOptions
+    identity: Mesh, clip: Clip, reference: ReferenceFrame, known: Known, options: MotionOptions
 ) -> VertexRoute:
     """Prepare deformation transfer from a frame of the driving that has about the identity's pose."""
     options.refuse_without_joints("deformation-transfer")
@@ -158,9 +157,7 @@ def reference_route(
     norms = Normalization.fit(identity, *axes[:2]), Normalization.fit(first_frame(clip), *axes[2:])
     note = reference.note((identity.name, clip.mesh.name))
     route = _prepared(identity, clip, reference.method(clip.mesh, given, norms[1]), norms, NO_RIGS, (note,))
-    driving = facing(norms[1])
-    if isinstance(reference, ReferenceFrame):
-        driving["up_from"] = "identity"
+    driving = facing(norms[1]) | {"up_from": "identity"}
     return dataclasses.replace(route, reference=reference, found_axes=(facing(given), driving))
 
 
