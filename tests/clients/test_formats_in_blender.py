@@ -23,15 +23,14 @@ from mimesh.io import load_clip, save_clip, save_mesh
 from mimesh.tools.convert import convert
 
 pytestmark = pytest.mark.client
-CLIPS = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".abc", ".pc2", ".mdd", ".obj", ".ply")
-MESHES = (".glb", ".gltf", ".usda", ".usdz", ".abc", ".obj", ".ply", ".stl")
+CLIPS = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".pc2", ".mdd", ".obj", ".ply")
+MESHES = (".glb", ".gltf", ".usda", ".usdz", ".obj", ".ply", ".stl")
 BLENDER_FILES = (
     "scene.glb",
     "separate.gltf",
     "scene.usda",
     "scene.usdc",
     "scene.usdz",
-    "scene.abc",
     "obj",
     "ply",
     "fbx.glb",
@@ -181,7 +180,7 @@ def test_files_of_blender_are_read_exactly(name, blender_files):
     assert error <= CLOSE
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".usdc", ".abc"])
+@pytest.mark.parametrize("suffix", [".glb", ".usdc"])
 def test_files_of_blender_survive_conversion(suffix, blender_files, tmp_path):
     convert(blender_files / f"scene{suffix}", tmp_path / f"a{suffix}")
     again = load_clip(tmp_path / f"a{suffix}")

@@ -229,7 +229,7 @@ def test_clip_in_a_mesh_format_is_refused(tmp_path):
     assert "found a file; choose another name" in input_error_of(save_clip, clip, tmp_path / "file")
 
 
-@pytest.mark.parametrize("suffix", [".obj", ".glb", ".usda", ".abc"])
+@pytest.mark.parametrize("suffix", [".obj", ".glb", ".usda"])
 def test_unwritable_path_is_refused(suffix, tmp_path):
     (tmp_path / "file").write_text("x")
     input_error_of(save_mesh, zoo.cube(), tmp_path / "file" / f"a{suffix}")

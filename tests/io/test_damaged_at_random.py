@@ -98,14 +98,13 @@ TARGETS: dict[str, tuple[str, Write, Change, Reads]] = {
     "usda": (".usda", small_files.usd(".usda"), some_text, BOTH),
     "usdc": (".usdc", small_files.usd(".usdc"), some_bytes, BOTH),
     "usdz": (".usdz", small_files.usd(".usdz"), some_zip, BOTH),
-    "alembic": (".abc", small_files.clips(".abc"), some_bytes, BOTH),
     "fbx-text": (".fbx", small_files.fbx(binary=False), some_text, SCENES),
     "fbx-binary": (".fbx", small_files.fbx(binary=True), some_bytes, SCENES),
 }
 """Reader -> suffix, what writes sound files, how they are damaged, and the functions that take turns to read them."""
 NEEDS = {
     "hdf5": "h5py", "onnx": "onnx", "gltf-packed": "meshopt", "usda": "pxr", "usdc": "pxr", "usdz": "pxr",
-    "alembic": "alembic3d", "fbx-text": "ufbx", "fbx-binary": "ufbx",
+    "fbx-text": "ufbx", "fbx-binary": "ufbx",
 }  # fmt: skip
 """Reader -> package without which there is none."""
 IN_CHILDREN = NEEDS.keys() - {"hdf5", "onnx"}

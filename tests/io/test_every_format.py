@@ -18,11 +18,11 @@ from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.formats import MESH_WRITERS
 
 pytestmark = pytest.mark.usefixtures("in_process")
-EXACT, SINGLE = ("obj", "off", "npz"), ("ply", "stl", "usdc", "abc", "glb")
+EXACT, SINGLE = ("obj", "off", "npz"), ("ply", "stl", "usdc", "glb")
 """Formats that keep numbers of 64 and of 32 bits."""
 NO_POINTS = ("stl", "abc")
 """Formats without point clouds."""
-LIBRARIES = {".abc": "alembic3d", ".usd": "pxr", ".usda": "pxr", ".usdc": "pxr", ".usdz": "pxr"}
+LIBRARIES = {".usd": "pxr", ".usda": "pxr", ".usdc": "pxr", ".usdz": "pxr"}
 ODD_NAME = os.fsdecode(b"h\xffro")
 """A name with a byte that is no text, as Python decodes it: with a lone surrogate."""
 
@@ -78,7 +78,7 @@ def test_names_that_are_no_text_are_written(suffix, tmp_path):
         assert len(load_mesh(tmp_path / f"a{suffix}").faces) == len(cube.faces)
 
 
-EXTRAS = {".usda": ("pxr", "usd"), ".abc": ("alembic3d", "alembic"), ".fbx": ("ufbx", "fbx"), ".hdf5": ("h5py", "hdf5")}
+EXTRAS = {".usda": ("pxr", "usd"), ".fbx": ("ufbx", "fbx"), ".hdf5": ("h5py", "hdf5")}
 
 
 @pytest.mark.parametrize("suffix", EXTRAS)

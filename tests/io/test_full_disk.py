@@ -51,14 +51,6 @@ def test_movie_on_a_full_disk_is_refused_without_leftovers(tmp_path, small_file_
     assert not list(tmp_path.iterdir())
 
 
-def test_alembic_stops_before_the_disk_is_full(clip, tmp_path, monkeypatch):
-    pytest.importorskip("alembic3d")
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
-    with pytest.raises(InputError, match="No space left"):
-        write_clip(clip, tmp_path / "a.abc")
-    assert not list(tmp_path.iterdir())
-
-
 def test_full_temporary_folder_is_refused(monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")

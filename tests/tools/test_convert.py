@@ -149,11 +149,11 @@ def test_assumed_frame_rate_is_noted(tmp_path):
 
 
 def test_large_files_are_noted(tmp_path):
-    for name in ("a.glb", "a.abc"):
+    for name in ("a.glb", "a.usdc"):
         with (tmp_path / name).open("wb") as file:
             file.truncate(LARGE)  # a sparse file: it takes no space on disk
     assert "256 MiB: --step takes fewer frames, and --skinned" in size_note(tmp_path / "a.glb")[0]
-    assert "--skinned" not in size_note(tmp_path / "a.abc")[0]
+    assert "--skinned" not in size_note(tmp_path / "a.usdc")[0]
     (tmp_path / "b.glb").write_bytes(b"small")
     assert size_note(tmp_path / "b.glb") == size_note(tmp_path) == ()
 

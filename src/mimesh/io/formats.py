@@ -146,14 +146,6 @@ POINTS_ALONE = ("materials", "texture coordinates", "normals", "vertex colours")
 _GLTF = _of("gltf", "read_gltf"), _write_gltf, None, _write_gltf_clip
 _USD = [_of("usd", name) for name in ("read_usd", "write_usd", "read_usd_clip", "write_usd_clip")]
 FORMATS = {
-    ".abc": Format(
-        "Alembic",
-        *(
-            _of("alembic", name)
-            for name in ("read_alembic", "write_alembic", "read_alembic_clip", "write_alembic_clip")
-        ),
-        lacks=("colours of materials", "textures", "vertex colours"),
-    ),
     ".bvh": Format("BVH", _read_motion, None, _read_motion_clip),
     ".fbx": Format("FBX", *_GLTF),
     ".glb": Format("GLB", *_GLTF),

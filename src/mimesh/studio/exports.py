@@ -33,7 +33,7 @@ MAX_EXPORTS = 12
 FRAMES = tuple(f"frames{suffix}" for suffix in FRAME_SUFFIXES)
 """Formats that are folders of numbered meshes."""
 NEEDS = {suffix: ("pxr", "usd") for suffix in (".usd", ".usda", ".usdc", ".usdz")}
-NEEDS |= {".abc": ("alembic3d", "alembic"), ".mp4": ("av", "video")}
+NEEDS[".mp4"] = ("av", "video")
 """Module that a format needs, and the extra of mimesh that installs it."""
 FORMAT_NAMES = {
     **{suffix: format.name for suffix, format in FORMATS.items()},

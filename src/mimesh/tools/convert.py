@@ -41,8 +41,6 @@ ALL = "all"
 """Value of `--animation` for all animations of a file."""
 BONES_ONLY = ".vrma"
 """Format that holds the motion of bones and no mesh."""
-Y_UP = (*JOINTED, ".abc")
-"""Formats that have y up, by their specification or by custom, whatever axes a mesh has."""
 RATELESS = (".hdf5", ".npy", ".pc2")
 """Formats whose files have no frame rate, like folders of frames."""
 LARGE = 256 * 2**20
@@ -168,14 +166,14 @@ def _with_up(mesh: Mesh, up: str | None, target: Path) -> Mesh:
         return mesh
     if mesh.up is not None:
         raise InputError(f"{mesh.name}: expected a file without an up axis for {option('up', given)}, found {mesh.up}")
-    if target.suffix.lower() not in Y_UP:
-        raise InputError(f"{target}: expected one of {' '.join(Y_UP)} for {option('up', given)}, which have y up")
+    if target.suffix.lower() not in JOINTED:
+        raise InputError(f"{target}: expected one of {' '.join(JOINTED)} for {option('up', given)}, which have y up")
     return dataclasses.replace(mesh, up=given)
 
 
 def _lying_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
     """Return a note that a figure lies in a format with y up, as far as its shape tells."""
-    if mesh.up is not None or path.suffix.lower() not in Y_UP or not len(mesh.faces):
+    if mesh.up is not None or path.suffix.lower() not in JOINTED or not len(mesh.faces):
         return ()
     up = clear_up(mesh)
     if up in (None, "+y"):
@@ -481,7 +479,7 @@ def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
 def _turned_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
     """Return a note that a mesh is written turned to y up; files that state their axes (USD) are no surprise."""
     turned = mesh.up not in (None, "+y") and not hasattr(mesh.source, "up_axis")
-    if not turned or path.suffix.lower() not in Y_UP:
+    if not turned or path.suffix.lower() not in JOINTED:
         return ()
     return (f"{mesh.name} has up {mesh.up}: {path.name} is turned to +y, which its format has up",)
 
