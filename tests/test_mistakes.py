@@ -172,7 +172,6 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: mimesh.save_skinned([MOVING], "a.glb", layout="unreal"),
         "layout: expected mimesh.Layout(...), found 'unreal'",
     ),  # type: ignore[arg-type]
-    "half a blend shape": (lambda: MOVING.save("a.glb", blendshapes=1.5), "blendshapes: expected a whole number"),  # type: ignore[arg-type]
     "None as path to save to": (lambda: MOVING.save(None), "path: expected a path, found None"),  # type: ignore[arg-type]
     "jobs that are paths": (lambda: mimesh.batch(["a.obj"]), "expected dictionaries"),  # type: ignore[list-item]
     "one job alone": (lambda: mimesh.batch({"identity": "a"}), "expected a list of dictionaries"),  # type: ignore[arg-type]

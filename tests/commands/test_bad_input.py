@@ -119,7 +119,7 @@ REFUSED = {
     ANIMATE + "-m copy --step 0": "--step",
     ANIMATE + "--morphs --names unreal": "expected joints in a .glb, .gltf or .fbx, found x.glb without",
     ANIMATE + "--morphs --root-bone": "expected joints in a .glb, .gltf or .fbx, found x.glb without",
-    ANIMATE + "--blendshapes 3 --rest T": "expected joints in a .glb, .gltf or .fbx, found x.glb without",
+    ANIMATE + "--morphs --rest T": "expected joints in a .glb, .gltf or .fbx, found x.glb without",
     ANIMATE + "-o x.usdc --output-fps 30": "expected joints in a .glb, .gltf or .fbx, found x.usdc without",
     ANIMATE + "--names maya": "--names: expected one of own, mixamo, unreal, vrm, godot, rigify",
     ANIMATE + "--rest sitting": "--rest: expected one of file, T, A, found 'sitting'",

@@ -3,8 +3,6 @@
 import errno
 import os
 import resource
-import shutil
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +12,7 @@ from mimesh.core import frame_buffer
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import save_clip
-from mimesh.view.movie import save_movie, write_clip
+from mimesh.view.movie import save_movie
 
 ONE_FILE = (".glb", ".gltf", ".npz", ".npy", ".pc2", ".mdd", ".usda", ".usdc", ".usdz")
 

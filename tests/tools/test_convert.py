@@ -109,19 +109,15 @@ def test_movies_have_all_frames(suffix, tmp_path):
 def test_notes_name_what_is_lost(tmp_path):
     save_clip(clip(), tmp_path / "a.npz")
     assert "first of 4 frames" in convert(tmp_path / "a.npz", tmp_path / "b.obj", ConvertOptions(frame=None)).notes[-1]
-    with pytest.raises(InputError, match="for blendshapes"):
-        convert(tmp_path / "a.npz", tmp_path / "b.webp", ConvertOptions(blendshapes=3))
-    with pytest.raises(InputError, match=r"expected no .*blendshapes"):
-        convert(tmp_path / "a.npz", tmp_path / "b.obj", ConvertOptions(blendshapes=3))
-    notes = convert(tmp_path / "a.npz", tmp_path / "b.glb", ConvertOptions(blendshapes=3)).notes
-    assert "no vertex is farther than" in notes[-1]
+    with pytest.raises(InputError, match="for --morphs"):
+        convert(tmp_path / "a.npz", tmp_path / "b.webp", ConvertOptions(morphs=True))
 
 
 def test_options_without_effect_are_refused(tmp_path):
     save_clip(clip(), tmp_path / "a.glb")
     save_mesh(zoo.cube(), tmp_path / "a.ply")
     mesh, frames = tmp_path / "b.obj", tmp_path / "b.npz"
-    for options in ({"fps": 12.0}, {"animation": "Run"}, {"start": 1}, {"stop": 2}, {"step": 2}, {"blendshapes": 2}):
+    for options in ({"fps": 12.0}, {"animation": "Run"}, {"start": 1}, {"stop": 2}, {"step": 2}):
         with pytest.raises(InputError, match=f"expected no --{next(iter(options))} "):
             convert(tmp_path / "a.glb", mesh, ConvertOptions(**options))
     with pytest.raises(InputError, match="expected no --start"):

@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import typer
 
-from ..core.options import BlendShapeOptions, RecordedRange, declared
+from ..core.options import RecordedRange, declared
 from .terminal import lift_limits
 
 T = TypeVar("T")
@@ -148,7 +148,7 @@ class JointOptions:
 
 
 @dataclass(frozen=True)
-class ShapeOptions(BlendShapeOptions):
+class ShapeOptions:
     """What is written instead of joints."""
 
     morphs: bool = declared(False, "Write a morph target for each frame, not joints (.glb, .gltf).", name="--morphs")

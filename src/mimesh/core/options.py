@@ -365,17 +365,7 @@ class RecordedRange(FrameRange):
 
 
 @dataclass(frozen=True)
-class BlendShapeOptions:
-    """How many morph targets a clip is written with."""
-
-    blendshapes: int | None = declared(
-        None, "Write K morph targets, not one a frame (.glb, .gltf).", metavar="K", min=1
-    )
-    """None is one for each frame."""
-
-
-@dataclass(frozen=True)
-class ConvertOptions(BlendShapeOptions, RecordedRange):
+class ConvertOptions(RecordedRange):
     """Which clip of a file `mimesh convert` reads, which of its frames, and what it writes."""
 
     fps: float | None = declared(None, "Of IN, where it does not say; else to sample it at.")

@@ -230,9 +230,7 @@ class Routes:
     async def begin_export(self, request: Request) -> dict[str, Any]:
         """Start to write results, rigs or the motion in a format; answers the number of the export."""
         body = await _json(request)
-        shapes, numbers = body.get("blendshapes"), body.get("meshes") or []
-        if shapes is not None and (isinstance(shapes, bool) or not isinstance(shapes, int) or shapes < 1):
-            raise InputError(f"blend shapes: expected a whole number, 1 or more, found {shapes!r}; give one")
+        numbers = body.get("meshes") or []
         if not isinstance(numbers, list) or not all(isinstance(number, int) for number in numbers):
             raise InputError("meshes: expected numbers of meshes, found something else; reload the page")
         what, suffix = str(body.get("what", "result")), str(body.get("suffix", ".glb"))
@@ -248,7 +246,6 @@ class Routes:
             skinned=skinned,
             influences=influences,
             layout=layout,
-            blendshapes=shapes,
             **made_by,
         )
         return {"export": self._session.export(order, numbers)}

@@ -77,7 +77,7 @@ def convert(
     A clip is written as a clip if the format allows; in a format of one mesh it becomes the mesh at rest, or a chosen
     `frame`. In the source's own format all contents of the file are kept, except that of a `frame` only points are.
     From any of .glb, .gltf, .fbx and .vrm to another bones, morph targets and animations are kept, too; captures of
-    joints get the shipped body with its bones. Only `morphs` and `blendshapes` make morph targets of frames.
+    joints get the shipped body with its bones. Only `morphs` makes morph targets of frames.
 
     Args:
         source: a file or a folder of frames.
@@ -141,13 +141,12 @@ def convert(
     if (len(clip) == 1 and suffix in MESH_WRITERS) or not holds_clip:
         return _write_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip), notes)
     clip = stored_clip(clip)
-    deviation = write_clip(clip, target, frames_as, options.blendshapes, part(progress, 1, 2))
+    write_clip(clip, target, frames_as, part(progress, 1, 2))
     notes += (
         _bones_note(clip.mesh, source, target)
         + not_kept(clip.mesh, target)
         + _lying_note(clip.mesh, target)
         + rate_note(clip.fps, target)
-        + blend_note(deviation)
     )
     if options.frame is None and options.animation is None:
         notes += animations_note(list_animations(source), source)
@@ -189,11 +188,9 @@ def _check_options(options: ConvertOptions, target: Path, holds_clip: bool) -> l
         cut.append("--frames")
     if options.betas is not None and options.body_model is None:
         raise InputError(f"--betas {options.betas}: expected it with --body-model, found it without; name the model")
-    shapes = ["--blendshapes"] * (options.blendshapes is not None) + ["--morphs"] * options.morphs
-    if options.morphs:
-        if target.suffix.lower() not in MORPHED:
-            raise InputError(f"{target}: expected .glb or .gltf for --morphs, found '{target.suffix}'; leave it out")
-        _refuse_options(target, shapes[:-1], "--morphs writes one a frame")
+    shapes = ["--morphs"] * options.morphs
+    if options.morphs and target.suffix.lower() not in MORPHED:
+        raise InputError(f"{target}: expected .glb or .gltf for --morphs, found '{target.suffix}'; leave it out")
     if options.frame is not None:
         _refuse_options(target, cut + shapes, "--frame takes one frame")
     elif not holds_clip:
@@ -343,8 +340,7 @@ def read_driving(
 
 def frames_are_asked(options: ConvertOptions) -> bool:
     """Tell whether surfaces are to be written instead of bones: morph targets, a pose, a recorded person."""
-    given = options.blendshapes, options.frame, options.body_model
-    return options.morphs or any(value is not None for value in given)
+    return options.morphs or options.frame is not None or options.body_model is not None
 
 
 def keeps_bones(source: Path, target: Path, options: ConvertOptions) -> bool:
@@ -405,13 +401,6 @@ def _single_frame(clip: Clip, frame: int, source: Path) -> Clip:
     if not -len(clip) <= frame < len(clip):
         raise InputError(f"{source}: expected --frame below its {len(clip)} frames, found {frame}; change it")
     return cut_clip(clip, frame, frame + 1 or None, 1)  # up to -1 + 1 = 0 would be nothing
-
-
-def blend_note(deviation: float | None) -> tuple[str, ...]:
-    """Return a note on how well morph targets approximate a clip; `deviation` is None without them."""
-    if deviation is None:
-        return ()
-    return (f"with these blend shapes no vertex is farther than {deviation:.2g} of the mesh's size from its frame",)
 
 
 def skinned_note(report: Mapping[str, Any]) -> tuple[str, ...]:
