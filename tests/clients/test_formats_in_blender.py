@@ -23,7 +23,7 @@ from mimesh.io import load_clip, save_clip, save_mesh
 from mimesh.tools.convert import convert
 
 pytestmark = pytest.mark.client
-CLIPS = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".pc2", ".mdd", ".obj", ".ply")
+CLIPS = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".pc2", ".obj", ".ply")
 MESHES = (".glb", ".gltf", ".usda", ".usdz", ".obj", ".ply", ".stl")
 BLENDER_FILES = (
     "scene.glb",
@@ -86,7 +86,7 @@ def mimesh_files(tmp_path_factory):
             save_clip(clip, folder / f"clip{suffix[1:]}", suffix=suffix)
             files = sorted((folder / f"clip{suffix[1:]}").glob(f"*{suffix}"))
             jobs += [{"name": f"clip{suffix}{t}", "path": str(path), "frames": 1} for t, path in enumerate(files)]
-        elif suffix in (".pc2", ".mdd"):
+        elif suffix == ".pc2":
             save_clip(clip, folder / f"clip{suffix}")
             cache = {"path": str(folder / "clip.obj"), "cache": str(folder / f"clip{suffix}")}
             jobs.append({"name": f"clip{suffix}", "frames": len(clip)} | cache)
@@ -139,7 +139,7 @@ def test_blender_reads_every_frame_of_a_clip(suffix, mimesh_files):
         dump = np.load(folder / f"clip{suffix}.npz")
         frames = dump["vertices"]
     error = clip_distance(frames, in_blender(clip.vertices.astype(np.float64)))
-    note(suffix, "clip in Blender", error, None if suffix in (".pc2", ".mdd") else dump, clip)
+    note(suffix, "clip in Blender", error, None if suffix == ".pc2" else dump, clip)
     assert error <= CLOSE
 
 

@@ -75,7 +75,7 @@ def test_no_clobber_stops_before_the_work(line, there, files, refuses, monkeypat
 
 @matrix(
     "suffix",
-    [".glb", ".gltf", ".npz", ".npy", ".pc2", ".mdd", ".usda", ".usdc"],
+    [".glb", ".gltf", ".npz", ".pc2", ".usda", ".usdc"],
     quick=[".glb", ".npz", ".pc2"],
 )
 def test_estimated_sizes_are_near_those_of_files(suffix, tmp_path):

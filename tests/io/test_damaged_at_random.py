@@ -16,7 +16,7 @@ import hostile
 import numpy as np
 import pytest
 import small_files
-from damage import Change, some_bytes, some_glb, some_json, some_npy, some_text, some_zip
+from damage import Change, some_bytes, some_glb, some_json, some_text, some_zip
 from fork_server import ForkServer
 from matrix import matrix
 
@@ -75,12 +75,9 @@ BOTH, SCENES = (load_mesh, *CLIPS), (load_mesh, load_clip, read_rig, read_last_a
 TARGETS: dict[str, tuple[str, Write, Change, Reads]] = {
     "obj": (".obj", small_files.obj, some_text, MESHES),
     "ply": (".ply", small_files.ply, some_text, MESHES),
-    "off": (".off", small_files.meshes(".off", hostile.OFF), some_text, MESHES),
     "stl": (".stl", small_files.meshes(".stl", hostile.STL), some_text, MESHES),
     "npz": (".npz", small_files.npz, some_zip, BOTH),
-    "npy": (".npy", small_files.clips(".npy"), some_npy, CLIPS),
     "pc2": (".pc2", small_files.clips(".pc2"), some_bytes, CLIPS),
-    "mdd": (".mdd", small_files.clips(".mdd"), some_bytes, CLIPS),
     "glb": (".glb", small_files.glb, some_glb, SCENES),
     "gltf": (".gltf", small_files.gltf, some_json, SCENES),
     "vrm": (".vrm", small_files.vrm, some_glb, SCENES),

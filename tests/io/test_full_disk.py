@@ -14,7 +14,7 @@ from mimesh.core.mesh import Clip
 from mimesh.io import save_clip
 from mimesh.view.movie import save_movie
 
-ONE_FILE = (".glb", ".gltf", ".npz", ".npy", ".pc2", ".mdd", ".usda", ".usdc", ".usdz")
+ONE_FILE = (".glb", ".gltf", ".npz", ".pc2", ".usda", ".usdc", ".usdz")
 
 
 @pytest.fixture

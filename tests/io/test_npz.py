@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import struct
+import zipfile
+
 import numpy as np
 import pytest
 import zoo
@@ -118,3 +121,12 @@ def test_clip_without_frames_is_refused(tmp_path):
     np.savez(tmp_path / "a.npz", vertices=np.zeros((0, 4, 3)))
     with pytest.raises(InputError, match="expected at least one frame, found none"):
         load_clip(tmp_path / "a.npz")
+
+
+def test_arrays_of_python_2_are_read_without_a_warning(tmp_path):
+    """Their headers have whole numbers such as 3L, of which NumPy warns."""
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (1L, 4L, 3L), }\n"
+    data = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + np.eye(4, 3, dtype="<f4").tobytes()
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("vertices.npy", data)
+    np.testing.assert_array_equal(load_clip(tmp_path / "a.npz").vertices, np.eye(4, 3)[None])

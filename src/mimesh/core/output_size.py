@@ -17,7 +17,7 @@ FRAME_BYTES = {".glb": 24, ".gltf": 32, ".fbx": 24, ".npz": 11, ".usda": 37, ".p
 (docs/log/formats.md): .glb has normals, .gltf is text in base 64, .ply and .obj have the triangles in every frame. That
 of .fbx was not measured."""
 POINT_BYTES = 12
-"""The same of formats that store the points alone, in single precision: .npy .pc2 .mdd .usdc .usdz."""
+"""The same of formats that store the points alone, in single precision: .pc2 .usdc .usdz."""
 
 
 def limit_outputs(limited: bool) -> None:

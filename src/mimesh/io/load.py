@@ -90,8 +90,7 @@ def load_clip(
     Args:
         path: the file or folder.
         fps: frames per second, overriding the file's own rate; without either it is 30. Files with times (glTF, USD,
-            MDD, motions) are resampled at it and keep their duration; others (folders, NPZ, NPY, PC2) are
-            played at it.
+            motions) are resampled at it and keep their duration; others (folders, NPZ, PC2) are played at it.
         animation: name or number of an animation of a glTF file, None: the first, with those that move other nodes; or
             of a clip of an HDF5 file, None: the only one.
         progress: called with (frames read, frames in all).

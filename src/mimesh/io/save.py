@@ -22,7 +22,7 @@ from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, RewritableSource, check_frames, check_numbers, check_timing, with_printable_names
 from ..core.output_size import check_output_size, frames_size
 from .atomic import scratch_folder, together, whole_file, writing
-from .formats import CACHES, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, found_suffix, gltf_file
+from .formats import CACHE, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, found_suffix, gltf_file
 from .load import load_mesh
 from .mtl import copy_companions
 from .obj import ObjSource
@@ -105,7 +105,7 @@ def save_clip(
             f"write {path.with_suffix('.glb').name}, or {path.stem} for a folder of one mesh per frame"
         )
     _check_clip_output_size(clip, path, path.suffix)
-    mesh_path = _mesh_path_of_cache(clip, path) if path.suffix.lower() in CACHES else None
+    mesh_path = _mesh_path_of_cache(clip, path) if path.suffix.lower() == CACHE else None
     with writing(path), together():
         CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
         if mesh_path is not None:
@@ -118,7 +118,7 @@ def _check_clip_output_size(clip: Clip, path: Path, suffix: str) -> None:
     Raises:
         InputError: outputs are limited, and it is too large.
     """
-    joints = ", write joints (.glb of mime without --morphs)" if suffix in (*JOINTED, *CACHES, ".npz") else ""
+    joints = ", write joints (.glb of mime without --morphs)" if suffix in (*JOINTED, CACHE, ".npz") else ""
     advice = f"take fewer frames with {option('step', ...)}, {option('start')} or {option('stop', ...)}{joints}"
     check_output_size(frames_size(suffix, len(clip.mesh.vertices), len(clip)), path, advice)
 

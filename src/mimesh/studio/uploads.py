@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 
 from ..core.errors import InputError
 from ..core.system import has_ended
-from ..io.formats import ANIMATED, CACHES, CLIP_READERS, MESH_READERS
+from ..io.formats import ANIMATED, CACHE, CLIP_READERS, MESH_READERS
 
 MOST_FILES = 20_000
 """Largest number of files in one upload, a folder of frames for example."""
@@ -290,7 +290,7 @@ def find_clip(files: list[Path]) -> Path:
     Raises:
         InputError: no file that can be read.
     """
-    caches = [path for path in files if path.suffix.lower() in CACHES]
+    caches = [path for path in files if path.suffix.lower() == CACHE]
     if len(caches) == 1:
         return caches[0]
     known = MESH_READERS.keys() | CLIP_READERS.keys() | set(ANIMATED)

@@ -41,7 +41,7 @@ ALL = "all"
 """Value of `--animation` for all animations of a file."""
 BONES_ONLY = ".vrma"
 """Format that holds the motion of bones and no mesh."""
-RATELESS = (".hdf5", ".npy", ".pc2")
+RATELESS = (".hdf5", ".pc2")
 """Formats whose files have no frame rate, like folders of frames."""
 LARGE = 256 * 2**20
 """Bytes of a clip from which on a note says how to make it smaller."""

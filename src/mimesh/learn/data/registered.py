@@ -30,7 +30,7 @@ from ...evaluate.clip_protocols import ClipPair
 from ...evaluate.pairs import Pair
 from ...evaluate.protocols import Protocol
 from ...io import list_animations, load_clip, load_points
-from ...io.formats import ANIMATED, CACHES, CLIP_READERS, COLLECTIONS, FORMATS, MESH_READERS, MOTIONS
+from ...io.formats import ANIMATED, CACHE, CLIP_READERS, COLLECTIONS, FORMATS, MESH_READERS, MOTIONS
 from ...motions.on_body import is_motion_file
 from .bodies import copied_to, numbers_of_step, on_device, uniform
 from .clips import DAMAGED
@@ -451,8 +451,8 @@ def _candidates(folder: Path) -> Iterator[tuple[Path, str | None]]:
                 yield path, None
         elif path.suffix.lower() in COLLECTIONS:
             yield from ((path, name) for name in list_animations(path))
-        elif path.suffix.lower() in CACHES or (
-            path.suffix.lower() in MESH_SUFFIXES and not any(path.with_suffix(end).exists() for end in CACHES)
+        elif path.suffix.lower() == CACHE or (
+            path.suffix.lower() in MESH_SUFFIXES and not path.with_suffix(CACHE).exists()
         ):
             yield path, None
 
