@@ -85,7 +85,6 @@ TARGETS: dict[str, tuple[str, Write, Change, Reads]] = {
     "bvh": (".bvh", small_files.bvh, some_text, BOTH),
     "joints": (".json", small_files.joints, some_json, (load_corrections,)),
     "markers": (".txt", small_files.markers, some_text, (load_markers,)),
-    "hdf5": (".hdf5", small_files.hdf5, some_bytes, (read_last_animation,)),
     "body-pkl": (".pkl", small_files.body_model, some_bytes, MESHES),
     "body-npz": (".npz", small_files.body_archive, some_zip, MESHES),
     "poses-pkl": (".pkl", small_files.poses, some_bytes, (read_poses,)),
@@ -100,11 +99,11 @@ TARGETS: dict[str, tuple[str, Write, Change, Reads]] = {
 }
 """Reader -> suffix, what writes sound files, how they are damaged, and the functions that take turns to read them."""
 NEEDS = {
-    "hdf5": "h5py", "onnx": "onnx", "gltf-packed": "meshopt", "usda": "pxr", "usdc": "pxr", "usdz": "pxr",
+    "onnx": "onnx", "gltf-packed": "meshopt", "usda": "pxr", "usdc": "pxr", "usdz": "pxr",
     "fbx-text": "ufbx", "fbx-binary": "ufbx",
 }  # fmt: skip
 """Reader -> package without which there is none."""
-IN_CHILDREN = NEEDS.keys() - {"hdf5", "onnx"}
+IN_CHILDREN = NEEDS.keys() - {"onnx"}
 """Readers whose library decodes each file in a guarded process of its own."""
 FOLDERS: dict[str, Path] = {}
 

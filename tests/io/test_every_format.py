@@ -78,7 +78,7 @@ def test_names_that_are_no_text_are_written(suffix, tmp_path):
         assert len(load_mesh(tmp_path / f"a{suffix}").faces) == len(cube.faces)
 
 
-EXTRAS = {".usda": ("pxr", "usd"), ".fbx": ("ufbx", "fbx"), ".hdf5": ("h5py", "hdf5")}
+EXTRAS = {".usda": ("pxr", "usd"), ".fbx": ("ufbx", "fbx")}
 
 
 @pytest.mark.parametrize("suffix", EXTRAS)

@@ -131,7 +131,7 @@ class ClipOptions(RecordedRange):
 
     animation: list[str] | None = declared(
         None,
-        "Animation of a GLB or clip of an HDF5 file: its name or number; animate takes several, or all.",
+        "Animation of a GLB: its name or number; animate takes several, or all.",
         metavar="NAME",
     )
 

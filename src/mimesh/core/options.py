@@ -370,7 +370,7 @@ class ConvertOptions(RecordedRange):
 
     fps: float | None = declared(None, "Of IN, where it does not say; else to sample it at.")
     """Files with times are sampled at this rate, others are played at it."""
-    animation: str | None = declared(None, "Which animation of a GLB or clip of an HDF5 file: its name or number.")
+    animation: str | None = declared(None, "Which animation of a GLB: its name or number.")
     frame: int | None = declared(None, "This frame alone, counted from 0.")
     frames: int | None = declared(None, "So many frames, evenly spread from first to last.", min=1)
     frames_as: str | None = declared(None, "In a folder: obj or ply.", metavar="SUFFIX")
@@ -410,7 +410,7 @@ class TrainingFiles:
     leave_out: list[str] | None = declared(None, "Pack (sub-folder) of --characters that is not used.", metavar="PACK")
     meshes: Path | None = declared(
         None,
-        "Folder of registered meshes (npt) or clips (aniformer), or an .hdf5 of clips, to train on.",
+        "Folder of registered meshes (npt) or clips (aniformer) to train on.",
         metavar="DIR",
     )
     pattern: str = declared("", "How the files of --meshes are named, such as '{person}-{pose}.ply'.")

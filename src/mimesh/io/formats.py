@@ -150,7 +150,6 @@ FORMATS = {
     ".fbx": Format("FBX", *_GLTF),
     ".glb": Format("GLB", *_GLTF),
     ".gltf": Format("glTF", *_GLTF),
-    ".hdf5": Format("HDF5", None, None, _of("hdf5", "read_hdf5_clip")),
     ".npz": Format(
         "NumPy archive", _read_npz, _of("npz", "write_npz"), _read_npz_clip, _of("npz", "write_npz_clip"), POINTS_ALONE
     ),
@@ -189,9 +188,7 @@ MOTIONS = {".bvh", ".vrma"}
 """Files of joints without a mesh, which cannot be a frame of a clip."""
 BODY_MODELS = {".pkl"}
 """Files of body models, which are no frame of a clip: registrations may lie beside the meshes of a folder."""
-COLLECTIONS = (".hdf5",)
-"""Files that may contain several clips, without a rest shape."""
-FRAMES_ONLY = (CACHE, *COLLECTIONS, ".npz")
+FRAMES_ONLY = (CACHE, ".npz")
 """Files of frames without a rest shape."""
 FRAME_SUFFIXES = (".obj", ".ply")
 """Formats of the frames of a clip written to a folder; the first is the default."""

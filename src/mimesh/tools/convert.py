@@ -29,7 +29,7 @@ from ..io import (
     save_whole,
 )
 from ..io.beside import missing_images, missing_images_notes
-from ..io.formats import FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS
+from ..io.formats import CACHE, FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS
 from ..io.polygons import smooth_normals
 from ..io.timing import DEFAULT_FPS
 
@@ -41,8 +41,6 @@ ALL = "all"
 """Value of `--animation` for all animations of a file."""
 BONES_ONLY = ".vrma"
 """Format that holds the motion of bones and no mesh."""
-RATELESS = (".hdf5", ".pc2")
-"""Formats whose files have no frame rate, like folders of frames."""
 LARGE = 256 * 2**20
 """Bytes of a clip from which on a note says how to make it smaller."""
 NOTED_LIMITING = 0.02
@@ -491,14 +489,14 @@ def size_note(path: Path) -> tuple[str, ...]:
 def rate_note(fps: float, path: Path) -> tuple[str, ...]:
     """Return a note that a format has no frame rate, unless the rate is the one that is assumed by default."""
     suffix = path.suffix.lower()
-    if (suffix and suffix not in RATELESS) or fps == DEFAULT_FPS:
+    if (suffix and suffix != CACHE) or fps == DEFAULT_FPS:
         return ()
     return (f"{suffix or 'folders of'} files have no frame rate: read {path.name} with --fps {fps:g}",)
 
 
 def taken_rate_note(clip: Clip, path: Path) -> tuple[str, ...]:
     """Return a note that the frame rate of a clip was assumed, because neither its files nor the user gave it."""
-    if len(clip) == 1 or not (path.is_dir() or path.suffix.lower() in RATELESS):
+    if len(clip) == 1 or not (path.is_dir() or path.suffix.lower() == CACHE):
         return ()
     return (f"{path.name} has no frame rate: {clip.fps:g} frames a second are taken; --fps gives another",)
 
