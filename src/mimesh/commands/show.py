@@ -75,7 +75,7 @@ def render(
 
     check_options(options, output)
     refuse_existing(printed.no_clobber, output)
-    refuse_inputs(output, *files, options.truth, options.stretch)
+    refuse_inputs(output, *files, options.truth)
     clips = _cut(files, single("--animation", taken.animation), taken)
     names = [path.name for path in files]
     with progress("frames", printed.silent) as advance:

@@ -335,9 +335,6 @@ class RenderOptions:
     strip: bool = declared(False, "Frames of each clip side by side.", name="--strip")
     turntable: bool = declared(False, "One mesh from all sides.", name="--turntable")
     truth: Path | None = declared(None, "Heat map of the distance to this mesh or clip, in mm if files are in metres.")
-    stretch: Path | None = declared(
-        None, "Heat map of how edges differ in length from this mesh's.", metavar="REFERENCE"
-    )
     track: bool = declared(False, "In movies, the camera goes along.", name="--track")
     view: str = declared("three-quarter", "three-quarter, front, side, left, right, back or top.")
     size: int = declared(480, "Height of one picture in pixels.", min=32, max=4096)
