@@ -291,10 +291,7 @@ async def _not_found(request: Request, error: Exception) -> Response:
 
 
 def _use_upload(session: Session, upload: Upload, role: str) -> list[int]:
-    """Unpack the archives of an upload and add its meshes or its clip to the session; returns their numbers."""
-    # Archives are replaced by their files, so the list must not be the one that changes.
-    for archive in [path for path in upload.files if path.suffix.lower() == ".zip"]:
-        session.uploads.unzip(upload, archive)
+    """Add the meshes or the clip of an upload to the session; returns their numbers."""
     if not upload.files:
         raise InputError("upload: expected a file, found none; choose one")
     if role == "identity":
