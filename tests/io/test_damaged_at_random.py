@@ -172,7 +172,7 @@ def processor_time() -> float:
     return time.process_time() + children.ru_utime + children.ru_stime + SERVER.seconds
 
 
-@matrix("name", TARGETS, quick=["off", "npy"])
+@matrix("name", TARGETS, quick=["ply", "pc2"])
 def test_damaged_files_are_read_or_refused(name, tmp_path):
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])
