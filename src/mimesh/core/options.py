@@ -39,14 +39,13 @@ def declared(default: T, help: str, values: tuple[str, ...] = (), **command: Any
 def options(cls: type[T]) -> type[T]:
     """Make a dataclass one of options: arguments are checked, and wrong ones raise InputError."""
     made, signature = cls.__init__, inspect.signature(cls.__init__)
-    names = [name for name in signature.parameters if name != "self"]
     values = {field.name: field.metadata["values"] for field in dataclasses.fields(cls)}  # type: ignore
 
     @functools.wraps(made)
     def __init__(self: Any, *args: Any, **given: Any) -> None:
         from .arguments import check_call
 
-        check_call(cls.__name__, signature, names, (self, *args), given)
+        check_call(signature, (self, *args), given)
         made(self, *args, **given)
         for name, allowed in values.items():
             check_value(name, getattr(self, name), allowed)
