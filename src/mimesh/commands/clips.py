@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..core.options import Hints, Layout, MotionOptions
 from .options import ShapeOptions
-from .terminal import output_beside, tell_size
+from .terminal import output_beside
 
 if TYPE_CHECKING:
     from ..core.mesh import Clip, Mesh
@@ -90,21 +90,6 @@ def check_rig_layout(
         check_own_layout(rigs.identity.person, layout, identity.name)
     elif rigs.copied is not None and not options.changes_motion:
         check_own_layout({}, layout, identity.name)
-
-
-def check_frames_size(mesh: Mesh, frames: int, output: Path, quiet: bool) -> None:
-    """Check the expected size of a clip that is written frame by frame, and tell it if it is large."""
-    from ..core.output_size import check_output_size, frames_size
-    from ..io.formats import FRAME_SUFFIXES
-    from ..view.movie import MOVIES
-
-    if output.suffix.lower() in MOVIES:
-        return
-    own = mesh.source.suffix if mesh.source and mesh.source.suffix in FRAME_SUFFIXES else FRAME_SUFFIXES[0]
-    size = frames_size(output.suffix or own, len(mesh.vertices), frames)
-    joints = "write joints (.glb of mime without --morphs)"
-    check_output_size(size, output, f"take fewer frames with --step, --start or --stop, {joints}")
-    tell_size(size, output, quiet)
 
 
 def check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:

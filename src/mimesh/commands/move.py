@@ -14,7 +14,6 @@ from ..core.options import FrameRange, Hints, Layout, ModelOptions, MotionOption
 from ..core.printable import say
 from .clips import (
     check_clip_output,
-    check_frames_size,
     check_rig_layout,
     check_single,
     check_suffix,
@@ -221,7 +220,6 @@ class ClipJob:
 
     def run(self, silent: bool) -> tuple[ClipResult, tuple[str, ...]]:
         """Read the clip, and move the identity by it; return the result and notes on the file."""
-        from ..methods.find import moves_joints
         from ..pipeline import animate as run_animate
         from ..tools.convert import hierarchy_note, read_driving, resampled_note
 
@@ -232,9 +230,6 @@ class ClipJob:
                 lambda: read_driving(self.clip, taken.body_model, taken.fps, taken.slice, advance, whole)
             )
         mesh = self.identity
-        if self.motion.skinned is False or not moves_joints(self.model):
-            frames = len(range(len(clip))[taken.slice]) if whole else len(clip)
-            check_frames_size(mesh, frames, self.target, silent)
         check_rig_layout(mesh, clip, self.model, self.hints, self.motion, self.layout)
         with progress(f"frames of {self.title}" if self.title else "frames", silent) as advance:
             result = run_animate(

@@ -65,7 +65,7 @@ def render(
     ],
     options: RenderOptions,
     taken: Annotated[ClipOptions, Without("body_model")],
-    printed: Annotated[OutputOptions, Without("output", "preview", "open", "large")],
+    printed: Annotated[OutputOptions, Without("output", "preview", "open")],
 ) -> None:
     """Draw meshes and clips: sheet, strip, turntable, heat map, movie or a page to play with.
 

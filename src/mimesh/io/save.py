@@ -17,10 +17,9 @@ from jaxtyping import Float
 
 from ..core.animated_rig import AnimatedRig
 from ..core.arguments import public
-from ..core.errors import InputError, option
+from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, RewritableSource, check_frames, check_numbers, check_timing, with_printable_names
-from ..core.output_size import check_output_size, frames_size
 from .atomic import scratch_folder, together, whole_file, writing
 from .formats import CACHE, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, found_suffix, gltf_file
 from .load import load_mesh
@@ -104,23 +103,11 @@ def save_clip(
             f"{path}: expected a clip format ({' '.join(CLIP_WRITERS)}) or a folder, found '{path.suffix}'; "
             f"write {path.with_suffix('.glb').name}, or {path.stem} for a folder of one mesh per frame"
         )
-    _check_clip_output_size(clip, path, path.suffix)
     mesh_path = _mesh_path_of_cache(clip, path) if path.suffix.lower() == CACHE else None
     with writing(path), together():
         CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
         if mesh_path is not None:
             save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), mesh_path)
-
-
-def _check_clip_output_size(clip: Clip, path: Path, suffix: str) -> None:
-    """Check the expected size of a clip that is written frame by frame; see `core.output_size`.
-
-    Raises:
-        InputError: outputs are limited, and it is too large.
-    """
-    joints = ", write joints (.glb of mime without --morphs)" if suffix in (*JOINTED, CACHE, ".npz") else ""
-    advice = f"take fewer frames with {option('step', ...)}, {option('start')} or {option('stop', ...)}{joints}"
-    check_output_size(frames_size(suffix, len(clip.mesh.vertices), len(clip)), path, advice)
 
 
 def _save_folder(clip: Clip, path: Path, suffix: str | None, progress: Progress | None) -> None:
@@ -133,7 +120,6 @@ def _save_folder(clip: Clip, path: Path, suffix: str | None, progress: Progress 
         )
     if path.is_file():
         raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
-    _check_clip_output_size(clip, path, suffix)
     with writing(path), together():
         from .frame_folder import write_sequence
 
