@@ -1,7 +1,7 @@
 """Write meshes, clips and rigs in any format, each whole or not at all.
 
 `save_mesh` writes the identity's original file with other points where the output has its suffix and its source can do
-so (`mesh.RewritableSource`: OBJ, glTF, NPZ). `formats` maps suffixes to the functions of each format.
+so (`mesh.RewritableSource`: OBJ, glTF). `formats` maps suffixes to the functions of each format.
 """
 
 from __future__ import annotations

@@ -152,7 +152,7 @@ def write_gltf_clip(clip: Clip, path: Path, progress: Progress | None = None) ->
 def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
     """List what is lost or changed when the file is written again, one line each."""
     gltf = document.gltf
-    notes = [] if document.damage is None else [f"{document.damage}: left out what contradicts a tree, and the rig"]
+    notes = []
     skins, animations = len(gltf.get("skins", [])), len(gltf.get("animations", []))
     if skins or animations:
         dropped = [_count_text(skins, "skin"), _count_text(animations, "animation")]
