@@ -9,7 +9,7 @@ FROM python:3.13-slim
 COPY constraints.txt /wheels/
 COPY --from=build /wheels /wheels
 RUN python -m pip install --no-cache-dir --constraint /wheels/constraints.txt \
-      "$(echo /wheels/mimesh-*.whl)[viewer,compressed,fbx,usd,alembic,hdf5,video]" \
+      "$(echo /wheels/mimesh-*.whl)[viewer,compressed,fbx,usd,video]" \
     && useradd --create-home --uid 1000 mimesh && mkdir /data && chown mimesh /data
 USER 1000
 WORKDIR /data

@@ -1,4 +1,4 @@
-"""Pose a mesh live: driving frames come through a socket, each one poses the identity, and a page shows the newest.
+"""Pose a mesh live: driving frames come through a socket, and each one poses the identity.
 
 python examples/10_live.py                                       # sender and receiver, with shipped inputs
 python examples/10_live.py --role receive hero.glb recorded.npz  # yours: waits for frames of recorded.npz's mesh
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 import mimesh
 from mimesh.bodies import load_body
 from mimesh.bodies.characters import character
-from mimesh.studio.live_page import LivePage  # needs pip install 'mimesh[viewer]'; a session does not
 from mimesh.tools.demo import driving_clip
 
 RATE = 60.0
@@ -50,26 +49,23 @@ def read_frame(stream: BinaryIO) -> NDArray[np.float32] | None:
 
 
 def receive(identity: mimesh.Mesh, clip: mimesh.Clip, listening: socket.socket, output: Path) -> None:
-    """Pose the identity by every frame of a connection, show it, and save the last one."""
+    """Pose the identity by every frame of a connection, and save the last one."""
     # The recorded clip has the mesh of the stream. Its first frame is enough; with more, joints are found more exactly.
     session = mimesh.prepare(identity, clip)
     for note in session.notes:
         print("note:", note)
     times: list[float] = []
     result = identity.vertices
-    with LivePage(session) as page:
-        print("open", page.address, flush=True)
-        connection, _ = listening.accept()
-        with connection, connection.makefile("rb") as stream:
-            while (frame := read_frame(stream)) is not None:
-                start = time.perf_counter()
-                try:
-                    result = session.pose(frame)
-                except mimesh.InputError as error:
-                    print("left out:", error)
-                    continue
-                times.append(1e3 * (time.perf_counter() - start))
-                page.show(frame, result)
+    connection, _ = listening.accept()
+    with connection, connection.makefile("rb") as stream:
+        while (frame := read_frame(stream)) is not None:
+            start = time.perf_counter()
+            try:
+                result = session.pose(frame)  # (V, 3): give it to your engine or viewer here
+            except mimesh.InputError as error:
+                print("left out:", error)
+                continue
+            times.append(1e3 * (time.perf_counter() - start))
     if times:
         print(f"{len(times)} frames, {np.median(times):.1f} ms each, the slowest {max(times):.1f} ms")
     mimesh.save_mesh(identity.with_vertices(result), output / "last.glb")

@@ -40,8 +40,6 @@ def open_file(job):
         bpy.ops.import_scene.gltf(filepath=path, disable_bone_shape=True)
     elif suffix.startswith(".usd"):
         bpy.ops.wm.usd_import(filepath=path)
-    elif suffix == ".abc":
-        bpy.ops.wm.alembic_import(filepath=path)
     elif suffix == ".obj":
         bpy.ops.wm.obj_import(filepath=path)
     elif suffix == ".ply":
@@ -110,7 +108,6 @@ def write_all():
         bpy.ops.export_scene.gltf(filepath=path(name), export_format=form, export_force_sampling=True)
     for suffix in ("usda", "usdc", "usdz"):
         bpy.ops.wm.usd_export(filepath=path(f"scene.{suffix}"), export_animation=True)
-    bpy.ops.wm.alembic_export(filepath=path("scene.abc"), face_sets=True)
     (FOLDER / "obj").mkdir()
     bpy.ops.wm.obj_export(filepath=path("obj/scene.obj"), export_animation=True, start_frame=0, end_frame=FRAMES[-1])
     (FOLDER / "ply").mkdir()

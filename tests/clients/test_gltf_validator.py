@@ -38,9 +38,8 @@ def assert_no_worse(path, source):
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-@pytest.mark.parametrize("shapes", [None, 3])
-def test_written_clip_is_valid(suffix, shapes, tmp_path):
-    save_clip(dressed_clip(tmp_path / "d"), tmp_path / f"a{suffix}", blendshapes=shapes)
+def test_written_clip_is_valid(suffix, tmp_path):
+    save_clip(dressed_clip(tmp_path / "d"), tmp_path / f"a{suffix}")
     assert_valid(tmp_path / f"a{suffix}")
 
 

@@ -48,7 +48,7 @@ def test_all_lines_escape_names(hostile, call, monkeypatch):
     assert "no\\x1b[31m\\u202efile.obj: expected" in call("look no\x1b[31m\u202efile.obj").err
     assert not BAD & set(call("render --size \x1b[31m a.obj -o b.png").err)  # an error of usage
     hostile.rename("h\x1bo\u202e.glb")
-    code, out, err = call("convert h\x1bo\u202e.glb h\x1b.off")
+    code, out, err = call("convert h\x1bo\u202e.glb h\x1b.stl")
     assert (code, BAD & set(out + err)) == (0, set())
     assert "next: mimesh look" in out
 
@@ -118,7 +118,7 @@ def test_plain_names_keep_their_length_and_other_scripts():
 @pytest.mark.skipif(os.name == "nt", reason="a pipe for stdout")
 def test_a_narrow_encoding_of_stdout_prints_escapes(hostile):
     environment = {**os.environ, "PYTHONIOENCODING": "cp1252", "PYTHONUTF8": "0"}
-    command = [sys.executable, "-m", "mimesh", "convert", str(hostile), str(hostile.with_name("h袖.off"))]
+    command = [sys.executable, "-m", "mimesh", "convert", str(hostile), str(hostile.with_name("h袖.stl"))]
     done = subprocess.run(command, env=environment, capture_output=True)
     assert done.returncode == 0, done.stderr
-    assert b"h\\u8896.off" in done.stdout
+    assert b"h\\u8896.stl" in done.stdout

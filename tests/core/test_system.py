@@ -78,20 +78,6 @@ def test_limits_hold_in_a_child():
     assert b"MemoryError" in done.stderr or sys.platform == "darwin"
 
 
-def test_no_process_is_ended_by_a_test_for_it_on_windows(monkeypatch):
-    killed = []
-    monkeypatch.setattr(system, "os", SimpleNamespace(name="nt", kill=lambda *call: killed.append(call)))
-    assert not system.has_ended(12345)
-    assert killed == []
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows cannot be asked")
-def test_ended_and_running_processes():
-    with subprocess.Popen([sys.executable, "-c", ""]) as process:
-        assert not system.has_ended(os.getpid())
-    assert system.has_ended(process.pid)
-
-
 def test_cores_without_an_affinity(monkeypatch):
     monkeypatch.setattr(system, "os", SimpleNamespace(cpu_count=lambda: 7))
     assert system.usable_cores() == 7

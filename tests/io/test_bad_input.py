@@ -14,12 +14,12 @@ from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import clip_suffixes, load_clip, load_mesh, mesh_suffixes, save_clip, save_mesh
 from mimesh.io.formats import CLIP_WRITERS, MESH_WRITERS
 
-FORMATS = (".npz", ".obj", ".off", ".ply", ".stl")
+FORMATS = (".npz", ".obj", ".ply", ".stl")
 ASCII_PLY = (
     "ply\nformat ascii 1.0\nelement vertex {v}\nproperty float x\nproperty float y\nproperty float z\n"
     "element face {f}\nproperty list uchar int vertex_indices\nend_header\n"
 )
-THREE, OFF_POINTS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n"
+THREE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 PLY_POINTS = ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n"
 
 
@@ -50,7 +50,7 @@ def good_file(folder, suffix: str):
 @pytest.mark.parametrize("load", [load_mesh, load_clip])
 def test_missing_empty_and_unknown_files_are_refused(load, tmp_path):
     assert "found nothing of that name; check the path" in input_error_of(load, tmp_path / "none.obj")
-    for suffix in (".obj", ".vrm", ".usda", ".npy"):
+    for suffix in (".obj", ".vrm", ".usda", ".pc2"):
         (tmp_path / f"a{suffix}").write_bytes(b"")
         assert "found an empty file of 0 bytes" in input_error_of(load, tmp_path / f"a{suffix}")
     for name in ("a.blend", "a", "a.obj.zip", "a.OBJ.txt"):
@@ -160,21 +160,6 @@ MISTAKES = {
             "found triangle strips",
         ),
     ],
-    ".off": [
-        ("\n# only comments\n", "expected text that begins with OFF"),
-        ("OFF\n", "expected text that begins with OFF"),
-        ("OFF\nthree 1 0\n", "expected text that begins with OFF"),
-        ("OFF BINARY\n3 1 0\n", "found 'OFF BINARY'"),
-        ("4OFF\n3 1 0\n", "found '4OFF'"),
-        ("nOFF\n3\n3 1 0\n", "found 'nOFF'"),
-        ("OFF\n3 1 0\n0 0 0\n1 0 0\n", "expected 3 vertex and 1 face lines, found 2 in all"),
-        ("OFF\n3 1 0\n0 0 0\n1 0\n0 1 0\n3 0 1 2\n", "expected 3 numbers in line 4"),
-        (OFF_POINTS + "3 0 1\n", "found '3 0 1' in line 6"),
-        (OFF_POINTS + "3 0 1 3\n", "indices in 0..2, found '3 0 1 3' in line 6"),
-        (OFF_POINTS + "3 0 1 b\n", "expected whole numbers in face lines"),
-        (OFF_POINTS + "-3 0 1 2\n", "expected a corner count"),
-        ("NOFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "expected 3 numbers in line 3"),
-    ],
     ".stl": [
         (b"solid x\n facet normal 0 0 1\n outer loop\n vertex 0 0 0\n vertex 1 0 0\n", "for each of 1 facets"),
         (
@@ -229,7 +214,7 @@ def test_clip_in_a_mesh_format_is_refused(tmp_path):
     assert "found a file; choose another name" in input_error_of(save_clip, clip, tmp_path / "file")
 
 
-@pytest.mark.parametrize("suffix", [".obj", ".glb", ".usda", ".abc"])
+@pytest.mark.parametrize("suffix", [".obj", ".glb", ".usda"])
 def test_unwritable_path_is_refused(suffix, tmp_path):
     (tmp_path / "file").write_text("x")
     input_error_of(save_mesh, zoo.cube(), tmp_path / "file" / f"a{suffix}")
@@ -246,9 +231,8 @@ def test_file_without_read_permission_is_refused(tmp_path):
     assert "check its permissions" in input_error_of(load_mesh, tmp_path / "good.obj")
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".obj"])
-def test_failed_write_keeps_the_old_file(suffix, tmp_path):
-    path = good_file(tmp_path, suffix)
+def test_failed_write_keeps_the_old_file(tmp_path):
+    path = good_file(tmp_path, ".obj")
     before = path.read_bytes()
     mesh = load_mesh(path)
     grown = mesh.__class__(np.zeros((9, 3)), mesh.faces, source=mesh.source)

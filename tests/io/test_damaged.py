@@ -68,14 +68,6 @@ def test_damage_of_usd_is_named(name, tmp_path):
     assert any(part in found for part in expected.split("|"))
 
 
-def test_name_that_is_no_utf8_in_alembic(tmp_path):
-    pytest.importorskip("alembic3d")
-    content = sound_file(tmp_path / "a.abc")
-    assert b"red wool" in content
-    (tmp_path / "a.abc").write_bytes(content.replace(b"red wool", b"red w\x80ol"))
-    assert "text that is no UTF-8" in refusal(tmp_path / "a.abc")
-
-
 @pytest.mark.parametrize("suffix", [".usdz", ".npz"])
 def test_checksums_of_packages_are_checked(suffix, tmp_path):
     path = tmp_path / f"a{suffix}"

@@ -16,7 +16,7 @@ import hostile
 import numpy as np
 import pytest
 import small_files
-from damage import Change, some_bytes, some_glb, some_json, some_npy, some_text, some_zip
+from damage import Change, some_bytes, some_glb, some_json, some_text, some_zip
 from fork_server import ForkServer
 from matrix import matrix
 
@@ -75,12 +75,9 @@ BOTH, SCENES = (load_mesh, *CLIPS), (load_mesh, load_clip, read_rig, read_last_a
 TARGETS: dict[str, tuple[str, Write, Change, Reads]] = {
     "obj": (".obj", small_files.obj, some_text, MESHES),
     "ply": (".ply", small_files.ply, some_text, MESHES),
-    "off": (".off", small_files.meshes(".off", hostile.OFF), some_text, MESHES),
     "stl": (".stl", small_files.meshes(".stl", hostile.STL), some_text, MESHES),
     "npz": (".npz", small_files.npz, some_zip, BOTH),
-    "npy": (".npy", small_files.clips(".npy"), some_npy, CLIPS),
     "pc2": (".pc2", small_files.clips(".pc2"), some_bytes, CLIPS),
-    "mdd": (".mdd", small_files.clips(".mdd"), some_bytes, CLIPS),
     "glb": (".glb", small_files.glb, some_glb, SCENES),
     "gltf": (".gltf", small_files.gltf, some_json, SCENES),
     "vrm": (".vrm", small_files.vrm, some_glb, SCENES),
@@ -88,7 +85,6 @@ TARGETS: dict[str, tuple[str, Write, Change, Reads]] = {
     "bvh": (".bvh", small_files.bvh, some_text, BOTH),
     "joints": (".json", small_files.joints, some_json, (load_corrections,)),
     "markers": (".txt", small_files.markers, some_text, (load_markers,)),
-    "hdf5": (".hdf5", small_files.hdf5, some_bytes, (read_last_animation,)),
     "body-pkl": (".pkl", small_files.body_model, some_bytes, MESHES),
     "body-npz": (".npz", small_files.body_archive, some_zip, MESHES),
     "poses-pkl": (".pkl", small_files.poses, some_bytes, (read_poses,)),
@@ -98,17 +94,16 @@ TARGETS: dict[str, tuple[str, Write, Change, Reads]] = {
     "usda": (".usda", small_files.usd(".usda"), some_text, BOTH),
     "usdc": (".usdc", small_files.usd(".usdc"), some_bytes, BOTH),
     "usdz": (".usdz", small_files.usd(".usdz"), some_zip, BOTH),
-    "alembic": (".abc", small_files.clips(".abc"), some_bytes, BOTH),
     "fbx-text": (".fbx", small_files.fbx(binary=False), some_text, SCENES),
     "fbx-binary": (".fbx", small_files.fbx(binary=True), some_bytes, SCENES),
 }
 """Reader -> suffix, what writes sound files, how they are damaged, and the functions that take turns to read them."""
 NEEDS = {
-    "hdf5": "h5py", "onnx": "onnx", "gltf-packed": "meshopt", "usda": "pxr", "usdc": "pxr", "usdz": "pxr",
-    "alembic": "alembic3d", "fbx-text": "ufbx", "fbx-binary": "ufbx",
+    "onnx": "onnx", "gltf-packed": "meshopt", "usda": "pxr", "usdc": "pxr", "usdz": "pxr",
+    "fbx-text": "ufbx", "fbx-binary": "ufbx",
 }  # fmt: skip
 """Reader -> package without which there is none."""
-IN_CHILDREN = NEEDS.keys() - {"hdf5", "onnx"}
+IN_CHILDREN = NEEDS.keys() - {"onnx"}
 """Readers whose library decodes each file in a guarded process of its own."""
 FOLDERS: dict[str, Path] = {}
 
@@ -177,7 +172,7 @@ def processor_time() -> float:
     return time.process_time() + children.ru_utime + children.ru_stime + SERVER.seconds
 
 
-@matrix("name", TARGETS, quick=["off", "npy"])
+@matrix("name", TARGETS, quick=["ply", "pc2"])
 def test_damaged_files_are_read_or_refused(name, tmp_path):
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])

@@ -18,11 +18,11 @@ from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.formats import MESH_WRITERS
 
 pytestmark = pytest.mark.usefixtures("in_process")
-EXACT, SINGLE = ("obj", "off", "npz"), ("ply", "stl", "usdc", "abc", "glb")
+EXACT, SINGLE = ("obj", "npz"), ("ply", "stl", "usdc", "glb")
 """Formats that keep numbers of 64 and of 32 bits."""
 NO_POINTS = ("stl", "abc")
 """Formats without point clouds."""
-LIBRARIES = {".abc": "alembic3d", ".usd": "pxr", ".usda": "pxr", ".usdc": "pxr", ".usdz": "pxr"}
+LIBRARIES = {".usd": "pxr", ".usda": "pxr", ".usdc": "pxr", ".usdz": "pxr"}
 ODD_NAME = os.fsdecode(b"h\xffro")
 """A name with a byte that is no text, as Python decodes it: with a lone surrogate."""
 
@@ -49,14 +49,14 @@ def test_new_file_of_any_mesh_reads_back(suffix, make, tmp_path):
         np.testing.assert_allclose(reread.vertices, expected, rtol=0, atol=1e-6 if suffix == "glb" else 0)
         np.testing.assert_array_equal(reread.faces, mesh.faces)
         assert len(load_clip(tmp_path / f"new.{suffix}")) == 1
-    if suffix in ("off", "ply", "stl", "obj") and len(mesh.faces):
+    if suffix in ("ply", "stl", "obj") and len(mesh.faces):
         other = trimesh.load(tmp_path / f"new.{suffix}", process=False, force="mesh")
         np.testing.assert_array_equal(
             triangle_soup(other.vertices, other.faces), triangle_soup(expected.astype(float), mesh.faces)
         )
 
 
-@pytest.mark.parametrize("suffix", ["obj", "PLY", "OFF", "STL", "NPZ", "OBJ", "glb", "gltf"])
+@pytest.mark.parametrize("suffix", ["obj", "PLY", "STL", "NPZ", "OBJ", "glb", "gltf"])
 def test_file_names_of_maximal_length_and_in_upper_case_are_written(suffix, tmp_path):
     name = "大" * 80 + f".{suffix}"  # 240 bytes and the suffix
     save_mesh(zoo.cube(), tmp_path / name)
@@ -78,7 +78,7 @@ def test_names_that_are_no_text_are_written(suffix, tmp_path):
         assert len(load_mesh(tmp_path / f"a{suffix}").faces) == len(cube.faces)
 
 
-EXTRAS = {".usda": ("pxr", "usd"), ".abc": ("alembic3d", "alembic"), ".fbx": ("ufbx", "fbx"), ".hdf5": ("h5py", "hdf5")}
+EXTRAS = {".usda": ("pxr", "usd"), ".fbx": ("ufbx", "fbx")}
 
 
 @pytest.mark.parametrize("suffix", EXTRAS)

@@ -21,7 +21,7 @@ from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io import obj as obj_module
 
 NAMES = ("{}", "walk.{:04d}", "id3_{:02d}_mesh")
-FORMATS = (".obj", ".ply", ".off", ".stl", ".npz", ".glb")
+FORMATS = (".obj", ".ply", ".stl", ".npz", ".glb")
 
 
 def frames_of(vertices: np.ndarray, count: int = 12) -> np.ndarray:
@@ -213,11 +213,11 @@ def test_frame_with_another_number_of_triangles_is_named(tmp_path):
         load_clip(tmp_path)
 
 
-def test_off_frames_keep_vertices_that_touch(tmp_path):
+def test_ply_frames_keep_vertices_that_touch(tmp_path):
     both = zoo.two_parts()
     frames = np.stack([both.vertices, both.vertices, frames_of(both.vertices, 2)[1]])
     frames[1, 4:] -= [2, 0, 0]
     for t, vertices in enumerate(frames):
-        save_mesh(both.with_vertices(vertices), tmp_path / f"{t}.off")
+        save_mesh(both.with_vertices(vertices), tmp_path / f"{t}.ply")
     np.testing.assert_array_equal(load_clip(tmp_path).vertices, frames)
     np.testing.assert_array_equal(load_clip(tmp_path).mesh.faces, both.faces)

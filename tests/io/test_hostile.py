@@ -15,7 +15,7 @@ from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 
 OBJ = hostile.OBJ | {"nasty": NASTY_OBJ, "cube": CUBE_SHARED_NORMALS, "sheets": SHEETS_SHARED_NORMALS}
-TEXTS = {"obj": OBJ, "ply": hostile.PLY, "off": hostile.OFF, "stl": hostile.STL}
+TEXTS = {"obj": OBJ, "ply": hostile.PLY, "stl": hostile.STL}
 FILES = {(suffix, name): text for suffix, texts in TEXTS.items() for name, text in texts.items()}
 ENDS = {"LF": b"\n", "CRLF": b"\r\n", "CR": b"\r"}
 

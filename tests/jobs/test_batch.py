@@ -20,7 +20,6 @@ import mimesh
 from mimesh.__main__ import run
 from mimesh.core.budgets import limits_are_lifted
 from mimesh.core.mesh import Clip
-from mimesh.core.output_size import LARGEST_OUTPUT, check_output_size
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.gltf.own_rig import has_rig
 from mimesh.jobs.run import BatchTask, fingerprint, recorded
@@ -308,5 +307,3 @@ def test_what_cannot_be_rigged_is_refused_before_any_work(files, words, message,
 def test_what_options_set_ends_with_the_parsing():
     assert option_values("transfer", (("no-limits", "yes"),))["no_limits"]
     assert not limits_are_lifted()
-    assert option_values("transfer", ())["large"] is False
-    check_output_size(2 * int(LARGEST_OUTPUT), "out.obj", "write less of it")  # outputs of Python have no limit

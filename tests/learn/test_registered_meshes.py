@@ -9,8 +9,7 @@ import pytest
 import torch
 from matrix import matrix
 from people import person
-from registered import FACES, FILE, moving, write_clips, write_meshes
-from smpl_files import write_dfaust
+from registered import FACES, FILE, write_clips, write_meshes
 from trainings import TINY, assert_steps_are_pure, losses
 
 from mimesh.__main__ import run
@@ -406,41 +405,6 @@ def test_evenly_spread_frames_of_each_clip(clips, tmp_path):
     write_clips(tmp_path, 2, 2, lambda i, m: 4 + i if m == 0 else 6)
     with pytest.raises(InputError, match=r"walk0: expected clips in which frame t is the same pose .*p0 has 4 frames"):
         read(tmp_path, 3, frames=3, **AXES)
-
-
-def write_recordings(path, lengths):
-    """Write clips of people as DFAUST's registrations are: the numbers of frames by name."""
-    pytest.importorskip("h5py")
-    clips = {name: moving(k % 3, 0, frames).vertices for k, (name, frames) in enumerate(lengths.items())}
-    return write_dfaust(path, clips, person(0, 0, FACES).faces)
-
-
-def test_clips_of_an_hdf5_file_are_people_in_motions(tmp_path):
-    """Alone or in a folder; the note says what is taken for granted."""
-    names = [f"{person}_{motion}" for person in (50002, 50004, 50007) for motion in ("jumping_jacks", "hips", "knees")]
-    path = write_recordings(tmp_path / "registrations.hdf5", dict.fromkeys(names, 6))
-    for given in (path, tmp_path):
-        meshes = read(given, 3, **AXES)
-        facts = meshes.facts
-        assert (facts["layout"], facts["people"], facts["poses"]) == ("{person:d}_{pose}", 3, 3)
-        assert facts["held_out"] == {"people": ["50007"], "poses": ["knees"]}
-        assert "frame t of a motion is taken to be the same pose of all people in it" in meshes.described()
-    batch = MeshWindowSource(ALL, meshes, CPU, 0).batch(4, 0)
-    assert batch.driving.shape[:2] == (4, 3)
-
-
-@pytest.mark.parametrize(
-    ("lengths", "message"),
-    [
-        ({"50002_hips": 6, "50004_hips": 8}, r"hips: expected clips .*50002 has 6 frames, 50004 has 8 frames\)\. Rec"),
-        ({"50002_hips": 6, "50004_knees": 6}, "two people in one pose, found none .*recordings of one person a motion"),
-    ],
-)
-def test_recordings_without_a_truth_are_refused_with_a_way_to_one(lengths, message, tmp_path):
-    path = write_recordings(tmp_path / "registrations_m.hdf5", lengths)
-    with pytest.raises(InputError, match=message) as raised:
-        read(path, 3, **AXES)
-    assert "mimesh generate clips-aniformer --split train --body-model" in str(raised.value)
 
 
 @pytest.mark.usefixtures("written")

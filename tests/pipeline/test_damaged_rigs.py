@@ -58,14 +58,6 @@ def _with_scale(entry: dict, scale: list[float]) -> None:
     entry["matrix"] = (matrix @ np.diag([*scale, 1.0])).T.ravel().tolist()
 
 
-def cycle(draft: Draft) -> None:
-    node(draft, "LeftHand").setdefault("children", []).append(index("LeftArm"))
-
-
-def two_parents(draft: Draft) -> None:
-    node(draft, "Head").setdefault("children", []).append(index("RightFoot"))
-
-
 def weights_times(factor: float):
     def change(draft: Draft) -> None:
         for name in ("WEIGHTS_0", "WEIGHTS_1"):
@@ -103,8 +95,6 @@ def joints_elsewhere(draft: Draft) -> None:
 
 
 DAMAGES = {
-    "cycle": (cycle, "LeftArm|below itself"),
-    "two parents": (two_parents, "two parents"),
     "no weights": (weights_times(0.0), "skin with weights, found 100%|weights"),
     "half without weights": (some_weights(0.0), "skin with weights, found 50%"),
     "half with NaN weights": (some_weights(float("nan")), "skin with weights, found 50%"),
@@ -117,7 +107,7 @@ DAMAGES = {
 }
 
 
-QUICK = ("cycle", "half with NaN weights", "duplicate names")
+QUICK = ("half with NaN weights", "duplicate names")
 
 
 @matrix("damage", DAMAGES, quick=QUICK)

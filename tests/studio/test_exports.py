@@ -184,7 +184,6 @@ def test_messages_name_fields_of_the_page(tmp_path):
         (".pc2", {"skinned": True}, ".pc2: expected .glb, .gltf or .fbx for bones"),
         (".glb", {"layout": Layout(root_bone=True)}, "expected with bones, found without"),
         (".glb", {"influences": 8}, "expected with bones, found without"),
-        (".fbx", {"blendshapes": 3}, ".fbx: expected .glb or .gltf for blend shapes"),
     ],
 )
 @pytest.mark.parametrize("moved", ["copy"], indirect=True)

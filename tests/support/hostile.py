@@ -74,16 +74,6 @@ PLY = {
     + b"4 0 1 2 3 8 0 0 1 0 1 1 0 1\n",
 }
 
-OFF = {
-    "polygons of all sizes": b"OFF\n5 5 0\n0 0 0\n2 0 0\n2 1 0\n0 1 0\n1 2 .5\n"
-    + b"5 0 1 2 4 3\n4 0 1 2 3\n3 2 3 4\n2 0 1\n1 3\n",
-    "colours of every kind": b"COFF\n3 3 3\n0 0 0 255 0 0 255\n1 0 0 0 255 0 255\n0 1 0 0 0 255 255\n"
-    + b"3 0 1 2 1 0.5 0.25 1\n3 2 1 0 12\n3 1 2 0 255 0 0",
-    "comments and blank lines everywhere": b"# caf\xe9\nOFF # kind\n\n# counts\n3 1 0 # V F E\n\n0 0 0 # a\n\n1 0 0\n"
-    + b"0\t1e0  -0.0\n#\n3 0 1 2 # f\n\n# end",
-    "huge and tiny": b"OFF 4 2 6\n1e9 -1e9 1E+9\n1e-9 -1e-9 1E-9\n-0.0 +0 -0\n+1.5e+09 .5 5.\n3 0 1 2\n3 1 2 3\n",
-}
-
 STL = {
     "two solids with names": b"solid \xe4\xbd\xa0 one\n facet normal 0 0 1\n  outer loop\n   vertex 0 0 0\n"
     + b"   vertex 1 0 0\n"

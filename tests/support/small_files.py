@@ -167,13 +167,6 @@ def markers(folder: Path) -> None:
     (folder / "a.txt").write_text("# identity driving\n0 3\n1 2 # nose\n\n17 4\n")
 
 
-def hdf5(folder: Path) -> None:
-    clip = small_clip()
-    packed = {"chunks": (9, 3, 1), "compression": "gzip", "shuffle": True}
-    smpl_files.write_dfaust(folder / "a.hdf5", {"50002_jump": clip.vertices}, clip.mesh.faces)
-    smpl_files.write_dfaust(folder / "b.hdf5", {"x": clip.vertices, "y": clip.vertices}, clip.mesh.faces, **packed)
-
-
 def body_model(folder: Path) -> None:
     for protocol in (0, 2, 4):
         smpl_files.write_model(folder / f"p{protocol}.pkl", smpl_files.small_arrays(), protocol)

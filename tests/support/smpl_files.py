@@ -174,15 +174,3 @@ def _rodrigues(vector: np.ndarray) -> np.ndarray:
     x, y, z = vector / angle
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-
-
-def write_dfaust(path: Path, clips: dict[str, np.ndarray], faces: np.ndarray | None, **options) -> Path:
-    """Write clips (T, V, 3) as DFAUST's registrations are: one dataset (V, 3, T) each, and `faces`."""
-    import h5py
-
-    with h5py.File(path, "w") as file:
-        for name, vertices in clips.items():
-            file.create_dataset(name, data=np.moveaxis(vertices, 0, 2), **options)
-        if faces is not None:
-            file["faces"] = faces
-    return path

@@ -49,9 +49,8 @@ def frames(path):
         ("grow.glb --animation 0 -o x.png", "strip"),
         ("grow.glb --sheet -o x.jpg", "contact sheet"),
         ("tall.obj --truth cube.obj -o x.png", "heat map"),
-        ("tall.obj --stretch cube.obj -o x.png", "heat map"),
         ("grow.glb -o x.gif", "movie"),
-        ("grow.glb --stretch cube.obj -o x.gif", "heat movie"),
+        ("grow.glb --truth cube.obj -o x.gif", "heat movie"),
         ("grow --truth grow.glb --track -o x.webp", "heat movie"),
     ],
 )

@@ -1,10 +1,8 @@
-// The offline page: reads its embedded scene, starts the stage, and offers the result's file. A scene with the address of
-// a stream is a live page. In a page without a scene, such as the studio's, nothing is started: that page uses the
-// exports through `mimeshPlayer`.
+// The offline page: reads its embedded scene, starts the stage, and offers the result's file. In a page without a scene,
+// such as the studio's, nothing is started: that page uses the exports through `mimeshPlayer`.
 import { Controls } from "./controls.js";
 import { make } from "./dom.js";
 import { ICONS } from "./icons.js";
-import { followStream } from "./live.js";
 import { fromBase64, inflate } from "./scene.js";
 import { Stage } from "./stage.js";
 
@@ -22,7 +20,7 @@ function buildPage(root, packed) {
   const top = head.appendChild(make("div", "top"));
   const stage = root.appendChild(make("main", "stage"));
   const bottom = root.appendChild(make("footer", "bottom"));
-  return { head, top, stage, bottom };
+  return { top, stage, bottom };
 }
 
 /** Show the notes of the report, and what was left out of the page. */
@@ -56,18 +54,6 @@ async function downloadEmbedded(event, link, download) {
   link.click();
 }
 
-/** Show the frames of a stream, which `packed.live` is the address of, and whether they arrive. */
-function showStream(stage, head, address) {
-  const chip = head.querySelector(".names").appendChild(make("span", "chip", { textContent: "waiting", title: "Whether frames arrive" }));
-  chip.setAttribute("role", "status");
-  stage.set({ follow: true });
-  followStream(stage, address, (live, what) => {
-    const text = live ? "live" : "no connection";
-    if (chip.textContent !== text) chip.textContent = text;
-    document.documentElement.dataset.live = live ? what : "";
-  });
-}
-
 /** Show a message in place of the page. */
 function refuse(root, message) {
   const main = make("main", "refusal");
@@ -81,7 +67,7 @@ async function start() {
   if (typeof DecompressionStream === "undefined") return refuse(root, REFUSALS.inflate);
   if (!document.createElement("canvas").getContext("webgl2")) return refuse(root, REFUSALS.webgl);
   const packed = JSON.parse(document.getElementById("mimesh-scene").textContent);
-  const { head, top, stage: box, bottom } = buildPage(root, packed);
+  const { top, stage: box, bottom } = buildPage(root, packed);
   addDownload(top, packed);
   const stage = new Stage(box);
   const controls = new Controls(stage, { top, bottom });
@@ -89,7 +75,6 @@ async function start() {
   stage.addEventListener("drawn", () => (document.documentElement.dataset.state = "ready"), { once: true });
   await stage.show(packed);
   window.mimesh = { stage, controls };
-  if (packed.live) return showStream(stage, head, packed.live);
   if (!matchMedia("(prefers-reduced-motion: reduce)").matches) controls.play();
 }
 

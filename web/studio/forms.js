@@ -103,8 +103,6 @@ export class ExportForm {
       this.chosen = true;
       again();
     }), "Write a skeleton with weights, which engines play, instead of the vertices of every frame");
-    const shapes = make("input", "", { type: "number", min: 1, max: 512, placeholder: "one per frame" });
-    this.shapes = field(details, "Blend shapes", shapes, "Number of morph targets that approximate the frames");
     this.names = field(details, "Bone names", choice([], again), "Names and hierarchy of the bones that another program expects");
     this.rest = field(details, "Rest pose", choice(Object.entries(RESTS), again), "Pose that the skeleton is bound in; bones of the file keep theirs");
     this.root = field(details, "Root bone", checkbox(again), "Add a bone on the ground above all others, which has the way over it");
@@ -125,7 +123,6 @@ export class ExportForm {
       suffix: this.format.value,
       meshes: this.which.value ? [Number(this.which.value)] : [],
       skinned: given(this.skinned, this.skinned.checked),
-      blendshapes: number(this.shapes),
       names: given(this.names, this.names.value),
       rest: given(this.rest, this.rest.value),
       root_bone: given(this.root, this.root.checked),
@@ -157,17 +154,16 @@ export class ExportForm {
   /** Show the fields that a product has. */
   showFields(what, format, several) {
     setShown(this.which, several && what !== "motion");
-    for (const control of [this.skinned, this.shapes, this.fps]) setShown(control, what === "result");
+    for (const control of [this.skinned, this.fps]) setShown(control, what === "result");
     for (const control of [this.author, this.license]) setShown(control, what === "rig" && format.suffix === ".vrm");
     this.details.hidden = what === "motion";
   }
 
-  /** Enable what a format has: bones by choice or always, blend shapes; `jointed`: the results have joints. */
+  /** Enable what a format has: bones by choice or always; `jointed`: the results have joints. */
   showBones(what, format, moving, jointed) {
     if (!this.chosen) this.skinned.checked = moving; // a single pose is a mesh in that pose, unless bones are wanted
     setEnabled(this.skinned, jointed && format.joints, "Only in .glb, .gltf and .fbx, of models with joints (mime).");
     const bones = what === "rig" || format.bones || (this.skinned.checked && !this.skinned.disabled);
-    setEnabled(this.shapes, moving && format.shapes && !bones, "Only for clips as .glb or .gltf, without bones.");
     for (const control of [this.names, this.rest, this.root]) setEnabled(control, bones && format.joints, "Only with bones, in .glb, .gltf and .fbx.");
     setEnabled(this.influences, bones && format.joints && format.suffix !== ".vrm", "Only with bones, in .glb, .gltf and .fbx.");
     setEnabled(this.fps, bones && moving, "Only with bones, for clips.");

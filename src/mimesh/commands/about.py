@@ -17,7 +17,7 @@ def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")] = Path("mimesh-demo"),
     body: Annotated[str, typer.Option(help="human, or quadruped: a cow takes over a horse's gallop.")] = "human",
     *,
-    printed: Annotated[OutputOptions, Without("output", "preview", "no_clobber", "large", "no_limits")],
+    printed: Annotated[OutputOptions, Without("output", "preview", "no_clobber", "no_limits")],
 ) -> None:
     """Let a shipped person take over a captured motion.
 

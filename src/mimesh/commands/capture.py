@@ -26,7 +26,7 @@ from .terminal import (
 @with_options
 def capture(
     clip: Annotated[
-        Path, typer.Argument(metavar="CLIP", parser=given_path, help="A folder of meshes, GLB, ABC, USD, PC2, NPZ ...")
+        Path, typer.Argument(metavar="CLIP", parser=given_path, help="A folder of meshes, GLB, USD, PC2, NPZ ...")
     ],
     *,
     model: Model = "mime",

@@ -1,4 +1,4 @@
-"""What `mimesh animate` writes: frames, joints or blend shapes, and one clip or several of one identity."""
+"""What `mimesh animate` writes: frames or joints, and one clip or several of one identity."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..core.options import Hints, Layout, MotionOptions
 from .options import ShapeOptions
-from .terminal import output_beside, tell_size
+from .terminal import output_beside
 
 if TYPE_CHECKING:
     from ..core.mesh import Clip, Mesh
@@ -33,33 +33,30 @@ def check_clip_output(output: Path, clips: int, skinned: bool, shapes: ShapeOpti
     """
     from ..core.errors import InputError
     from ..io import clip_suffixes, refuse_vrm
-    from ..io.formats import FRAME_SUFFIXES, JOINTED, MORPHED
+    from ..io.formats import FRAME_SUFFIXES, JOINTED
     from ..pipeline.vrma import check_bones_layout
     from ..tools.convert import BONES_ONLY
     from ..view.movie import MOVIES
 
     refuse_vrm(output)
-    morphs, blendshapes = shapes.morphs, shapes.blendshapes
-    options = {"--skinned": skinned, "--morphs": morphs, "--blendshapes": blendshapes is not None}
-    given = [option for option, present in options.items() if present]
-    if len(given) > 1:
-        raise InputError(f"{given[1]}: expected it without {given[0]}, found both; choose one of them")
-    frames = morphs or blendshapes is not None
+    frames = shapes.morphs
+    if frames and skinned:
+        raise InputError("--morphs: expected it without --skinned, found both; choose one of them")
     playing = tuple(suffix for suffix in JOINTED if suffix != ".vrm")
     jointed = (*playing, BONES_ONLY)
     if clips > 1 and (frames or output.suffix.lower() not in jointed):
-        found = given[0] if frames else f"'{output.suffix}'"
+        found = "--morphs" if frames else f"'{output.suffix}'"
         raise InputError(
             f"{output}: expected joints in a .glb, .gltf, .fbx or .vrma for {clips} clips, found {found}; "
             "animate one clip at a time, or change the output"
         )
-    held = MORPHED if blendshapes is not None else playing if frames else jointed
-    if not given and output.suffix.lower() in FRAME_SUFFIXES:
+    held = playing if frames else jointed
+    if not (frames or skinned) and output.suffix.lower() in FRAME_SUFFIXES:
         raise InputError(
             f"{output}: expected a format for a clip, found '{output.suffix}', which holds one mesh; for a folder of "
             f"them name it without a suffix: -o {output.with_suffix('')}"
         )
-    check_suffix(output, held if given else (*clip_suffixes(), *MOVIES, BONES_ONLY, ""))
+    check_suffix(output, held if frames or skinned else (*clip_suffixes(), *MOVIES, BONES_ONLY, ""))
     if layout != Layout() and (frames or output.suffix.lower() not in jointed):
         raise InputError(
             "--names, --root-bone, --rest, --output-fps: expected joints in a .glb, .gltf or .fbx, found "
@@ -95,21 +92,6 @@ def check_rig_layout(
         check_own_layout({}, layout, identity.name)
 
 
-def check_frames_size(mesh: Mesh, frames: int, output: Path, blendshapes: int | None, quiet: bool) -> None:
-    """Check the expected size of a clip that is written frame by frame, and tell it if it is large."""
-    from ..core.output_size import check_output_size, frames_size
-    from ..io.formats import FRAME_SUFFIXES
-    from ..view.movie import MOVIES
-
-    if output.suffix.lower() in MOVIES:
-        return
-    own = mesh.source.suffix if mesh.source and mesh.source.suffix in FRAME_SUFFIXES else FRAME_SUFFIXES[0]
-    size = frames_size(output.suffix or own, len(mesh.vertices), blendshapes or frames)
-    joints = ", write joints (.glb of mime without --morphs)" * (blendshapes is None)
-    check_output_size(size, output, f"take fewer frames with --step, --start or --stop{joints}")
-    tell_size(size, output, quiet)
-
-
 def check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:
     """Check that a format can be written, before the work is done."""
     from ..core.errors import InputError
@@ -137,7 +119,6 @@ def save_clips(
     output: Path,
     names: Sequence[str],
     skinned: bool | None,
-    blendshapes: int | None,
     layout: Layout,
     progress: Callable[[int, int], None] | None,
 ) -> SavedClip:
@@ -149,4 +130,4 @@ def save_clips(
     moving = len(first.frames) > 1 or first.own is not None  # the pose of a file's own bones keeps its skin
     if skinned or (skinned is None and jointed and moving):
         return save_skinned(results, output, animations=names, layout=layout)
-    return first.save(output, blendshapes=blendshapes, progress=progress)
+    return first.save(output, progress=progress)

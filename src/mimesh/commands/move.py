@@ -14,7 +14,6 @@ from ..core.options import FrameRange, Hints, Layout, ModelOptions, MotionOption
 from ..core.printable import say
 from .clips import (
     check_clip_output,
-    check_frames_size,
     check_rig_layout,
     check_single,
     check_suffix,
@@ -184,7 +183,7 @@ def animate(
     with together():
         with progress("writing", output.silent) as advance:
             names = [clip.name for clip in clips]
-            saved = save_clips(results, target, names, as_joints, shapes.blendshapes, layout, advance)
+            saved = save_clips(results, target, names, as_joints, layout, advance)
         for result, chosen in zip(results, clips, strict=True):
             save_joint_files(result, identity, chosen.path, joints, taken.start)
     shown = [
@@ -221,7 +220,6 @@ class ClipJob:
 
     def run(self, silent: bool) -> tuple[ClipResult, tuple[str, ...]]:
         """Read the clip, and move the identity by it; return the result and notes on the file."""
-        from ..methods.find import moves_joints
         from ..pipeline import animate as run_animate
         from ..tools.convert import hierarchy_note, read_driving, resampled_note
 
@@ -232,9 +230,6 @@ class ClipJob:
                 lambda: read_driving(self.clip, taken.body_model, taken.fps, taken.slice, advance, whole)
             )
         mesh = self.identity
-        if self.motion.skinned is False or not moves_joints(self.model):
-            frames = len(range(len(clip))[taken.slice]) if whole else len(clip)
-            check_frames_size(mesh, frames, self.target, self.shapes.blendshapes, silent)
         check_rig_layout(mesh, clip, self.model, self.hints, self.motion, self.layout)
         with progress(f"frames of {self.title}" if self.title else "frames", silent) as advance:
             result = run_animate(
@@ -407,7 +402,7 @@ def result_facts(
     """
     from ..core.animated_rig import frames_around
     from ..pipeline.result import Result
-    from ..tools.convert import blend_note, not_kept, posed_vrm_note, rate_note, size_note, skinned_note
+    from ..tools.convert import not_kept, posed_vrm_note, rate_note, size_note, skinned_note
 
     mesh = result.mesh
     fps, frames = (None, 1) if isinstance(result, Result) else (result.fps, len(result.frames))
@@ -416,8 +411,7 @@ def result_facts(
     rate = () if fps is None else (*rate_note(fps, output), *size_note(output))
     report = {**result.report, **(deviations or {})}
     kept = (*not_kept(mesh, output), *posed_vrm_note(output))
-    blended = blend_note(report.get("blendshapes_deviation"))
-    notes = [*result.notes, *kept, *rate, *blended, *skinned_note(report), *driving_notes]
+    notes = [*result.notes, *kept, *rate, *skinned_note(report), *driving_notes]
     notes += shown["notes"]
     facts: dict[str, Any] = {
         "output": str(output),

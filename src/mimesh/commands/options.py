@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import typer
 
-from ..core.options import BlendShapeOptions, RecordedRange, declared
+from ..core.options import RecordedRange, declared
 from .terminal import lift_limits
 
 T = TypeVar("T")
@@ -84,14 +84,6 @@ def _option(kind: type, field: dataclasses.Field) -> Any:
     return Annotated[value_kind, typer.Option(*([names] if isinstance(names, str) else names), **more)]
 
 
-def _limit_outputs(large: bool) -> bool:
-    """Limit the size of outputs unless --large is given, until the command ends (see `lift_limits`)."""
-    from ..core.output_size import limit_outputs
-
-    limit_outputs(not large)
-    return large
-
-
 @dataclass(frozen=True)
 class OutputOptions:
     """Where a command writes, what it shows, and what it prints."""
@@ -109,7 +101,6 @@ class OutputOptions:
     )
     open: bool = declared(False, "Open the page in the browser.", name="--open")
     no_clobber: bool = declared(False, "Stop before the work if an output exists.", name=("--no-clobber", "-n"))
-    large: bool = declared(False, "Write outputs of more than 100 MB, too.", name="--large", callback=_limit_outputs)
     no_limits: bool = declared(
         False,
         "Read files of any size; without it, see docs/formats.md, Limits.",
@@ -131,7 +122,7 @@ class ClipOptions(RecordedRange):
 
     animation: list[str] | None = declared(
         None,
-        "Animation of a GLB or clip of an HDF5 file: its name or number; animate takes several, or all.",
+        "Animation of a GLB: its name or number; animate takes several, or all.",
         metavar="NAME",
     )
 
@@ -148,7 +139,7 @@ class JointOptions:
 
 
 @dataclass(frozen=True)
-class ShapeOptions(BlendShapeOptions):
+class ShapeOptions:
     """What is written instead of joints."""
 
     morphs: bool = declared(False, "Write a morph target for each frame, not joints (.glb, .gltf).", name="--morphs")

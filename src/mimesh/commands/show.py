@@ -65,7 +65,7 @@ def render(
     ],
     options: RenderOptions,
     taken: Annotated[ClipOptions, Without("body_model")],
-    printed: Annotated[OutputOptions, Without("output", "preview", "open", "large")],
+    printed: Annotated[OutputOptions, Without("output", "preview", "open")],
 ) -> None:
     """Draw meshes and clips: sheet, strip, turntable, heat map, movie or a page to play with.
 
@@ -75,7 +75,7 @@ def render(
 
     check_options(options, output)
     refuse_existing(printed.no_clobber, output)
-    refuse_inputs(output, *files, options.truth, options.stretch)
+    refuse_inputs(output, *files, options.truth)
     clips = _cut(files, single("--animation", taken.animation), taken)
     names = [path.name for path in files]
     with progress("frames", printed.silent) as advance:

@@ -241,14 +241,6 @@ def refuse_existing(no_clobber: bool, *outputs: Path | None) -> None:
             )
 
 
-def tell_size(size: int, output: Path, quiet: bool) -> None:
-    """Tell on stderr the expected size (bytes) of a large output before it is made."""
-    from ..core.output_size import TOLD_OUTPUT
-
-    if size >= TOLD_OUTPUT and not quiet:
-        say(f"{output}: about {size / 1e6:,.0f} MB will be written", error=True)
-
-
 def given_path(text: str) -> Path:
     """Return the path of an argument; an empty one, as of an unset variable, would be the current folder.
 

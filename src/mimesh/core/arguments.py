@@ -5,7 +5,6 @@ Lists, integers and tensors become arrays (`as_vertices` and others); messages s
 
 from __future__ import annotations
 
-import difflib
 import functools
 import inspect
 import numbers
@@ -16,65 +15,34 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from jaxtyping import Float, Int
 
-from .errors import InputError, did_you_mean
+from .errors import InputError
 
-CLOSE = 0.75
-"""Similarity (`difflib`) of the names of arguments from which on one is proposed; "smooth" and "root" have 0.6."""
 F = TypeVar("F", bound=Callable[..., Any])
-
-
-class ArgumentError(InputError, TypeError):
-    """A call without an argument that is needed, or with one that the function does not have.
-
-    It is a `TypeError`, too, as Python's own error for such calls.
-    """
 
 
 def public(function: F) -> F:
     """Make a function one that programs call: arguments are checked before it runs, and wrong ones raise InputError."""
     signature = inspect.signature(function)
-    names = [name for name in signature.parameters if name not in ("self", "cls")]
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        for name in kwargs.keys() - signature.parameters.keys():
-            _refuse_option(function.__name__, name, signature, inspect.unwrap(function).__globals__)
-        check_call(function.__name__, signature, names, args, kwargs)
+        check_call(signature, args, kwargs)
         return function(*args, **kwargs)
 
     return cast(F, call)
 
 
-def check_call(
-    function: str, signature: inspect.Signature, names: list[str], args: tuple[Any, ...], given: dict[str, Any]
-) -> None:
-    """Raise InputError for arguments that are missing, unknown or of another kind than the annotation says."""
-    for name in given:
-        if name not in signature.parameters:
-            hint = did_you_mean(name, names, CLOSE) or f"; it has {', '.join(names)}"
-            raise ArgumentError(f"{function}: expected arguments that it has, found {name}{hint}")
+def check_call(signature: inspect.Signature, args: tuple[Any, ...], given: dict[str, Any]) -> None:
+    """Raise InputError for arguments of another kind than the annotation says.
+
+    Missing and unknown ones are left to the call itself, which raises Python's own TypeError.
+    """
     try:
-        bound = signature.bind(*args, **given)
-    except TypeError as error:
-        parameters = signature.parameters
-        needed = ", ".join(name for name in names if parameters[name].default is inspect.Parameter.empty)
-        raise ArgumentError(f"{function}: expected the arguments {needed}, found: {error}") from None
-    for name, value in bound.arguments.items():
-        if name in names:
-            check_kind(name, value, str(signature.parameters[name].annotation))
-
-
-def _refuse_option(function: str, name: str, signature: inspect.Signature, known: dict[str, Any]) -> None:
-    """Raise InputError for an argument that is, or is nearly, a field of a class of options that a function takes."""
-    fields = {}
-    for parameter in signature.parameters.values():
-        for field in getattr(known.get(str(parameter.annotation)), "__dataclass_fields__", ()):
-            fields[field] = f"{parameter.name}=mimesh.{parameter.annotation}({field}=...)"
-    close = difflib.get_close_matches(name.replace("-", "_"), fields, 1, CLOSE)
-    if close:
-        raise ArgumentError(
-            f"{function}: expected {close[0]} in its options, found {name} alone; give {fields[close[0]]}"
-        )
+        values = signature.bind(*args, **given).arguments
+    except TypeError:
+        return
+    for name, value in values.items():
+        check_kind(name, value, str(signature.parameters[name].annotation))
 
 
 def check_kind(name: str, value: object, annotation: str) -> None:

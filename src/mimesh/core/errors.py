@@ -11,8 +11,8 @@ LONGEST_MESSAGE = 1000
 class InputError(ValueError):
     """A wrong file or argument. The message is one line: what was expected, what was found, what to do.
 
-    Everything that a program or a user can get wrong raises it; it is a `ValueError`. Calls with arguments that a
-    function does not have raise a subclass that is a `TypeError`, too.
+    Everything that a program or a user can get wrong raises it, but for calls with arguments that a function does not
+    have: these raise Python's `TypeError`. It is a `ValueError`.
 
     Example:
         >>> try:

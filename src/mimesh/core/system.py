@@ -64,19 +64,6 @@ def file_mode_mask() -> int:
     return mask
 
 
-def has_ended(process: int) -> bool:
-    """Return whether there is no process of that number; False on Windows, where a test for one would end it."""
-    if os.name == "nt":
-        return False
-    try:
-        os.kill(process, 0)  # signal 0 tests for the process
-    except ProcessLookupError:
-        return True
-    except (PermissionError, OverflowError):
-        return False
-    return False
-
-
 def resident_memory() -> float | None:
     """Return the memory of this process in MiB; None where the system does not tell (macOS, Windows)."""
     pages = Path("/proc/self/statm")

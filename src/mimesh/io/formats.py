@@ -118,7 +118,7 @@ def _read_cache(path: Path, fps: float | None, progress: Progress | None) -> Cli
     def read(mesh: Path) -> Mesh:
         return MESH_READERS[mesh.suffix.lower()](mesh)
 
-    from .point_cache import read_cache
+    from .pc2 import read_cache
 
     suffixes = [suffix for suffix in MESH_READERS if suffix not in (*MOTIONS, *BODY_MODELS, *FRAMES_ONLY)]
     return read_cache(path, fps, sorted(suffixes, key=lambda suffix: suffix not in FRAME_SUFFIXES), read, progress)
@@ -146,27 +146,15 @@ POINTS_ALONE = ("materials", "texture coordinates", "normals", "vertex colours")
 _GLTF = _of("gltf", "read_gltf"), _write_gltf, None, _write_gltf_clip
 _USD = [_of("usd", name) for name in ("read_usd", "write_usd", "read_usd_clip", "write_usd_clip")]
 FORMATS = {
-    ".abc": Format(
-        "Alembic",
-        *(
-            _of("alembic", name)
-            for name in ("read_alembic", "write_alembic", "read_alembic_clip", "write_alembic_clip")
-        ),
-        lacks=("colours of materials", "textures", "vertex colours"),
-    ),
     ".bvh": Format("BVH", _read_motion, None, _read_motion_clip),
     ".fbx": Format("FBX", *_GLTF),
     ".glb": Format("GLB", *_GLTF),
     ".gltf": Format("glTF", *_GLTF),
-    ".hdf5": Format("HDF5", None, None, _of("hdf5", "read_hdf5_clip")),
-    ".mdd": Format("MDD points", None, None, _read_cache, _of("point_cache", "write_mdd")),
-    ".npy": Format("NumPy points", None, None, _read_cache, _of("point_cache", "write_npy")),
     ".npz": Format(
         "NumPy archive", _read_npz, _of("npz", "write_npz"), _read_npz_clip, _of("npz", "write_npz_clip"), POINTS_ALONE
     ),
     ".obj": Format("OBJ", _of("obj", "read_obj"), _of("obj", "write_obj"), one_mesh=True),
-    ".off": Format("OFF", _of("off", "read_off"), _of("off", "write_off"), lacks=POINTS_ALONE, one_mesh=True),
-    ".pc2": Format("PC2 points", None, None, _read_cache, _of("point_cache", "write_pc2")),
+    ".pc2": Format("PC2 points", None, None, _read_cache, _of("pc2", "write_pc2")),
     ".pkl": Format("SMPL's pickle", _read_body_model),
     ".ply": Format(
         "PLY",
@@ -194,15 +182,13 @@ JOINTED = (".glb", ".gltf", ".fbx", ".vrm")
 """Formats in which joints and weights are written."""
 MORPHED = (".glb", ".gltf")
 """Formats to which a number of morph targets can be given."""
-CACHES = (".mdd", ".npy", ".pc2")
+CACHE = ".pc2"
 """Point caches: positions only, for a mesh file beside them."""
 MOTIONS = {".bvh", ".vrma"}
 """Files of joints without a mesh, which cannot be a frame of a clip."""
 BODY_MODELS = {".pkl"}
 """Files of body models, which are no frame of a clip: registrations may lie beside the meshes of a folder."""
-COLLECTIONS = (".hdf5",)
-"""Files that may contain several clips, without a rest shape."""
-FRAMES_ONLY = (*CACHES, *COLLECTIONS, ".npz")
+FRAMES_ONLY = (CACHE, ".npz")
 """Files of frames without a rest shape."""
 FRAME_SUFFIXES = (".obj", ".ply")
 """Formats of the frames of a clip written to a folder; the first is the default."""

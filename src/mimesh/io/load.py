@@ -18,7 +18,7 @@ from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip, stored_clip
 from ..core.system import refuse_pipe
-from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, COLLECTIONS, MESH_READERS, MOTIONS, found_suffix
+from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, MESH_READERS, MOTIONS, found_suffix
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 PACKED = (b"PK\3\4", b"Rar!", b"7z\xbc\xaf")
@@ -90,10 +90,8 @@ def load_clip(
     Args:
         path: the file or folder.
         fps: frames per second, overriding the file's own rate; without either it is 30. Files with times (glTF, USD,
-            Alembic, MDD, motions) are resampled at it and keep their duration; others (folders, NPZ, NPY, PC2) are
-            played at it.
-        animation: name or number of an animation of a glTF file, None: the first, with those that move other nodes; or
-            of a clip of an HDF5 file, None: the only one.
+            motions) are resampled at it and keep their duration; others (folders, NPZ, PC2) are played at it.
+        animation: name or number of an animation of a glTF file, None: the first, with those that move other nodes.
         progress: called with (frames read, frames in all).
         frames: those to take, counted from 0 at the frame rate of the result; see `cut_clip`. Of a motion file the
             others are never posed, of other files they are read too.
@@ -150,10 +148,6 @@ def _whole_clip(path: Path, fps: float | None, animation: str | None, progress: 
             clip = read_sequence(path, fps or DEFAULT_FPS, suffixes, _load_frame, progress)
             # The clip takes the name of the folder, not that of its first frame.
             clip = dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=path.name))
-        elif suffix in COLLECTIONS:
-            from .hdf5 import read_hdf5_clip
-
-            clip = read_hdf5_clip(path, fps, progress, animation)
         elif suffix in ANIMATED:
             from .gltf import read_gltf_clip
 
@@ -232,18 +226,13 @@ def load_recorded_mesh(path: str | Path, body_model: str | Path) -> tuple[Mesh, 
 def list_animations(path: str | Path) -> tuple[str, ...]:
     """List the names of the animations of a glTF file or an .fbx; their number stands for a missing name.
 
-    Of an HDF5 file its clips. Empty for other formats, which have one clip at most, and for folders.
+    Empty for other formats, which have one clip at most, and for folders.
 
     Raises:
         InputError: no such file, or a damaged one.
     """
     path = Path(path)
     _must_exist(path)
-    if path.is_file() and path.suffix.lower() in COLLECTIONS:
-        from .hdf5 import clip_lengths
-
-        with _reading(path):
-            return tuple(clip_lengths(path))
     if path.is_dir() or path.suffix.lower() not in ANIMATED:
         return ()
     from .gltf.animation import animation_names
@@ -255,10 +244,9 @@ def list_animations(path: str | Path) -> tuple[str, ...]:
 
 def _check_clip_options(path: Path, fps: float | None, animation: str | None) -> None:
     """Raise InputError for an animation of a format without animations, or an impossible frame rate."""
-    several = (*ANIMATED, *COLLECTIONS)
-    if animation is not None and path.suffix.lower() not in several:
+    if animation is not None and path.suffix.lower() not in ANIMATED:
         raise InputError(
-            f"{path}: expected {' or '.join(several)} with {option('animation', ...)}, found '{path.suffix}'; leave "
+            f"{path}: expected {' or '.join(ANIMATED)} with {option('animation', ...)}, found '{path.suffix}'; leave "
             "it out"
         )
     if fps is not None and not fps > 0:

@@ -5,11 +5,9 @@ Pickled objects are never loaded.
 
 from __future__ import annotations
 
-import io
 import math
 import zipfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -32,36 +30,6 @@ _COMPRESSION_LEVEL = 1
 """zlib level, 1 to 9: higher ones take five times as long and save next to nothing on floating-point numbers."""
 
 
-@dataclass(frozen=True, eq=False)
-class NpzSource:
-    """The content of an archive and the array of its points. Satisfies `mesh.Source`."""
-
-    data: bytes
-    key: str
-    """Name of the array of points."""
-    points: np.ndarray
-    """The points as stored. A written file keeps their shape, and their type unless it is an integer type or too
-    small."""
-    offset: Float[np.ndarray, "*T 1 3"]
-    """What has been added to the points; see `_CAMERA_OFFSET`."""
-    suffix = ".npz"
-
-    def write(self, mesh: Mesh, path: Path) -> None:
-        """Write the archive with the points replaced; the other arrays are copied without parsing them."""
-        if len(mesh.vertices) != self.points.shape[-2]:
-            raise ValueError(f"the file has {self.points.shape[-2]} vertices, the mesh {len(mesh.vertices)}")
-        # New positions are no whole numbers, so integer points become float64.
-        dtype = self.points.dtype if self.points.dtype.kind == "f" else np.dtype(np.float64)
-        if np.abs(mesh.vertices).max() > np.finfo(dtype).max:  # of half precision 65,504
-            dtype = np.dtype(np.float64)
-        points = io.BytesIO()
-        np.save(points, (mesh.vertices.reshape(self.points.shape) - self.offset).astype(dtype), allow_pickle=False)
-        with zipfile.ZipFile(io.BytesIO(self.data)) as old, zipfile.ZipFile(path, "w") as new:
-            for entry in old.infolist():
-                is_points = entry.filename == f"{self.key}.npy"
-                new.writestr(entry, points.getvalue() if is_points else old.read(entry))
-
-
 def read_npz(path: Path) -> Mesh:
     """Read one mesh from an archive: `vertices` (V, 3) and, for a surface, `faces` (F, 3) or (F, 4), from 0.
 
@@ -71,9 +39,8 @@ def read_npz(path: Path) -> Mesh:
     Raises:
         InputError: no such arrays, wrong shapes or types, several frames, or the archive is damaged.
     """
-    data = path.read_bytes()
-    with open_archive(io.BytesIO(data), path) as (archive, names):
-        if broken := archive.testzip():  # arrays that are copied without parsing them must be undamaged too
+    with path.open("rb") as file, open_archive(file, path) as (archive, names):
+        if broken := archive.testzip():
             raise zipfile.BadZipFile(f"bad checksum of {broken!r}")
         key, faces = _find(POINTS, names, path), _read_faces(archive, names, path)
         points = read_array(archive, key)
@@ -86,7 +53,7 @@ def read_npz(path: Path) -> Mesh:
             "give it as the driving clip or save one frame"
         )
     vertices = (points.astype(np.float64) + offset).reshape(points.shape[-2:])
-    return Mesh(vertices, faces, name=path.stem, up=_up(key), source=NpzSource(data, key, points, offset))
+    return Mesh(vertices, faces, name=path.stem, up=_up(key))
 
 
 def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = None) -> Clip:

@@ -68,8 +68,7 @@ class ObjSource:
     def write(self, mesh: Mesh, path: Path) -> None:
         """Write the file with the vertices of `mesh`, and its corner normals if the file has any.
 
-        Lines of unchanged vertices and normals keep their text. Where corners that share a `vn` statement now differ,
-        further `vn` statements are added, and only then the normal indices of those faces change.
+        Lines of unchanged vertices keep their text, and so do all normals if none has changed.
         """
         if mesh.vertices.shape != self.vertices.shape:
             raise ValueError(f"the file has vertices {self.vertices.shape}, the mesh {mesh.vertices.shape}")
@@ -80,65 +79,30 @@ class ObjSource:
         path.write_bytes(b"".join(lines))
 
     def _write_normals(self, lines: list[bytes], corner_normals: Float[np.ndarray, "F 3 3"]) -> None:
-        """Set each `vn` statement to the normal of the first corner that uses it, and split those that now differ."""
+        """Write all `vn` statements anew in the place of the first, one for each direction of each old one.
+
+        Faces get new normal indices where these differ; all their other characters stay.
+        """
         used = np.flatnonzero(self.corners[:, 2] >= 0)
-        index = self.corners[used, 2]
+        old = self.corners[used, 2]
         triangles, _ = fan_corners(self.sizes)
         before = np.zeros((len(self.corners), 3))
-        before[used] = self.normals[index]
+        before[used] = self.normals[old]
         wanted = scatter_corners(corner_normals, triangles, before)[used]
-        new = self.normals.copy()
-        new[index[::-1]] = wanted[::-1]  # of repeated indices NumPy keeps the last: reversed, that is the first corner
-        rounded = np.where(_differ(new, self.normals), np.round(new, 6), self.normals)
-        replace_rows(lines, self.normal_lines, rounded, self.normals, skip=1)
-        split = np.flatnonzero(_differ(wanted, new[index])[:, 0])
-        if split.size:
-            self._split_normals(lines, used, split, wanted)
-
-    def _split_normals(self, lines: list[bytes], used, split, wanted) -> None:
-        """Add a `vn` statement for each further direction of a shared one, and renumber the normal indices of faces.
-
-        A new statement is appended to the last `vn` line of the block of `vn` lines (no face between them) that
-        contains the shared one. So it comes before the faces that use it, and all later `vn` indices grow.
-
-        Args:
-            used: corners that have a normal.
-            split: those entries of `used` whose normal differs from the one now written for them.
-            wanted: normal of each corner in `used`.
-        """
-        index = self.corners[used, 2]
-        # One new statement for each pair of old index and new direction, to the six digits that are written.
-        key = np.concatenate([index[split, None], np.round(wanted[split] * 1e6)], axis=1)
-        _, first, extra = np.unique(key, axis=0, return_index=True, return_inverse=True)
-        # Final numbering: old statements then new ones, sorted stably by block, is the order in the written file.
-        block = np.searchsorted(self.face_lines, self.normal_lines)
-        blocks = np.concatenate([block, block[index[split[first]]]])
-        order = np.argsort(blocks, kind="stable")
-        rank = np.empty_like(order)
-        rank[order] = np.arange(len(order))
-        target = rank[index]
-        target[split] = rank[len(block) + extra.reshape(-1)]
-
-        last_of_block = {int(b): int(line) for b, line in zip(block, self.normal_lines, strict=True)}
-        for k in split[first].tolist():
-            i = last_of_block[int(block[index[k]])]
-            text = lines[i].rstrip(b"\r\n")
-            end = lines[i][len(text) :] or b"\n"
-            x, y, z = wanted[k].tolist()
-            lines[i] = text + end + b"vn %.6g %.6g %.6g" % (x, y, z) + end
-        changed = (target != index) | self.relative_normals[used]  # relative indices count the new statements too
-        face_of_corner = np.repeat(np.arange(len(self.sizes)), self.sizes)
-        self._write_normal_indices(lines, used, target, np.unique(face_of_corner[used[changed]]))
-
-    def _write_normal_indices(self, lines: list[bytes], used, target, faces) -> None:
-        """Replace the normal indices in the lines of `faces`; all other characters stay.
-
-        `target` is the new index, from 0, of each corner in `used`.
-        """
+        if not (np.abs(wanted - before[used]) > 1e-6).any():
+            return
+        key = np.concatenate([old[:, None], np.round(wanted, 6)], axis=1)
+        rows, new = np.unique(key, axis=0, return_inverse=True)
+        first = self.normal_lines[0]
+        end = lines[first][len(lines[first].rstrip(b"\r\n")) :] or b"\n"
+        for line in self.normal_lines.tolist():
+            lines[line] = b""
+        lines[first] = b"".join(b"vn %.6g %.6g %.6g" % (x, y, z) + end for _, x, y, z in rows.tolist())
         number = np.zeros(len(self.corners), np.int64)
-        number[used] = target + 1
+        number[used] = new.reshape(-1) + 1
+        changed = (number[used] != old + 1) | self.relative_normals[used]
         stops = np.cumsum(self.sizes)
-        for face in faces.tolist():
+        for face in np.unique(np.repeat(np.arange(len(self.sizes)), self.sizes)[used[changed]]).tolist():
             corners = number[stops[face] - self.sizes[face] : stops[face]]
             numbers = iter(corners[corners > 0].tolist())
             line = self.face_lines[face]
@@ -147,11 +111,6 @@ class ObjSource:
                 lines[line],
                 count=int((corners > 0).sum()),
             )
-
-
-def _differ(a: Float[np.ndarray, "N 3"], b: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N 1"]:
-    """Return whether unit vectors differ by more than the six decimal places that are written."""
-    return np.any(np.abs(a - b) > 1e-6, axis=1)[:, None]
 
 
 def read_obj(path: Path) -> Mesh:

@@ -60,13 +60,6 @@ def polygon_corners(sizes: Int[np.ndarray, " P"]) -> Int[np.ndarray, " C"]:
     return first + np.where(step < 2, step, 3 * step - 4)
 
 
-def reversed_corners(sizes: Int[np.ndarray, " P"]) -> Int[np.ndarray, " C"]:
-    """Return the index in the flat list that reverses the corners of each polygon, which flips its winding."""
-    # A polygon of n corners from index a has a, ..., a + n - 1; index k is replaced by a + (a + n - 1 - k).
-    first = np.repeat(np.cumsum(sizes) - sizes, sizes)
-    return 2 * first + np.repeat(sizes, sizes) - 1 - np.arange(len(first))
-
-
 def polygons_of(mesh: Mesh, values: np.ndarray) -> list[list]:
     """Collect values at the triangle corners (F, 3) as one list per polygon."""
     sizes = polygon_sizes(mesh)

@@ -1,7 +1,7 @@
 """Write meshes, clips and rigs in any format, each whole or not at all.
 
 `save_mesh` writes the identity's original file with other points where the output has its suffix and its source can do
-so (`mesh.RewritableSource`: OBJ, glTF, NPZ). `formats` maps suffixes to the functions of each format.
+so (`mesh.RewritableSource`: OBJ, glTF). `formats` maps suffixes to the functions of each format.
 """
 
 from __future__ import annotations
@@ -17,12 +17,11 @@ from jaxtyping import Float
 
 from ..core.animated_rig import AnimatedRig
 from ..core.arguments import public
-from ..core.errors import InputError, option
+from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, RewritableSource, check_frames, check_numbers, check_timing, with_printable_names
-from ..core.output_size import check_output_size, frames_size
 from .atomic import scratch_folder, together, whole_file, writing
-from .formats import CACHES, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, MORPHED, found_suffix, gltf_file
+from .formats import CACHE, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, found_suffix, gltf_file
 from .load import load_mesh
 from .mtl import copy_companions
 from .obj import ObjSource
@@ -76,8 +75,7 @@ def save_clip(
     *,
     suffix: str | None = None,
     progress: Progress | None = None,
-    blendshapes: int | None = None,
-) -> float | None:
+) -> None:
     """Write a clip as one file or, for a path without a suffix, as a folder of numbered meshes.
 
     Args:
@@ -85,10 +83,6 @@ def save_clip(
         path: the file, or a folder; folders that do not exist are made.
         suffix: format of the frames in a folder, .obj or .ply; by default that of the mesh's source, else .obj.
         progress: called with (frames written, frames in all).
-        blendshapes: number of morph targets (.glb, .gltf), instead of one per frame; see `gltf.write_gltf_clip`.
-
-    Returns:
-        With `blendshapes`, the largest distance of a vertex from its position in the clip, in the mesh's unit.
 
     Raises:
         InputError: a format that cannot contain a clip, a path that cannot be written to, or a clip without frames or
@@ -101,34 +95,19 @@ def save_clip(
     check_numbers(clip.mesh, clip.mesh.name)
     check_frames(clip, clip.mesh.name)
     path, clip = Path(path), dataclasses.replace(clip, mesh=with_printable_names(clip.mesh))
-    if blendshapes is not None:
-        return _save_blend_shapes(clip, path, progress, blendshapes)
     if path.is_dir() or not path.suffix:
         _save_folder(clip, path, suffix, progress)
-        return None
+        return
     if path.suffix.lower() not in CLIP_WRITERS:
         raise InputError(
             f"{path}: expected a clip format ({' '.join(CLIP_WRITERS)}) or a folder, found '{path.suffix}'; "
             f"write {path.with_suffix('.glb').name}, or {path.stem} for a folder of one mesh per frame"
         )
-    _check_clip_output_size(clip, path, path.suffix)
-    mesh_path = _mesh_path_of_cache(clip, path) if path.suffix.lower() in CACHES else None
+    mesh_path = _mesh_path_of_cache(clip, path) if path.suffix.lower() == CACHE else None
     with writing(path), together():
         CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
         if mesh_path is not None:
             save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), mesh_path)
-    return None
-
-
-def _check_clip_output_size(clip: Clip, path: Path, suffix: str) -> None:
-    """Check the expected size of a clip that is written frame by frame; see `core.output_size`.
-
-    Raises:
-        InputError: outputs are limited, and it is too large.
-    """
-    joints = ", write joints (.glb of mime without --morphs)" if suffix in (*JOINTED, *CACHES, ".npz") else ""
-    advice = f"take fewer frames with {option('step', ...)}, {option('start')} or {option('stop', ...)}{joints}"
-    check_output_size(frames_size(suffix, len(clip.mesh.vertices), len(clip)), path, advice)
 
 
 def _save_folder(clip: Clip, path: Path, suffix: str | None, progress: Progress | None) -> None:
@@ -141,25 +120,12 @@ def _save_folder(clip: Clip, path: Path, suffix: str | None, progress: Progress 
         )
     if path.is_file():
         raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
-    _check_clip_output_size(clip, path, suffix)
     with writing(path), together():
         from .frame_folder import write_sequence
 
         write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh, progress)
         if source_suffix == suffix:
             _copy_companions(clip.mesh, path)
-
-
-def _save_blend_shapes(clip: Clip, path: Path, progress: Progress | None, blendshapes: int) -> float | None:
-    """Write a clip as glTF with a given number of morph targets; return the largest error, in the mesh's unit."""
-    from .gltf import write_gltf_clip
-
-    if path.suffix.lower() not in MORPHED:
-        raise InputError(
-            f"{path}: expected .glb or .gltf for {option('blendshapes')}, found '{path.suffix}'; leave it out"
-        )
-    with writing(path), whole_file(path) as temporary:
-        return write_gltf_clip(clip, temporary, progress, blendshapes)
 
 
 @contextlib.contextmanager

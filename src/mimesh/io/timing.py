@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 15.0, 12.0, 120.0, 10.0)
 """Usual frame rates in frames per second, likeliest first: film, PAL, NTSC, their doubles, and rates of capture."""
@@ -47,17 +47,3 @@ def sample_rate(times: Float[np.ndarray, " K"]) -> float | None:
 def frame_count(seconds: float, fps: float) -> int:
     """Count the frames at k / fps from 0 to `seconds`, both ends included."""
     return int(np.floor(seconds * fps + ON_GRID)) + 1
-
-
-def surrounding_samples(
-    times: Float[np.ndarray, " K"], wanted: Float[np.ndarray, " T"]
-) -> tuple[Int[np.ndarray, " T"], Int[np.ndarray, " T"], Float[np.ndarray, " T"]]:
-    """Find for each wanted time the indices of the samples before and after it, and its position between them in 0..1.
-
-    Times before the first or after the last sample are clamped to it. `times` must increase.
-    """
-    after = np.clip(np.searchsorted(times, wanted, side="right"), 1, max(len(times) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(times) - 1)
-    span = np.where(after > before, times[after] - times[before], 1.0)
-    return before, after, np.clip((wanted - times[before]) / span, 0.0, 1.0)

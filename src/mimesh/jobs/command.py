@@ -80,7 +80,7 @@ def batch(
     ] = False,
     *,
     running: BatchOptions,
-    printed: Annotated[OutputOptions, Without("output", "preview", "open", "no_clobber", "large", "no_limits")],
+    printed: Annotated[OutputOptions, Without("output", "preview", "open", "no_clobber", "no_limits")],
 ) -> None:
     """Animate many meshes: a table of jobs, or every mesh of a folder with every clip of another.
 

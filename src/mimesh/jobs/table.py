@@ -31,7 +31,7 @@ from ..core.normalization import parse_axis
 from ..core.options import Hints, Layout, ModelOptions, MotionOptions
 from ..core.system import refuse_pipe
 from ..io import mesh_suffixes
-from ..io.formats import ANIMATED, CLIP_READERS, COLLECTIONS, JOINTED, MESH_WRITERS
+from ..io.formats import ANIMATED, CLIP_READERS, JOINTED, MESH_WRITERS
 from ..methods.find import find_mime, find_model
 from ..mime.model import Mime
 from ..pipeline.capturing import JOINT_FILES
@@ -148,7 +148,7 @@ def _all_pairs(identities: Any, drivings: str, output: str | Path | None, comman
             f"{option('output')}: expected a pattern for the outputs of all pairs, found none; "
             f"give one: {option('output', 'out/{identity}/{driving}.glb')}"
         )
-    moving = (*CLIP_READERS, *ANIMATED, *COLLECTIONS) if command == "animate" else mesh_suffixes()
+    moving = (*CLIP_READERS, *ANIMATED) if command == "animate" else mesh_suffixes()
     meshes = find_files(str(identities), mesh_suffixes(), "meshes")
     clips = find_files(drivings, moving, "driving files")
     return [(f"{mesh} + {clip}", {"identity": mesh, "driving": clip}) for mesh in meshes for clip in clips]
@@ -160,7 +160,7 @@ def _each_file(inputs: str, output: str | Path | None, command: str) -> list[Row
     if output is None:
         pattern = "-o 'out/{identity}.glb'" if command == "rig" else "-o 'out/{driving}.bvh'"
         raise InputError(f"--output: expected a pattern for the outputs, found none; give one: {pattern}")
-    suffixes = mesh_suffixes() if command == "rig" else (*CLIP_READERS, *ANIMATED, *COLLECTIONS)
+    suffixes = mesh_suffixes() if command == "rig" else (*CLIP_READERS, *ANIMATED)
     return [(path, {name: path}) for path in find_files(inputs, suffixes, "meshes" if command == "rig" else "clips")]
 
 

@@ -154,7 +154,7 @@ def capture(
     """Read the motion of joints out of a clip: a sequence of meshes, a point cache, an animated character.
 
     Args:
-        clip: the clip, or its path: a folder of numbered meshes, .glb, .abc, .usd, .pc2, .npz ...
+        clip: the clip, or its path: a folder of numbered meshes, .glb, .usd, .pc2, .npz ...
         model: "mime", or the path of an .onnx file that was trained as `mime` is.
         hints: axes, body and joints in the first frame, where they are known; with `rig` "mimesh" joints are found on
             the surface even where the file has some.

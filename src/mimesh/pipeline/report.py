@@ -195,8 +195,6 @@ class Deviations(TypedDict):
     """The part of it that thinned keys cause, as a share of the mesh's size."""
     deviation_cause: NotRequired[str]
     """Which step adds most to it for joints found on the surface: "weights", "fingers" or "rest"."""
-    blendshapes_deviation: NotRequired[float]
-    """Of `blendshapes`: largest distance of a vertex from its frame, as a share of the mesh's size."""
 
 
 class SavedClip(type(Path())):

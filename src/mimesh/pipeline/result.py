@@ -332,7 +332,7 @@ class ClipResult(_Playable):
         return self.driving
 
     @public
-    def save(self, path: str | Path, *, blendshapes: int | None = None, progress: Progress | None = None) -> SavedClip:
+    def save(self, path: str | Path, *, progress: Progress | None = None) -> SavedClip:
         """Write the clip in the format of the suffix: a file, a movie, or without a suffix a folder of meshes.
 
         A .glb or .gltf has a morph target for each frame; `save_skinned` writes joints, as `mimesh animate` does. A
@@ -340,19 +340,17 @@ class ClipResult(_Playable):
 
         Args:
             path: the file or folder.
-            blendshapes: write a .glb or .gltf with this many morph targets instead of one a frame.
             progress: is called with the frames done and the frames in all.
 
         Returns:
-            The path, and with `blendshapes` how far they are from the frames ("blendshapes_deviation").
+            The path.
 
         Raises:
             InputError: a format that cannot contain a clip, or a path that cannot be written to.
 
         Example:
-            >>> saved = moving.save("walking.glb", blendshapes=3)
-            >>> saved.deviations[0]["blendshapes_deviation"] < 0.1  # share of the size
-            True
+            >>> moving.save("walking.pc2").name
+            'walking.pc2'
         """
         from ..view.movie import write_clip
 
@@ -361,8 +359,8 @@ class ClipResult(_Playable):
             return self.save_skinned(path)
         with self.seconds.step("write"):
             clip = self.__dict__.get("clip") or Clip(self.mesh, self.frames.every(1, progress), self.fps)
-            deviation = write_clip(clip, Path(path), blendshapes=blendshapes, progress=progress)
-        return saved_clip(path, {} if deviation is None else {"blendshapes_deviation": deviation})
+            write_clip(clip, Path(path), progress=progress)
+        return saved_clip(path, {})
 
     @public
     def save_skinned(

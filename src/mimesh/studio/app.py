@@ -230,9 +230,7 @@ class Routes:
     async def begin_export(self, request: Request) -> dict[str, Any]:
         """Start to write results, rigs or the motion in a format; answers the number of the export."""
         body = await _json(request)
-        shapes, numbers = body.get("blendshapes"), body.get("meshes") or []
-        if shapes is not None and (isinstance(shapes, bool) or not isinstance(shapes, int) or shapes < 1):
-            raise InputError(f"blend shapes: expected a whole number, 1 or more, found {shapes!r}; give one")
+        numbers = body.get("meshes") or []
         if not isinstance(numbers, list) or not all(isinstance(number, int) for number in numbers):
             raise InputError("meshes: expected numbers of meshes, found something else; reload the page")
         what, suffix = str(body.get("what", "result")), str(body.get("suffix", ".glb"))
@@ -248,7 +246,6 @@ class Routes:
             skinned=skinned,
             influences=influences,
             layout=layout,
-            blendshapes=shapes,
             **made_by,
         )
         return {"export": self._session.export(order, numbers)}
@@ -294,10 +291,7 @@ async def _not_found(request: Request, error: Exception) -> Response:
 
 
 def _use_upload(session: Session, upload: Upload, role: str) -> list[int]:
-    """Unpack the archives of an upload and add its meshes or its clip to the session; returns their numbers."""
-    # Archives are replaced by their files, so the list must not be the one that changes.
-    for archive in [path for path in upload.files if path.suffix.lower() == ".zip"]:
-        session.uploads.unzip(upload, archive)
+    """Add the meshes or the clip of an upload to the session; returns their numbers."""
     if not upload.files:
         raise InputError("upload: expected a file, found none; choose one")
     if role == "identity":

@@ -16,12 +16,12 @@ from ..core.frame_buffer import Progress
 from ..core.options import Layout
 from ..io import check_writable, save_mesh
 from ..io.atomic import whole_file
-from ..io.formats import CLIP_WRITERS, FORMATS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, MORPHED
+from ..io.formats import CLIP_WRITERS, FORMATS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS
 from ..pipeline.capturing import JOINT_FILES
 from ..pipeline.result import ClipResult
 from ..pipeline.skinned import AS_IT_IS, save_skinned
 from ..pipeline.vrma import check_bones_layout
-from ..tools.convert import BONES_ONLY, blend_note, not_kept, part, rate_note, resampled_note, skinned_note
+from ..tools.convert import BONES_ONLY, not_kept, part, rate_note, resampled_note, skinned_note
 from ..tools.inspect import metres_note
 from ..view.movie import MOVIES
 from .items import Item, Options, finished_result
@@ -33,7 +33,7 @@ MAX_EXPORTS = 12
 FRAMES = tuple(f"frames{suffix}" for suffix in FRAME_SUFFIXES)
 """Formats that are folders of numbered meshes."""
 NEEDS = {suffix: ("pxr", "usd") for suffix in (".usd", ".usda", ".usdc", ".usdz")}
-NEEDS |= {".abc": ("alembic3d", "alembic"), ".mp4": ("av", "video")}
+NEEDS[".mp4"] = ("av", "video")
 """Module that a format needs, and the extra of mimesh that installs it."""
 FORMAT_NAMES = {
     **{suffix: format.name for suffix, format in FORMATS.items()},
@@ -61,8 +61,6 @@ class Order:
     """Format: a suffix of io.formats or render.movie, or one of FRAMES."""
     skinned: bool = False
     """With joints; a rig always has them."""
-    blendshapes: int | None = None
-    """Number of morph targets; None for one per frame."""
     layout: Layout = AS_IT_IS
     """Names and arrangement of the bones."""
     influences: int = INFLUENCES
@@ -165,8 +163,8 @@ def _write_result(order: Order, result: ClipResult, driving: str, target: Path, 
         written = skinned_note({**result.report, **deviations})
         written += resampled_note(len(result.frames), result.fps, order.layout.fps)
     else:
-        (deviations,) = result.save(path, blendshapes=order.blendshapes, progress=progress).deviations
-        written = blend_note(deviations.get("blendshapes_deviation"))
+        result.save(path, progress=progress)
+        written = ()
     return [*not_kept(result.mesh, path), *rate_note(result.fps, path), *written]
 
 
@@ -201,19 +199,16 @@ def _check(order: Order, name: str) -> None:
     elif of_bones and not order.skinned:
         fields = "bone names, root bone, rest pose, weights per vertex, frame rate"
         raise InputError(f"{fields}: expected with bones, found without; add bones")
-    if order.blendshapes and suffix not in MORPHED:
-        raise InputError(f"{suffix}: expected .glb or .gltf for blend shapes, found this; choose one")
 
 
 def _format(suffix: str) -> dict[str, str | bool]:
-    """Describe a format: whether it has bones, always (`bones`) or by choice, and takes a number of blend shapes."""
+    """Describe a format: whether it has bones, always (`bones`) or by choice."""
     return {
         "suffix": suffix,
         "words": FORMAT_NAMES[suffix],
         "needs": _lacking(suffix),
         "joints": suffix in JOINTED,
         "bones": suffix == BONES_ONLY,
-        "shapes": suffix in MORPHED,
     }
 
 

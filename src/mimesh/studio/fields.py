@@ -12,7 +12,6 @@ FIELDS = {
     "body": "both meshes are",
     "smooth": "smoothing",
     "root": "root motion",
-    "blendshapes": "blend shapes",
     "fps": "frame rate",
     "output_fps": "frame rate",
     "driving_up": "up of the driving",

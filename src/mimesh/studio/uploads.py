@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import io
-import os
 import re
 import shutil
 import tempfile
 import unicodedata
-import zipfile
-import zlib
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from ..core.errors import InputError
-from ..core.system import has_ended
-from ..io.formats import ANIMATED, CACHES, CLIP_READERS, MESH_READERS
+from ..io.formats import ANIMATED, CACHE, CLIP_READERS, MESH_READERS
 
 MOST_FILES = 20_000
 """Largest number of files in one upload, a folder of frames for example."""
@@ -28,12 +23,6 @@ MAX_NAME = 120
 """Largest length of a file name in bytes."""
 DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt") for k in range(10))}
 """Names of devices on Windows, whatever their suffix."""
-PREFIX = "mimesh-studio-"
-"""Of the temporary folder's name; the number of the process follows."""
-CHUNK = 2**20
-"""Bytes that are unpacked at a time."""
-LARGEST_TABLE = MOST_FILES * 256
-"""Largest size of an archive's table of contents in bytes: 256 per file."""
 
 
 class TooLarge(InputError):
@@ -56,8 +45,7 @@ class UploadFolder:
 
     def __init__(self, limit: int, sum_limit: int) -> None:
         self.limit, self.sum_limit = limit, sum_limit
-        remove_leftovers(Path(tempfile.gettempdir()))
-        self.folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-"))
+        self.folder = Path(tempfile.mkdtemp(prefix="mimesh-studio-"))
         self._uploads: dict[int, Upload] = {}
         self._last = 0
 
@@ -147,72 +135,13 @@ class UploadFolder:
         if upload is not None:
             shutil.rmtree(upload.folder, ignore_errors=True)
 
-    def unzip(self, upload: Upload, archive: Path) -> None:
-        """Replace a .zip by its files. Bytes are counted while unpacking, since the sizes it states may be wrong.
-
-        Raises:
-            InputError: not an archive, an encrypted one, or one with too many files or bytes.
-        """
-        try:
-            with _LimitedReads(archive) as file, zipfile.ZipFile(file) as pack:
-                entries = [
-                    entry for entry in pack.infolist() if not entry.is_dir() and not _is_system_file(entry.filename)
-                ]
-                for entry in entries:
-                    self._unpack(upload, pack, entry)
-        except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, zlib.error) as error:
-            raise InputError(
-                f"{archive.name}: expected a .zip without a password, found '{error}'; pack it again"
-            ) from error
-        self.remove_file(upload, archive, archive.stat().st_size)
-
     def close(self) -> None:
         """Delete everything."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def _unpack(self, upload: Upload, pack: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
-        path, size = self.add_file(upload, entry.filename), 0
-        with pack.open(entry) as packed, path.open("xb") as file:
-            while chunk := packed.read(CHUNK):
-                self.count(upload, path, size, len(chunk))
-                size += len(chunk)
-                file.write(chunk)
-
     def _next(self) -> int:
         self._last += 1
         return self._last
-
-
-def remove_leftovers(folder: Path) -> None:
-    """Delete upload folders of this user whose process was killed; its number is in their names.
-
-    Does nothing on Windows, where there is no way to test for a process.
-    """
-    if not hasattr(os, "getuid"):
-        return
-    for leftover in folder.glob(f"{PREFIX}*-*"):
-        number = leftover.name.removeprefix(PREFIX).partition("-")[0]
-        if (
-            number.isdigit()
-            and not leftover.is_symlink()
-            and leftover.is_dir()
-            and leftover.stat().st_uid == os.getuid()
-            and has_ended(int(number))
-        ):
-            shutil.rmtree(leftover, ignore_errors=True)
-
-
-class _LimitedReads(io.FileIO):
-    """A file of which at most LARGEST_TABLE bytes are read at once.
-
-    `zipfile` reads the table of contents of an archive whole, and an entry takes many times its size in memory.
-    """
-
-    def read(self, size: int | None = -1) -> bytes:
-        remaining = os.fstat(self.fileno()).st_size - self.tell()
-        if (remaining if size is None or size < 0 else min(size, remaining)) > LARGEST_TABLE:
-            raise zipfile.BadZipFile(f"a table of contents of far more than {MOST_FILES:,} files")
-        return super().read(size)
 
 
 def safe_name(name: str) -> str:
@@ -258,11 +187,6 @@ def safe_path(name: str) -> PurePosixPath:
     return PurePosixPath(*map(safe_name, parts))
 
 
-def _is_system_file(name: str) -> bool:
-    """Whether file managers have added an entry to an archive."""
-    return name.startswith("__MACOSX/") or PurePosixPath(name).name in (".DS_Store", "Thumbs.db")
-
-
 def find_meshes(files: list[Path]) -> list[Path]:
     """Find the meshes among files; materials, textures and buffers are no meshes.
 
@@ -290,7 +214,7 @@ def find_clip(files: list[Path]) -> Path:
     Raises:
         InputError: no file that can be read.
     """
-    caches = [path for path in files if path.suffix.lower() in CACHES]
+    caches = [path for path in files if path.suffix.lower() == CACHE]
     if len(caches) == 1:
         return caches[0]
     known = MESH_READERS.keys() | CLIP_READERS.keys() | set(ANIMATED)

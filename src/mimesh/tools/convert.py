@@ -29,7 +29,7 @@ from ..io import (
     save_whole,
 )
 from ..io.beside import missing_images, missing_images_notes
-from ..io.formats import FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS
+from ..io.formats import CACHE, FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS
 from ..io.polygons import smooth_normals
 from ..io.timing import DEFAULT_FPS
 
@@ -41,10 +41,6 @@ ALL = "all"
 """Value of `--animation` for all animations of a file."""
 BONES_ONLY = ".vrma"
 """Format that holds the motion of bones and no mesh."""
-Y_UP = (*JOINTED, ".abc")
-"""Formats that have y up, by their specification or by custom, whatever axes a mesh has."""
-RATELESS = (".hdf5", ".npy", ".pc2")
-"""Formats whose files have no frame rate, like folders of frames."""
 LARGE = 256 * 2**20
 """Bytes of a clip from which on a note says how to make it smaller."""
 NOTED_LIMITING = 0.02
@@ -79,7 +75,7 @@ def convert(
     A clip is written as a clip if the format allows; in a format of one mesh it becomes the mesh at rest, or a chosen
     `frame`. In the source's own format all contents of the file are kept, except that of a `frame` only points are.
     From any of .glb, .gltf, .fbx and .vrm to another bones, morph targets and animations are kept, too; captures of
-    joints get the shipped body with its bones. Only `morphs` and `blendshapes` make morph targets of frames.
+    joints get the shipped body with its bones. Only `morphs` makes morph targets of frames.
 
     Args:
         source: a file or a folder of frames.
@@ -143,13 +139,12 @@ def convert(
     if (len(clip) == 1 and suffix in MESH_WRITERS) or not holds_clip:
         return _write_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip), notes)
     clip = stored_clip(clip)
-    deviation = write_clip(clip, target, frames_as, options.blendshapes, part(progress, 1, 2))
+    write_clip(clip, target, frames_as, part(progress, 1, 2))
     notes += (
         _bones_note(clip.mesh, source, target)
         + not_kept(clip.mesh, target)
         + _lying_note(clip.mesh, target)
         + rate_note(clip.fps, target)
-        + blend_note(deviation)
     )
     if options.frame is None and options.animation is None:
         notes += animations_note(list_animations(source), source)
@@ -168,14 +163,14 @@ def _with_up(mesh: Mesh, up: str | None, target: Path) -> Mesh:
         return mesh
     if mesh.up is not None:
         raise InputError(f"{mesh.name}: expected a file without an up axis for {option('up', given)}, found {mesh.up}")
-    if target.suffix.lower() not in Y_UP:
-        raise InputError(f"{target}: expected one of {' '.join(Y_UP)} for {option('up', given)}, which have y up")
+    if target.suffix.lower() not in JOINTED:
+        raise InputError(f"{target}: expected one of {' '.join(JOINTED)} for {option('up', given)}, which have y up")
     return dataclasses.replace(mesh, up=given)
 
 
 def _lying_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
     """Return a note that a figure lies in a format with y up, as far as its shape tells."""
-    if mesh.up is not None or path.suffix.lower() not in Y_UP or not len(mesh.faces):
+    if mesh.up is not None or path.suffix.lower() not in JOINTED or not len(mesh.faces):
         return ()
     up = clear_up(mesh)
     if up in (None, "+y"):
@@ -191,11 +186,9 @@ def _check_options(options: ConvertOptions, target: Path, holds_clip: bool) -> l
         cut.append("--frames")
     if options.betas is not None and options.body_model is None:
         raise InputError(f"--betas {options.betas}: expected it with --body-model, found it without; name the model")
-    shapes = ["--blendshapes"] * (options.blendshapes is not None) + ["--morphs"] * options.morphs
-    if options.morphs:
-        if target.suffix.lower() not in MORPHED:
-            raise InputError(f"{target}: expected .glb or .gltf for --morphs, found '{target.suffix}'; leave it out")
-        _refuse_options(target, shapes[:-1], "--morphs writes one a frame")
+    shapes = ["--morphs"] * options.morphs
+    if options.morphs and target.suffix.lower() not in MORPHED:
+        raise InputError(f"{target}: expected .glb or .gltf for --morphs, found '{target.suffix}'; leave it out")
     if options.frame is not None:
         _refuse_options(target, cut + shapes, "--frame takes one frame")
     elif not holds_clip:
@@ -345,8 +338,7 @@ def read_driving(
 
 def frames_are_asked(options: ConvertOptions) -> bool:
     """Tell whether surfaces are to be written instead of bones: morph targets, a pose, a recorded person."""
-    given = options.blendshapes, options.frame, options.body_model
-    return options.morphs or any(value is not None for value in given)
+    return options.morphs or options.frame is not None or options.body_model is not None
 
 
 def keeps_bones(source: Path, target: Path, options: ConvertOptions) -> bool:
@@ -407,13 +399,6 @@ def _single_frame(clip: Clip, frame: int, source: Path) -> Clip:
     if not -len(clip) <= frame < len(clip):
         raise InputError(f"{source}: expected --frame below its {len(clip)} frames, found {frame}; change it")
     return cut_clip(clip, frame, frame + 1 or None, 1)  # up to -1 + 1 = 0 would be nothing
-
-
-def blend_note(deviation: float | None) -> tuple[str, ...]:
-    """Return a note on how well morph targets approximate a clip; `deviation` is None without them."""
-    if deviation is None:
-        return ()
-    return (f"with these blend shapes no vertex is farther than {deviation:.2g} of the mesh's size from its frame",)
 
 
 def skinned_note(report: Mapping[str, Any]) -> tuple[str, ...]:
@@ -481,7 +466,7 @@ def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
 def _turned_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
     """Return a note that a mesh is written turned to y up; files that state their axes (USD) are no surprise."""
     turned = mesh.up not in (None, "+y") and not hasattr(mesh.source, "up_axis")
-    if not turned or path.suffix.lower() not in Y_UP:
+    if not turned or path.suffix.lower() not in JOINTED:
         return ()
     return (f"{mesh.name} has up {mesh.up}: {path.name} is turned to +y, which its format has up",)
 
@@ -504,14 +489,14 @@ def size_note(path: Path) -> tuple[str, ...]:
 def rate_note(fps: float, path: Path) -> tuple[str, ...]:
     """Return a note that a format has no frame rate, unless the rate is the one that is assumed by default."""
     suffix = path.suffix.lower()
-    if (suffix and suffix not in RATELESS) or fps == DEFAULT_FPS:
+    if (suffix and suffix != CACHE) or fps == DEFAULT_FPS:
         return ()
     return (f"{suffix or 'folders of'} files have no frame rate: read {path.name} with --fps {fps:g}",)
 
 
 def taken_rate_note(clip: Clip, path: Path) -> tuple[str, ...]:
     """Return a note that the frame rate of a clip was assumed, because neither its files nor the user gave it."""
-    if len(clip) == 1 or not (path.is_dir() or path.suffix.lower() in RATELESS):
+    if len(clip) == 1 or not (path.is_dir() or path.suffix.lower() == CACHE):
         return ()
     return (f"{path.name} has no frame rate: {clip.fps:g} frames a second are taken; --fps gives another",)
 

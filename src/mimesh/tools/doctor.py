@@ -24,8 +24,6 @@ EXTRAS = {
     "fbx": (("ufbx",), "to read FBX"),
     "compressed": (("DracoPy", "meshopt"), "for Draco and meshopt glTF"),
     "usd": (("usd-core",), "for USD"),
-    "alembic": (("alembic3d",), "for Alembic"),
-    "hdf5": (("h5py",), "for HDF5"),
     "video": (("av",), "for MP4"),
     "viewer": (("starlette", "uvicorn"), "for the studio"),
     "train": (("torch", "onnx", "safetensors"), "for training"),

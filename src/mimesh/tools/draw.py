@@ -40,11 +40,11 @@ def kind_of(options: RenderOptions, output: Path, clips: Sequence[Clip]) -> str:
         return "page"
     moving = any(len(clip) > 1 for clip in clips)
     if output.suffix.lower() in MOVIES:
-        kinds = {"--turntable": "turning movie", "--truth": "heat movie", "--stretch": "heat movie"}
+        kinds = {"--turntable": "turning movie", "--truth": "heat movie"}
         default = "movie" if moving else "turning movie"
     else:
         kinds = {"--sheet": "contact sheet", "--strip": "strip", "--turntable": "turntable"}
-        kinds |= {"--truth": "heat map", "--stretch": "heat map"}
+        kinds["--truth"] = "heat map"
         default = "strip" if moving else "contact sheet"
     return next((kinds[flag] for flag in _flags(options)), default)
 
@@ -64,7 +64,7 @@ def check_options(options: RenderOptions, output: Path) -> None:
     if options.track and (suffix not in MOVIES or options.turntable):
         found = f"'{suffix}'" if suffix not in MOVIES else "--turntable"
         raise InputError(f"{output}: expected a movie of a clip with --track, found {found}; leave it out")
-    pictures_only = {PAGE: ("--sheet", "--strip", "--turntable", "--stretch")}.get(suffix, ("--sheet", "--strip"))
+    pictures_only = {PAGE: ("--sheet", "--strip", "--turntable")}.get(suffix, ("--sheet", "--strip"))
     if suffix not in PICTURES and kinds and kinds[0] in pictures_only:
         raise InputError(f"{output}: expected a picture (.png or .jpg) for {kinds[0]}, found '{suffix}'; rename it")
     if suffix == PAGE:
@@ -84,7 +84,7 @@ def _check_page(options: RenderOptions, output: Path) -> None:
 def _flags(options: RenderOptions) -> list[str]:
     """Return the options that are given and choose the kind of picture."""
     flags = {"--sheet": options.sheet, "--strip": options.strip, "--turntable": options.turntable}
-    flags |= {"--truth": options.truth is not None, "--stretch": options.stretch is not None}
+    flags["--truth"] = options.truth is not None
     return [name for name, on in flags.items() if on]
 
 
@@ -185,15 +185,11 @@ def _picture(kind, options, names, clips, cut) -> Image.Image:
 
 
 def _heat(options: RenderOptions, clip: Clip, cut: FrameRange) -> Iterator[Image.Image]:
-    """Draw heat maps of the frames: distance to the truth (mm), or stretch of edges (%)."""
-    if options.truth is not None:
-        truth = _truth(options.truth, cut)
-        points = truth.vertices if len(truth) > 1 else truth.mesh.vertices
-        measure, unit = heat.distance_to(clip, np.asarray(points)), "mm"
-    else:
-        assert options.stretch is not None
-        measure, unit = heat.stretch_of(clip, load_clip(options.stretch).mesh.vertices), "%"
-    return heat.heat_frames(clip, measure, unit, options.tile(5 / 6), track=options.track, **_look(options))
+    """Draw heat maps of the frames: distance to the truth (mm)."""
+    assert options.truth is not None
+    truth = _truth(options.truth, cut)
+    measure = heat.distance_to(clip, np.asarray(truth.vertices if len(truth) > 1 else truth.mesh.vertices))
+    return heat.heat_frames(clip, measure, "mm", options.tile(5 / 6), track=options.track, **_look(options))
 
 
 def _truth(path: Path, cut: FrameRange, fps: float | None = None) -> Clip:

@@ -119,9 +119,8 @@ def inspect_file(path: str | Path) -> FileFacts:
         InputError: the file cannot be read (see `mimesh.io`).
     """
     from ..io import load_clip
-    from ..io.formats import COLLECTIONS
 
-    clip = load_clip(path, animation="0" if Path(path).suffix.lower() in COLLECTIONS else None)
+    clip = load_clip(path)
     facts = facts_of(clip.mesh, clip, path)
     facts = dataclasses.replace(facts, details=facts.details + tuple(("note", note) for note in clip.notes))
     if clip.mesh.source is not None:
@@ -254,8 +253,8 @@ def _polygons(mesh: Mesh) -> int | None:
 
 
 def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
-    """Return animations and details of a file without a mesh, with several clips, or of a body model."""
-    from ..io.formats import ANIMATED, COLLECTIONS, is_body_model
+    """Return animations and details of a file without a mesh, or of a body model."""
+    from ..io.formats import ANIMATED, is_body_model
     from ..io.gltf.animation import animation_names, document_details
     from ..io.gltf.document import open_document
     from ..io.gltf.motion import gltf_joints, read_skeleton
@@ -267,8 +266,6 @@ def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[s
         skeleton = read_skeleton(document)
         motion = _motion_detail(gltf_joints(document), skeleton.joint_names, skeleton.parents, clip)
         return animation_names(document), (motion, *document_details(document))
-    if path.suffix.lower() in COLLECTIONS:
-        return _clips_of_file(path, clip.fps)
     if path.is_file() and is_body_model(path):
         return (), (("body model", "its mean shape at rest, which these facts describe"),)
     if not is_motion_file(path):
@@ -276,17 +273,6 @@ def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[s
     names, parents = motion_joints(path)
     recorded = () if path.suffix.lower() == BVH else recording_facts(path)
     return (), (_motion_detail(len(names), names, parents, clip), *recorded)
-
-
-def _clips_of_file(path: Path, fps: float) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
-    """Return the names of the clips of an HDF5 file, and a line for each."""
-    from ..io.hdf5 import clip_lengths
-
-    lengths = clip_lengths(path)
-    rows = tuple(
-        (f"animation {k}", f"{name}, {length / fps:.2f} s") for k, (name, length) in enumerate(lengths.items())
-    )
-    return tuple(lengths), (("clips", f"{len(lengths)}, of which these facts describe the first"), *rows)
 
 
 def _motion_detail(joints: int, names: tuple[str, ...], parents: tuple[int, ...], clip: Clip) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""Heat maps: the distance of a mesh or clip to the truth, or the stretch of its edges, as colours with a colour bar."""
+"""Heat maps: the distance of a mesh or clip to the truth as colours with a colour bar."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from ..core.errors import InputError
 from ..core.frame_buffer import each_frame
-from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from .movie import clip_cameras, mesh_poser
 from .raster import render
@@ -107,30 +106,6 @@ def distance_to(clip: Clip, truth: Float[np.ndarray, "... V 3"]) -> Measure:
     return lambda t, points: np.linalg.norm(points - frames[t % len(frames)], axis=1) * MILLIMETRES
 
 
-def stretch_of(clip: Clip, reference: Float[np.ndarray, "V 3"]) -> Measure:
-    """Return the measure of stretch: the mean absolute change in length of a vertex's edges, in percent.
-
-    Lengths are compared with a reference pose; edges of no length there are left out.
-
-    Raises:
-        InputError: clip and reference have different numbers of vertices, or the mesh has no edges.
-    """
-    _same_vertices(clip, len(reference), "the reference")
-    if len(clip.mesh.faces) == 0:
-        raise InputError(f"{clip.mesh.name}: expected faces to measure stretch, found points alone; give a mesh")
-    pairs = edges(clip.mesh.faces)
-    lengths = _lengths(reference, pairs)
-    pairs, lengths = pairs[lengths > 0], lengths[lengths > 0]
-    # Each edge counts at both of its vertices; isolated vertices get 0.
-    degree = np.maximum(np.bincount(pairs.ravel(), minlength=len(reference)), 1)
-
-    def measure(t: int, points: np.ndarray) -> np.ndarray:
-        change = np.abs(_lengths(points, pairs) / lengths - 1) * 100
-        return np.bincount(pairs.ravel(), np.repeat(change, 2), minlength=len(points)) / degree
-
-    return measure
-
-
 def heat_colors(share: Float[np.ndarray, " V"]) -> Float[np.ndarray, "V 3"]:
     """Map errors, as shares of the limit, to colours (sRGB in 0..1); below 0 and above 1 are clipped."""
     stops = np.linspace(0, 1, len(HEAT))
@@ -173,7 +148,3 @@ def _same_vertices(clip: Clip, count: int, what: str) -> None:
             f"{clip.mesh.name}: expected {what} to have {expected} vertices, found {count}; "
             "compare meshes of one topology"
         )
-
-
-def _lengths(points, pairs):
-    return np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1)

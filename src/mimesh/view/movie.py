@@ -36,28 +36,19 @@ def write_clip(
     clip: Clip,
     path: Path,
     frames_as: str | None = None,
-    blendshapes: int | None = None,
     progress: Progress | None = None,
-) -> float | None:
+) -> None:
     """Write a clip as a file, a folder of frames or a movie.
 
-    Args:
-        blendshapes: .glb and .gltf only: number of morph targets, instead of one per frame; see
-            `io.gltf.clip`.
-
-    Returns:
-        With `blendshapes`, the largest distance of a vertex to its position in the clip, over the size of the mesh.
-
     Raises:
-        InputError: a format without clips or without blend shapes, or a path that cannot be written to.
+        InputError: a format without clips, or a path that cannot be written to.
     """
-    if path.suffix.lower() not in MOVIES or blendshapes is not None:
-        error = save_clip(clip, path, suffix=frames_as, progress=progress, blendshapes=blendshapes)
-        return None if error is None else error / float(np.ptp(clip.vertices[0], axis=0).max())
+    if path.suffix.lower() not in MOVIES:
+        save_clip(clip, path, suffix=frames_as, progress=progress)
+        return
     normalization = Normalization.fit(clip.mesh)
     pictures = clip_frames(clip, MOVIE_SIZE, track=True, up=normalization.up, front=normalization.front)
     save_movie(counted(pictures, len(clip), progress), path, clip.fps)
-    return None
 
 
 def save_movie(frames: Iterable[Image.Image | np.ndarray], path: str | Path, fps: float = 30.0) -> int:

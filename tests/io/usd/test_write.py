@@ -183,14 +183,13 @@ def test_written_materials_are_valid_preview_surfaces(tmp_path):
     assert all(m.ComputeSurfaceSource()[0].GetShaderId() == "UsdPreviewSurface" for m in materials)
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".abc"])
-def test_z_up_stage_in_centimetres_is_exported_y_up_in_metres(suffix, tmp_path):
+def test_z_up_stage_in_centimetres_is_exported_y_up_in_metres(tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda", up="Z")
     UsdGeom.SetStageMetersPerUnit(stage, 0.01)
     stages.add_cube(stage)
     stage.GetRootLayer().Save()
     mesh = load_mesh(tmp_path / "a.usda")
     frames = np.stack([mesh.vertices, mesh.vertices * [1.0, 2.0, 3.0]])
-    save_clip(Clip(mesh, frames), tmp_path / f"b{suffix}")
+    save_clip(Clip(mesh, frames), tmp_path / "b.glb")
     x, y, z = np.moveaxis(frames, -1, 0) * 0.01
-    np.testing.assert_allclose(load_clip(tmp_path / f"b{suffix}").vertices[:, :8], np.stack([x, z, -y], -1), atol=1e-8)
+    np.testing.assert_allclose(load_clip(tmp_path / "b.glb").vertices[:, :8], np.stack([x, z, -y], -1), atol=1e-8)

@@ -29,7 +29,7 @@ from ..timing import DEFAULT_FPS
 from .animation import frame_rate, frame_times, posed_vertices, sample_nodes, select_channels, unposed_vertices
 from .build import build_document
 from .check import is_supported
-from .clip import add_morph_animation, fit_blend_shapes
+from .clip import add_morph_animation
 from .document import Document, open_document
 from .edit import GltfSource, edit_document, with_normals
 from .motion import PLAYED_PATHS, is_motion, read_skeleton
@@ -132,37 +132,27 @@ def write_gltf(mesh: Mesh, path: Path) -> None:
         build_document(mesh, mesh)[0].save(path)
 
 
-def write_gltf_clip(
-    clip: Clip, path: Path, progress: Progress | None = None, blendshapes: int | None = None
-) -> float | None:
+def write_gltf_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:
     """Write a clip as .glb or .gltf: the mesh at frame 0 and one morph target for each later frame (see `gltf.clip`).
 
     A mesh with a glTF source keeps all of that file but its skins, animations and morph targets. One frame gives a file
     without animation. The size is about 24 bytes a vertex and frame: positions and normals in float32.
-
-    Args:
-        blendshapes: number of morph targets to fit to the clip instead (see `gltf.clip`).
-
-    Returns:
-        The largest distance of a vertex from its position in the clip, in the mesh's unit; None without `blendshapes`.
     """
     mesh = with_normals(clip.mesh)
-    blend = None if blendshapes is None or len(clip) == 1 else fit_blend_shapes(clip, blendshapes, progress)
-    base = mesh.with_vertices(np.asarray(clip.vertices[0], np.float64) if blend is None else blend.base)
+    base = mesh.with_vertices(np.asarray(clip.vertices[0], np.float64))
     if isinstance(mesh.source, GltfSource):
         draft, groups = edit_document(mesh.source, base, keep_targets=False)
     else:
         draft, groups = build_document(mesh, base)
     if len(clip) > 1:
-        add_morph_animation(draft, groups, mesh, clip, progress, blend)
+        add_morph_animation(draft, groups, mesh, clip, progress)
     draft.save(path)
-    return None if blend is None else blend.max_error
 
 
 def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
     """List what is lost or changed when the file is written again, one line each."""
     gltf = document.gltf
-    notes = [] if document.damage is None else [f"{document.damage}: left out what contradicts a tree, and the rig"]
+    notes = []
     skins, animations = len(gltf.get("skins", [])), len(gltf.get("animations", []))
     if skins or animations:
         dropped = [_count_text(skins, "skin"), _count_text(animations, "animation")]

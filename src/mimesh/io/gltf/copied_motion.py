@@ -83,8 +83,6 @@ class NamedWeights:
 def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
     """Copy the animation of a driving clip to the nodes of another file; None if that has another skeleton."""
     mine, theirs = identity.document, driving.document
-    if mine.damage is not None or theirs.damage is not None:
-        return None
     try:
         unweighted_parts(mine, identity.rest)
     except InputError:

@@ -33,7 +33,6 @@ from .check import (
     attribute_accessors,
     check_document,
     check_sizes,
-    cut_broken_links,
     damaged,
     element_size,
     list_primitives,
@@ -59,8 +58,6 @@ class Document:
     images: tuple[bytes | None, ...] = field(repr=False)
     """Content of each image; None where its file does not exist or is not an image."""
     mapped_files: MappedFiles = field(repr=False)
-    damage: str | None = None
-    """What was wrong with the tree of nodes; such a file gives its surface, but no rig."""
 
 
 def open_document(path: Path) -> Document:
@@ -81,14 +78,13 @@ def open_document(path: Path) -> Document:
         raise damaged(path, "a binary glTF ('glTF' at the start)", repr(magic))
     gltf = _parse_json(text, path)
     check_document(gltf, path)
-    gltf, damage = cut_broken_links(gltf)
     compressed = compressed_views(gltf, path)
     gltf, binary = _join_buffers(gltf, chunk, files)
     gltf, binary = decompress(gltf, binary, compressed, path)
     gltf = _drop_compression(gltf)
     check_sizes(gltf, len(binary), path)
     images = _read_images(gltf, binary, files)
-    document = Document(path, gltf, binary, images, files, damage)
+    document = Document(path, gltf, binary, images, files)
     for index in sorted(_used_accessors(gltf)):
         element_bytes(document, index)  # reports a damaged accessor on reading, not later on writing
     return document

@@ -257,13 +257,11 @@ def _rigged_source(mesh: Mesh) -> GltfSource:
     """Return the file of a mesh.
 
     Raises:
-        InputError: it has no skin, or is damaged.
+        InputError: it has no skin.
     """
     source = mesh.source
     if not isinstance(source, GltfSource) or not has_rig(mesh):
         raise InputError(f"{mesh.name}: expected a skin, found none; export the mesh together with its armature")
-    if source.document.damage is not None:
-        raise InputError(f"{source.document.path}: {source.document.damage}; export it again")
     return source
 
 

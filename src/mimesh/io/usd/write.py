@@ -9,15 +9,11 @@
 Time code k is frame k. Frames are saved in blocks, so that memory does not grow with their number. Text (.usda) is
 exported from a temporary binary file, because a text layer stays in memory until it is saved.
 
-A package (.usdz) is a zip archive of uncompressed files whose contents begin at multiples of 64 bytes, so that a reader
-can map them into memory. Its first file is the root layer.
+The first file of a package (.usdz) is the root layer.
 """
 
 from __future__ import annotations
 
-import shutil
-import struct
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -39,8 +35,6 @@ from .stage import DEFAULT_TIME
 # usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
 
-ALIGNMENT = 64
-"""Bytes; the content of every file begins at a multiple of it (USDZ file format specification, "Layout")."""
 LARGEST = 2**31 - 1
 """Bytes in one package; larger archives need the zip64 extension, which the USDZ specification excludes."""
 ROUGHNESS = 0.9
@@ -270,13 +264,6 @@ def _pack(folder: Path, names: list[str], path: Path) -> None:
     size = sum((folder / name).stat().st_size for name in names)
     if size > LARGEST:
         raise InputError(f"{path}: expected at most 2 GiB in a package, found {size / 2**30:.1f}; write .usdc instead")
-    with path.open("wb") as raw, zipfile.ZipFile(raw, "w") as package:
+    with Sdf.ZipFileWriter.CreateNew(str(path)) as package:
         for name in names:
-            entry = zipfile.ZipInfo(name)
-            # A zip entry is a header of 30 bytes, the name, extra fields, the content. One extra field (4 bytes of
-            # identifier and length, then zeros) fills the gap up to the next aligned byte. Readers skip identifiers
-            # that they do not support; 0x1986 is the one that Pixar's own writer uses.
-            padding = -(raw.tell() + 30 + len(name.encode()) + 4) % ALIGNMENT
-            entry.extra = struct.pack("<HH", 0x1986, padding) + bytes(padding)
-            with package.open(entry, "w") as target, (folder / name).open("rb") as content:
-                shutil.copyfileobj(content, target)
+            package.AddFile(str(folder / name), name)

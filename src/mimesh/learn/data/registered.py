@@ -29,8 +29,8 @@ from ...core.normalization import Normalization, bbox_centre, parse_axis, radius
 from ...evaluate.clip_protocols import ClipPair
 from ...evaluate.pairs import Pair
 from ...evaluate.protocols import Protocol
-from ...io import list_animations, load_clip, load_points
-from ...io.formats import ANIMATED, CACHES, CLIP_READERS, COLLECTIONS, FORMATS, MESH_READERS, MOTIONS
+from ...io import load_clip, load_points
+from ...io.formats import ANIMATED, CACHE, CLIP_READERS, FORMATS, MESH_READERS, MOTIONS
 from ...motions.on_body import is_motion_file
 from .bodies import copied_to, numbers_of_step, on_device, uniform
 from .clips import DAMAGED
@@ -45,7 +45,7 @@ MESH_SUFFIXES = (MESH_READERS.keys() | CLIP_READERS.keys()) - MOTIONS
 """Of files that may hold a mesh or a clip."""
 LAYOUTS = ("id{person:d}_{pose}", "tr_reg_{person:2}{pose:1}", "{person}/{pose}", "{person:d}_{pose}")
 """Patterns that are tried in this order: the public data of NPT and `mimesh generate`, FAUST, a folder a person, and
-names of clips as in DFAUST's files (.hdf5)."""
+names of people's clips in one folder (50002_hips)."""
 FIELD = re.compile(r"\{(person|pose|motion)(?::(d|[1-9]))?\}")
 """A field of a pattern: any characters of a name, with `:d` digits only, with a number so many characters."""
 HELD_OUT = 10
@@ -152,8 +152,6 @@ class RegisteredMeshes:
             **{"held_out": held_out, "sha256": store.digest.hexdigest()},
         }
         notes += _refusals(refused)
-        if any(entry.clip for entry in used):
-            notes.append("frame t of a motion is taken to be the same pose of all people in it")
         notes += [f"{layout.ignored} other files ignored"] if layout.ignored else []
         return cls(points, np.array(store.radius), store.mesh.faces, split, facts, tuple(notes))
 
@@ -178,10 +176,9 @@ class FrameStore:
         """
         used, refused = {}, {}
         for entry in counted(entries, len(entries), progress):
-            name = entry.path.relative_to(folder if folder.is_dir() else folder.parent).as_posix()
-            name += f"/{entry.clip}" if entry.clip else ""
+            name = entry.path.relative_to(folder).as_posix()
             try:
-                frames = self._read(entry.path, entry.clip)
+                frames = self._read(entry.path)
                 kept = frames
                 if self.spread and len(frames) > 1:
                     kept = frames[spread_exactly(len(frames), self.spread, name)]
@@ -205,12 +202,12 @@ class FrameStore:
         self.file.flush()
         return np.memmap(self.file, np.float32, "r+", shape=(len(self.radius), *self.mesh.vertices.shape))
 
-    def _read(self, path: Path, name: str | None) -> Float[np.ndarray, "T V 3"]:
-        """Read the frames of a mesh, a clip (of a name) or a folder, and check that they are of the topology."""
+    def _read(self, path: Path) -> Float[np.ndarray, "T V 3"]:
+        """Read the frames of a mesh, a clip or a folder, and check that they are of the topology."""
         if self.mesh is not None and path.is_file() and FORMATS[path.suffix.lower()].one_mesh:
             frames = load_points(path, self.mesh, self.path)[None]
         else:
-            clip = load_clip(path, animation=name)
+            clip = load_clip(path)
             self._check(clip.mesh, path)
             frames = clip.vertices
         if not all(np.ptp(points, axis=0).max() > 0.0 for points in frames):
@@ -314,7 +311,7 @@ def _table(
     common = np.full(len(poses), np.iinfo(np.int64).max)
     np.minimum.at(common, pose, length)
     other = [name for name, number in poses.items() if (length[pose == number] > common[number]).any()]
-    if other and (spread or any(entry.clip for entry in lengths)):
+    if other and spread:
         raise InputError(_several_lengths(other[0], lengths))
     if spread:
         length, common = (np.where(array > 1, spread, array) for array in (length, common))
@@ -366,21 +363,16 @@ def _no_pair(
             "train npt on meshes, or give folders of frames"
         )
     remedy = "name the files by person and pose, or give their names with --pattern"
-    if any(entry.clip for entry in layout.entries):
-        remedy = "recordings of one person a motion have no truth of another; AMASS's of the same takes give one, by " \
-        "mimesh generate clips-aniformer --split train --body-model SMPLH.npz --data TAKES -o clips"  # fmt: skip
     return f"{folder}: expected two people in one pose, found none ({layout.pattern}: {what}); {remedy}"
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A mesh or clip: a file, a folder of frames, or a clip of a file that has several."""
+    """A mesh or clip: a file, or a folder of frames."""
 
     person: str
     pose: str
     path: Path
-    clip: str | None = None
-    """Name of the clip in a file of several."""
 
 
 @dataclass(frozen=True)
@@ -396,18 +388,18 @@ class MeshLayout:
 
 def find_layout(folder: Path, pattern: str = "") -> MeshLayout:
     """Find the meshes or clips of a folder by a pattern, or by the first of LAYOUTS that matches any."""
-    if not folder.is_dir() and folder.suffix.lower() not in COLLECTIONS:
+    if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of registered meshes, found none; check the path")
     found = list(_candidates(folder))
     for tried in (pattern,) if pattern else LAYOUTS:
         expression = compiled(tried)
-        named = {(path, clip): expression.fullmatch(clip or _plain(path, folder, tried)) for path, clip in found}
-        entries = [Entry(match["person"], match["pose"], *key) for key, match in named.items() if match]
+        named = {path: expression.fullmatch(_plain(path, folder, tried)) for path in found}
+        entries = [Entry(match["person"], match["pose"], path) for path, match in named.items() if match]
         if entries:
             _refuse_twins(entries)
             entries.sort(key=lambda entry: (natural(entry.person), natural(entry.pose)))
             inside = {entry.path for entry in entries if entry.path.is_dir()}
-            others = [key for key in found if not named[key] and key[0].is_file() and key[0].parent not in inside]
+            others = [path for path in found if not named[path] and path.is_file() and path.parent not in inside]
             return MeshLayout(tried, tuple(entries), len(others))
     tried = pattern or ", ".join(FIELD.sub(r"{\1}", layout) for layout in LAYOUTS)
     raise InputError(
@@ -438,23 +430,21 @@ def natural(name: str) -> list[tuple[int, int | str]]:
     return [(0, int(part)) if part.isdecimal() else (1, part) for part in re.split(r"(\d+)", name) if part]
 
 
-def _candidates(folder: Path) -> Iterator[tuple[Path, str | None]]:
-    """Walk through the files that may be meshes or clips, the folders that hold some, and clips of files of several.
+def _candidates(folder: Path) -> Iterator[Path]:
+    """Walk through the files that may be meshes or clips, and the folders that hold some.
 
     The mesh of a point cache, which has its name, is a part of that clip.
     """
-    for path in sorted(folder.rglob("*")) if folder.is_dir() else [folder]:
-        if folder.is_dir() and any(part.startswith(".") for part in path.relative_to(folder).parts):
+    for path in sorted(folder.rglob("*")):
+        if any(part.startswith(".") for part in path.relative_to(folder).parts):
             continue
         if path.is_dir():
             if any(file.suffix.lower() in MESH_SUFFIXES for file in path.iterdir()):
-                yield path, None
-        elif path.suffix.lower() in COLLECTIONS:
-            yield from ((path, name) for name in list_animations(path))
-        elif path.suffix.lower() in CACHES or (
-            path.suffix.lower() in MESH_SUFFIXES and not any(path.with_suffix(end).exists() for end in CACHES)
+                yield path
+        elif path.suffix.lower() == CACHE or (
+            path.suffix.lower() in MESH_SUFFIXES and not path.with_suffix(CACHE).exists()
         ):
-            yield path, None
+            yield path
 
 
 def _plain(path: Path, folder: Path, pattern: str) -> str:
