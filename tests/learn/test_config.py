@@ -121,7 +121,7 @@ def test_differences_are_named_by_their_keys_and_at_most_a_few():
     assert re.search(r"; and \d+ more$", many)
     other = config_differences(full, load_config("full", "aniformer"), ("network", "model"))
     assert "network npt here, aniformer there" in other
-    assert "none" in config_differences(load_config("table", "limp"), full, ("model",))
+    assert "none" in config_differences(load_config("table", "mime"), full, ("model",))
 
 
 @pytest.mark.parametrize("network", NETWORKS)
@@ -137,6 +137,6 @@ def test_a_task_makes_the_network_of_its_configuration(network):
 
 
 def test_an_unknown_network_is_refused_with_those_there_are():
-    message = r"gpt: expected a model that can be trained \(npt, aniformer, limp, mime, hands\)"
+    message = r"gpt: expected a model that can be trained \(npt, aniformer, mime, hands\)"
     with pytest.raises(InputError, match=message):
         find_task("gpt")

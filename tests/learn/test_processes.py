@@ -76,7 +76,7 @@ def test_two_processes_take_the_steps_of_one(tmp_path):
 
 
 def test_samples_go_on_where_the_number_of_parts_changes(tmp_path, monkeypatch):
-    """No sample is drawn twice, and a loss that draws (LIMP's compares random vertices) has numbers of the sample."""
+    """No sample is drawn twice, and a loss gets the number of the sample."""
     drawn, lost = [], []
     make, loss = PairSource.batch, NPTTask.loss
     monkeypatch.setattr(PairSource, "batch", lambda self, *which: drawn.append(which) or make(self, *which))

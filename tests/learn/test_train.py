@@ -257,8 +257,8 @@ def test_a_training_may_last_for_minutes_instead_of_pairs(tmp_path):
 def test_resuming_takes_no_changes_but_those_of_the_schedule(trained, tmp_path):
     with pytest.raises(InputError, match="--resume"):
         train_command("npt", "small", None, trained, None, ["model.width=8"])
-    with pytest.raises(InputError, match="expected a training of limp, found one of npt; train npt"):
-        train_command("limp", "table", None, trained, None)
+    with pytest.raises(InputError, match="expected a training of mime, found one of npt; train npt"):
+        train_command("mime", "table", None, trained, None)
     folder = Path(shutil.copytree(trained, tmp_path / "run"))
     given = {"seed": 1, "pairs": 2 * TINY.pairs, "decay": 0.25, "learning_rate": 5e-4}
     changes = [f"{key}={value}" for key, value in given.items()]

@@ -69,7 +69,7 @@ DESCRIPTIONS = {
     "npt-maxpool": "its variant with one pose code for the whole driving mesh, of any vertex count",
     "aniformer": "AniFormer: three frames at once, trained on generated people and motions",
 }
-FIGURES = {"seen": "poses of the papers' tables", "unseen": "new poses", "held-out": "held-out motions"}
+FIGURES = {"seen": "poses of the papers' tables", "unseen": "new poses"}
 """Kind of pair -> label of its error. Shipped networks have not seen the poses of the papers' tables either."""
 MISSING = "its weights are missing here; install mimesh again"
 

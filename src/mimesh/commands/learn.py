@@ -15,7 +15,7 @@ from .terminal import Json, print_json, print_next, progress, require
 
 @with_options
 def train(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, hands, npt, aniformer or limp.")],
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, hands, npt or aniformer.")],
     config: Annotated[
         str, typer.Option(help="small, table, gpu, full or paper, if MODEL has it, or the path of a YAML file.")
     ] = "small",

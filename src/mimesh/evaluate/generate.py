@@ -217,7 +217,6 @@ class TakesOnBodyModel(OnBodyModel):
             still, clip.mesh, truth.vertices[0].astype(np.float64), self.height(identity), truth_name=truth.mesh.name,
             groups=(identity.label, take.stem), clip=clip, truth_frames=truth.vertices,
             aligned_frames=clip.vertices,
-            template=None,
         )  # fmt: skip
 
     def count(self, kind: str, requested: int = 0, split: str = "test") -> int:

@@ -202,7 +202,6 @@ class ListedClips(ListedPairs):
             clip=Clip(first.driving, frames, clip.fps),
             truth_frames=np.asarray(truth.vertices, np.float64),
             aligned_frames=None if first.aligned is None else frames,
-            template=None,
         )
 
 

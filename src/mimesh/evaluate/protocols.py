@@ -73,11 +73,6 @@ class Protocol:
         assert kind in self.kinds
         return requested or self.pairs
 
-    @property
-    def validation_kinds(self) -> tuple[str, ...]:
-        """Kinds of `val` that need no files and that checkpoints are chosen by while a network is trained."""
-        return self.kinds
-
     def check(self, split: str) -> None:
         """Raise InputError if this split cannot be generated on this machine. The base class has no such split."""
 

@@ -38,20 +38,17 @@ TRAINED_WITH_TABLE = {
         *("aniformer-ordered-plain", "aniformer-ordered-vanilla", "aniformer-ordered-attention-vertices"),
         "aniformer-ordered-vertices",
     ),
-    "aniformer-2": ("npt-ordered-equal", "npt-maxpool-ordered-equal", "limp"),
+    "aniformer-2": ("npt-ordered-equal", "npt-maxpool-ordered-equal"),
     "aniformer-1-random": (
         *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
     ),
     "aniformer-2-random": ("npt-frames", "npt-maxpool-frames"),
-    "animals": ("npt-quadruped", "npt-maxpool-quadruped", "aniformer-quadruped"),
 }
 """Table of a paper -> networks that `mimesh table NAME --train` makes; other tables have rows of some of them, too."""
-TRAINED_FOR_HOURS = {"aniformer-2-random": ("npt-full-frames", "aniformer-full")}
-"""The same, with --long as well."""
 TRAINED_ON_GPU = ("npt-full", "npt-full-mixed", "npt-ordered", "aniformer-ordered")
 """Networks of the tables that scripts/train_on_gpu.py makes, beside INDEX_PAIRED."""
 TABLE_MODELS = (
-    *(name for names in (*TRAINED_WITH_TABLE.values(), *TRAINED_FOR_HOURS.values()) for name in names),
+    *(name for names in TRAINED_WITH_TABLE.values() for name in names),
     *TRAINED_ON_GPU,
 )
 """Networks of the papers' tables, for comparison only: in a checkout's folder `ablations`, not installed, or in another
@@ -139,9 +136,8 @@ def how_to_make(models: Iterable[str], table: str = "") -> str:
         path = Path(model)
         name = REDUCED_MODELS.get(path.name, path.name)
         command = "python scripts/train_on_gpu.py OUT (one GPU)"
-        for tables, options in ((TRAINED_WITH_TABLE, "--train"), (TRAINED_FOR_HOURS, "--train --long (hours)")):
-            for key, names in tables.items():
-                command = f"mimesh table {table or key} {options}" if name in names else command
+        for key, names in TRAINED_WITH_TABLE.items():
+            command = f"mimesh table {table or key} --train" if name in names else command
         made.setdefault(command, []).append(path.name)
     return "; ".join(f"{', '.join(names)} by {command}" for command, names in made.items())
 

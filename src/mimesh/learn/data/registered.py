@@ -716,10 +716,9 @@ class HeldOutMeshes(Protocol):
         height = float(np.ptp(identity.vertices[:, 1]))
         if self.triples[kind].frames == 1:
             return Pair(identity, driving, truth[0], height)
-        nothing = np.zeros((0, 2), np.int64)
         return ClipPair(
             identity, driving, truth[0], height, clip=Clip(driving, clip), truth_frames=truth,
-            aligned_frames=self._points(frames.driving[0], order), template=nothing,
+            aligned_frames=self._points(frames.driving[0], order),
         )  # fmt: skip
 
     def _points(self, frames: Int[Tensor, " T"], order: Int[np.ndarray, " V"]) -> Float[np.ndarray, "T V 3"]:
