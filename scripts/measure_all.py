@@ -21,13 +21,11 @@ from mimesh.methods.find import weights_path
 
 METHODS = (
     *("identity", "copy", "mime", "mime-network", "npt", "npt-maxpool"),
-    *("deformation-transfer-dense", "deformation-transfer-13", "skeleton"),
+    *("deformation-transfer-dense", "deformation-transfer-13"),
 )
 """Methods that are measured on every protocol."""
 ANIMAL_METHODS = ("identity", "copy", "mime-quadruped", "deformation-transfer-13")
 """Methods that are measured on four-legged animals: the others know only people."""
-SLOW = ("skeleton",)
-"""Left out on clips: they need seconds per frame."""
 
 
 def main() -> None:
@@ -53,8 +51,7 @@ def methods(protocol: str) -> list[str]:
     if protocol in ("quadruped", "animals"):
         trained = [row for row in rows if weights_path(row).is_file()]  # these are not in the repository
         return list(dict.fromkeys([*ANIMAL_METHODS, *trained]))
-    left_out = SLOW if protocol in ("clips-aniformer", "clips-ordered") else ()
-    return [method for method in dict.fromkeys([*METHODS, *rows]) if method not in left_out]
+    return list(dict.fromkeys([*METHODS, *rows]))
 
 
 if __name__ == "__main__":

@@ -54,7 +54,7 @@ def test_missing_arguments_are_named_in_one_line_before_the_usage(line, missing,
         ("transfer a b --no-prview", "--no-preview"),
         ("table npt1", "npt-1"),
         ("evaluate human-npt -m nptt", "npt"),
-        (COPIED + "-m skelton", "skeleton"),
+        (COPIED + "-m anifomer", "aniformer"),
     ],
 )
 def test_near_names_are_suggested(line, meant, files, call):

@@ -62,7 +62,6 @@ def models(json: Json = False) -> None:
 DESCRIPTIONS = {
     "copy": "the driving vertices themselves: no transfer, for comparison",
     "deformation-transfer": "Sumner and Popovic 2004; needs --reference, and --markers where topologies differ",
-    "skeleton": "fits the shipped body to both meshes and skins the identity to its bones; slow",
     "mime": "ours, the default: predicts the joints of both meshes, fits a body to each, and skins the identity;\n"
     "people, and four-legged animals by a second network, mime-quadruped",
     "npt": "Neural Pose Transfer, trained on generated people and poses",

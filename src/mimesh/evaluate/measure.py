@@ -54,7 +54,6 @@ EXTRA_INPUTS = {
     "deformation-transfer-dense": "third mesh, true dense correspondence",
     "deformation-transfer-13": "third mesh, 13 control points",
     "deformation-transfer-5": "third mesh, 5 control points",
-    "skeleton": "our body model and its joint limits",
 }
 """Inputs of a method besides the two meshes and their axes, for reports; for networks see `extra_inputs`."""
 TRAINED_ON = {

@@ -77,7 +77,6 @@ TABLES = {
         "NPT Table 7: against other baselines",
         "human-npt",
         (
-            Row("skeleton", "skeleton", 27.4, 31.1),
             Row("max-pool, equal time", "npt-maxpool-equal", 2.1, 12.7),
             Row("NPT, equal time", "npt-equal", 1.1, 9.3),
             *(LONGEST, LONGEST_MIXED),

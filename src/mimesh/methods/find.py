@@ -27,7 +27,7 @@ NETWORK_OF_BODY = {"human": "mime", "quadruped": "mime-quadruped"}
 """Shipped body -> the network that finds its joints. `mime` opens the others itself; their names are for measuring."""
 INDEX_PAIRED = {"npt": "npt-ordered-mixed", "aniformer": "aniformer-ordered-mixed"}
 """Shipped network that pairs vertices at random -> the shipped one that pairs them by index."""
-WITHOUT_NETWORK = ("copy", "deformation-transfer", "skeleton")
+WITHOUT_NETWORK = ("copy", "deformation-transfer")
 """Methods that have no weights."""
 TRAINED_WITH_TABLE = {
     "npt-1": ("mime-table",),
@@ -250,10 +250,6 @@ def find_model(
         from .deformation_transfer import DeformationTransfer
 
         return DeformationTransfer(reference, markers)
-    if model == "skeleton":
-        from .skeleton import SkeletonBaseline
-
-        return SkeletonBaseline(seed=seed)
     check_weights(model)
     path = weights_path(model)
     if pairing in ("order", "body") and (ordered := ordered_weights(model)) is not None:
