@@ -529,8 +529,7 @@ class SurfaceSource:
     def _figures(self, size: int, rng: torch.Generator) -> tuple[PosedSurface, PosedSurface, PosedSurface]:
         """Make the same of pairs of characters."""
         assert isinstance(self.people, EndlessPeople)
-        pairs = self.figures.draw(self.people.pairs(size, rng, self.config.character_limits)[1], rng)
-        return pairs.identity, pairs.driving, pairs.truth
+        return self.figures.draw(self.people.pairs(size, rng, self.config.character_limits)[1], rng)
 
     def _dress(
         self, shapes: Float[Tensor, "2 B K"], touching: Bool[Tensor, "2 B"], rng: torch.Generator
