@@ -88,9 +88,7 @@ def export(
 
 
 def import_checkpoint(
-    weights: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Weights that NPT's or AniFormer's public code saved: .model, .pt.")
-    ],
+    weights: Annotated[Path, typer.Argument(metavar="FILE", help="Weights that NPT's public code saved: .model, .pt.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The .onnx file to write.")],
     maxpool: Annotated[
         bool, typer.Option("--maxpool", help="They are of NPT's max-pool variant, whose weights look the same.")
@@ -98,7 +96,7 @@ def import_checkpoint(
     bits: Annotated[int, typer.Option(help="Bits a weight is stored in: 32, 16 or 8.")] = 32,
     json: Json = False,
 ) -> None:
-    """Turn weights of the papers' public code into an .onnx file that -m takes.
+    """Turn weights of NPT's public code into an .onnx file that -m takes.
 
     Needs the [train] extra; reads tensors only and runs nothing of the file; writes a card (.json) beside it.
     """
@@ -106,16 +104,12 @@ def import_checkpoint(
     from ..learn.published_weights import import_command
 
     card = import_command(weights, output, maxpool, bits)
-    imported, vertices = card["imported"], card["config"]["model"].get("vertices", 0)
+    kind = card["imported"]["kind"]
     if json:
-        facts = {"kind": imported["kind"], "parameters": card["parameters"], "unused": imported["unused"]}
-        print_json({"output": str(output), "vertices": vertices, "bytes": output.stat().st_size, **facts})
+        facts = {"kind": kind, "parameters": card["parameters"]}
+        print_json({"output": str(output), "bytes": output.stat().st_size, **facts})
         return
-    say(f"{output}: {imported['kind']}, {card['parameters']:,} numbers, {output.stat().st_size / 2**20:.1f} MiB")
-    if imported["kind"] == "npt":
+    say(f"{output}: {kind}, {card['parameters']:,} numbers, {output.stat().st_size / 2**20:.1f} MiB")
+    if kind == "npt":
         say("note: weights of the max-pool variant have the same names and shapes; --maxpool takes them as such")
-    if imported["unused"]:
-        say(f"note: {len(imported['unused'])} tensors that the public code never uses were left out")
-    if vertices:
-        say(f"note: every mesh needs the {vertices:,} vertices of the training, in their order")
-    print_next("animate" if vertices else "transfer", "IDENTITY", "DRIVING", "-m", output)
+    print_next("transfer", "IDENTITY", "DRIVING", "-m", output)

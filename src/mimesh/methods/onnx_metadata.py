@@ -15,7 +15,7 @@ KEY = "mimesh"
 """Key of the metadata in the file; the value is JSON."""
 CHOICES = {
     "npt": {"pose_code": ("per_vertex", "global_max"), "target_scale": ("identity", "truth", "metres")},
-    "aniformer": {"head": ("frames", "regression"), "target_scale": ("identity", "truth", "metres")},
+    "aniformer": {"head": ("frames", "regression"), "target_scale": ("identity", "truth")},
     "mime": {},
     "hands": {},
 }
