@@ -33,10 +33,8 @@ RIG_COLUMNS = {
 }
 """Metric of rigs, beside those of their makers -> heading."""
 LIMB_COLUMNS = {
-    "joint_pct": "limb ends, % of height",
     "sole_height": "soles, leg lengths",
     "touching": "contacts that agree",
-    "penetration": "penetration, % of surface more than the driving's",
 }
 """Metric of results without a true mesh -> heading."""
 
@@ -88,7 +86,7 @@ def kind_table(rows: list[dict[str, Any]]) -> str:
 
 
 def _limb_table(rows: list[dict[str, Any]]) -> str:
-    """Format the rows of a kind without true meshes: limb directions, limb ends, contacts and penetration."""
+    """Format the rows of a kind without true meshes: limb directions, limb ends and contacts."""
     quantities = ("limbs, degrees", "wrists and ankles, limb lengths")
     head = ["method", "pairs", *(f"{name}: {part}" for name in quantities for part in ("mean", "median", "90 %"))]
     head += [*LIMB_COLUMNS.values(), "s a pair", "given"]
