@@ -420,7 +420,7 @@ class TrainingFiles:
     leave_out: list[str] | None = declared(None, "Pack (sub-folder) of --characters that is not used.", metavar="PACK")
     meshes: Path | None = declared(
         None,
-        "Folder of registered meshes (npt) or clips (aniformer), or an .hdf5 of clips, to train on.",
+        "Folder of registered meshes (npt) or clips (aniformer) to train on.",
         metavar="DIR",
     )
     pattern: str = declared("", "How the files of --meshes are named, such as '{person}-{pose}.ply'.")

@@ -155,8 +155,6 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     elif hint is float or (hint == float | None and value is not None):
         fits = isinstance(value, (int, float)) and not isinstance(value, bool)
         value = float(value) if fits else value
-    elif hint is str and type(value) is int:
-        value, fits = str(value), True  # a word of digits after --set
     else:
         fits = isinstance(value, hint) and (hint is bool or not isinstance(value, bool))
     if not fits:
