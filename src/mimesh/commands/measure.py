@@ -92,8 +92,6 @@ def evaluate(
     elif not quiet:
         say_tables(markdown(figures))
         say("± is half of the 95 % interval of the mean; columns: docs/conventions.md")
-        for note in figures.get("notes", ()):
-            say(f"note: {note}")
 
 
 def table(
@@ -177,9 +175,6 @@ def generate(
     ] = None,
     pairs: Pairs = 0,
     data: Data = None,
-    frames_as: Annotated[
-        str | None, typer.Option(metavar="SUFFIX", help="Clips as folders of obj or ply, not as .npz.")
-    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -191,8 +186,7 @@ def generate(
     from ..evaluate.generate import generate_command
 
     with progress("meshes", quiet or json) as advance:
-        suffix = None if frames_as is None else "." + frames_as.lstrip(".")
-        written = generate_command(protocol, output, split, pairs, advance, data, suffix, body_model)
+        written = generate_command(protocol, output, split, pairs, advance, data, body_model)
     if json:
         print_json({"output": str(output), "protocol": protocol, "split": split, **written})
     elif not quiet:

@@ -163,8 +163,6 @@ def evaluate_command(
         "left_out": chosen.left_out(split),
         "results": rows,
     }
-    if isinstance(chosen, ListedPairs):
-        report["notes"] = list(chosen.axes_notes(pairs))
     if out is not None:
         with whole_file(out) as temporary:
             temporary.write_text(report_text(report), encoding="utf-8", newline="\n")
