@@ -78,10 +78,6 @@ def test_cards_have_the_arithmetic_of_their_training(path):
         total += operations_with(config, vertices, last - change["after_pairs"])
         last, vertices = change["after_pairs"], change["was"]["data.vertices"]
     pairs = last + sum(stage["pairs"] for stage in card.get("before", []))
-    if config.minutes and config.doublings:  # how many pairs there were after each depends on the machine
-        most = operations_with(config, vertices << len(config.doublings), pairs)
-        assert operations_with(config, vertices, pairs) < 1e15 * card["pflop"] < most
-        return
     assert card["pflop"] == pytest.approx((total + operations_with(config, vertices, pairs)) / 1e15, rel=0.01)
 
 

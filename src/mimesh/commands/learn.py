@@ -17,7 +17,7 @@ from .terminal import Json, print_json, print_next, progress, require
 def train(
     model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, hands, npt or aniformer.")],
     config: Annotated[
-        str, typer.Option(help="small, table, gpu, full or paper, if MODEL has it, or the path of a YAML file.")
+        str, typer.Option(help="small, table, gpu or paper, if MODEL has it, or the path of a YAML file.")
     ] = "small",
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder for checkpoints and logs.")] = None,
     resume: Annotated[Path | None, typer.Option(help="Folder of a training to continue exactly.")] = None,
@@ -40,7 +40,6 @@ def train(
     """
     require("train", "torch", "yaml", "safetensors", "tensorboard")
     with progress("starting", json):  # PyTorch takes seconds to load
-        from ..learn.processes import is_first_process
         from ..learn.start import train_command
 
     folder = train_command(
@@ -54,8 +53,6 @@ def train(
         brought,
         lambda title: progress(title, json),
     )
-    if not is_first_process():
-        return
     last, best = folder / "last.safetensors", folder / "best.safetensors"
     validated = best.exists()  # not where the time was over before the first validation
     if json:

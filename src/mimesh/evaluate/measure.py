@@ -134,8 +134,6 @@ def vertices_of_meshes(card: dict[str, Any]) -> str:
     """Say from a card how many vertices the meshes of a training had, and since when."""
     whole = card["meshes"]["vertices"] if "meshes" in card else 6890
     count = f"{card['config']['data']['vertices'] or whole:,}"
-    if doublings := card["config"].get("doublings"):
-        return f"{count} to {card['config']['data']['vertices'] << len(doublings):,} vertices"
     changes = [change for change in card.get("changes", []) if "data.vertices" in change and "was" in change]
     if not changes:
         return f"{count} vertices"
