@@ -40,10 +40,6 @@ from mimesh.motions.motion import turned_to_front
 OUTPUT = Path(__file__).parents[1] / "src" / "mimesh" / "evaluate" / FILE
 NOTES = {
     ("human-wide", "clips"): "later seconds of takes whose earlier seconds are training data, not whole takes",
-    **{
-        ("dressed", kind): "the garments are those of the training; people and poses are new"
-        for kind in ("identity", "driving", "both")
-    },
     ("clips-aniformer", "seen"): "motions that the rows of the tables are trained on, by new people",
     ("clips-aniformer", "unseen"): "later seconds of the takes of the training, by new people",
     ("clips-ordered", "seen"): "motions and driving people that the rows of the tables are trained on",

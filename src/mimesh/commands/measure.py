@@ -14,7 +14,7 @@ from .options import with_options
 from .terminal import Json, Quiet, print_json, print_next, progress, require, say_tables
 
 PROTOCOLS = (
-    "human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body, characters, clips-aniformer, "
+    "human-npt, human-wide, cross-topology, noise, contact, cross-body, characters, clips-aniformer, "
     "clips-ordered, quadruped, animals or rigs"
 )
 """Names of the test sets, written out because importing these takes a second; a test compares them."""
