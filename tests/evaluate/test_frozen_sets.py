@@ -12,7 +12,6 @@ from matrix import matrix
 
 from mimesh.evaluate.characters import characters
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair
-from mimesh.evaluate.cross_body import cross_body
 from mimesh.evaluate.frozen_sets import (
     FIRST,
     frozen_sets,
@@ -29,7 +28,6 @@ GENERATED = [key for key in STORED if key[0] in WITHOUT_FILES]
 IN_FULL = [("noise", "test", "noise-2"), ("cross-topology", "val", "points")]
 """Sets that are generated as a whole, of the others the first pairs."""
 FOLDERS = {
-    "cross-body": ("MIMESH_PEOPLE", cross_body),
     "characters": ("MIMESH_CHARACTERS", characters),
 }
 """Environment variables that name folders of files, and the protocols that read them."""
@@ -91,7 +89,7 @@ def test_what_was_looked_at_is_no_test_set():
     assert {value for (_, split, _), value in roles.items() if split == "val"} == {"development"}
     assert all(roles["noise", "test", kind] == "development" for kind in ("holes", "cropped", "half"))
     assert roles["noise", "test", "noise-2"] == roles["clips-aniformer", "test", "unseen"] == "test"
-    assert {value for (name, _, _), value in roles.items() if name == "cross-body"} == {"development"}
+    assert role("cross-body", "test", "limits") == "development"
 
 
 def arrays_of(pair):

@@ -32,9 +32,8 @@ from ..methods.find import (
     weights_path,
 )
 from .animals import animals
-from .characters import Characters, characters
+from .characters import Characters, characters, cross_body
 from .clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair, ClipsAniformer
-from .cross_body import cross_body
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
 from .listed_pairs import ListedClips, ListedPairs, listed_pairs
 from .measure import (
@@ -116,11 +115,10 @@ def evaluate_command(
     for method in methods:
         check_method(method)
     chosen.check(split)
-    of_pool = isinstance(chosen, Characters | RiggedPeople)
-    if dump is not None and of_pool and split == "test":
+    if dump is not None and chosen.name in ("characters", "rigs") and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
                          "give --split val")  # fmt: skip
-    if runtime and of_pool:
+    if runtime and isinstance(chosen, Characters | RiggedPeople):
         raise InputError(f"--torch: expected a test set of meshes or clips, found {protocol}; leave it out")
     for method in filter(fingerprint, methods if runtime else ()):
         open_network(method, measuring.ensemble, runtime)  # later, it would be a failure of every pair
