@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rigs
 from foreign_names import renamed
 from matrix import matrix
 from pools import BLOCKS, blocks, write_character
-from rigs import character
 
 from mimesh.bodies import load_body
 from mimesh.bodies.character_limbs import Limb
@@ -200,7 +200,7 @@ def test_pools_without_pairs_are_refused(protocol, tmp_path):
 
 def test_files_of_a_folder_that_share_a_skeleton_are_pairs(tmp_path):
     for name, kind in (("man0", "cmu"), ("man1", "cmu"), ("zed", "vroid")):
-        character(tmp_path / f"{name}.glb", shape=len(name), name=renamed(kind))
+        rigs.character(tmp_path / f"{name}.glb", shape=len(name), name=renamed(kind))
     protocol = cross_body(tmp_path)
     protocol.check("test")
     pair = protocol.pair("test", "limits", 0)
@@ -209,7 +209,7 @@ def test_files_of_a_folder_that_share_a_skeleton_are_pairs(tmp_path):
     assert right["pmd_e4"] == 0 < 100 < wrong["pmd_e4"]
     assert right["limb_deg"] < 5 < wrong["limb_deg"]
     (tmp_path / "alone").mkdir()
-    character(tmp_path / "alone" / "zed.glb", name=renamed("vroid"))
+    rigs.character(tmp_path / "alone" / "zed.glb", name=renamed("vroid"))
     with pytest.raises(InputError, match="two characters of one skeleton in the split test, found 1 of alone"):
         cross_body(tmp_path / "alone").check("test")
 
