@@ -82,7 +82,6 @@ def test_characters_have_a_share_of_joint_limits_of_their_own(given, found):
         ("compile: 1", "expected bool"),
         ("weight_decay: 0.1", "expected weight_decay 0 with optimizer adam"),
         ("accumulate: 3", "expected accumulate to divide batch, found 3 and 8"),
-        ("data: {between: 0.5}", "expected data.between 0 with table6, found 0.5"),
         ("data: {kind: wide, recombine: 0.5}", "expected data.recombine 0 with wide, found 0.5"),
         ("data: {recombine: 2}", "recombine from 0 to 1, found 2"),
         ("data: {reflect: 2}", "reflect from 0 to 1, found 2"),
