@@ -130,14 +130,13 @@ class AniFormerMethod:
     ) -> Float[np.ndarray, "R W 3"]:
         """Run the network for each pairing; return the mean result (float64) in the identity's order."""
         total = np.zeros((1 if self.head == "regression" else len(window), *identity.shape))
-        size = self.sizes[0] if self.sizes else 1.0
         for identity_order, driving_order in pairings:
             inputs = {
-                "identity": batch_of_one(identity[identity_order] * size),
+                "identity": batch_of_one(identity[identity_order]),
                 "driving": batch_of_one(window[:, driving_order]),
             }
             total[:, identity_order] += np.asarray(self.session.run(["result"], inputs)[0])[0]
-        return total / (len(pairings) * size)
+        return total / len(pairings)
 
 
 def blended(
