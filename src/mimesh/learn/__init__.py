@@ -7,6 +7,6 @@ A training in the order in which it happens:
   export. `layers.py` has what the papers' networks share. `tests/learn/test_smoke.py` trains NPT in fourteen lines.
 * `data/` makes batches: `data/people.py` the papers' people and poses, which `evaluate/protocols.py` fixes by seed, so
   that tests can leave them out; the other files those of `mime`, and what the user brings.
-* `loop.py` takes steps (`optimizers.py`, `processes.py`), validates (`validation.py`) and saves (`checkpoint.py`).
+* `loop.py` takes steps (`optimizers.py`), validates (`validation.py`) and saves (`checkpoint.py`).
 * `export.py` writes ONNX and a card.
 """
