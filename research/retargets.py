@@ -40,7 +40,7 @@ UPRIGHT_STEP = 5
 """Frames from one to the next in which trunks are compared."""
 INFLUENCES = 6
 """Largest weights of the shipped body that are measured."""
-METRICS = ("limb_deg", "end_effector", "sole_height", "touching", "penetration")
+METRICS = ("limb_deg", "end_effector", "sole_height", "touching")
 
 
 @dataclass(frozen=True, eq=False)

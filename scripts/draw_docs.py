@@ -45,7 +45,7 @@ SIZE, TILE, FONT_SIZE = (420, 480), (300, 343), 20
 POINTS = 320
 """Number of surface points that mime's network reads."""
 BONE_COLOUR = (58, 84, 122)
-MODELS = ("mime", "npt", "npt-maxpool", "aniformer", "skeleton", "copy")
+MODELS = ("mime", "npt", "npt-maxpool", "aniformer", "copy")
 """Models in the picture of models."""
 MAX_DISTANCE = 0.08
 """Distance to the truth (metres) of the last colour in the picture of models."""

@@ -40,15 +40,10 @@ from mimesh.motions.motion import turned_to_front
 OUTPUT = Path(__file__).parents[1] / "src" / "mimesh" / "evaluate" / FILE
 NOTES = {
     ("human-wide", "clips"): "later seconds of takes whose earlier seconds are training data, not whole takes",
-    **{
-        ("dressed", kind): "the garments are those of the training; people and poses are new"
-        for kind in ("identity", "driving", "both")
-    },
     ("clips-aniformer", "seen"): "motions that the rows of the tables are trained on, by new people",
-    ("clips-aniformer", "held-out"): "10 seconds of one boxing capture, 20 clips by an animator",
+    ("clips-aniformer", "unseen"): "later seconds of the takes of the training, by new people",
     ("clips-ordered", "seen"): "motions and driving people that the rows of the tables are trained on",
     ("clips-ordered", "unseen"): "later seconds of the takes of the training, by driving people of the training",
-    ("clips-ordered", "held-out"): "the motions of clips-aniformer, by driving people of the training",
     ("animals", "clips"): "five animals of one maker; their rigs were looked at when rigs were first read",
 }
 """Protocol and kind (empty: all kinds) of other sets of `test` with something that a reader must know."""
@@ -65,13 +60,10 @@ def main() -> None:
     stored = frozen_sets() if OUTPUT.exists() else {}
     sets = []
     for name in (*WITHOUT_FOLDER, *FOLDERS):
-        # Only some kinds of these two need a folder.
-        needs_folder = name in FOLDERS and name not in (*folders, "fingers", "clips-ordered")
-        made = [] if needs_folder else freeze_protocol(name, folders.get(name), stored)
-        known = {(entry.split, entry.kind) for entry in made}
-        # Some kinds of `fingers` and `clips-ordered` need a folder.
-        kept = [entry for (protocol, *key), entry in stored.items() if protocol == name and tuple(key) not in known]
-        sets += [*kept, *made]
+        if name in FOLDERS and name not in folders:
+            sets += [entry for (protocol, *_), entry in stored.items() if protocol == name]
+        else:
+            sets += freeze_protocol(name, folders.get(name), stored)
     with whole_file(OUTPUT) as temporary:
         temporary.write_text(json.dumps([dataclasses.asdict(entry) for entry in sets], indent=1) + "\n")
     print(f"{OUTPUT}: {len(sets)} sets")
@@ -82,7 +74,7 @@ def freeze_protocol(name: str, folder: Path | None, stored: dict[tuple[str, str,
     protocol, sets = find_protocol(name, folder), []
     for split in ("val", "test"):
         protocol.check(split)
-        for kind in kinds_of(protocol, split):
+        for kind in protocol.kinds:
             entry = freeze(protocol, split, kind)
             old = stored.get((name, split, kind))
             state = "new" if old is None else "same" if old.checksum == entry.checksum else "CHANGED"
@@ -112,11 +104,6 @@ def freeze(protocol: Protocol, split: str, kind: str) -> FrozenSet:
         else (round(float(angles.min()), 1), round(float(np.median(angles)), 1)),
         note="; ".join(filter(None, [*notes, INEXACT.get(name)])),
     )
-
-
-def kinds_of(protocol: Protocol, split: str) -> tuple[str, ...]:
-    """Return the kinds of pairs of a split, and those that only checkpoints are chosen by."""
-    return tuple(dict.fromkeys((*protocol.kinds, *(protocol.validation_kinds if split == "val" else ()))))
 
 
 def training_poses() -> Float[np.ndarray, "N J 3 3"]:

@@ -1,10 +1,9 @@
 """Measure all methods on all test sets, write docs/results and the tables of the docs. Resumable; hours on two cores.
 
-    python scripts/measure_all.py [--characters DIR] [--people DIR] [--clips DIR] [PROTOCOL ...]
+    python scripts/measure_all.py [--characters DIR] [--people DIR] [PROTOCOL ...]
 
-Run it in the root of a checkout, which contains `ablations/`. characters and fingers are measured if --characters is a
-pool of rigged characters, cross-body if --people is a folder of them, clips-aniformer and clips-ordered if --clips is a
-folder of motions. Existing reports are replaced.
+Run it in the root of a checkout, which contains `ablations/`. characters are measured if --characters is a pool of
+rigged characters, cross-body if --people is a folder of them. Existing reports are replaced.
 Several of these can run at the same time, on different protocols.
 """
 
@@ -22,28 +21,22 @@ from mimesh.methods.find import weights_path
 
 METHODS = (
     *("identity", "copy", "mime", "mime-network", "npt", "npt-maxpool"),
-    *("deformation-transfer-dense", "deformation-transfer-13", "skeleton"),
+    *("deformation-transfer-dense", "deformation-transfer-13"),
 )
 """Methods that are measured on every protocol."""
-FINGER_METHODS = ("identity", "mime", "mime-rigid-fingers")
-"""Methods that are measured on fingers: the others know no fingers."""
 ANIMAL_METHODS = ("identity", "copy", "mime-quadruped", "deformation-transfer-13")
 """Methods that are measured on four-legged animals: the others know only people."""
-SLOW = ("skeleton",)
-"""Left out on clips: they need seconds per frame."""
 
 
 def main() -> None:
     """Measure one protocol after the other."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("protocols", nargs="*", metavar="PROTOCOL", help=", ".join((*WITHOUT_FOLDER, *FOLDERS)))
-    parser.add_argument("--characters", type=Path, help="pool of rigged characters, for characters and fingers")
+    parser.add_argument("--characters", type=Path, help="pool of rigged characters, for characters")
     parser.add_argument("--people", type=Path, help="rigged characters, for cross-body")
-    parser.add_argument("--clips", type=Path, help="motions, for clips-aniformer and clips-ordered")
     parser.add_argument("--animals", type=Path, help="rigged four-legged animals, for animals")
     args = parser.parse_args()
-    folders = {"characters": args.characters, "fingers": args.characters, "cross-body": args.people}
-    folders |= {"clips-aniformer": args.clips, "clips-ordered": args.clips, "animals": args.animals}
+    folders = {"characters": args.characters, "cross-body": args.people, "animals": args.animals}
     for name in args.protocols or (*WITHOUT_FOLDER, *(name for name in FOLDERS if folders[name])):
         out = write_results.RESULTS / f"{name}.json"
         with progress(name, quiet=False) as advance:
@@ -54,14 +47,11 @@ def main() -> None:
 
 def methods(protocol: str) -> list[str]:
     """Return the methods to measure on a protocol: METHODS, and the rows of the papers' tables that use it."""
-    if protocol == "fingers":
-        return list(FINGER_METHODS)
     rows = [row.method for table in TABLES.values() if table.protocol == protocol for row in table.rows]
     if protocol in ("quadruped", "animals"):
         trained = [row for row in rows if weights_path(row).is_file()]  # these are not in the repository
         return list(dict.fromkeys([*ANIMAL_METHODS, *trained]))
-    left_out = SLOW if protocol in ("clips-aniformer", "clips-ordered") else ()
-    return [method for method in dict.fromkeys([*METHODS, *rows]) if method not in left_out]
+    return list(dict.fromkeys([*METHODS, *rows]))
 
 
 if __name__ == "__main__":

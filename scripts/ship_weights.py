@@ -5,7 +5,7 @@ error. If other settings of the data differ, or the version of the metrics, the 
 compared; then both networks are measured (mime with its body fit) on the split `val` of all kinds of pair.
 
     python scripts/ship_weights.py npt=runs/npt-small-0/best.safetensors aniformer=runs/aniformer-small-0/...
-    python scripts/measure_all.py human-npt clips-aniformer --clips DIR
+    python scripts/measure_all.py human-npt clips-aniformer
     python scripts/ship_weights.py
 """
 
@@ -98,15 +98,14 @@ def fill_card(weights: Path, measured_rows: list[dict]) -> bool:
     Rows of the reports that were measured with other weights of the same name are not used.
     """
     rows = {(row["method"], row["split"]): row for row in measured_rows}
-    unseen = "held-out" if (weights.stem, "held-out") in rows else "unseen"  # of clips, of pairs
-    measured = rows.get((weights.stem, unseen), {}).get("weights") == fingerprint(str(weights))
+    measured = rows.get((weights.stem, "unseen"), {}).get("weights") == fingerprint(str(weights))
     card = weights.with_suffix(".json")
     facts = json.loads(card.read_text())
     val = facts["metrics"]["val"] if facts["metrics"].get("version") == VERSION else {}
     test = {
         f"{prefix}{split}_pmd_e4": rows[method, split]["pmd_e4"]
         for prefix, method in (("", weights.stem), ("copy_", "copy"))
-        for split in ("seen", unseen)
+        for split in ("seen", "unseen")
         if measured
     }
     facts["metrics"] = {"version": VERSION, "val": val, "test": test}

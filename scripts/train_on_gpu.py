@@ -34,7 +34,6 @@ from mimesh.learn import checkpoint
 from mimesh.learn.config import load_config
 from mimesh.learn.cost import training_operations
 from mimesh.learn.loop import FULL_RATE, TrainingRun, train
-from mimesh.learn.processes import joined_processes
 from mimesh.learn.start import begin_with
 from mimesh.learn.table_rows import ROWS
 from mimesh.learn.task import TrainConfig
@@ -155,35 +154,34 @@ def finish(job: Job, args: argparse.Namespace, results: Path) -> None:
 
 def measure_rate(job: Job, results: Path, tiny: bool) -> dict[str, float | str]:
     """Time the steps of a job; write the profile of some to the results, and give the rate."""
-    with joined_processes() as processes:
-        run = TrainingRun.start(job.config(1.0, tiny), results / "no training there", processes=processes)
-        cuda = processes.device.type == "cuda"
-        wait = torch.cuda.synchronize if cuda else lambda: None
-        for _ in range(1 if tiny else WARM_STEPS):
+    run = TrainingRun.start(job.config(1.0, tiny), results / "no training there")
+    cuda = run.task.device.type == "cuda"
+    wait = torch.cuda.synchronize if cuda else lambda: None
+    for _ in range(1 if tiny else WARM_STEPS):
+        run.advance()
+    wait()
+    steps, started = (1 if tiny else TIMED_STEPS), time.perf_counter()
+    losses = [run.advance() for _ in range(steps)]
+    host = time.perf_counter() - started
+    wait()
+    seconds = (time.perf_counter() - started) / steps
+    with torch.profiler.profile() as profile:
+        for _ in range(1 if tiny else PROFILED_STEPS):
             run.advance()
         wait()
-        steps, started = (1 if tiny else TIMED_STEPS), time.perf_counter()
-        losses = [run.advance() for _ in range(steps)]
-        host = time.perf_counter() - started
-        wait()
-        seconds = (time.perf_counter() - started) / steps
-        with torch.profiler.profile() as profile:
-            for _ in range(1 if tiny else PROFILED_STEPS):
-                run.advance()
-            wait()
-        by = "self_cuda_time_total" if cuda else "self_cpu_time_total"
-        (results / f"{job.name}-profile.txt").write_text(profile.key_averages().table(sort_by=by, row_limit=45))
-        rate = {
-            "device": checkpoint.hardware(),
-            "step_ms": 1e3 * seconds,
-            "host_ms": 1e3 * host / steps,
-            "pairs_per_s": run.config.batch / seconds,
-            "tflops": training_operations(run.task, run.model, run.config.batch) / seconds / 1e12,
-            "peak_gib": torch.cuda.max_memory_allocated() / 2**30 if cuda else 0.0,
-            "loss": float(losses[-1]),
-        }
-        print(job.name, json.dumps({k: v if isinstance(v, str) else float(f"{v:.4g}") for k, v in rate.items()}))
-        return rate
+    by = "self_cuda_time_total" if cuda else "self_cpu_time_total"
+    (results / f"{job.name}-profile.txt").write_text(profile.key_averages().table(sort_by=by, row_limit=45))
+    rate = {
+        "device": checkpoint.hardware(),
+        "step_ms": 1e3 * seconds,
+        "host_ms": 1e3 * host / steps,
+        "pairs_per_s": run.config.batch / seconds,
+        "tflops": training_operations(run.task, run.model, run.config.batch) / seconds / 1e12,
+        "peak_gib": torch.cuda.max_memory_allocated() / 2**30 if cuda else 0.0,
+        "loss": float(losses[-1]),
+    }
+    print(job.name, json.dumps({k: v if isinstance(v, str) else float(f"{v:.4g}") for k, v in rate.items()}))
+    return rate
 
 
 def write_parts(results: Path, out: Path, mib: float) -> None:

@@ -37,7 +37,7 @@ def test_no_public_class_name_is_defined_twice():
     assert [name for name, count in names.items() if count > 1] == []
 
 
-@pytest.mark.parametrize("name", ["NPTMethod", "AniFormerMethod", "LIMPMethod"])
+@pytest.mark.parametrize("name", ["NPTMethod", "AniFormerMethod"])
 def test_no_network_of_the_papers_is_named_outside_the_methods(name):
     """The pipeline, the studio and the tools treat all methods that move vertices alike."""
     found = {path.relative_to(ROOT).parts[0] for path in FILES if name in path.read_text()}

@@ -89,8 +89,6 @@ def _report_row(name: str, kind: str, method: str = "") -> dict:
     Empty where it has not been measured.
     """
     protocol = "clips-aniformer" if name == "aniformer" else "human-npt"
-    # Of clips, new walks and splines; not yet every model has been measured on the held-out takes.
-    kind = "procedural" if (protocol, kind) == ("clips-aniformer", "unseen") else kind
     method = method or {"deformation-transfer": "deformation-transfer-13"}.get(name, name)
     rows = rows_by_set(_reports()).get((protocol, kind), [])
     return next((row for row in rows if row["method"] == method), {})
@@ -114,11 +112,8 @@ def card(name: str) -> str:
     stages = f" in {len(earlier) + 1} stages; the card has the configuration of the last one only" if earlier else ""
     dirty = " (a working tree with uncommitted changes)" if facts["commit"].endswith("-dirty") else ""
     # Shipped weights are not trained on the poses that the papers' rows have seen.
-    sets = (
-        "motions of the tables / new walks and splines"
-        if name == "aniformer"
-        else "the tables' training poses / new poses"
-    )
+    what = "motions" if name == "aniformer" else "poses"
+    sets = f"the tables' training {what} / new {what}"
     rows = [
         ["licence", facts["license"]],
         ["trained on", facts["data"]],

@@ -51,7 +51,6 @@ COMMANDS = (
     about.doctor,
     measure.evaluate,
     measure.table,
-    measure.figure,
     measure.generate,
     learn.train,
     learn.export,

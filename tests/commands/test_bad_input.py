@@ -152,7 +152,6 @@ REFUSED = {
     "evaluate characters -m npt": "--data",
     "evaluate characters -m npt --data .": "expected",
     "table npt-9": "expected a",
-    "figure npt-1 -o x.png": "expected a",
     "export lost.safetensors -o x.onnx": "lost.safetensors",
     "train nonsense": "nonsense",
     "train npt --config lost.yaml -o x": "lost.yaml",

@@ -1,11 +1,10 @@
-"""The commands evaluate, figure and generate, and transfer with the files that deformation transfer needs."""
+"""The commands evaluate and generate, and transfer with the files that deformation transfer needs."""
 
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from networks import write_network
 from people import person
 
 from mimesh.evaluate.tables import TABLES
@@ -36,11 +35,9 @@ def test_deformation_transfer_takes_its_third_mesh_and_markers(people, more, cal
 
 
 @pytest.mark.slow
-def test_generate_figure_and_evaluate_print_json(files, call):
-    write_network("tiny.onnx")
+def test_generate_and_evaluate_print_json(files, call):
     written = json.loads(call("generate noise -o meshes --pairs 1 --split val --json").out)
     assert written["files"] == len([path for path in Path("meshes").rglob("*") if path.is_file()])
-    assert json.loads(call("figure npt-20 -m tiny.onnx --rows 1 -o f.png --json").out)["rows"] == 1
     figures = json.loads(call("evaluate human-wide -m copy --pairs 1 --dump worst --json").out)
     assert {row["split"] for row in figures["results"]} == {"limits", "clips"}
     assert len(list(Path("worst").glob("copy-*.png"))) == 2

@@ -53,9 +53,8 @@ def test_missing_arguments_are_named_in_one_line_before_the_usage(line, missing,
         ("transfer a b --ouput c", "--output"),
         ("transfer a b --no-prview", "--no-preview"),
         ("table npt1", "npt-1"),
-        ("figure npt6 -o a.png", "npt-6"),
         ("evaluate human-npt -m nptt", "npt"),
-        (COPIED + "-m skelton", "skeleton"),
+        (COPIED + "-m anifomer", "aniformer"),
     ],
 )
 def test_near_names_are_suggested(line, meant, files, call):

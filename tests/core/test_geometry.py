@@ -133,18 +133,6 @@ def test_faces_with_opposite_normals_are_ignored_by_the_closest_point():
     assert np.isinf(geometry.closest_on_mesh(sheet.vertices, sheet.vertices, sheet.faces, normals=-up)[2]).all()
 
 
-def test_near_pairs_are_near_along_edges():
-    """A hairpin: its ends almost touch, and are far apart along edges."""
-    across = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0.05, 0], [1, 0.1, 0], [0, 0.1, 0]])
-    vertices = np.concatenate([across, across + [0, 0, 1]])
-    faces = np.array([t for k in range(4) for t in ((k, k + 1, k + 6), (k, k + 6, k + 5))])
-    pairs = {(int(a), int(b)) for a, b in geometry.near_pairs(vertices, faces, 1.01)}
-    assert (0, 4) not in pairs
-    assert {(0, 1), (1, 2), (2, 3), (3, 4), (0, 5)} <= pairs
-    assert len(geometry.near_pairs(vertices, faces, 0.5)) == 0
-    assert len(geometry.near_pairs(vertices, faces, 99.0)) == 10 * 9 // 2
-
-
 def test_a_rigid_motion_is_found_from_points_of_any_weight():
     rng = np.random.default_rng(0)
     points, turn = rng.normal(size=(9, 3)), random_rotation(rng)

@@ -5,7 +5,6 @@ import pytest
 from people import rigged
 
 from mimesh.bodies import load_body
-from mimesh.bodies.chamfer_fit import BodyParameters, posed_and_pullback, thin_body, to_vector
 from mimesh.bodies.sampled_body import BodyState, PosedBody, SampledBody
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
 from mimesh.core.rig import Rig, descendant_matrix, descendants
@@ -68,18 +67,6 @@ def test_a_packed_mesh_is_the_skinned_points_in_single_precision():
     turned = SkinnedMesh.of(POSED, Rig(ROTATION, POSITIONS, BODY.weights), BODY.parents)
     for mesh, expected in ((skinned, POSED), (skinned.part(chosen), POSED[chosen]), (turned, POSED)):
         np.testing.assert_allclose(mesh.posed(ROTATION, POSITIONS[0]), expected, rtol=0, atol=2e-6)
-
-
-@pytest.mark.parametrize(("scale", "moved"), [(1.0, ROOT), (0.7, np.array([1.0, 2, 3]))])
-def test_body_parameters_give_the_skinned_points_scaled_and_moved(scale, moved):
-    """Interpolating on the surface and skinning cannot be exchanged, but a thinned body has the same joints."""
-    parameters = BodyParameters(scale, moved, SHAPE, ROTVEC)
-    expected = scale * (POSED - ROOT) + moved
-    assert_equal(posed_and_pullback(BODY, to_vector(parameters))[0], expected)
-    assert_equal(parameters.points(BODY), expected)
-    for body in (BODY, thin_body(BODY, 50, len(BODY.components))):
-        assert_equal(parameters.joints(body), scale * (POSITIONS - ROOT) + moved)
-        assert_equal(parameters.rotations(body), ROTATION)
 
 
 def test_a_sampled_body_is_the_skinned_points_for_any_proportions():

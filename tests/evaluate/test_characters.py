@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rigs
 from foreign_names import renamed
 from matrix import matrix
 from pools import BLOCKS, blocks, write_character
@@ -16,7 +17,14 @@ from mimesh.bodies.character_limbs import Limb
 from mimesh.bodies.character_pool import PoolCharacter, read_pool, transferred_transforms
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
-from mimesh.evaluate.characters import Characters, body_pose, characters, find_character_landmarks, pose_character
+from mimesh.evaluate.characters import (
+    Characters,
+    body_pose,
+    characters,
+    cross_body,
+    find_character_landmarks,
+    pose_character,
+)
 from mimesh.evaluate.generate import generate_command
 from mimesh.evaluate.markdown import kind_table, markdown
 from mimesh.evaluate.measure import Output, measure
@@ -188,6 +196,22 @@ def test_pools_without_pairs_are_refused(protocol, tmp_path):
         characters(tmp_path).check("val")
     with pytest.raises(InputError, match="--data"):
         find_protocol("characters")
+
+
+def test_files_of_a_folder_that_share_a_skeleton_are_pairs(tmp_path):
+    for name, kind in (("man0", "cmu"), ("man1", "cmu"), ("zed", "vroid")):
+        rigs.character(tmp_path / f"{name}.glb", shape=len(name), name=renamed(kind))
+    protocol = cross_body(tmp_path)
+    protocol.check("test")
+    pair = protocol.pair("test", "limits", 0)
+    assert {label.rpartition(": ")[2] for label in pair.groups} == {"man0", "man1"}
+    right, wrong = (measure(pair, method) for method in ("truth", "identity"))
+    assert right["pmd_e4"] == 0 < 100 < wrong["pmd_e4"]
+    assert right["limb_deg"] < 5 < wrong["limb_deg"]
+    (tmp_path / "alone").mkdir()
+    rigs.character(tmp_path / "alone" / "zed.glb", name=renamed("vroid"))
+    with pytest.raises(InputError, match="two characters of one skeleton in the split test, found 1 of alone"):
+        cross_body(tmp_path / "alone").check("test")
 
 
 @pytest.mark.slow

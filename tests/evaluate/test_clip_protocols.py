@@ -2,56 +2,40 @@
 
 import dataclasses
 import itertools
-import shutil
 from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from freeze_sets import degrees_to_training, training_poses
-from held_out_files import SHORT
+from freeze_sets import degrees_to_training
 from matrix import matrix
 from networks import write_sequence_network
 from same_pose import assert_same_pose
 
 from mimesh.core.errors import InputError
 from mimesh.evaluate.clip_protocols import (
-    ANIMATED,
-    BOXING_SECONDS,
     CLIPS_ANIFORMER,
     CLIPS_ORDERED,
-    ORDER,
     SEEN,
-    TAKES,
     UNSEEN,
-    clips_aniformer,
-    clips_ordered,
-    is_held_out,
 )
-from mimesh.evaluate.frozen_sets import frozen_sets
-from mimesh.evaluate.measure import extra_inputs, on_supported_vertices, run_on_clip
+from mimesh.evaluate.measure import extra_inputs, in_supported_order, run_on_clip
 from mimesh.evaluate.metrics import pmd, pmd_aligned, resized
 from mimesh.evaluate.pairs import human
-from mimesh.motions import load_motion, resample
+from mimesh.motions import load_motion
 from mimesh.motions.clips import SPLITS
-from mimesh.motions.procedural import spline_motion
 
 STREAMS = ("train", "train/motions", "val", "val/actors", "val/motions", "test", "test/actors", "test/motions")
 KINDS = CLIPS_ANIFORMER.kinds
-EACH_KIND = matrix("kind", KINDS, quick=["held-out", "procedural"])
+EACH_KIND = matrix("kind", KINDS, quick=["unseen", "procedural"])
 
 
 @cache
-def made(protocol, kind, i=0):
+def made(kind, i=0):
     """Trial `i` of `test` in the order of the body, and as methods get it (`Protocol.pair`)."""
-    rng = protocol.rng("test", kind, i)
-    plain = protocol.unshuffled_pair("test", kind, i, rng)
+    rng = CLIPS_ANIFORMER.rng("test", kind, i)
+    plain = CLIPS_ANIFORMER.unshuffled_pair("test", kind, i, rng)
     return plain, plain.shuffled(rng)
-
-
-@pytest.fixture(scope="module")
-def protocol(motions):
-    return clips_aniformer(motions)
 
 
 def test_protocol_has_the_numbers_of_the_paper():
@@ -59,10 +43,9 @@ def test_protocol_has_the_numbers_of_the_paper():
     assert len({motion.name for motion in CLIPS_ANIFORMER.seen(human())}) == 80
     assert CLIPS_ANIFORMER.train_motions(human()).shape == (80, 30, 31, 3, 3)
     assert CLIPS_ANIFORMER.train_people(human()).shape == (16, 16)
-    assert KINDS == ("seen", "held-out", "procedural")
-    assert [CLIPS_ANIFORMER.count(kind) for kind in KINDS] == [24, 30, 20]
-    assert [CLIPS_ANIFORMER.count(kind, 80) for kind in KINDS] == [80, 30, 20]
-    assert [CLIPS_ANIFORMER.count(kind, 80, "val") for kind in KINDS] == [80, 20, 20]
+    assert KINDS == ("seen", "unseen", "procedural")
+    assert [CLIPS_ANIFORMER.count(kind) for kind in KINDS] == [24, 20, 20]
+    assert [CLIPS_ANIFORMER.count(kind, 80) for kind in KINDS] == [80, 20, 20]
     assert [CLIPS_ANIFORMER.count(kind, 3) for kind in KINDS] == [3, 3, 3]
     # Seen trials use every motion once, and begin with all sources.
     names = [CLIPS_ANIFORMER.motion("test", "seen", i).name for i in range(80)]
@@ -98,9 +81,8 @@ def test_seconds_are_disjoint_windows_of_the_training_takes():
         used |= frames
 
 
-def test_motions_that_checkpoints_are_chosen_by_are_later_seconds_and_need_no_folder():
+def test_motions_that_checkpoints_are_chosen_by_are_later_seconds():
     """They follow the training windows, and are no neighbours of the motions of the table but for walks."""
-    assert CLIPS_ANIFORMER.validation_kinds == ("seen", "unseen", "procedural")
     seen = np.concatenate([motion.rotmat for motion in CLIPS_ANIFORMER.seen(human())])
     motions = [CLIPS_ANIFORMER.motion("val", "unseen", i) for i in range(14)]
     assert len({motion.name for motion in motions}) == 14
@@ -114,79 +96,11 @@ def test_motions_that_checkpoints_are_chosen_by_are_later_seconds_and_need_no_fo
     assert degrees_to_training(np.concatenate(splines), seen).min() > 3
 
 
-@pytest.mark.slow
-def test_held_out_motions_are_the_middle_second_of_whole_clips(protocol):
-    clips = [clip for clips in ANIMATED.values() for clip in clips]
-    assert sorted(TAKES[k][1] for k in ORDER) == sorted([*clips, *map(str, BOXING_SECONDS)])
-    motions = [protocol.motion("test", "held-out", i) for i in range(6)]
-    assert [motion.name.startswith("boxing@") for motion in motions] == [False, False, True] * 2
-    assert {(len(motion), motion.fps) for motion in motions} == {(30, 30.0)}
-
-
-def test_held_out_motions_are_those_of_the_files(protocol):
-    """The files hold generated motions; their rotations come back, from the middle of each clip."""
-    names = [TAKES[k][1] for k in ORDER]
-    source = spline_motion(human(), 8, 0, seconds=1.5, fps=30.0)
-    assert rotation_error(protocol.motion("test", "held-out", names.index("Walking_A")), source.rotmat[7:37]) < 0.5
-    short = spline_motion(human(), 8, list(ANIMATED["Med_MovementBasic.glb"]).index(SHORT), seconds=0.7, fps=30.0)
-    slowed = protocol.motion("test", "held-out", names.index(SHORT))
-    assert rotation_error(slowed, short.rotmat[[0, -1]], [0, -1]) < 0.5
-    boxing = resample(spline_motion(human(), 7, 0, seconds=20.1, fps=10.0), 30.0)
-    assert rotation_error(protocol.motion("test", "held-out", names.index("4")), boxing.rotmat[120:150]) < 0.5
-
-
-def rotation_error(motion, expected, frames=slice(None)):
-    """Largest angle (degrees) of the limbs and the trunk from the expected rotations; the heading begins at 0."""
-    joints = [human().joint(side + name) for side in ("Left", "Right") for name in ("UpLeg", "Leg", "Arm", "ForeArm")]
-    trace = np.einsum("tjab,tjab->tj", motion.rotmat[frames][:, joints], expected[:, joints])
-    return np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1))).max()
-
-
-def test_training_can_leave_out_held_out_clips_and_their_variants():
-    assert all(is_held_out(f"Rig_Medium|{clip}") for clips in ANIMATED.values() for clip in clips)
-    assert all(map(is_held_out, ("Jump_Land", "Running_Strafe_Right", "Ranged_Bow_Draw_Up", "Skeletons_Walking")))
-    assert not any(map(is_held_out, ("Rig_Medium|Crawling", "Melee_2H_Attack_Chop", "Ranged_Magic_Raise")))
-
-
-def test_stored_distances_of_held_out_motions_are_those_of_other_takes():
-    """The nearest training frame of a held-out frame is further than any of 19 in 20 pairs of neighbouring frames."""
-    stored = {key[1:]: entry.degrees_to_training for key, entry in frozen_sets().items() if key[0] == "clips-aniformer"}
-    bank = training_poses()
-    step = [degrees_to_training(bank[t : t + 1], bank[t + 1 : t + 2])[0] for t in range(0, 400, 10)]
-    neighbours = float(np.median(step))
-    assert 1 < neighbours < 2.5
-    assert stored["test", "seen"] == (0, 0)
-    assert stored["test", "held-out"][0] > 3 * neighbours
-    assert stored["test", "held-out"][1] > 10
-
-
-def test_missing_data_are_reported_before_measuring(motions, tmp_path):
-    CLIPS_ANIFORMER.check("val")
-    with pytest.raises(InputError, match="held-out motions: expected a folder, found none"):
-        CLIPS_ANIFORMER.check("test")
-    with pytest.raises(InputError, match="expected val or test"):
-        CLIPS_ANIFORMER.check("train")
-    protocol = clips_aniformer(tmp_path)
-    (tmp_path / "some").mkdir()
-    message = r"found no Boxing_Toes\.bvh and 6 others; .* Debian package assimp-testmodels"
-    with pytest.raises(InputError, match=message):
-        protocol.check("test")
-    shutil.copytree(motions, tmp_path / "some" / "takes")
-    protocol.check("test")
-
-
-def test_first_trial_of_files_is_as_published(protocol):
-    """By the sums over the coordinates of truth and driving clip (metres), for the files written here."""
-    trial = made(protocol, "held-out")[1]
-    sums = [np.abs(trial.truth_frames).sum(), np.abs(trial.clip.vertices).sum()]
-    assert np.allclose(sums, (326174.474971, 315359.066483), rtol=1e-7), sums
-
-
 @EACH_KIND
-def test_frames_of_the_truth_have_the_vertex_order_of_the_identity(protocol, kind):
+def test_frames_of_the_truth_have_the_vertex_order_of_the_identity(kind):
     """In every frame: `copy` is wrong by the body shape only, a wrong vertex order by far more; the fields of a pair
     are those of the first frame."""
-    trial = made(protocol, kind)[1]
+    trial = made(kind)[1]
     assert trial.truth_frames.shape == trial.clip.vertices.shape == trial.aligned_frames.shape == (30, 6890, 3)
     assert trial.clip.fps == 30
     rest = trial.identity.vertices
@@ -216,9 +130,9 @@ def edge_lengths(vertices, trial):
 
 
 @EACH_KIND
-def test_truth_is_the_identity_in_the_driving_motion(protocol, kind):
+def test_truth_is_the_identity_in_the_driving_motion(kind):
     """Every limb of every frame has rotated from the identity as the driving person's; another frame does not pass."""
-    trial, other = (made(protocol, kind, i)[0] for i in range(2))
+    trial, other = (made(kind, i)[0] for i in range(2))
 
     def check(truth, t):
         assert_same_pose((trial.identity.vertices, truth), (trial.reference, trial.clip.vertices[t]))
@@ -230,24 +144,19 @@ def test_truth_is_the_identity_in_the_driving_motion(protocol, kind):
             check(foreign, 10)
 
 
-@pytest.fixture(scope="module")
-def with_files(motions):
-    return clips_ordered(motions)
-
-
 def test_ordered_protocol_has_the_numbers_of_the_paper():
-    assert CLIPS_ORDERED.kinds == CLIPS_ORDERED.validation_kinds == ("seen", "unseen")
+    assert CLIPS_ORDERED.kinds == ("seen", "unseen")
     assert [CLIPS_ORDERED.count(kind, 80) for kind in CLIPS_ORDERED.kinds] == [80, UNSEEN]
     for kind, count in (("seen", 80), ("unseen", UNSEEN)):
         assert len({CLIPS_ORDERED.motion("test", kind, i).name for i in range(count)}) == count
 
 
 @matrix("split", ["val", "test"], quick=["val"])
-def test_vertex_i_of_driving_and_identity_is_the_same_point(with_files, split):
+def test_vertex_i_of_driving_and_identity_is_the_same_point(split):
     """Copying by index is wrong by the body shape only, copying in another order by far more."""
     rng = np.random.default_rng(0)
-    for kind in with_files.kinds:
-        trial = with_files.pair(split, kind, 1)
+    for kind in CLIPS_ORDERED.kinds:
+        trial = CLIPS_ORDERED.pair(split, kind, 1)
         np.testing.assert_array_equal(trial.identity.faces, trial.clip.mesh.faces)
         np.testing.assert_allclose(trial.clip.vertices, trial.aligned_frames, atol=1e-6)
         assert not np.array_equal(trial.identity.faces, human().faces)
@@ -294,14 +203,11 @@ def test_seconds_of_training_val_and_test_are_disjoint():
         assert all(any(name == take and 30 * a <= t < 30 * b for name, a, b in SPLITS[split]) for take, t in taken)
 
 
-def test_files_are_needed_for_held_out_motions_alone(tmp_path):
-    CLIPS_ORDERED.check("val")
-    CLIPS_ORDERED.check("test")
-    with pytest.raises(InputError, match="without trials"):
-        CLIPS_ORDERED.check("train")
-    clips_ordered(tmp_path).check("val")
-    with pytest.raises(InputError, match="expected the files of the held-out motions"):
-        clips_ordered(tmp_path).check("test")
+def test_a_split_without_trials_is_refused():
+    for protocol in (CLIPS_ANIFORMER, CLIPS_ORDERED):
+        protocol.check("test")
+        with pytest.raises(InputError, match="without trials"):
+            protocol.check("train")
 
 
 def test_networks_that_pair_by_index_are_measured_here_and_refused_where_vertices_are_shuffled(tmp_path):
@@ -323,7 +229,7 @@ def test_networks_that_pair_by_index_are_measured_here_and_refused_where_vertice
 def test_a_network_with_weights_for_each_vertex_gets_the_order_of_the_body(monkeypatch):
     trial = CLIPS_ORDERED.pair("val", "seen", 1)
     monkeypatch.setattr("mimesh.evaluate.measure.find_model", lambda method: SimpleNamespace(vertices=6890))
-    ordered = on_supported_vertices(trial, "any.onnx")
+    ordered = in_supported_order(trial, "any.onnx")
     plain = CLIPS_ORDERED.unshuffled_pair("val", "seen", 1, CLIPS_ORDERED.rng("val", "seen", 1))
     for field in ("truth_frames", "aligned_frames"):
         np.testing.assert_array_equal(getattr(ordered, field), getattr(plain, field))

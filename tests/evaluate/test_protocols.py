@@ -17,7 +17,6 @@ from mimesh.evaluate.pairs import human
 from mimesh.evaluate.protocols import (
     CONTACT,
     CROSS_TOPOLOGY,
-    DRESSED,
     HUMAN_NPT,
     NOISE,
     PROTOCOLS,
@@ -73,8 +72,8 @@ def test_truth_and_extra_inputs_are_aligned(protocol, kind):
     if pair.aligned_reference is not None:
         around = np.linalg.norm(pair.aligned_reference[identity] - pair.reference[driving], axis=1)
         assert np.median(around) < 0.05
-    own_vertices = protocol not in (CROSS_TOPOLOGY, NOISE, DRESSED) or kind.startswith("noise-") or kind == "both"
-    assert (pair.aligned_reference is not None) == own_vertices or kind == "both"
+    own_vertices = protocol not in (CROSS_TOPOLOGY, NOISE) or kind.startswith("noise-")
+    assert (pair.aligned_reference is not None) == own_vertices
     if len(pair.driving.faces) and not kind.startswith("noise-"):
         old, new = (edge_lengths(vertices, pair.driving.faces) for vertices in (pair.reference, pair.driving.vertices))
         assert np.median(np.abs(new / old - 1)) < 0.05

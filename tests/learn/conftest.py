@@ -89,7 +89,7 @@ def tiny_exports(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def read_back(exported):
-    """Load an exported network from its file, once: for mime the exporter runs a second time."""
+    """Load an exported network from its file, once."""
     from mimesh.learn.export import load_exported
 
     return cache(lambda network: load_exported(exported(network)[2]))

@@ -8,7 +8,6 @@ import torch
 from animals import BODY, FEET, LEGS, animal, bones, random_turns, write_pool_animal
 from pools import write_character
 from rigs import character
-from trainings import edge_lengths
 
 from mimesh.bodies.character_limbs import SIDES
 from mimesh.bodies.character_pool import read_pool
@@ -22,11 +21,8 @@ from mimesh.learn.data.characters import (
     body_spread,
 )
 from mimesh.learn.data.endless import pose_sources
-from mimesh.learn.data.figures import CharacterPairSource
-from mimesh.learn.npt import NPTData
 from mimesh.learn.start import train_command
 
-CPU = torch.device("cpu")
 TINY = ["data.body=quadruped", "data.characters=0.5", "pairs=16", "batch=8", "validate_every=1000"]
 TINY += ["validation_pairs=1", "compile=false", "data.vertices=32", "model.width=32", "precision=fp32"]
 
@@ -134,18 +130,6 @@ def test_poses_of_training_animals_are_those_of_animals():
     lowered = BODY.posed(np.zeros(1), rotvec_to_rotmat(sources.resting))
     head = BODY.weights[:, BODY.joint("Head")] > 0.5
     assert lowered[head, 1].mean() < BODY.vertices[head, 1].mean() - 0.1
-
-
-@pytest.mark.slow
-def test_npt_takes_rigged_animals_beside_the_shipped_quadruped(folder):
-    config = NPTData("wide", 64, "identity", characters=0.5, body="quadruped")
-    source = CharacterPairSource(config, BODY, CPU, 0, TrainingCharacters.read(folder, BODY))
-    batch = source.batch(12, 0)
-    for mesh in (batch.identity, batch.driving, batch.truth):
-        assert mesh.shape == (12, 64, 3)
-        assert torch.isfinite(mesh).all()
-    before, after = (edge_lengths(mesh, batch.edges) for mesh in (batch.identity, batch.truth))
-    assert ((after / before - 1).abs().median(dim=1).values < 0.1).all()
 
 
 @pytest.mark.slow

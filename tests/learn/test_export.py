@@ -1,5 +1,6 @@
 """ONNX gives what torch gives, at any vertex count; cards say how a network was trained."""
 
+import copy
 import dataclasses
 import json
 from pathlib import Path
@@ -14,7 +15,7 @@ import mimesh
 from mimesh.core.errors import InputError
 from mimesh.learn.config import load_config, recorded_config
 from mimesh.learn.cost import operations_of
-from mimesh.learn.export import export_command
+from mimesh.learn.export import SMALLEST, export_command
 from mimesh.learn.mime import POINTS
 from mimesh.methods.onnx_runtime import import_onnxruntime
 
@@ -40,8 +41,11 @@ def test_exported_npt_gives_what_torch_gives_and_its_card_says_how_it_was_traine
 
 @pytest.mark.slow
 @torch.no_grad()
-def test_mime_exports_joints_and_weights(exported, read_back):
-    path, (model, _) = exported("mime")[2], read_back("mime")
+def test_mime_exports_joints_and_weights(exported):
+    model, _, path = exported("mime")
+    model = copy.deepcopy(model)
+    for weight in model.parameters():
+        weight.data = weight.half().float() if weight.numel() >= SMALLEST else weight
     session = import_onnxruntime().InferenceSession(path)
     for count in (1, 40, 700):
         points, normals = torch.nn.functional.normalize(torch.randn(2, 1, POINTS, 3), dim=-1)
@@ -78,10 +82,6 @@ def test_cards_have_the_arithmetic_of_their_training(path):
         total += operations_with(config, vertices, last - change["after_pairs"])
         last, vertices = change["after_pairs"], change["was"]["data.vertices"]
     pairs = last + sum(stage["pairs"] for stage in card.get("before", []))
-    if config.minutes and config.doublings:  # how many pairs there were after each depends on the machine
-        most = operations_with(config, vertices << len(config.doublings), pairs)
-        assert operations_with(config, vertices, pairs) < 1e15 * card["pflop"] < most
-        return
     assert card["pflop"] == pytest.approx((total + operations_with(config, vertices, pairs)) / 1e15, rel=0.01)
 
 

@@ -15,7 +15,7 @@ from mimesh.learn.config import load_config
 from mimesh.learn.data.bodies import posed_joints, skinned
 from mimesh.learn.data.characters import TrainingCharacters
 from mimesh.learn.data.figures import FigureSampler
-from mimesh.learn.data.surfaces import repeat_visible, scanned
+from mimesh.learn.data.surfaces import repeat_visible
 from mimesh.learn.data.user_data import read_user_data
 from mimesh.learn.mime import MimeData, SurfaceSource, mime_loss
 from mimesh.learn.start import new_config, no_bar, train_command
@@ -158,9 +158,9 @@ def test_a_training_on_characters_says_whose_they_are_and_resumes_with_the_same(
     same = resume((), pool)
     assert (same.config, same.changes) == (before.config, ())
     assert same.step > before.step
-    state = resume(["data.low_poly=0.5", "data.scans=0.25"], pool, clips)
-    assert (state.config.data.low_poly, state.config.data.scans) == (0.5, 0.25)
-    assert [set(change) for change in state.changes] == [{"after_pairs", "data.low_poly", "data.scans", "clips", "was"}]
+    state = resume(["data.low_poly=0.5"], pool, clips)
+    assert state.config.data.low_poly == 0.5
+    assert [set(change) for change in state.changes] == [{"after_pairs", "data.low_poly", "clips", "was"}]
     assert state.characters["sha256"] == before.characters["sha256"]
     assert list(state.characters["clips"]["makers"].values()) == [1]
     for changes, brought, message in (
@@ -209,16 +209,7 @@ def test_low_poly_people_have_few_normals():
     assert counts[0] < 250 < counts[1] < counts[2]
 
 
-def test_a_scan_shows_what_is_in_front():
-    count = 300
-    wall = torch.rand(1, count, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 1.0, 0.0])
-    facing = torch.tensor([0.0, 0.0, 1.0]).expand(1, count, 3)
-    points = torch.cat([wall, wall - torch.tensor([0, 0, 0.6])], 1)  # a wall behind a wall, both facing +z
-    normals = torch.cat([facing, facing], 1)
-    seen = [scanned(points, normals, torch.Generator().manual_seed(k))[0] for k in range(40)]
-    behind = torch.stack([(scan[0, :, 2] < -0.3).float().mean() for scan in seen])
-    assert behind.min() < 0.05  # from the front; from behind the whole surface is given
-    assert behind.max() < 0.6
+def test_what_is_visible_is_repeated():
     hidden = torch.zeros(1, 5, dtype=torch.bool)
     hidden[0, :3] = True
     assert repeat_visible(hidden)[0].tolist() == [3, 4, 3, 4, 3]

@@ -13,17 +13,15 @@ import onnx
 import pytest
 import torch
 from networks import infer_onnx
-from paper_networks import NPT_PARAMETERS, aniformer, aniformer_shapes, npt, npt_shapes, random_state
+from paper_networks import NPT_PARAMETERS, npt, npt_shapes, random_state
 
 from mimesh.__main__ import run
 from mimesh.core.errors import InputError
-from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.mesh import Mesh
 from mimesh.io import save_mesh
 from mimesh.learn.published_weights import load_published, read_state
-from mimesh.methods.find import find_model
 
 VERTICES = 60
-"""Of a small AniFormer: the arrays that hold a number for each vertex."""
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +66,7 @@ def test_imported_network_gives_what_the_reference_gives_and_says_what_it_is(imp
     assert (card["imported"]["kind"], card["imported"]["file"]) == ("npt", "original_169.model")
     assert (card["parameters"], card["config"]["model"]["output"]) == (NPT_PARAMETERS, "2tanh")
     assert len(card["imported"]["sha256"]) == 64
-    facts = {"vertices": 0, "bytes": imported.stat().st_size, "kind": "npt", "parameters": NPT_PARAMETERS, "unused": []}
+    facts = {"bytes": imported.stat().st_size, "kind": "npt", "parameters": NPT_PARAMETERS}
     assert json.loads(imported.with_name("printed.json").read_text()) == {"output": str(imported), **facts}
 
 
@@ -113,8 +111,6 @@ def test_what_training_scripts_put_around_the_weights_is_removed(wrap, state, tm
         ({"decoder.conv2.bias": torch.zeros(1).expand(513)}, "another value under 'decoder.conv2.bias'"),
         ({"decoder.conv2.bias": torch.zeros(513).to_sparse()}, "another value under 'decoder.conv2.bias'"),
         ({"decoder.conv2.bias": "text"}, "another value under 'decoder.conv2.bias'"),
-        ({"decoder.spadain_block1.conv1.weight": None}, "expected the weights of NPT or AniFormer"),
-        ({"Temporal_pos_embed": torch.zeros(1024, 40)}, "frames .* found 1024 x 40"),
     ],
 )
 def test_other_tensors_are_refused_by_name(change, message, state, tmp_path):
@@ -192,57 +188,3 @@ def test_damaged_weights_are_refused_or_read(tmp_path):
 def test_arguments_are_checked_before_anything_is_read(options, message, capsys):
     assert run(["import-checkpoint", *options]) == 2
     assert re.search(message, capsys.readouterr().err)
-
-
-@pytest.fixture(scope="module")
-def sequence_state():
-    return random_state(aniformer_shapes(2, VERTICES))
-
-
-@pytest.fixture(scope="module")
-def imported_sequence(sequence_state, tmp_path_factory) -> Path:
-    """AniFormer for two frames of a small mesh: its weights are otherwise of the published width."""
-    path = tmp_path_factory.mktemp("aniformer") / "weights.model"
-    torch.save(sequence_state, path)
-    with contextlib.redirect_stdout(io.StringIO()) as printed:
-        assert run(["import-checkpoint", str(path), "-o", str(path.with_name("authors.onnx"))]) == 0
-    path.with_name("printed.txt").write_text(printed.getvalue())
-    return path.with_name("authors.onnx")
-
-
-@pytest.mark.slow
-def test_imported_aniformer_takes_meshes_of_its_vertices_in_their_order(imported_sequence, sequence_state):
-    method = find_model(str(imported_sequence))
-    identity = person(0, VERTICES)
-    scaled = identity.with_vertices(identity.vertices / np.linalg.norm(identity.vertices, axis=1).max())
-    frames = np.stack([person(seed, VERTICES).vertices for seed in (1, 2)])
-    clip = Clip(person(1, VERTICES), frames, 30.0)
-    found = np.stack(list(method.prepare(scaled, clip)(iter(frames))))
-    given = torch.from_numpy(np.stack([frame / np.linalg.norm(frame, axis=1).max() for frame in frames]))
-    expected = aniformer(
-        {name: tensor.double() for name, tensor in sequence_state.items()},
-        torch.from_numpy(scaled.vertices)[None],
-        given[None],
-        public=True,
-    )[0].numpy()
-    middle = (expected.min(axis=1, keepdims=True) + expected.max(axis=1, keepdims=True)) / 2
-    moved = (found.min(axis=1, keepdims=True) + found.max(axis=1, keepdims=True)) / 2
-    assert np.abs((found - moved) - (expected - middle)).max() < 1e-4
-    for identity, driving in ((person(0), clip), (scaled, Clip.still(person(1)))):
-        with pytest.raises(InputError, match=f"the {VERTICES} vertices that authors was trained on"):
-            method.prepare(identity, driving)
-
-
-@pytest.mark.slow
-def test_aniformer_says_what_is_left_out_and_what_it_needs(imported_sequence, tmp_path, capsys):
-    printed = imported_sequence.with_name("printed.txt").read_text()
-    assert "aniformer, 12,1" in printed
-    assert "6 tensors that the public code never uses were left out" in printed
-    assert f"every mesh needs the {VERTICES} vertices of the training, in their order" in printed
-    assert "next: mimesh animate IDENTITY DRIVING" in printed
-    weights = imported_sequence.with_name("weights.model")
-    assert run(["import-checkpoint", str(weights), "-o", str(tmp_path / "out.onnx"), "--maxpool"]) == 2
-    assert "expected weights of NPT with --maxpool" in capsys.readouterr().err
-    card = json.loads(imported_sequence.with_suffix(".json").read_text())
-    assert card["imported"]["unused"] == [f"decoder.norm{i}.{end}" for i in (1, 2, 3) for end in ("bias", "weight")]
-    assert card["config"]["model"]["vertices"] == VERTICES

@@ -3,9 +3,7 @@
 import pytest
 import torch
 
-from mimesh.evaluate.clip_protocols import on_template
 from mimesh.learn.aniformer import AniFormerConfig, AniFormerData, AniFormerTrainConfig
-from mimesh.learn.limp import LIMPData, LIMPTrainConfig
 from mimesh.learn.models import find_task
 from mimesh.learn.npt import NPTData, NPTTrainConfig
 from mimesh.learn.validation import Validation, to_unit_sphere
@@ -13,7 +11,6 @@ from mimesh.learn.validation import Validation, to_unit_sphere
 OPTIONS = ("clips80", 2100)
 CONFIGS = {
     "npt": NPTTrainConfig(data=NPTData(*OPTIONS), validation_pairs=1),
-    "limp": LIMPTrainConfig(data=LIMPData(*OPTIONS), validation_pairs=1),
     "aniformer": AniFormerTrainConfig(data=AniFormerData(*OPTIONS), validation_pairs=1),
     "regression": AniFormerTrainConfig(
         data=AniFormerData(*OPTIONS), validation_pairs=1, model=AniFormerConfig(head="regression")
@@ -27,23 +24,16 @@ def test_each_frame_is_compared_with_its_own_truth(network, monkeypatch):
     config = CONFIGS[network]
     task = find_task(config.network)(config, torch.device("cpu"))
     trial = Validation(task).trial("unseen", 0)
-    used = on_template(trial) if network == "limp" else trial
     first = (len(trial.clip) - 3) // 2
     model = task.make_model()
-
-    def radius_of(vertices):
-        return to_unit_sphere(vertices.astype(float), task.device)[1]
 
     def in_unit_spheres(frames, start):
         return torch.stack([to_unit_sphere(v.astype(float), task.device)[0] for v in frames[start : start + 3]])
 
     def truth_of(late):
         def forward(identity, driving):
-            assert torch.equal(driving.view(3, -1, 3), in_unit_spheres(used.clip.vertices, first))
-            answer = in_unit_spheres(used.truth_frames, first - late)
-            if network == "limp":  # keeps lengths: its results are in the identity's unit
-                sizes = [radius_of(v) for v in used.truth_frames[first - late : first - late + 3]]
-                answer = answer * torch.tensor(sizes)[:, None, None] / radius_of(used.identity.vertices)
+            assert torch.equal(driving.view(3, -1, 3), in_unit_spheres(trial.clip.vertices, first))
+            answer = in_unit_spheres(trial.truth_frames, first - late)
             return {"aniformer": answer[None], "regression": answer[None, 1:2]}.get(network, answer)
 
         return forward

@@ -18,21 +18,17 @@ from mimesh.methods.base import Method
 from mimesh.methods.find import find_model
 from mimesh.pipeline import animate, transfer
 
-pytestmark = pytest.mark.usefixtures("quick_fits")
-
 IDENTITY = person(0)
 SAME_COUNT = person(1, pose=0)
 FEWER, MORE = person(1, pose=1, faces=600), person(2, pose=2, faces=1500)
 FAST = ("copy", "per_vertex", "global_max", "truth", "sequence", "mime")
-SLOW = ("skeleton", "deformation-transfer")
+SLOW = ("deformation-transfer",)
 """Methods that take seconds a mesh."""
 WINDOW = 3
 """Frames in a window of the sequence network, which it reads before it yields the first result."""
 
 
-@pytest.fixture(
-    scope="module", params=[*FAST, "deformation-transfer", pytest.param("skeleton", marks=pytest.mark.slow)]
-)
+@pytest.fixture(scope="module", params=[*FAST, *SLOW])
 def model(request, tmp_path_factory):
     if request.param in ("copy", *SLOW):
         return request.param

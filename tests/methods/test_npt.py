@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from networks import write_network, write_sequence_network
+from networks import write_network
 from people import person, split_everywhere, walk
 from zoo import point_cloud, two_parts
 
@@ -145,10 +145,9 @@ class Recorder:
         return self.session.run(names, inputs)
 
 
-@pytest.mark.parametrize("write", [write_network, write_sequence_network])
-def test_a_network_of_metres_gets_both_meshes_in_metres(tmp_path, write):
+def test_a_network_of_metres_gets_both_meshes_in_metres(tmp_path):
     """Its input is each mesh of the files, centred on its box; the result is in metres too, whatever the size."""
-    method = find_model(str(write(tmp_path / "metres.onnx", target_scale="metres")))
+    method = find_model(str(write_network(tmp_path / "metres.onnx", target_scale="metres")))
     recorder = Recorder(method.session)
     tall = person(0).with_vertices(1.25 * person(0).vertices + [3.0, 2.0, 1.0])
     result = transfer(
@@ -182,9 +181,8 @@ def test_a_network_of_metres_is_measured_in_metres(tmp_path):
     assert "trained on its authors' meshes" in json.dumps(figures)
 
 
-@pytest.mark.parametrize("write", [write_network, write_sequence_network])
-def test_a_network_of_metres_refuses_other_units(tmp_path, write):
-    method = find_model(str(write(tmp_path / "metres.onnx", target_scale="metres")))
+def test_a_network_of_metres_refuses_other_units(tmp_path):
+    method = find_model(str(write_network(tmp_path / "metres.onnx", target_scale="metres")))
     large = person(0).with_vertices(100 * person(0).vertices)
     with pytest.raises(InputError, match=r"expected a mesh in metres.* radius of 0\.2 to 2\.5, found [\d.]+; scale"):
         transfer(large, person(1, 0), method)

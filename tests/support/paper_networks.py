@@ -49,6 +49,24 @@ def npt_shapes() -> dict[str, tuple[int, ...]]:
     return shapes | convolution_shapes("decoder.conv4", 256, 3)  # row 16
 
 
+def aniformer_names() -> dict[str, str]:
+    """Published names of AniFormer's tensors -> those of `mimesh.learn.aniformer`; without `decoder.norm*`."""
+    parts = {f"encoder.conv{i + 1}": f"encoder.{i}" for i in range(3)} | {"decoder.conv5": "head"}
+    names = {"Temporal_pos_embed": "embedding"}
+    for i in range(4):
+        attention, block, ours = f"decoder.att_block{i + 1}", f"decoder.spadain_block{i + 1}", f"layers.{i}"
+        parts |= {f"decoder.conv{i + 1}": f"{ours}.conv"}
+        parts |= {f"{attention}.{name}_conv": f"{ours}.vertices.{name}" for name in ("query", "key", "value")}
+        names[f"{attention}.gamma"] = f"{ours}.vertices.gamma"
+        for (spadain, conv), unit in zip(UNITS, ("first", "second", "shortcut"), strict=True):
+            parts[f"{block}.{spadain}.conv_weight"] = f"{ours}.block.{unit}.norm.scale"
+            parts[f"{block}.{spadain}.conv_bias"] = f"{ours}.block.{unit}.norm.shift"
+            parts[f"{block}.{conv}"] = f"{ours}.block.{unit}.conv"
+    for i in range(3):
+        names |= {f"encoder.norm{i + 1}.weight": f"affine.{i}.scale", f"encoder.norm{i + 1}.bias": f"affine.{i}.shift"}
+    return names | {f"{name}.{end}": f"{ours}.{end}" for name, ours in parts.items() for end in ("weight", "bias")}
+
+
 def aniformer_shapes(frames: int = 3, vertices: int = 6890) -> dict[str, tuple[int, ...]]:
     """Names and shapes of the published weights of AniFormer; `decoder.norm*` have no part in its output."""
     shapes = {"Temporal_pos_embed": (1, frames, 1024, vertices)}

@@ -14,7 +14,6 @@ from people import decimation
 from mimesh.bodies import load_body
 from mimesh.bodies.hands import body_with_fingers
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
-from mimesh.evaluate.fingers import with_gesture
 
 FRAMES = 6
 """Number of frames of the clip of a character."""
@@ -85,7 +84,9 @@ def write_character(
     ]
     # World transforms from rest in the frames of the clip, of a body of this shape and size.
     rotmat = np.stack([rotvec_to_rotmat(sample_pose(load_body(), 3, t)) for t in range(FRAMES)])
-    rotmat = np.stack([with_gesture(pose, None) for pose in rotmat]) if fingers else rotmat
+    if fingers:  # which are at rest
+        named = [load_body().joint(name) for name in body.joint_names[:-30]]
+        rotmat = np.concatenate([rotmat[:, named], np.tile(np.eye(3), (FRAMES, 30, 1, 1))], axis=1)
     rotation, translation = body.skinning_transforms(joints / size, rotmat)
     moves = np.tile(np.eye(4), (FRAMES, len(names), 1, 1))
     path = np.arange(FRAMES)[:, None, None] * np.array([0.1, 0.02, 0.2])

@@ -62,14 +62,13 @@ def models(json: Json = False) -> None:
 DESCRIPTIONS = {
     "copy": "the driving vertices themselves: no transfer, for comparison",
     "deformation-transfer": "Sumner and Popovic 2004; needs --reference, and --markers where topologies differ",
-    "skeleton": "fits the shipped body to both meshes and skins the identity to its bones; slow",
     "mime": "ours, the default: predicts the joints of both meshes, fits a body to each, and skins the identity;\n"
     "people, and four-legged animals by a second network, mime-quadruped",
     "npt": "Neural Pose Transfer, trained on generated people and poses",
     "npt-maxpool": "its variant with one pose code for the whole driving mesh, of any vertex count",
     "aniformer": "AniFormer: three frames at once, trained on generated people and motions",
 }
-FIGURES = {"seen": "poses of the papers' tables", "unseen": "new poses", "held-out": "held-out motions"}
+FIGURES = {"seen": "poses of the papers' tables", "unseen": "new poses"}
 """Kind of pair -> label of its error. Shipped networks have not seen the poses of the papers' tables either."""
 MISSING = "its weights are missing here; install mimesh again"
 

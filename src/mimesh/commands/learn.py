@@ -15,9 +15,9 @@ from .terminal import Json, print_json, print_next, progress, require
 
 @with_options
 def train(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, hands, npt, aniformer or limp.")],
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, hands, npt or aniformer.")],
     config: Annotated[
-        str, typer.Option(help="small, table, gpu, full or paper, if MODEL has it, or the path of a YAML file.")
+        str, typer.Option(help="small, table, gpu or paper, if MODEL has it, or the path of a YAML file.")
     ] = "small",
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder for checkpoints and logs.")] = None,
     resume: Annotated[Path | None, typer.Option(help="Folder of a training to continue exactly.")] = None,
@@ -40,7 +40,6 @@ def train(
     """
     require("train", "torch", "yaml", "safetensors", "tensorboard")
     with progress("starting", json):  # PyTorch takes seconds to load
-        from ..learn.processes import is_first_process
         from ..learn.start import train_command
 
     folder = train_command(
@@ -54,8 +53,6 @@ def train(
         brought,
         lambda title: progress(title, json),
     )
-    if not is_first_process():
-        return
     last, best = folder / "last.safetensors", folder / "best.safetensors"
     validated = best.exists()  # not where the time was over before the first validation
     if json:
@@ -88,9 +85,7 @@ def export(
 
 
 def import_checkpoint(
-    weights: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Weights that NPT's or AniFormer's public code saved: .model, .pt.")
-    ],
+    weights: Annotated[Path, typer.Argument(metavar="FILE", help="Weights that NPT's public code saved: .model, .pt.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The .onnx file to write.")],
     maxpool: Annotated[
         bool, typer.Option("--maxpool", help="They are of NPT's max-pool variant, whose weights look the same.")
@@ -98,7 +93,7 @@ def import_checkpoint(
     bits: Annotated[int, typer.Option(help="Bits a weight is stored in: 32, 16 or 8.")] = 32,
     json: Json = False,
 ) -> None:
-    """Turn weights of the papers' public code into an .onnx file that -m takes.
+    """Turn weights of NPT's public code into an .onnx file that -m takes.
 
     Needs the [train] extra; reads tensors only and runs nothing of the file; writes a card (.json) beside it.
     """
@@ -106,16 +101,12 @@ def import_checkpoint(
     from ..learn.published_weights import import_command
 
     card = import_command(weights, output, maxpool, bits)
-    imported, vertices = card["imported"], card["config"]["model"].get("vertices", 0)
+    kind = card["imported"]["kind"]
     if json:
-        facts = {"kind": imported["kind"], "parameters": card["parameters"], "unused": imported["unused"]}
-        print_json({"output": str(output), "vertices": vertices, "bytes": output.stat().st_size, **facts})
+        facts = {"kind": kind, "parameters": card["parameters"]}
+        print_json({"output": str(output), "bytes": output.stat().st_size, **facts})
         return
-    say(f"{output}: {imported['kind']}, {card['parameters']:,} numbers, {output.stat().st_size / 2**20:.1f} MiB")
-    if imported["kind"] == "npt":
+    say(f"{output}: {kind}, {card['parameters']:,} numbers, {output.stat().st_size / 2**20:.1f} MiB")
+    if kind == "npt":
         say("note: weights of the max-pool variant have the same names and shapes; --maxpool takes them as such")
-    if imported["unused"]:
-        say(f"note: {len(imported['unused'])} tensors that the public code never uses were left out")
-    if vertices:
-        say(f"note: every mesh needs the {vertices:,} vertices of the training, in their order")
-    print_next("animate" if vertices else "transfer", "IDENTITY", "DRIVING", "-m", output)
+    print_next("transfer", "IDENTITY", "DRIVING", "-m", output)

@@ -1,4 +1,4 @@
-"""The commands `mimesh evaluate`, `mimesh table`, `mimesh figure` and `mimesh generate`."""
+"""The commands `mimesh evaluate`, `mimesh table` and `mimesh generate`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .options import with_options
 from .terminal import Json, Quiet, print_json, print_next, progress, require, say_tables
 
 PROTOCOLS = (
-    "human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body, characters, fingers, clips-aniformer, "
+    "human-npt, human-wide, cross-topology, noise, contact, cross-body, characters, clips-aniformer, "
     "clips-ordered, quadruped, animals or rigs"
 )
 """Names of the test sets, written out because importing these takes a second; a test compares them."""
@@ -35,8 +35,8 @@ Figures = Annotated[
 Data = Annotated[
     Path | None,
     typer.Option(
-        help="Folder: rigged characters for cross-body, a pool of them for characters, fingers and animals, motions "
-        "for clips-aniformer and clips-ordered.",
+        help="Folder: rigged characters for cross-body, a pool of them for characters and animals; with "
+        "--body-model motions for clips-aniformer.",
         metavar="DIR",
     ),
 ]
@@ -62,8 +62,8 @@ def evaluate(
     data: Annotated[
         Path | None,
         typer.Option(
-            help="Folder: rigged characters for cross-body and rigs, a pool of them for characters, fingers and "
-            "animals, motions for clips-aniformer and clips-ordered; of a list, where its files lie.",
+            help="Folder: rigged characters for cross-body and rigs, a pool of them for characters and "
+            "animals; of a list, where its files lie.",
             metavar="DIR",
         ),
     ] = None,
@@ -92,17 +92,13 @@ def evaluate(
     elif not quiet:
         say_tables(markdown(figures))
         say("± is half of the 95 % interval of the mean; columns: docs/conventions.md")
-        for note in figures.get("notes", ()):
-            say(f"note: {note}")
-        if figures["protocol"] == "human-npt":
-            print_next("figure", "npt-6", "-o", "npt-6.png")
 
 
 def table(
     name: Annotated[
         str,
         typer.Argument(
-            metavar="TABLE", help="npt-1, npt-2, npt-7, aniformer-1 or -2, aniformer-1-random or -2-random, animals."
+            metavar="TABLE", help="npt-1, npt-2, npt-7, aniformer-1 or -2, aniformer-1-random or -2-random."
         ),
     ],
     output: Figures = None,
@@ -163,41 +159,6 @@ def table(
         print_next("evaluate", figures["protocol"], "-m", "mime,copy")
 
 
-def figure(
-    name: Annotated[
-        str,
-        typer.Argument(
-            metavar="FIGURE",
-            help="npt-3, npt-6 to -17, -19, -20, aniformer-1, -3, -4, -5, -animals, -noise, as the papers number them.",
-        ),
-    ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write.")],
-    model: Annotated[str, typer.Option("--model", "-m", help="Other models than the figure's own.")] = "",
-    rows: Annotated[int, typer.Option(help="Rows to draw; 0 for the figure's own number.", min=0)] = 0,
-    data: Annotated[
-        Path | None,
-        typer.Option(help="Folder of people's meshes (npt-10, 11, 17, aniformer-5).", metavar="DIR"),
-    ] = None,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Draw a figure of a paper with our people and models.
-
-    Of its own models those without weights here are left out, and a note says how to make
-    them.
-    """
-    from ..evaluate.figures import figure_command
-
-    models = tuple(word.strip() for word in model.split(",") if word.strip())
-    with progress("rows", quiet or json) as advance:
-        drawn = figure_command(name, output, models, rows, data, advance, lambda text: say(f"note: {text}", error=True))
-    if json:
-        print_json({"output": str(output), "figure": name, "rows": drawn})
-    elif not quiet:
-        say(f"{output}: {drawn} rows")
-        print_next("evaluate", "clips-ordered" if name.startswith("aniformer") else "human-npt", "-m", "mime,copy")
-
-
 def generate(
     protocol: Protocol,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")],
@@ -214,9 +175,6 @@ def generate(
     ] = None,
     pairs: Pairs = 0,
     data: Data = None,
-    frames_as: Annotated[
-        str | None, typer.Option(metavar="SUFFIX", help="Clips as folders of obj or ply, not as .npz.")
-    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -228,8 +186,7 @@ def generate(
     from ..evaluate.generate import generate_command
 
     with progress("meshes", quiet or json) as advance:
-        suffix = None if frames_as is None else "." + frames_as.lstrip(".")
-        written = generate_command(protocol, output, split, pairs, advance, data, suffix, body_model)
+        written = generate_command(protocol, output, split, pairs, advance, data, body_model)
     if json:
         print_json({"output": str(output), "protocol": protocol, "split": split, **written})
     elif not quiet:

@@ -22,7 +22,7 @@ LINE_SECONDS = 10.0
 """Time between two lines that tell the progress where there is no terminal."""
 SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 """What a path of a folder may end in."""
-MODELS = ("mime", "npt", "npt-maxpool", "aniformer", "copy", "deformation-transfer", "skeleton")
+MODELS = ("mime", "npt", "npt-maxpool", "aniformer", "copy", "deformation-transfer")
 """Names of models that -m takes."""
 
 

@@ -166,19 +166,6 @@ def links(pairs: Int[np.ndarray, "E 2"], count: int) -> csr_array:
     return csr_array((np.ones(len(both)), both.T), shape=(count, count))
 
 
-def near_pairs(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], reach: float
-) -> Int[np.ndarray, "N 2"]:
-    """List the pairs of vertices at most `reach` apart along edges, each once, smaller index first, sorted."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import dijkstra
-
-    first, second = edges(faces).T
-    lengths = np.linalg.norm(vertices[first] - vertices[second], axis=1)
-    distance = dijkstra(csr_array((lengths, (first, second)), shape=(len(vertices),) * 2), directed=False, limit=reach)
-    return np.argwhere(np.triu(np.isfinite(distance), k=1))
-
-
 def neighbours(faces: Int[np.ndarray, "F 3"]) -> tuple[Int[np.ndarray, " S"], Int[np.ndarray, " N"]]:
     """List the neighbours of each vertex as (first, index): those of vertex v are `index[first[v]:first[v + 1]]`."""
     both = edges(faces)

@@ -2,7 +2,7 @@
 
 There are three forms, because each is the fastest for its use: `skin_points` (one pose, any linear maps A_j),
 `skin_poses` (batches of poses) and `SkinnedMesh` (many poses of one mesh, single precision, in blocks). Code that needs
-derivatives has its own forms (`bodies.chamfer_fit`, `bodies.sampled_body`, torch in `learn`), and so do influences
+derivatives has its own forms (`bodies.sampled_body`, torch in `learn`), and so do influences
 with rest points of their own (`bodies.skinned_character`). tests/core/test_skinning.py checks that all of them agree.
 """
 

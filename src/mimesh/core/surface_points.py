@@ -6,7 +6,6 @@ of positions.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,23 +135,6 @@ def padded_vertices(mesh: Mesh, count: int, rng: np.random.Generator) -> PaddedV
     faces = mesh.faces[rank_order(face_centroids(mesh.vertices, mesh.faces))]
     chosen, barycentric = sample_surface(mesh.vertices, faces, missing, rng)
     return PaddedVertices(ranked, faces[chosen], barycentric)
-
-
-def surface_sampler(
-    mesh: Mesh, count: int, rng: np.random.Generator
-) -> Callable[[Float[np.ndarray, "V 3"]], Float[np.ndarray, "N 3"]]:
-    """Draw `count` points of a mesh, and return the function from a frame's vertices to their positions.
-
-    Points are uniform by area; for a point cloud they are at most `count` of its vertices.
-    """
-    ranked = canonical_order(mesh.vertices)
-    if len(mesh.faces) == 0:
-        chosen = rng.permutation(len(ranked))[:count]
-        return lambda vertices: rounded(ranked.merge(vertices)[chosen])
-    # Sorted faces over ranks: the same for any order of the vertices and faces.
-    faces = np.unique(np.sort(ranked.group[mesh.faces], axis=1), axis=0)
-    chosen, barycentric = sample_surface(rounded(ranked.merge(mesh.vertices)), faces, count, rng)
-    return lambda vertices: rounded(at_barycentric(ranked.merge(vertices), faces, chosen, barycentric))
 
 
 def rounded(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:

@@ -22,7 +22,7 @@ from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.mesh import Mesh
 from ..io.gltf.character import read_rigged_animal
-from .cross_body import shapeless
+from .characters import shapeless
 from .pairs import Pair
 from .protocols import Protocol, quadruped
 

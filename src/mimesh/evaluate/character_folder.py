@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 from ..bodies.character_pool import Pool, PoolCharacter, read_pool
@@ -29,13 +29,11 @@ def read_character_folder(
     split: str = "train",
     progress: Progress | None = None,
     body: str = "human",
-    left_out: Callable[[str], bool] = lambda name: False,
 ) -> Pool:
     """Read the humanoids of a folder, or its animals: those of a split of its pool, then all rigged files, by path.
 
     Args:
         body: shipped body whose joints the characters have, `human` or `quadruped`.
-        left_out: names of the clips of files that are not read.
 
     Raises:
         InputError: neither a pool nor a rigged file.
@@ -56,7 +54,7 @@ def read_character_folder(
         try:
             if path.stem in elsewhere:
                 raise InputError(f"{path}: expected one of the split {split}, found {elsewhere[path.stem]}")
-            characters.append(read(path, pack_of(path, folder), licence_of(path, folder), left_out))
+            characters.append(read(path, pack_of(path, folder), licence_of(path, folder)))
         except DAMAGED as error:
             plain = str(error) if isinstance(error, InputError) else f"expected a sound file, found {error!r:.80}"
             refused[name] = plain.removeprefix(f"{path}: ").removeprefix(f"{path.stem}: ")

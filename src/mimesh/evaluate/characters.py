@@ -1,17 +1,19 @@
 """`characters`: pairs of rigged characters of several makers, from a pool (`bodies.character_pool`).
+`cross-body`: pairs of those of a folder of rigged files (`character_folder`) that share a skeleton.
 
 Kinds `table6`, `limits` and `clips` are pairs of two characters with one skeleton: the truth is the identity under the
 bone rotations of the driving character. The same kinds with `across-` are pairs of different skeletons: they have no
 true vertices, and are measured by their limbs. Poses of `table6` and `limits` are drawn like those of `human-wide`.
 Frames of `clips` are from the driving character's own clips; characters without any take the shipped captures.
 
-The files say which split a character belongs to. Packs take turns, files are drawn from a pack, so that a pack of many
-files counts as much as one of few. Pairs of `across-` are of two packs: all ordered pairs of packs take turns.
+A pool says which split a character belongs to; those of a folder of files are in all, in other poses. Packs take turns,
+files are drawn from a pack, so that a pack of many files counts as much as one of few. Pairs of `across-` are of two
+packs: all ordered pairs of packs take turns.
 
-As in `cross_body.pose_on_rig`, each limb is turned from its own direction at rest to that of the shipped body, so a
-pose means the same directions in the world for every character. Limbs are given by their ends, so that figures without
-hands or with one joint a limb take poses too: an arm of one joint has the direction from the body's shoulder to its
-wrist. Joints that a character lacks follow their parents.
+Each limb is turned from its own direction at rest to that of the shipped body, so a pose means the same directions in
+the world for every character. Limbs are given by their ends, so that figures without hands or with one joint a limb
+take poses too: an arm of one joint has the direction from the body's shoulder to its wrist. Joints that a character
+lacks follow their parents.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ from ..core.geometry import rotation_between
 from ..core.mesh import Mesh
 from ..core.rig import local_rotations
 from ..motions.animal_rig import rest_directions
-from .cross_body import as_body
+from .character_folder import INDEX, read_character_folder
 from .pairs import Pair, human
 from .protocols import Wide
 
@@ -85,10 +87,10 @@ class CharacterPair(Pair):
 
 @dataclass(frozen=True)
 class Characters(Wide):
-    """Pairs of the characters of a pool. Two of three identities are in the rest pose of their file."""
+    """Pairs of the characters of a folder. Two of three identities are in the rest pose of their file."""
 
     data: Path = Path()
-    """The folder of the pool."""
+    """The folder of the pool, or of rigged files."""
 
     def pool(self, split: str) -> Pool:
         """Read the characters of a split, once, and the files that cannot be used with the reasons."""
@@ -96,12 +98,14 @@ class Characters(Wide):
 
     def check(self, split: str) -> None:
         """Raise InputError for a folder of another format, or with too few characters for pairs of all kinds."""
-        if not _within(self.data, split) or not _across(self.data, split):
+        across = any(kind.startswith(ACROSS) for kind in self.kinds)
+        if not _within(self.data, split) or (across and not _across(self.data, split)):
             found = [character.meta.pack for character in self.pool(split).characters]
             counts = ", ".join(f"{found.count(pack)} of {pack}" for pack in dict.fromkeys(found))
+            others = ", and two packs with different skeletons," if across else ""
             raise InputError(
-                f"{self.data}: expected two characters of one skeleton, and two packs with different skeletons, in "
-                f"the split {split}, found {counts or 'none'}; add some"
+                f"{self.data}: expected two characters of one skeleton{others} in the split {split}, found "
+                f"{counts or 'none'}; add some"
             )
 
     def left_out(self, split: str) -> dict[str, int]:
@@ -152,9 +156,16 @@ def characters(data: str | Path) -> Characters:
                       data=Path(data))  # fmt: skip
 
 
+def cross_body(data: str | Path) -> Characters:
+    """Return the protocol for a folder of rigged files; `check` tells whether it can be generated."""
+    return Characters("cross-body", 2, KINDS, pairs=12, spread=0.0, data=Path(data))
+
+
 @cache
 def _read_pool(data: Path, split: str) -> Pool:
-    return read_pool(data, split)
+    if (data / INDEX).is_file():
+        return read_pool(data, split)
+    return read_character_folder(data)
 
 
 def _packs(data: Path, split: str) -> dict[str, list[PoolCharacter]]:
@@ -363,3 +374,45 @@ def place_body_joints(character: PoolCharacter) -> dict[str, tuple[int, Float[np
             points.setdefault(side + end, (last.joint, last.end))
         points.setdefault(f"{side}ToeBase", points[f"{side}Foot"])
     return points
+
+
+def as_body(
+    rig: SkinnedCharacter,
+    t_pose: Float[np.ndarray, "K 4 4"],
+    index: dict[str, int],
+    points: dict[str, tuple[int, Float[np.ndarray, " 3"]]],
+) -> RiggedBody:
+    """Wrap a rig in the shipped body's T-pose and at its height as a RiggedBody with the body's joints.
+
+    Functions of the shipped body such as `landmarks` work on it. Each vertex is weighted to the nearest named joint
+    above its own joint.
+
+    Args:
+        t_pose: transforms of the rig's joints from rest to the T-pose.
+        index: the rig's joint of each joint of the body that it has.
+        points: place of each joint of the body: a joint of the rig, and the point at rest that it carries.
+    """
+    body = human()
+    scale = np.ptp(body.vertices[:, 1]) / np.ptp(rig.mesh.vertices[:, 1])
+    joints = body.joints.copy()
+    for joint, (j, point) in points.items():
+        joints[body.joint(joint)] = scale * (t_pose[j] @ [*point, 1.0])[:3]
+    # Influences of the fixed world count as the root joint.
+    columns = rig.nearest_columns({j: body.joint(joint) for joint, j in index.items()}, other=0)
+    weights = rig.summed_weights(columns, len(body.parents))
+    return shapeless(body, "", scale * rig.skinned(t_pose), rig.mesh.faces, joints, weights)
+
+
+def shapeless(
+    body: RiggedBody,
+    name: str,
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    joints: Float[np.ndarray, "J 3"],
+    weights: Float[np.ndarray, "V J"],
+) -> RiggedBody:
+    """Return another body with the joint tree of a shipped one, and no shape coefficients."""
+    no_shapes, no_joint_shapes = np.zeros((0, len(vertices), 3)), np.zeros((0, len(joints), 3))
+    return RiggedBody(
+        name, vertices, faces, no_shapes, joints, no_joint_shapes, weights, body.joint_names, body.parents
+    )

@@ -23,7 +23,6 @@ from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import archive_names
 from ..io import save_clip, save_mesh
-from ..io.formats import FRAME_SUFFIXES
 from ..motions.amass import is_amass
 from ..motions.smpl_clip import HUMAN_MODELS, fitted_pose, recorded_clip
 from .clip_protocols import FRAMES, ClipPair
@@ -33,7 +32,7 @@ from .protocols import HUMAN_NPT, SPLITS, HumanNpt, Protocol
 from .run import find_protocol
 
 CLIP_SUFFIX = ".npz"
-"""Format of clips, unless they are written as folders of frames: it keeps every digit, and the frame rate."""
+"""Format of clips: it keeps every digit, and the frame rate."""
 
 
 def generate_command(
@@ -43,7 +42,6 @@ def generate_command(
     pairs: int = 0,
     progress: Progress | None = None,
     data: Path | None = None,
-    frames_as: str | None = None,
     body_model: Path | None = None,
 ) -> dict[str, int]:
     """Write the meshes of a split (`mimesh generate`) and return the number of files.
@@ -58,7 +56,6 @@ def generate_command(
     Args:
         pairs: number of pairs of each kind, of `train` of poses of each person; 0 for the protocol's own.
         data: folder of a protocol that reads one.
-        frames_as: ".obj" or ".ply" writes each clip as a folder of frames; None: as CLIP_SUFFIX.
         body_model: file of a body model whose people, or animals, are taken instead of the shipped ones.
 
     Raises:
@@ -69,8 +66,6 @@ def generate_command(
         raise InputError(f"{protocol}: expected a protocol by its name, found a list or a folder; name one")
     if split not in SPLITS:
         raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
-    if frames_as not in (None, *FRAME_SUFFIXES):
-        raise InputError(f"--frames-as: expected {' or '.join(FRAME_SUFFIXES)}, found {frames_as}; choose one of them")
     if split == "train":
         return _write_training(chosen, out, pairs, progress)
     chosen.check(split)
@@ -80,7 +75,7 @@ def generate_command(
         triples, heights, written = [], {}, {}
         for i in range(count):
             pair = chosen.unshuffled_pair(split, kind, i, chosen.rng(split, kind, i))
-            triples.append(_write_pair(pair, out / f"{split}-{kind}", frames_as, written))
+            triples.append(_write_pair(pair, out / f"{split}-{kind}", written))
             heights[triples[-1][0]] = pair.height
             done += 1
             if progress is not None:
@@ -95,7 +90,7 @@ def _has_truth(protocol: Protocol, split: str, kind: str) -> bool:
     return protocol.unshuffled_pair(split, kind, 0, protocol.rng(split, kind, 0)).truth_known
 
 
-def _write_pair(pair: Pair, folder: Path, frames_as: str | None, written: dict[str, int]) -> tuple[str, str, str]:
+def _write_pair(pair: Pair, folder: Path, written: dict[str, int]) -> tuple[str, str, str]:
     """Write identity, driving mesh or clip, and truth of a pair and return their names relative to the list.
 
     `written` has a checksum of what each file of the folder holds, by its name, and is added to.
@@ -105,24 +100,20 @@ def _write_pair(pair: Pair, folder: Path, frames_as: str | None, written: dict[s
     parts: tuple[Mesh | Clip, ...] = (pair.identity, pair.driving, truth)
     if isinstance(pair, ClipPair):
         parts = (pair.identity, pair.clip, dataclasses.replace(pair.clip, mesh=truth, vertices=pair.truth_frames))
-    identity, driving, true = (f"{folder.name}/{_write(part, folder, frames_as, written)}" for part in parts)
+    identity, driving, true = (f"{folder.name}/{_write(part, folder, written)}" for part in parts)
     return identity, driving, true
 
 
-def _write(part: Mesh | Clip, folder: Path, frames_as: str | None, written: dict[str, int]) -> str:
+def _write(part: Mesh | Clip, folder: Path, written: dict[str, int]) -> str:
     """Write a mesh or a clip under its own name, with a number behind it where that is another's; return the name."""
     mesh = part.mesh if isinstance(part, Clip) else part
     # A point cloud has no faces and so cannot be written as OBJ; PLY stores both.
-    suffix = ".obj" if len(mesh.faces) else ".ply"
-    if isinstance(part, Clip):
-        suffix = CLIP_SUFFIX if frames_as is None else ""
+    suffix = CLIP_SUFFIX if isinstance(part, Clip) else ".obj" if len(mesh.faces) else ".ply"
     content = zlib.crc32(np.asarray(part.vertices).tobytes())
     names = (f"{mesh.name}{f'-{k}' if k > 1 else ''}{suffix}" for k in itertools.count(1))
     name = next(name for name in names if written.setdefault(name, content) == content)
     if isinstance(part, Clip):
-        if frames_as is not None:
-            (folder / name).mkdir(exist_ok=True)  # names of takes have dots, which would be taken for a suffix
-        save_clip(part, folder / name, suffix=frames_as)
+        save_clip(part, folder / name)
     else:
         save_mesh(part, folder / name)
     return name
@@ -217,7 +208,6 @@ class TakesOnBodyModel(OnBodyModel):
             still, clip.mesh, truth.vertices[0].astype(np.float64), self.height(identity), truth_name=truth.mesh.name,
             groups=(identity.label, take.stem), clip=clip, truth_frames=truth.vertices,
             aligned_frames=clip.vertices,
-            template=None,
         )  # fmt: skip
 
     def count(self, kind: str, requested: int = 0, split: str = "test") -> int:

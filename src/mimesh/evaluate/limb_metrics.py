@@ -1,8 +1,8 @@
 """Metrics of a result without true vertices: how well it follows a driving mesh with another skeleton.
 
 Both characters are rigged, but poses are read from vertices alone, in the same way for the result and the driving mesh.
-What two skeletons have in common is compared: directions of limbs, ends of limbs, feet on the ground, and
-self-penetration. All figures ignore translation. Each character is measured in its own lengths at rest, so files may
+What two skeletons have in common is compared: directions of limbs, ends of limbs, and feet on the ground. All figures
+ignore translation. Each character is measured in its own lengths at rest, so files may
 have any unit, but a result that is larger or smaller than its identity is an error, except for directions. A figure is
 None where the limbs that it needs cannot be measured.
 
@@ -22,12 +22,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ..bodies.character_limbs import SIDES, Limb
 from ..bodies.skinned_character import SkinnedCharacter
-from ..core.geometry import face_areas, face_vectors, rigid_motion, unit_vectors
-from ..core.surface_points import at_barycentric, interpolate
+from ..core.geometry import rigid_motion, unit_vectors
+from ..core.surface_points import interpolate
 
 CHAINS = {
     f"{side}{upper}": f"{side}{lower}" for upper, lower in (("Arm", "ForeArm"), ("UpLeg", "Leg")) for side in SIDES
@@ -142,18 +142,6 @@ class LimbedCharacter:
     def sections(self) -> dict[str, Sections]:
         """Cross-sections of each limb that can be measured, with the axis to be compared (see UPRIGHT)."""
         return {name: upright(sections) if name in UPRIGHT else sections for name, sections in self.cuts.items()}
-
-    @cached_property
-    def samples(self) -> LimbSamples:
-        """Samples of the surface, for self-penetration."""
-        radii = {name: self.cuts[name].radius if name in self.cuts else 0.0 for name in self.limbs}
-        mesh = self.character.mesh
-        return sample_limbs(mesh.vertices, mesh.faces, self.weights, radii, self.leg or 0.0)
-
-    @cached_property
-    def inside_at_rest(self) -> Bool[np.ndarray, " N"]:
-        """Tell which samples are inside another limb at rest."""
-        return self.samples.inside(self.rest)
 
     @property
     def left_out(self) -> list[str]:
@@ -289,106 +277,6 @@ def angle_deg(
     return np.degrees(2 * np.arctan2(difference, total))
 
 
-SAMPLES = 4000
-"""Samples of a surface: about 2 cm apart on a person of 1.7 m; one sample is 0.025 % of the surface."""
-MIN_DEPTH = 0.01
-"""Leg lengths: smallest depth under the surface that counts, more than the error of planes through samples."""
-MAX_DEPTH = 1.5
-"""Largest distance from the surface that counts, in mean radii of the limb: larger ones are gaps of open meshes."""
-MAX_SLOPE = 0.5
-"""Largest sideways distance from the nearest sample, in depths under it (27 degrees), beyond the distance of samples:
-next to the rim of an opening the nearest sample is beside a point, not above it."""
-PLASTIC = (0.7548776662466927, 0.5698402909980532)
-"""Steps of the R2 sequence (Roberts 2018), which fills a square evenly: 1/p and 1/p², p the plastic number."""
-NEXT_TO = {frozenset(("Trunk", "Head"))} | {
-    frozenset(pair)
-    for side in SIDES
-    for pair in (
-        ("Trunk", f"{side}Arm"),
-        ("Trunk", f"{side}UpLeg"),
-        (f"{side}Arm", f"{side}ForeArm"),
-        (f"{side}UpLeg", f"{side}Leg"),
-    )
-}
-"""Pairs of limbs that touch in every pose. An arm or leg of one joint is next to the trunk as a whole."""
-
-
-@dataclass(frozen=True, eq=False)
-class LimbSamples:
-    """Samples of a character's surface, uniform by area at rest, and the limb of each.
-
-    Game meshes are open and made of several parts, so there is no inside in the strict sense. A sample counts as inside
-    a limb if the nearest sample of that limb faces away from it (along its normal, not sideways) and is between two
-    depths. Limbs next to each other are not compared, and what is inside at rest never counts: coats over legs, necks
-    in collars.
-    """
-
-    faces: Int[np.ndarray, "N 3"]
-    """Vertex indices of the triangle that contains each sample."""
-    barycentric: Float[np.ndarray, "N 3"]
-    """Weights of the corners, rows sum to 1."""
-    limb: Int[np.ndarray, " N"]
-    """Index of each sample's limb in `names`, one more than the last without a limb."""
-    names: tuple[str, ...]
-    max_depth: tuple[float, ...]
-    """Largest distance from the surface of each limb that counts, in the unit of the file; 0 leaves the limb out."""
-    min_depth: float
-    """Smallest depth that counts, in the unit of the file."""
-    spacing: float
-    """Typical distance of samples from each other, in the unit of the file."""
-
-    def inside(self, vertices: Float[np.ndarray, "V 3"]) -> Bool[np.ndarray, " N"]:
-        """Tell which samples are inside a limb that theirs is not next to."""
-        from scipy.spatial import KDTree
-
-        points = at_barycentric(vertices, self.faces, np.arange(len(self.faces)), self.barycentric)
-        normals = unit_vectors(face_vectors(vertices, self.faces))
-        inside = np.zeros(len(points), bool)
-        for k, name in enumerate(self.names):
-            own = np.flatnonzero(self.limb == k)
-            if not len(own):
-                continue
-            apart = [i for i, other in enumerate(self.names) if i != k and frozenset((name, other)) not in NEXT_TO]
-            # Only samples in the bounding box of the limb can be inside it.
-            low, high = points[own].min(axis=0), points[own].max(axis=0)
-            within = ((points > low) & (points < high)).all(axis=1)
-            others = np.flatnonzero(within & np.isin(self.limb, apart))
-            distance, nearest = KDTree(points[own]).query(points[others])
-            depth = ((points[own[nearest]] - points[others]) * normals[own[nearest]]).sum(axis=1)
-            sideways = np.sqrt(np.maximum(distance**2 - depth**2, 0.0))
-            below = (depth > self.min_depth) & (sideways < MAX_SLOPE * depth + self.spacing)
-            inside[others[below & (distance < self.max_depth[k])]] = True
-        return inside
-
-
-def sample_limbs(
-    vertices: Float[np.ndarray, "V 3"],
-    faces: Int[np.ndarray, "F 3"],
-    weights: Float[np.ndarray, "V L"],
-    radii: dict[str, float],
-    leg: float,
-) -> LimbSamples:
-    """Place SAMPLES samples on a character at rest, in the order of its faces; there is nothing random about it.
-
-    Args:
-        weights: skinning weight of each limb at each vertex, in the order of `radii`.
-        radii: mean radius of each limb; 0 for one that cannot be measured.
-        leg: length of a leg, for MIN_DEPTH.
-    """
-    total = np.cumsum(face_areas(vertices, faces))
-    chosen = np.searchsorted(total, (np.arange(SAMPLES) + 0.5) / SAMPLES * total[-1]).clip(max=len(total) - 1)
-    u, v = np.modf(np.arange(SAMPLES)[:, None] * PLASTIC)[0].T
-    flip = u + v > 1  # outside the triangle: reflect to the other half of the parallelogram
-    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-    barycentric = np.stack([1 - u - v, u, v], axis=1)
-    # A last column for samples that no limb carries.
-    weight = np.pad(at_barycentric(weights, faces, chosen, barycentric), ((0, 0), (0, 1)), constant_values=1e-6)
-    limb = weight.argmax(axis=1)
-    spacing = float(np.sqrt(total[-1] / SAMPLES))
-    max_depth = tuple(MAX_DEPTH * radius for radius in radii.values())
-    return LimbSamples(faces[chosen], barycentric, limb, tuple(radii), max_depth, MIN_DEPTH * leg, spacing)
-
-
 CONTACT_HEIGHT = 0.02
 """Leg lengths: a foot whose lowest point is lower than this is in contact with the ground (1.7 cm for a person)."""
 
@@ -416,13 +304,6 @@ class PosedLimbs:
             return None
         return np.stack([self.ends[upper][0], self.ends[parts[-1]][1]])
 
-    @property
-    def hips(self) -> Float[np.ndarray, " 3"] | None:
-        """Point between the hips; None if a thigh cannot be measured."""
-        if not all(f"{side}UpLeg" in self.ends for side in SIDES):
-            return None
-        return np.mean([self.ends[f"{side}UpLeg"][0] for side in SIDES], axis=0)
-
     @cached_property
     def soles(self) -> dict[str, float]:
         """Height of each foot's lowest vertex above the lowest of the mesh, in leg lengths."""
@@ -430,11 +311,6 @@ class PosedLimbs:
         if leg is None:
             return {}
         return {side: float(self.vertices[foot, 1].min() - lowest) / leg for side, foot in self.limbed.feet.items()}
-
-    @cached_property
-    def penetration(self) -> float:
-        """Percentage of the surface, by area at rest, that is inside another limb in this pose and is not at rest."""
-        return float(100 * (self.limbed.samples.inside(self.vertices) & ~self.limbed.inside_at_rest).mean())
 
 
 def limb_metrics(
@@ -445,9 +321,9 @@ def limb_metrics(
 ) -> dict[str, float | None]:
     """Compute all figures of a result (in the identity's vertex order) against a posed driving mesh.
 
-    `limb_deg`: mean of `limb_angles`, which follow as `limb_deg <limb>`. `end_effector`: see there, `joint_pct`: see
-    `joint_error`, `sole_height` and `touching`: see `sole_errors`, `penetration`: see `added_penetration`.
-    `limbs_left_out`: number of limbs of both characters with too little surface to be measured.
+    `limb_deg`: mean of `limb_angles`, which follow as `limb_deg <limb>`. `end_effector`: see `end_effector_error`,
+    `sole_height` and `touching`: see `sole_errors`. `limbs_left_out`: number of limbs with too little surface to be
+    measured, of both characters.
     """
     posed, target = PosedLimbs(identity, result), PosedLimbs(driving, driving_vertices)
     angles = limb_angles(posed, target)
@@ -456,10 +332,8 @@ def limb_metrics(
         "limb_deg": _mean(list(angles.values())),
         **{f"limb_deg {name}": angle for name, angle in angles.items()},
         "end_effector": end_effector_error(posed, target),
-        "joint_pct": joint_error(posed, target),
         "sole_height": sole_height,
         "touching": touching,
-        "penetration": added_penetration(posed, target),
         "limbs_left_out": float(len(identity.left_out) + len(driving.left_out)),
     }
 
@@ -498,22 +372,6 @@ def end_effector_error(result: PosedLimbs, driving: PosedLimbs) -> float | None:
     return _mean(distances)
 
 
-def joint_error(result: PosedLimbs, driving: PosedLimbs) -> float | None:
-    """Compute the mean distance between the ends of limbs, in percent of the driving character's height at rest.
-
-    Both figures are divided by their leg lengths at rest and centred between the hips. 0 is the same place of all ends,
-    which figures of other proportions do not reach: a longer trunk alone moves shoulders, arms and head.
-    """
-    result_leg, driving_leg, ends = result.limbed.leg, driving.limbed.leg, []
-    if result_leg is None or driving_leg is None or result.hips is None or driving.hips is None:
-        return None
-    for posed, leg in ((result, result_leg), (driving, driving_leg)):
-        lines = common_ends(posed, result, driving)
-        ends.append({name: (points - posed.hips) / leg for name, points in lines.items()})
-    distances = [np.linalg.norm(ends[0][name] - ends[1][name], axis=1) for name in ends[0] if name in ends[1]]
-    return float(100 * np.mean(distances) * driving_leg / np.ptp(driving.limbed.rest[:, 1]))
-
-
 def sole_errors(result: PosedLimbs, driving: PosedLimbs) -> tuple[float | None, float | None]:
     """Compare how high the feet are above the ground, which is at the lowest vertex of each mesh.
 
@@ -526,20 +384,6 @@ def sole_errors(result: PosedLimbs, driving: PosedLimbs) -> tuple[float | None, 
     heights = np.array(pairs)
     contact = heights < CONTACT_HEIGHT
     return float(np.abs(heights[:, 0] - heights[:, 1]).mean()), float((contact[:, 0] == contact[:, 1]).mean())
-
-
-def added_penetration(result: PosedLimbs, driving: PosedLimbs) -> float | None:
-    """Compute how much more of the surface is inside another limb (`PosedLimbs.penetration`) than the driving mesh has.
-
-    In percent of the surface; 0 is no more. Less than the driving mesh has is 0 too, so that it does not cancel the
-    penetration of other pairs in a mean. None if one character alone has a single joint for an arm or leg: a forearm is
-    tested against the trunk, an arm of one joint is next to it (`NEXT_TO`).
-    """
-    single = [
-        {upper for upper, lower in CHAINS.items() if upper in posed.limbed.limbs and lower not in posed.limbed.limbs}
-        for posed in (result, driving)
-    ]
-    return max(0.0, result.penetration - driving.penetration) if single[0] == single[1] else None
 
 
 def common_ends(posed: PosedLimbs, result: PosedLimbs, driving: PosedLimbs) -> dict[str, Float[np.ndarray, "2 3"]]:

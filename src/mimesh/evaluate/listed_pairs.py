@@ -26,7 +26,6 @@ import os
 import re
 import sys
 import zlib
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,7 +36,6 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import clear_up
 from ..io import clip_suffixes, load_clip, load_mesh, mesh_suffixes
 from ..io.atomic import together, whole_file
 from ..io.text import decoded
@@ -49,8 +47,6 @@ HEIGHT = 1.7
 """Height (metres) at which millimetres of the files are those of reports; taken where nothing is known."""
 METRES = (0.3, 10.0)
 """Diagonals of the bounding box, or known heights, that a figure in metres can have."""
-CHECKED = 12
-"""Pairs of a list whose up axis is looked at."""
 _LAYOUT = re.compile(r"(?:id)?(\d+)_(.+)")
 """<person>_<pose>, with or without "id": names of the public data, and of what `mimesh generate` writes."""
 T = TypeVar("T")
@@ -136,37 +132,6 @@ class ListedPairs(Protocol):
             )
         return known[triple.names[0]]
 
-    def axes_notes(self, pairs: int = 0) -> tuple[str, ...]:
-        """Say for which lists most identities, driving meshes or truths look as if another axis than y were up.
-
-        Axes are detected from the shapes of CHECKED pairs of each list, evenly spread over those that are measured.
-
-        Raises:
-            InputError: as `unshuffled_pair`.
-        """
-        notes = []
-        for kind in self.kinds:
-            ups = self._ups(kind, self.count(kind, pairs))
-            if any(up != "+y" for up in ups.values()):
-                found = ", ".join(f"{role} {up}" for role, up in ups.items())
-                notes.append(
-                    f"{kind}: by the shapes of most files up is {found}, but lists are taken to be y up; turn the "
-                    "files, unless people lie in them"
-                )
-        return tuple(notes)
-
-    def _ups(self, kind: str, count: int) -> dict[str, str]:
-        """Detect the up axis that most meshes of each role have in a list; roles without such an axis are left out."""
-        found: dict[str, Counter[str | None]] = {"identity": Counter(), "driving": Counter(), "truth": Counter()}
-        checked = sorted({round(i) for i in np.linspace(0, count - 1, CHECKED)})
-        for i in checked:
-            pair = self.unshuffled_pair("test", kind, i, self.rng("test", kind, i))
-            meshes = pair.identity, pair.driving, Mesh(pair.truth, pair.identity.faces)
-            for ups, mesh in zip(found.values(), meshes, strict=True):
-                ups[clear_up(mesh)] += 1
-        likeliest = {role: ups.most_common(1)[0] for role, ups in found.items()}
-        return {role: up for role, (up, times) in likeliest.items() if up is not None and times > len(checked) / 2}
-
     def files(self) -> dict[str, Path]:
         """Return the files of all lists, those in folders of frames and the heights by their paths in the folder."""
         lists = find_lists(self.source)
@@ -202,7 +167,6 @@ class ListedClips(ListedPairs):
             clip=Clip(first.driving, frames, clip.fps),
             truth_frames=np.asarray(truth.vertices, np.float64),
             aligned_frames=None if first.aligned is None else frames,
-            template=None,
         )
 
 

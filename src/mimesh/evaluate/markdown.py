@@ -19,12 +19,6 @@ CLIP_COLUMNS = {
     "skate_cm_s": "foot skate, cm/s",
 }
 """Metric of clips -> heading."""
-FINGER_COLUMNS = {
-    "fingertip_mm": "fingertips, mm",
-    "fingertip_mm_median": "fingertips, mm: median",
-    "finger_deg": "finger joints, degrees",
-}
-"""Metric of fingers, in the frame of the palm -> heading."""
 RIG_COLUMNS = {
     "joints_pct": "joints, % of height",
     "joints_pct_median": "median",
@@ -39,10 +33,8 @@ RIG_COLUMNS = {
 }
 """Metric of rigs, beside those of their makers -> heading."""
 LIMB_COLUMNS = {
-    "joint_pct": "limb ends, % of height",
     "sole_height": "soles, leg lengths",
     "touching": "contacts that agree",
-    "penetration": "penetration, % of surface more than the driving's",
 }
 """Metric of results without a true mesh -> heading."""
 
@@ -77,26 +69,24 @@ def kind_table(rows: list[dict[str, Any]]) -> str:
     if measured and not any("pmd_e4" in row for row in measured):
         return _limb_table(measured)
     against = [row for row in rows if row["method"] in BASELINES and "pmd_e4" in row]
-    known = FINGER_COLUMNS | CLIP_COLUMNS
-    further = {name: label for name, label in known.items() if any(name in row for row in measured)}
-    clips = set(further) & set(CLIP_COLUMNS)
+    clips = {name: label for name, label in CLIP_COLUMNS.items() if any(name in row for row in measured)}
     head = ["method", "pairs", *(f"PMD: {name}" for name in ("mean", "median", "90 %", "largest", "public formula"))]
     head += ["mm: mean", "mm: median", "mm: 90 %"]
     head += [f"better than `{row['method']}`" for row in against]
-    head += ["edge score", "flipped", *further.values(), "s a frame" if clips else "s a pair", "given"]
+    head += ["edge score", "flipped", *clips.values(), "s a frame" if clips else "s a pair", "given"]
     lines = []
     for row in measured:
         cells = [_pairs(row), with_interval(row, "pmd_e4")]
         cells += [cell(row, f"pmd_e4_{end}") for end in ("median", "p90", "max")]
         cells += [cell(row, name) for name in ("pmd_public_e4", "mm", "mm_median", "mm_p90")]
         cells += [wins(row, baseline) for baseline in against]
-        cells += [cell(row, name) for name in ("edge_score", "flipped", *further, "seconds_per_frame")]
+        cells += [cell(row, name) for name in ("edge_score", "flipped", *clips, "seconds_per_frame")]
         lines.append([f"`{row['method']}`", *cells, row["given"]])
     return markdown_table(head, lines)
 
 
 def _limb_table(rows: list[dict[str, Any]]) -> str:
-    """Format the rows of a kind without true meshes: limb directions, limb ends, contacts and penetration."""
+    """Format the rows of a kind without true meshes: limb directions, limb ends and contacts."""
     quantities = ("limbs, degrees", "wrists and ankles, limb lengths")
     head = ["method", "pairs", *(f"{name}: {part}" for name in quantities for part in ("mean", "median", "90 %"))]
     head += [*LIMB_COLUMNS.values(), "s a pair", "given"]

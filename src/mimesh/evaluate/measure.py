@@ -27,8 +27,7 @@ from ..methods.find import find_model, weights_path
 from ..mime.model import Mime
 from ..pipeline import ClipResult, Result, animate, transfer
 from .characters import CharacterPair
-from .clip_protocols import ClipPair, on_template
-from .fingers import FingerPair, finger_metrics
+from .clip_protocols import ClipPair
 from .limb_metrics import LimbedCharacter, limb_metrics
 from .metrics import (
     acceleration_ratio,
@@ -55,7 +54,6 @@ EXTRA_INPUTS = {
     "deformation-transfer-dense": "third mesh, true dense correspondence",
     "deformation-transfer-13": "third mesh, 13 control points",
     "deformation-transfer-5": "third mesh, 5 control points",
-    "skeleton": "our body model and its joint limits",
 }
 """Inputs of a method besides the two meshes and their axes, for reports; for networks see `extra_inputs`."""
 TRAINED_ON = {
@@ -136,8 +134,6 @@ def vertices_of_meshes(card: dict[str, Any]) -> str:
     """Say from a card how many vertices the meshes of a training had, and since when."""
     whole = card["meshes"]["vertices"] if "meshes" in card else 6890
     count = f"{card['config']['data']['vertices'] or whole:,}"
-    if doublings := card["config"].get("doublings"):
-        return f"{count} to {card['config']['data']['vertices'] << len(doublings):,} vertices"
     changes = [change for change in card.get("changes", []) if "data.vertices" in change and "was" in change]
     if not changes:
         return f"{count} vertices"
@@ -281,8 +277,8 @@ def placed_shapes(
 def measure(pair: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
     """Measure a method on one pair and return its metrics.
 
-    Of two characters, their limbs are compared, too, and vertices only if their truth is known; of people with fingers,
-    the fingers. {"why": reason} if the method cannot be applied, {"failed": reason} if it fails (`timed`).
+    Of two characters, their limbs are compared, too, and vertices only if their truth is known. {"why": reason} if the
+    method cannot be applied, {"failed": reason} if it fails (`timed`).
     """
     result, facts = timed(run_on_pair, pair, method, options)
     if result is None:
@@ -294,8 +290,6 @@ def measure(pair: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
         characters = (pair.identity_character, pair.driving_character)
         identity, driving = (LimbedCharacter(character.rig, character.limbs) for character in characters)
         metrics |= limb_metrics(identity, driving, result.vertices, pair.driving.vertices)
-    if isinstance(pair, FingerPair):
-        metrics |= finger_metrics(result.vertices, pair)
     return metrics | facts
 
 
@@ -375,13 +369,9 @@ def run_on_clip(
 def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]:
     """Measure a method on one clip and return its metrics; without any as `measure`.
 
-    Metrics of shape are means over the frames (`stretch`: the maximum); `seconds` is the total time per frame. LIMP is
-    measured on the vertices of its template only, because its network has a fixed set of vertices.
+    Metrics of shape are means over the frames (`stretch`: the maximum); `seconds` is the total time per frame.
     """
-    try:
-        trial = on_supported_vertices(trial, method)
-    except NotApplicableError as error:
-        return {"why": str(error)}
+    trial = in_supported_order(trial, method)
     result, facts = timed(run_on_clip, trial, method, options)
     if result is None:
         return facts
@@ -400,22 +390,9 @@ def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]
     }
 
 
-def on_supported_vertices(trial: ClipPair, method: str) -> ClipPair:
-    """Return the trial on the vertices that a method supports, in the order that it needs.
-
-    Those of the template for LIMP, all in the body's order for networks with weights for each vertex, else all as they
-    are.
-
-    Raises:
-        NotApplicableError: the method is limited to the template, and the trial is not of the shipped body.
-    """
+def in_supported_order(trial: ClipPair, method: str) -> ClipPair:
+    """Return the trial in the body's vertex order for networks with weights for each vertex, else as it is."""
     network = None if method in EXTRA_INPUTS else find_model(method)
-    if getattr(network, "template_only", False):
-        if trial.template is None:
-            raise NotApplicableError(
-                f"{method}: expected the vertices of its template, found no such numbers in this list"
-            )
-        return on_template(trial)
     if trial.place is not None and getattr(network, "vertices", 0):
         return trial.reordered(trial.place, trial.place)
     return trial

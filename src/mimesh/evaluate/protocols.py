@@ -21,7 +21,6 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody, load_body
 from ..bodies.contacts import CONTACTS, touching
-from ..bodies.dress import GARMENTS, dressed_body
 from ..bodies.quadruped import LIMITS, USUAL, lowered_head, postures
 from ..bodies.sampling import JOINT_LIMITS, lowered_arms, rotvec_to_rotmat, sample_pose, sample_shape
 from ..motions import pose_bank
@@ -72,11 +71,6 @@ class Protocol:
         """Return the number of pairs of a kind to measure: the requested number, or the protocol's own for 0."""
         assert kind in self.kinds
         return requested or self.pairs
-
-    @property
-    def validation_kinds(self) -> tuple[str, ...]:
-        """Kinds of `val` that need no files and that checkpoints are chosen by while a network is trained."""
-        return self.kinds
 
     def check(self, split: str) -> None:
         """Raise InputError if this split cannot be generated on this machine. The base class has no such split."""
@@ -177,20 +171,6 @@ class Wide(Protocol):
         return Pose(with_heading(rotvec, self.heading, rng), f"{kind}{i}")
 
 
-@dataclass(frozen=True)
-class Dressed(Wide):
-    """People in the shipped garments, in poses of Table 6; the kind says which of the two is dressed."""
-
-    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        dressed = [dressed_human(sample_garments(rng)) for _ in range(2)]
-        identity_body = human() if kind == "driving" else dressed[0]
-        driving_body = human() if kind == "identity" else dressed[1]
-        pose = self.sample_driving_pose(split, "table6", i, rng)
-        people = self.sample_people(identity_body, driving_body, split, kind, i)
-        pair = make_pair(*people, self.sample_rest_pose(split, kind, i, rng), pose)
-        return pair if identity_body is driving_body else dataclasses.replace(pair, aligned_reference=None)
-
-
 def with_heading(
     rotvec: Float[np.ndarray, "J 3"], largest: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "J 3 3"]:
@@ -199,11 +179,6 @@ def with_heading(
     turn = np.radians(largest) * rng.uniform(-1, 1)
     rotmat[0] = rotvec_to_rotmat(np.array([0.0, turn, 0.0])) @ rotmat[0]
     return rotmat
-
-
-def sample_garments(rng: np.random.Generator) -> tuple[str, ...]:
-    """Draw the shipped garments that a person wears: each with WEAR_PROBABILITY; who would wear none gets the last."""
-    return tuple(name for name in GARMENTS if rng.random() < WEAR_PROBABILITY) or GARMENTS[-1:]
 
 
 @dataclass(frozen=True)
@@ -284,8 +259,6 @@ def with_noise(
     return vertices + amplitude * radius * rng.uniform(-1, 1, vertices.shape)
 
 
-WEAR_PROBABILITY = 0.6
-"""Probability of wearing each garment."""
 MESHINGS = {
     "decimated": remesh.decimated,
     "retriangulated": remesh.retriangulated,
@@ -298,17 +271,10 @@ CROSS_TOPOLOGY = CrossTopology("cross-topology", 1, (*MESHINGS, "points"), pairs
 NOISE = Noise(
     "noise", 1, (*(f"noise-{percent}" for percent in range(6)), "holes", "cropped", "half"), pairs=18, spread=1.1
 )
-DRESSED = Dressed("dressed", 1, ("identity", "driving", "both"), pairs=18, spread=1.3)
 CONTACT = Touching("contact", 1, tuple(CONTACTS), pairs=18, spread=1.1)
-_ALL = (HUMAN_NPT, HUMAN_WIDE, CROSS_TOPOLOGY, NOISE, DRESSED, CONTACT)
+_ALL = (HUMAN_NPT, HUMAN_WIDE, CROSS_TOPOLOGY, NOISE, CONTACT)
 PROTOCOLS: dict[str, Protocol] = {protocol.name: protocol for protocol in _ALL}
 """Protocols that need no files; `run.find_protocol` also gives those that read a folder."""
-
-
-@cache
-def dressed_human(garments: tuple[str, ...]) -> RiggedBody:
-    """Return the shipped body in some garments, given by name."""
-    return dressed_body(human(), garments)
 
 
 @cache

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..bodies import RiggedBody, load_body
-from ..core.geometry import closest_on_mesh, edges, face_vectors, spatial_order
+from ..core.geometry import closest_on_mesh, edges, face_vectors
 from ..core.surface_points import at_barycentric, sample_surface
 
 
@@ -49,32 +49,6 @@ def decimated() -> Remesh:
 def simplified(body: RiggedBody, count: int) -> Remesh:
     """Decimate a body to about `count` triangles of its own by quadric simplification."""
     return _projected(body, *_simplify(body.vertices, body.faces, count))
-
-
-@cache
-def template(count: int = 2100) -> Remesh:
-    """Decimate the body to `count` of its own vertices, spread evenly; 2,100 is the vertex count of LIMP's meshes.
-
-    Every body vertex is assigned to the nearest chosen vertex along the edges, which divides the surface into cells.
-    Three different cells that meet in a triangle of the body give one triangle here (the dual of the cells).
-    """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import dijkstra
-
-    body = load_body()
-    size, pairs = len(body.vertices), edges(body.faces)
-    # Equal pieces of an order in which neighbours in space follow each other: their middles are spread evenly.
-    pieces = np.array_split(spatial_order(body.vertices), count)
-    chosen = np.array([piece[len(piece) // 2] for piece in pieces])
-    lengths = np.linalg.norm(np.diff(body.vertices[pairs], axis=1)[:, 0], axis=1)
-    graph = coo_matrix((lengths, pairs.T), (size, size))
-    nearest = dijkstra(graph, directed=False, indices=chosen, return_predecessors=True, min_only=True)[2]
-    rank = np.full(size, -1)
-    rank[chosen] = np.arange(count)
-    corners = rank[nearest[body.faces]]
-    distinct = (corners != np.roll(corners, 1, axis=1)).all(axis=1) & (corners >= 0).all(axis=1)
-    first = np.unique(np.sort(corners[distinct], axis=1), axis=0, return_index=True)[1]
-    return Remesh(corners[distinct][first], np.repeat(chosen[:, None], 3, axis=1), np.tile([1.0, 0, 0], (count, 1)))
 
 
 @cache

@@ -32,10 +32,8 @@ from ..methods.find import (
     weights_path,
 )
 from .animals import animals
-from .characters import Characters, characters
-from .clip_protocols import ClipPair, ClipsAniformer, clips_aniformer, clips_ordered
-from .cross_body import cross_body
-from .fingers import FingerGestures, fingers
+from .characters import Characters, characters, cross_body
+from .clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair, ClipsAniformer
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
 from .listed_pairs import ListedClips, ListedPairs, listed_pairs
 from .measure import (
@@ -57,18 +55,18 @@ from .summary import summary
 if TYPE_CHECKING:
     from PIL import Image
 
-WITHOUT_FOLDER: dict[str, Protocol] = {**PROTOCOLS, QUADRUPED.name: QUADRUPED}
+WITHOUT_FOLDER: dict[str, Protocol] = {
+    **PROTOCOLS,
+    **{protocol.name: protocol for protocol in (CLIPS_ANIFORMER, CLIPS_ORDERED, QUADRUPED)},
+}
 """Protocols that need no folder."""
 READ_A_FOLDER: dict[str, Callable[[Any], Protocol]] = {
     "cross-body": cross_body,
     "characters": characters,
-    "clips-aniformer": clips_aniformer,
-    "clips-ordered": clips_ordered,
-    "fingers": fingers,
     "animals": animals,
     "rigs": rigs,
 }
-"""Name -> function that makes the protocol from its folder, or None where only some kinds need one."""
+"""Name -> function that makes the protocol from its folder."""
 FOLDERS = tuple(READ_A_FOLDER)
 """Names of the protocols that read a folder."""
 NEED_A_FOLDER = {
@@ -117,13 +115,10 @@ def evaluate_command(
     for method in methods:
         check_method(method)
     chosen.check(split)
-    of_pool = isinstance(chosen, Characters | RiggedPeople) or (
-        isinstance(chosen, FingerGestures) and chosen.data is not None
-    )
-    if dump is not None and of_pool and split == "test":
+    if dump is not None and chosen.name in ("characters", "rigs") and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
                          "give --split val")  # fmt: skip
-    if runtime and isinstance(chosen, Characters | FingerGestures | RiggedPeople):
+    if runtime and isinstance(chosen, Characters | RiggedPeople):
         raise InputError(f"--torch: expected a test set of meshes or clips, found {protocol}; leave it out")
     for method in filter(fingerprint, methods if runtime else ()):
         open_network(method, measuring.ensemble, runtime)  # later, it would be a failure of every pair
@@ -166,8 +161,6 @@ def evaluate_command(
         "left_out": chosen.left_out(split),
         "results": rows,
     }
-    if isinstance(chosen, ListedPairs):
-        report["notes"] = list(chosen.axes_notes(pairs))
     if out is not None:
         with whole_file(out) as temporary:
             temporary.write_text(report_text(report), encoding="utf-8", newline="\n")

@@ -11,15 +11,14 @@ from ..methods.find import NETWORK_OF_BODY
 from .measure import extra_inputs, training_facts
 
 DISTRIBUTIONS = {
-    **{"pmd_e4": 4, "pmd_public_e4": 4, "mm": 2, "limb_deg": 2, "end_effector": 3, "fingertip_mm": 2},
+    **{"pmd_e4": 4, "pmd_public_e4": 4, "mm": 2, "limb_deg": 2, "end_effector": 3},
     **{"joints_pct": 3, "deform_mm": 2},
 }
 """Metrics with mean, interval, median, 90th percentile and maximum in a report, and their decimals."""
 MEANS = {
     **{"chamfer_e4": 4, "edge_score": 4, "flipped": 5},
     **{"path_mm": 2, "jitter": 4, "liveliness": 3, "still_mm": 4, "skate_cm_s": 3},  # of clips
-    **{"joint_pct": 2, "sole_height": 3, "touching": 3, "penetration": 2},  # without a true mesh (`limb_metrics`)
-    "finger_deg": 2,
+    **{"sole_height": 3, "touching": 3},  # without a true mesh (`limb_metrics`)
     **{"j2j": 3, "j2b": 3, "b2b": 3, "iou": 2, "weights_l1": 4},  # of rigs
 }
 """Metrics with a mean only, over the pairs that have a value, and their decimals."""

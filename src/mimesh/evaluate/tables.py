@@ -36,17 +36,10 @@ class Table(NamedTuple):
     protocol: str
     """Name of the protocol that it is measured on."""
     rows: tuple[Row, ...]
-    kinds: tuple[str, ...] = ("seen", "unseen")
-    """Kinds of pair of our columns, the hardest last. The paper's two columns are seen and unseen poses."""
-    labels: tuple[str, ...] = ("seen", "unseen")
-    """Headings of our columns."""
-
-    @property
-    def printed(self) -> bool:
-        """Whether the paper prints figures."""
-        return any(row.seen is not None or row.unseen is not None for row in self.rows)
 
 
+KINDS = ("seen", "unseen")
+"""Kinds of pair of a table's columns, as in the papers."""
 NONE_TRAINED: Mapping[str, Sequence[str]] = MappingProxyType({})
 LONGEST = Row("NPT, full width", "npt-full", 1.1, 9.3)
 LONGEST_MIXED = Row("NPT, full width, mixed people and limbs", "npt-full-mixed", 1.1, 9.3)
@@ -57,7 +50,6 @@ MIME = Row("mime as shipped", "mime")
 MIME_NETWORK = Row("the same without body fit", "mime-network")
 COPY = Row("driving vertices", "copy")
 DENSE = Row("DT, dense correspondence", "deformation-transfer-dense")
-ANIFORMER_FULL = Row("AniFormer, full width, random pairs", "aniformer-full", 0.12, 3.95)
 ANIFORMER_ORDERED = Row("AniFormer, full width", "aniformer-ordered", 0.12, 3.95)
 ANIFORMER_MIXED = Row("AniFormer, full width, mixed people and limbs", "aniformer-ordered-mixed", 0.12, 3.95)
 TABLES = {
@@ -85,7 +77,6 @@ TABLES = {
         "NPT Table 7: against other baselines",
         "human-npt",
         (
-            Row("skeleton", "skeleton", 27.4, 31.1),
             Row("max-pool, equal time", "npt-maxpool-equal", 2.1, 12.7),
             Row("NPT, equal time", "npt-equal", 1.1, 9.3),
             *(LONGEST, LONGEST_MIXED),
@@ -104,20 +95,19 @@ TABLES = {
             Row("with both", "aniformer-ordered-equal", 0.12),
             Row("both, attention to vertices", "aniformer-ordered-attention-vertices", 0.12),
             Row("both, weights for each vertex", "aniformer-ordered-vertices", 0.12),
-            *(ANIFORMER_ORDERED, ANIFORMER_MIXED, ANIFORMER_FULL, MIME, COPY),
+            *(ANIFORMER_ORDERED, ANIFORMER_MIXED, MIME, COPY),
         ),
     ),
     "aniformer-2": Table(
         "AniFormer Table 2: against other methods, frame by frame, meshes in one vertex order",
         "clips-ordered",
         (
-            Row("LIMP", "limp", 5.44, 7.11),
             Row("NPT-MP, narrow", "npt-maxpool-ordered-equal", 4.51, 6.69),
             Row("NPT, narrow", "npt-ordered-equal", 4.37, 5.31),
             Row("AniFormer, narrow", "aniformer-ordered-equal", 0.12, 3.95),
             Row("NPT, full width", "npt-ordered", 4.37, 5.31),
             Row("NPT, full width, mixed people and limbs", "npt-ordered-mixed", 4.37, 5.31),
-            *(ANIFORMER_ORDERED, ANIFORMER_MIXED, ANIFORMER_FULL, MIME),
+            *(ANIFORMER_ORDERED, ANIFORMER_MIXED, MIME),
             Row("DT, 13 control points", "deformation-transfer-13"),
             *(DENSE, COPY),
         ),
@@ -131,43 +121,22 @@ TABLES = {
             Row("with motion", "aniformer-motion", 1.37),
             Row("with appearance", "aniformer-appearance", 0.31),
             Row("with both", "aniformer-equal", 0.12),
-            *(ANIFORMER_FULL, MIME, COPY),
+            *(MIME, COPY),
         ),
-        kinds=("seen", "held-out"),
-        labels=("seen", "held out"),
     ),
     "aniformer-2-random": Table(
         "AniFormer Table 2 on a harder test: vertices paired at random, new driving people",
         "clips-aniformer",
         (
-            Row("LIMP", "limp", 5.44, 7.11),
             Row("NPT-MP, narrow", "npt-maxpool-frames", 4.51, 6.69),
             Row("NPT, narrow", "npt-frames", 4.37, 5.31),
             Row("AniFormer, narrow", "aniformer-equal", 0.12, 3.95),
-            Row("NPT, full width", "npt-full-frames", 4.37, 5.31),
-            ANIFORMER_FULL,
             Row("NPT as shipped", "npt", 4.37, 5.31),
             Row("AniFormer as shipped", "aniformer", 0.12, 3.95),
             MIME,
             Row("DT, 13 control points", "deformation-transfer-13"),
             *(DENSE, COPY),
         ),
-        kinds=("seen", "held-out"),
-        labels=("seen", "held out"),
-    ),
-    "animals": Table(
-        "Four-legged animals, of which the papers print no figures (NPT D.5; AniFormer, Fig. 5)",
-        "quadruped",
-        (
-            Row("NPT-MP", "npt-maxpool-quadruped"),
-            Row("NPT", "npt-quadruped"),
-            Row("AniFormer, still clips", "aniformer-quadruped"),
-            Row("DT, 13 control points", "deformation-transfer-13"),
-            Row("mime", "mime-quadruped"),
-            COPY,
-        ),
-        kinds=("gaits", "usual", "limits"),
-        labels=("gaits", "everyday poses", "joint limits"),
     ),
 }
 
@@ -263,28 +232,26 @@ def paper_table(
         without: methods whose rows are left out.
     """
     table = find_table(name, without)
-    by_paper = TABLES[name].printed
     chosen = [report for report in reports if report["protocol"] == table.protocol]
     measured = {(row["method"], row["split"]): row for report in chosen for row in report["results"]}
     lines = []
     for row in table.rows:
         networks = trained.get(row.method, [row.method])
         kinds = [
-            over_seeds([measured[method, kind] for method in networks if (method, kind) in measured])
-            for kind in table.kinds
+            over_seeds([measured[method, kind] for method in networks if (method, kind) in measured]) for kind in KINDS
         ]
         paper = " / ".join("-" if value is None else f"{value:g}" for value in (row.seen, row.unseen))
-        cells = [row.label, *([paper] if by_paper else [])]
+        cells = [row.label, paper]
         cells += [with_interval(figures, "pmd_e4") for figures in kinds]
         cells += [cell(figures, "pmd_public_e4") for figures in kinds]
         cells += [cell(kinds[-1], name) for name in ("edge_score", "flipped")]
         seen = [figures["pairs_seen"] for figures in kinds if figures and "pairs_seen" in figures]
         lines.append([*cells, f"{seen[0]:,}" if seen else "-", f"`{row.method}`"])
-    head = ["row", *(["paper, seen / unseen"] if by_paper else [])]
-    head += [f"{formula}, {label}" for formula in ("Eq. 7", "public") for label in table.labels]
-    head += [f"{name}, {table.labels[-1]}" for name in ("edge score", "flipped")] + ["pairs seen", "weights"]
-    title = f"{table.title}. Eq. 7 (PMD) and public formula x1e-4, mean"
-    title += "; the paper's figures on its own data, ours on the shipped body." if by_paper else "."
+    head = ["row", "paper, seen / unseen"]
+    head += [f"{formula}, {kind}" for formula in ("Eq. 7", "public") for kind in KINDS]
+    head += [f"{name}, {KINDS[-1]}" for name in ("edge score", "flipped")] + ["pairs seen", "weights"]
+    title = f"{table.title}. Eq. 7 (PMD) and public formula x1e-4, mean; "
+    title += "the paper's figures on its own data, ours on the shipped body."
     if (seeds := max(map(len, trained.values()), default=1)) > 1:
         title += f" Trained rows: mean over {seeds} seeds ± their standard deviation."
     return f"{title}\n\n" + markdown_table(head, lines)

@@ -23,7 +23,7 @@ from .config import config_differences, recorded_config
 from .models import find_task
 from .task import TrainConfig, UserData
 
-SCHEDULE = ("seed", "pairs", "minutes", "decay", "learning_rate", "accumulate", "doublings")
+SCHEDULE = ("seed", "pairs", "minutes", "decay", "learning_rate", "accumulate")
 """Keys of the schedule, which may change where a training is resumed."""
 
 

@@ -115,12 +115,18 @@ def config_from(values: dict[str, Any], where: str) -> TrainConfig:
 def recorded_config(values: dict[str, Any], where: str) -> TrainConfig:
     """Build the configuration that a checkpoint or card holds.
 
-    Older files hold the options of the data of all models. Those that its model does not have changed nothing.
+    Older files hold options that its model or its data no longer have, which are left out.
     """
-    if (network := values.get("network", "npt")) in NETWORKS and "data" in values:
-        known = {option.name for option in dataclasses.fields(options_of(network))}
-        values = {**values, "data": {key: value for key, value in values["data"].items() if key in known}}
+    if (network := values.get("network", "npt")) in NETWORKS:
+        values = _known(find_task(network).config_type, values)
+        if "data" in values:
+            values = {**values, "data": _known(options_of(network), values["data"])}
     return config_from(values, where)
+
+
+def _known(kind: type, values: dict[str, Any]) -> dict[str, Any]:
+    """Keep the values that a dataclass has."""
+    return {key: value for key, value in values.items() if key in {field.name for field in dataclasses.fields(kind)}}
 
 
 def options_of(network: str) -> type[DataConfig]:
@@ -155,8 +161,6 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     elif hint is float or (hint == float | None and value is not None):
         fits = isinstance(value, (int, float)) and not isinstance(value, bool)
         value = float(value) if fits else value
-    elif hint is str and type(value) is int:
-        value, fits = str(value), True  # a word of digits after --set
     else:
         fits = isinstance(value, hint) and (hint is bool or not isinstance(value, bool))
     if not fits:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -20,10 +19,9 @@ def described_cost(run: TrainingRun) -> str:
     """Say what the training takes: arithmetic of a step and of the whole, and memory."""
     config, weights = run.config, sum(parameter.numel() for parameter in run.model.parameters())
     step = training_operations(run.task, run.model, config.batch)
-    part = config.batch // config.accumulate // run.processes.count
+    part = config.batch // config.accumulate
     kept = activation_bytes(run.task, run.model, run.source) * part
-    first = run.task.with_vertices(config.data.vertices)
-    whole = schedule_operations(first, run.model, config.pairs) / 1e15
+    whole = training_operations(run.task, run.model, config.pairs) / 1e15
     in_all = "" if config.minutes else f", {whole:.3g} PFLOP in all"
     return (
         f"{weights / 1e6:.3g} M weights; a step of {config.batch} pairs is {step / 1e12:.3g} TFLOP{in_all}; "
@@ -42,19 +40,7 @@ def training_operations(task: Task, model: nn.Module, pairs: int) -> float:
 def operations_of(config: TrainConfig, pairs: int) -> float:
     """Count the operations of a training from its configuration alone."""
     task = find_task(config.network)(config, torch.device("cpu"))
-    return schedule_operations(task, task.make_model(), pairs)
-
-
-def schedule_operations(task: Task, model: nn.Module, pairs: int) -> float:
-    """Count the operations of the first pairs of a training, whose meshes have more vertices after each doubling.
-
-    Where the schedule goes by time, it is not known when that is, and all count with the first vertices.
-    """
-    config = task.config
-    shares = () if config.minutes else config.doublings
-    stages = enumerate(itertools.pairwise((0.0, *(share * config.pairs for share in shares), float("inf"))))
-    counts = ((config.data.vertices << doubled, min(end, pairs) - start) for doubled, (start, end) in stages)
-    return sum(training_operations(task.with_vertices(n), model, 1) * max(count, 0.0) for n, count in counts)
+    return training_operations(task, task.make_model(), pairs)
 
 
 def operations_spent(trained: Checkpoint) -> float:

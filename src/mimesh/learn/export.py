@@ -27,7 +27,7 @@ from .cost import operations_spent
 from .data.characters import CharacterOptions
 from .data.endless import PeopleOptions
 from .models import find_task
-from .task import DataConfig, OnnxInterface, Task
+from .task import DataConfig, OnnxInterface
 
 DATA = {
     "table6": "16 people x 400 poses of NPT Table 6",
@@ -176,7 +176,7 @@ def to_onnx(interface: OnnxInterface) -> onnx.ModelProto:
             optimize=False,
         )
         assert program is not None
-        # Constants are computed in advance from numbers, not from weights: those keep their names (`renamed_weights`).
+        # Constants are computed in advance from numbers, not from weights: those keep their names.
         onnxscript.optimizer.optimize(program.model, input_size_limit=2, output_size_limit=64)
     return without_traces(program.model_proto)
 
@@ -236,8 +236,6 @@ def load_exported(path: Path) -> tuple[nn.Module, Checkpoint]:
     task = find_task(config.network)(config, torch.device("cpu"))
     model = task.make_model()
     stored = stored_weights(path)
-    if set(model.state_dict()) - set(stored):
-        stored |= renamed_weights(stored, task.make_model(), type(task))
     missing = sorted(set(model.state_dict()) - set(stored))
     if missing:
         raise InputError(
@@ -256,33 +254,6 @@ def load_exported(path: Path) -> tuple[nn.Module, Checkpoint]:
         operations=card.get("operations"),
     )
     return model.eval(), trained
-
-
-def renamed_weights(stored: dict[str, Tensor], twin: nn.Module, task: type[Task]) -> dict[str, Tensor]:
-    """Find the weights that the export transposed and gave numbers for names, as it does for most of mime and hands.
-
-    A network of random weights is exported, too. Where one of its weights comes out, the file has the trained one.
-
-    Args:
-        stored: the arrays of the file, by their names in it.
-        twin: a network of the same configuration, whose weights are overwritten.
-
-    Returns:
-        The trained weights that were found, by their names in the network.
-    """
-    generator = torch.Generator().manual_seed(0)
-    for weight in twin.parameters():
-        weight.data.normal_(generator=generator)
-    graph = to_onnx(task.onnx_interface(twin)).graph
-    names = {onnx.numpy_helper.to_array(tensor).tobytes(): tensor.name for tensor in graph.initializer}
-    found = {}
-    for name, weight in twin.state_dict().items():
-        as_is, turned = (names.get(values.tobytes()) for values in (weight.numpy(), weight.numpy().T.copy()))
-        if as_is in stored and stored[as_is].numel() == weight.numel():
-            found[name] = stored[as_is].reshape(weight.shape)
-        elif turned in stored and stored[turned].shape == weight.shape[::-1]:
-            found[name] = stored[turned].mT.contiguous()
-    return found
 
 
 def stored_weights(path: Path) -> dict[str, Tensor]:

@@ -353,7 +353,7 @@ def unseen_hands() -> tuple[HandSurface, ...]:
 class HandTrials:
     """Batches of unseen hands, in place of the pairs of a protocol."""
 
-    validation_kinds = ("unseen",)
+    kinds = ("unseen",)
 
     def __init__(self, source: HandSource) -> None:
         self.source = source
@@ -369,7 +369,7 @@ class HandsTask(Task[HandsTrainConfig, HandNetwork]):
     """Training, validation and export of hands."""
 
     config_type = HandsTrainConfig
-    test_set = "fingers"
+    test_set = "human-npt"
 
     @property
     def body(self) -> RiggedBody:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -23,7 +24,6 @@ from .cost import described_cost, operations_of, training_operations
 from .data.user_data import refuse_other_data
 from .models import find_task
 from .optimizers import COMPILE_OPTIONS, DTYPES, choose_precision, make_optimizers, schedule
-from .processes import Processes, StopRequest, joined_processes
 from .task import BatchSource, Task, TrainConfig, UserData, batches_of
 from .validation import Validation
 
@@ -47,7 +47,6 @@ def train(
     folder: Path,
     max_minutes: float | None = None,
     user_data: UserData | None = None,
-    processes: Processes | None = None,
 ) -> Path:
     """Train to the end of the schedule, or until a time limit or a signal; continue the training in the folder if any.
 
@@ -56,18 +55,14 @@ def train(
     Args:
         max_minutes: wall-clock time, counted from this call.
         user_data: what the user brings, where the configuration asks for it.
-        processes: those that share the training; None: this one alone, or those that `torchrun` started.
 
     Raises:
         InputError: the user's data are not those of the training so far, or the batch cannot be divided.
         KeyboardInterrupt: after the checkpoint, where SIGINT or SIGTERM ended the training.
     """
-    if processes is None:
-        with joined_processes() as processes:
-            return train(config, folder, max_minutes, user_data, processes)
     folder.mkdir(parents=True, exist_ok=True)
     with StopRequest(max_minutes) as stop:
-        run = TrainingRun.start(config, folder, user_data, processes)
+        run = TrainingRun.start(config, folder, user_data)
         validation = Validation(run.task)
         with TrainingLog.opened(folder, run) as log:
             log.note("precision", run.reason, precision=run.task.precision)
@@ -84,11 +79,10 @@ def train(
 
 
 def run_to_end(run: TrainingRun, validation: Validation, folder: Path, log: TrainingLog, stop: StopRequest) -> None:
-    """Take steps, validate and save until the schedule ends or `stop` says so in one of the processes."""
+    """Take steps, validate and save until the schedule ends or `stop` says so."""
     last, first, falling = folder / "last.safetensors", run.step, run.rate_falls()
     while True:
-        stopped, killed, run.seconds = run.processes.largest(stop(), stop.signal is not None, run.seconds)
-        if stopped and (run.step > first or killed or run.share() >= 1.0):
+        if stop() and (run.step > first or stop.signal is not None or run.share() >= 1.0):
             break
         if run.validation_due():
             log.flush()
@@ -121,12 +115,11 @@ class TrainingRun:
     """Moving average of the weights by name; empty if none is kept."""
     optimizers: list[torch.optim.Optimizer]
     source: BatchSource
-    processes: Processes
     reason: str
     """Why `task.precision` was chosen, in words."""
     step: int = 0
     seconds: float = 0.0
-    """Spent in steps, by `Processes.clock`."""
+    """Spent in steps, by `clock`."""
     best: float = float("inf")
     """Lowest validation figure so far."""
     saved: float = 0.0
@@ -142,24 +135,17 @@ class TrainingRun:
     operations: float = 0.0
     """Floating-point operations so far, without those of the optimizer."""
     samples: int = 0
-    """Parts of batches so far, over all processes: their number may change where a training is resumed."""
+    """Parts of batches so far: their number may change where a training is resumed."""
 
     @classmethod
-    def start(
-        cls,
-        config: TrainConfig,
-        folder: Path,
-        user_data: UserData | None = None,
-        processes: Processes | None = None,
-    ) -> TrainingRun:
+    def start(cls, config: TrainConfig, folder: Path, user_data: UserData | None = None) -> TrainingRun:
         """Set up a new training, or the one whose checkpoint lies in the folder."""
-        processes = processes or Processes(0, 1, torch.device("cuda" if torch.cuda.is_available() else "cpu"))
-        device = processes.device
-        processes.refuse_batch(config.batch, config.most_parts)
+        config.check(str(folder))
+        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         last = folder / "last.safetensors"
         state = checkpoint.load(last) if last.exists() else None
         before = state.precision if state else ""
-        precision, reason = processes.of_first(lambda: choose_precision(config.precision, device, before))
+        precision, reason = choose_precision(config.precision, device, before)
         torch.manual_seed(config.seed)
         task = find_task(config.network)(config, device, precision, user_data)
         model = task.make_model().to(device)
@@ -170,9 +156,9 @@ class TrainingRun:
         if state:
             refuse_other_data(user_data, {"characters": state.characters, "meshes": state.meshes}, folder)
         if config.compile:  # takes up to a minute, which is no training
-            task.loss(step_model, source.batch(config.batch // config.accumulate // processes.count, 0), 0).backward()
+            task.loss(step_model, source.batch(config.batch // config.accumulate, 0), 0).backward()
             model.zero_grad(set_to_none=True)
-        run = cls(config, task, model, step_model, ema, optimizers, source, processes, reason, saved=time.monotonic())
+        run = cls(config, task, model, step_model, ema, optimizers, source, reason, saved=time.monotonic())
         if state:
             checkpoint.unpack(state, model, ema, optimizers)
             run.step, run.seconds, run.best, run.before = state.step, state.seconds, state.best, state.before
@@ -202,28 +188,22 @@ class TrainingRun:
         return now > before
 
     def advance(self) -> Tensor:
-        """Take one optimizer step and give this process's mean loss, which stays on the device.
+        """Take one optimizer step and give the mean loss, which stays on the device.
 
-        The batch has as many parts in each process as `_parts_of_batch` says. Parts are the generator's next samples,
-        in this order: which process computes one makes no difference. Random numbers of a loss are those of the
-        sample, too.
+        Parts of the batch are the generator's next samples. Random numbers of a loss are those of the sample, too.
         """
-        started = self.processes.clock()
-        config, processes = self.config, self.processes
-        own_parts = self._parts_of_batch()
-        parts = own_parts * processes.count
+        started = clock(self.task.device)
+        config, parts = self.config, self.config.accumulate
         for optimizer in self.optimizers:
             for group in optimizer.param_groups:
                 group["lr"] = config.learning_rate * schedule(config, self.step * config.batch, self.share())
             optimizer.zero_grad(set_to_none=True)
         losses = []
-        for part in range(processes.rank, parts, processes.count):
-            sample = self.samples + part
+        for sample in range(self.samples, self.samples + parts):
             batch = self.source.batch(config.batch // parts, sample)
             loss = self.task.loss(self.step_model, batch, sample)
-            (loss / own_parts).backward()
+            (loss / parts).backward()
             losses.append(loss.detach())
-        processes.average_gradients(self.model)
         if config.clip:
             nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
         for optimizer in self.optimizers:
@@ -235,17 +215,8 @@ class TrainingRun:
         self.samples += parts
         self.operations += training_operations(self.task, self.model, config.batch)
         self.metrics = None
-        self.seconds += self.processes.clock() - started
+        self.seconds += clock(self.task.device) - started
         return torch.stack(losses).mean()
-
-    def _parts_of_batch(self) -> int:
-        """Give the parts that the next batch has in each process; see to it that its meshes have their vertices."""
-        doubled = sum(self.share() >= share for share in self.config.doublings)
-        vertices = self.config.data.vertices << doubled
-        if self.task.config.data.vertices != vertices:
-            self.task = self.task.with_vertices(vertices)
-            self.source = batches_of(self.task, self.config.seed)
-        return self.config.accumulate << doubled
 
     def validate(
         self,
@@ -258,7 +229,7 @@ class TrainingRun:
         current = {k: v.clone() for k, v in self.model.state_dict().items()}
         if self.ema:
             self.model.load_state_dict(self.ema)
-        metrics = self.processes.of_first(lambda: validation.measure(self.model, stop, progress))
+        metrics = validation.measure(self.model, stop, progress)
         self.model.load_state_dict(current)
         if metrics is None:
             return None
@@ -270,10 +241,8 @@ class TrainingRun:
         return metrics
 
     def save(self, path: Path) -> None:
-        """Write a checkpoint, in the first process alone."""
+        """Write a checkpoint."""
         self.saved = time.monotonic()
-        if not self.processes.first:
-            return
         tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
         position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
         user_data = {self.task.user_data.part: self.task.user_data.facts} if self.task.user_data else {}
@@ -282,10 +251,57 @@ class TrainingRun:
         checkpoint.save(path, state)
 
 
-class TrainingLog:
-    """Writes JSON lines, TensorBoard scalars and lines on the terminal; with several processes, the first one does."""
+def clock(device: torch.device) -> float:
+    """Give the seconds that this process spent on all cores; with a GPU those of the wall clock.
 
-    def __init__(self, lines: TextIO, board: SummaryWriter | None, run: TrainingRun) -> None:
+    Other processes lengthen them by little: a training between busy ones does a tenth less in its time.
+    """
+    return time.process_time() if device.type == "cpu" else time.perf_counter()
+
+
+class StopRequest:
+    """Tells when a training has to end before its schedule does: after a time limit, or on SIGTERM or SIGINT.
+
+    A signal is only recorded, so that the current step can be finished and saved; at the end of the block it becomes a
+    KeyboardInterrupt. A second one acts at once. Outside the main thread, which alone may handle signals, only the
+    time limit counts.
+    """
+
+    def __init__(self, max_minutes: float | None) -> None:
+        self.deadline = time.monotonic() + 60 * max_minutes if max_minutes else float("inf")
+        self.signal: signal.Signals | None = None
+        self.handlers: dict[signal.Signals, Any] = {}
+
+    def __call__(self) -> bool:
+        return self.signal is not None or time.monotonic() >= self.deadline
+
+    def reason(self) -> str:
+        """Say what ended the training."""
+        return "the time given is over" if self.signal is None else f"ended by {self.signal.name}"
+
+    def __enter__(self) -> StopRequest:
+        if threading.current_thread() is threading.main_thread():
+            self.handlers = {s: signal.signal(s, self._record) for s in (signal.SIGTERM, signal.SIGINT)}
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._restore()
+        if kind is None and self.signal is not None:
+            raise KeyboardInterrupt
+
+    def _record(self, number: int, _: object) -> None:
+        self.signal = signal.Signals(number)
+        self._restore()
+
+    def _restore(self) -> None:
+        while self.handlers:
+            signal.signal(*self.handlers.popitem())
+
+
+class TrainingLog:
+    """Writes JSON lines, TensorBoard scalars and lines on the terminal."""
+
+    def __init__(self, lines: TextIO, board: SummaryWriter, run: TrainingRun) -> None:
         self.lines, self.board, self.run = lines, board, run
         self.steps, self.told, self.start = 0, False, (0.0, 0.0)
         self._begin()
@@ -293,11 +309,7 @@ class TrainingLog:
     @classmethod
     @contextlib.contextmanager
     def opened(cls, folder: Path, run: TrainingRun) -> Iterator[TrainingLog]:
-        """Continue the log of a folder; outside the first process nothing is written."""
-        if not run.processes.first:
-            with open(os.devnull, "w") as nowhere:
-                yield cls(nowhere, None, run)
-            return
+        """Continue the log of a folder."""
         with (folder / "log.jsonl").open("a") as lines, SummaryWriter(str(folder)) as board:
             yield cls(lines, board, run)
 
@@ -316,7 +328,7 @@ class TrainingLog:
             self.flush()
 
     def flush(self) -> None:
-        """Write what was collected: mean loss, pairs a second of `Processes.clock`, arithmetic achieved."""
+        """Write what was collected: mean loss, pairs a second of `clock`, arithmetic achieved."""
         if not self.losses:
             return
         loss = torch.stack(self.losses).mean().item()
@@ -333,9 +345,8 @@ class TrainingLog:
 
     def write(self, kind: str, figures: dict[str, float]) -> None:
         """Write one line of figures."""
-        if self.board:
-            for name, value in figures.items():
-                self.board.add_scalar(f"{kind}/{name}", value, self.run.step * self.run.config.batch)
+        for name, value in figures.items():
+            self.board.add_scalar(f"{kind}/{name}", value, self.run.step * self.run.config.batch)
         self._line(kind, ", ".join(f"{k} {v:.4g}" for k, v in figures.items()), figures)
 
     def validating(self) -> Progress:
@@ -361,12 +372,11 @@ class TrainingLog:
         record = {"kind": kind, "step": self.run.step, "pairs": pairs, "seconds": round(self.run.seconds, 1), **facts}
         self.lines.write(json.dumps(record) + "\n")
         self.lines.flush()
-        if self.board:
-            say(f"{kind} {pairs:,} pairs: {text}", error=True)
+        say(f"{kind} {pairs:,} pairs: {text}", error=True)
 
 
 def expected_end(run: TrainingRun, steps: int, seconds: float, share: float) -> str:
-    """Say how fast a training is and when it ends, from steps of this process.
+    """Say how fast a training is and when it ends, from some steps.
 
     Args:
         steps: number of them.

@@ -45,7 +45,6 @@ from .data.surfaces import (
     SurfaceBody,
     plain_people,
     repeat_visible,
-    scanned,
 )
 from .task import OnnxInterface, Task, TrainConfig, share_option
 
@@ -124,8 +123,6 @@ class MimeData(PeopleOptions, CharacterOptions):
     took odd shapes for odd poses (docs/log/animals.md)."""
     low_poly: float = share_option()
     """`wide`: share of meshes that are low-poly, as points with the normals of 200 to 1,200 flat triangles."""
-    scans: float = share_option()
-    """`wide`: share of driving meshes that are scans from one camera: hidden points missing, holes, noise."""
     animal_kinds: ClassVar[tuple[str, ...]] = ("wide",)
     clip_kinds: ClassVar[tuple[str, ...]] = ("wide",)
     words: ClassVar[dict[tuple[str, str], str]] = {("wide", "human"): MIME_DATA, ("wide", "quadruped"): ANIMAL_DATA}
@@ -141,7 +138,7 @@ class MimeData(PeopleOptions, CharacterOptions):
     def check(self, where: str) -> None:
         """Raise InputError for options of endless people with the table, and of characters without any."""
         super().check(where)
-        for key in ("characters", "low_poly", "scans"):
+        for key in ("characters", "low_poly"):
             if (value := getattr(self, key)) and self.kind != "wide":
                 raise InputError(f"{where}: expected data.{key} with data.kind wide only, found {value}")
         if self.character_limits is not None and not self.characters:
@@ -529,8 +526,7 @@ class SurfaceSource:
     def _figures(self, size: int, rng: torch.Generator) -> tuple[PosedSurface, PosedSurface, PosedSurface]:
         """Make the same of pairs of characters."""
         assert isinstance(self.people, EndlessPeople)
-        pairs = self.figures.draw(self.people.pairs(size, rng, self.config.character_limits)[1], rng)
-        return pairs.identity, pairs.driving, pairs.truth
+        return self.figures.draw(self.people.pairs(size, rng, self.config.character_limits)[1], rng)
 
     def _dress(
         self, shapes: Float[Tensor, "2 B K"], touching: Bool[Tensor, "2 B"], rng: torch.Generator
@@ -546,15 +542,11 @@ class SurfaceSource:
         return [one.where(some, other) for one, some, other in zip(plain, touching, drawn, strict=True)]
 
     def _damage(self, identity: PosedSurface, driving: PosedSurface, rng: torch.Generator):
-        """Add noise to driving points, leave out one side of some and the normals of others; make scans of a share."""
+        """Add noise to driving points, leave out one side of some and the normals of others."""
         size, index = len(driving.points), self._one_sided(driving.normals, rng)
         noise = normal(rng, *driving.points.shape)
         noisy = gather_points(driving.points, index) + MAX_NOISE * uniform(rng, size, 1, 1).square() * noise
         normals = gather_points(driving.normals, index)
-        if self.config.scans:
-            some = uniform(rng, size, 1, 1) < self.config.scans
-            scan = scanned(driving.points, driving.normals, rng)
-            noisy, normals = torch.where(some, scan[0], noisy), torch.where(some, scan[1], normals)
         meshes = ((identity.points, identity.normals), (noisy, normals))
         return tuple(
             (points, normals * (uniform(rng, size, 1, 1) >= share))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..core.errors import InputError, did_you_mean
 from .task import Task
 
-NETWORKS = ("npt", "aniformer", "limp", "mime", "hands")
+NETWORKS = ("npt", "aniformer", "mime", "hands")
 """The networks that can be trained."""
 
 
@@ -16,8 +16,6 @@ def find_task(network: str) -> type[Task]:
             from .npt import NPTTask as task
         case "aniformer":
             from .aniformer import AniFormerTask as task
-        case "limp":
-            from .limp import LIMPTask as task
         case "mime":
             from .mime import MimeTask as task
         case "hands":

@@ -15,8 +15,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from .data.characters import TrainingCharacters
-from .data.figures import CharacterPairSource, PairOptions
+from .data.endless import PeopleOptions
 from .data.people import PairBatch, PairSource
 from .data.registered import MeshOptions, MeshPairSource
 from .layers import PointConv, ResBlock, edge_ratio, edge_vectors, instance_norm, reconstruction
@@ -49,15 +48,14 @@ class NPTConfig:
 
 
 @dataclass(frozen=True)
-class NPTData(PairOptions, MeshOptions):
-    """What NPT is trained on: the paper's table, endless people, frames of clips, characters, or registered meshes."""
+class NPTData(PeopleOptions, MeshOptions):
+    """What NPT is trained on: the paper's table, endless people, frames of clips, or registered meshes."""
 
     kind: Literal["table6", "wide", "clips80", "clips", "meshes"] = "table6"
     """`table6`: the 16 people x 400 poses of `evaluate.protocols.HUMAN_NPT`, whatever the seed. `wide`: endless people;
     rest, Table 6, joint limits, frames of motions. `clips80`: frames of AniFormer's 16 people x 80 motions. `clips`: as
     `wide`, validated on clips. `meshes`: registered meshes of a folder."""
     animal_kinds: ClassVar[tuple[str, ...]] = ("wide", "meshes")
-    words_of_characters: ClassVar[str] = "; characters of others (`characters`) in these poses and those of their clips"
 
 
 @dataclass(frozen=True)
@@ -174,8 +172,6 @@ class NPTTask(PaperTask[NPTTrainConfig, NPT]):
     def source(self, seed: int) -> BatchSource:
         if self.meshes:
             return MeshPairSource(self.config.data, self.meshes, self.device, seed)
-        if isinstance(self.user_data, TrainingCharacters):
-            return CharacterPairSource(self.config.data, self.body, self.device, seed, self.user_data)
         return PairSource(self.config.data, self.body, self.device, seed)
 
     def loss(self, model: NPT, batch: PairBatch, step: int) -> Tensor:

@@ -1,9 +1,8 @@
-"""Weights of the papers' public code: which network they are, and the same network in our layout.
+"""Weights of NPT's public code in our layout; those of AniFormer's are not published.
 
-The public code (jiashunwang/Neural-Pose-Transfer, mikecheninoulu/AniFormer) saves the tensors of a network by name.
-Those of NPT and of its max-pool variant have the same names and shapes; those of AniFormer hold numbers for every
-vertex, so that it takes meshes of one vertex count and order. Nothing of that code is used here, and nothing of a file
-is run: it is read with `weights_only`, which refuses every pickle that holds more than tensors.
+The public code (jiashunwang/Neural-Pose-Transfer) saves the tensors of a network by name. Those of NPT and of its
+max-pool variant have the same names and shapes. Nothing of that code is used here, and nothing of a file is run: it is
+read with `weights_only`, which refuses every pickle that holds more than tensors.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import struct
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -23,20 +22,13 @@ from torch import Tensor
 from ..core.errors import InputError
 from ..io.atomic import together
 from ..methods.npt import METRES
-from ..methods.onnx_metadata import MAX_WINDOW
-from .aniformer import AniFormer, AniFormerConfig
 from .export import FULL_BITS, STORED_BITS, check_output, save_card, save_network
 from .npt import NPT, NPTConfig
 
-Kind = Literal["npt", "npt-maxpool", "aniformer"]
-EMBEDDING = "Temporal_pos_embed"
-"""Published name of AniFormer's embedding (1, T, C, V), which NPT has not."""
-NPT_TENSOR = "decoder.spadain_block1.conv1.weight"
-"""A published name by which NPT is known."""
 WRAPPERS = ("model_state_dict", "state_dict")
 """Keys under which training scripts keep the network beside their optimizer."""
 PARALLEL = "module."
-"""Put before every name by `torch.nn.DataParallel`, which AniFormer's train.py uses on several GPUs."""
+"""Put before every name by `torch.nn.DataParallel`, which training scripts use on several GPUs."""
 UNITS = {"first": ("spadain1", "conv1"), "second": ("spadain2", "conv2"), "shortcut": ("spadain_res", "conv_res")}
 """Unit of our ResBlock -> published names of its SPAdaIN and convolution."""
 BROKEN = (
@@ -52,52 +44,51 @@ LISTED = 3
 class PublishedNetwork:
     """A published network: ours with the same arithmetic, and how its tensors are called."""
 
-    kind: Kind
-    model: NPT | AniFormer
+    kind: str
+    """`npt` or `npt-maxpool`."""
+    model: NPT
     names: dict[str, str]
-    """Published name -> ours, of every tensor that the result depends on."""
-    unused: dict[str, tuple[int, ...]]
-    """Name and shape of those that the public code stores and never reads."""
+    """Published name -> ours."""
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Give the shape of every tensor by its published name."""
+        """Give the shape of every tensor by its published name: kernels have length 1."""
         own = self.model.state_dict()
-        return {name: published_shape(own[ours]) for name, ours in self.names.items()} | self.unused
+        shapes = {name: tuple(own[ours].shape) for name, ours in self.names.items()}
+        return {name: (*shape, 1) if len(shape) == 2 else shape for name, shape in shapes.items()}
 
 
 def import_command(path: Path, out: Path, maxpool: bool = False, bits: int = FULL_BITS) -> dict[str, Any]:
     """Do what `mimesh import-checkpoint` does: write the network and its card (`.json`), and give the card.
 
     Raises:
-        InputError: the file is not that of one of the networks, or `out` or `bits` are not possible.
+        InputError: the file is not that of the network, or `out` or `bits` are not possible.
     """
     check_output(out, bits, (FULL_BITS, *STORED_BITS))
     published = load_published(path, maxpool)
-    model, network = published.model, "aniformer" if published.kind == "aniformer" else "npt"
+    model = published.model
     with path.open("rb") as file:
         checksum = hashlib.file_digest(file, "sha256").hexdigest()
     card = {
         "name": out.stem,
         "file": out.name,
         "license": "that of the imported file",
-        "imported": {"kind": published.kind, "file": path.name, "sha256": checksum, "unused": sorted(published.unused)},
-        "config": {"network": network, "model": dataclasses.asdict(model.config)},
+        "imported": {"kind": published.kind, "file": path.name, "sha256": checksum},
+        "config": {"network": "npt", "model": dataclasses.asdict(model.config)},
         "parameters": sum(p.numel() for p in model.parameters()),
         "bits": bits,
     }
     with together():
-        save_network(model, network, {"target_scale": METRES}, model.config, out, bits)
+        save_network(model, "npt", {"target_scale": METRES}, model.config, out, bits)
         save_card(card, out)
     return card
 
 
 def load_published(path: Path, maxpool: bool = False) -> PublishedNetwork:
     """Load a published network into our layout; every tensor of the file must belong to it, with its shape."""
-    state = read_state(path)
-    network = find_network(state, maxpool, path)
+    state, network = read_state(path), published_npt(maxpool)
     check_state(state, network, path)
     own = network.model.state_dict()
-    tensors = {ours: in_our_layout(state[name], own[ours]).float() for name, ours in network.names.items()}
+    tensors = {ours: state[name].reshape(own[ours].shape).float() for name, ours in network.names.items()}
     network.model.load_state_dict(tensors, assign=True)  # refuses if one of ours is missing
     network.model.eval()
     return network
@@ -133,26 +124,6 @@ def _is_dense(value: Any) -> bool:
     return isinstance(value, Tensor) and value.layout == torch.strided and value.is_contiguous()
 
 
-def find_network(state: dict[str, Tensor], maxpool: bool, path: Path) -> PublishedNetwork:
-    """Recognise the network by its names."""
-    if EMBEDDING in state:
-        if maxpool:
-            raise InputError(f"{path}: expected weights of NPT with --maxpool, found those of AniFormer; leave it out")
-        shape = tuple(state[EMBEDDING].shape)
-        if len(shape) != 4 or not 1 <= shape[1] <= MAX_WINDOW or shape[3] < 2:
-            raise InputError(
-                f"{path}: expected {EMBEDDING} of 1 x frames (1 to {MAX_WINDOW}) x channels x vertices, "
-                f"found {shape_text(shape)}"
-            )
-        return published_aniformer(shape[1], shape[3])
-    if NPT_TENSOR in state:
-        return published_npt(maxpool)
-    raise InputError(
-        f"{path}: expected the weights of NPT or AniFormer as their public code names them ({NPT_TENSOR}), "
-        f"found {', '.join(sorted(state)[:LISTED])} ..."
-    )
-
-
 def published_npt(maxpool: bool = False) -> PublishedNetwork:
     """Describe the published NPT, or its max-pool variant, whose weights are of the same names and shapes."""
     config = NPTConfig(
@@ -167,35 +138,7 @@ def published_npt(maxpool: bool = False) -> PublishedNetwork:
     parts |= {f"decoder.conv{i + 1}": f"convs.{i}" for i in range(3)} | {"decoder.conv4": "head"}
     for i in range(3):
         parts |= block_parts(f"decoder.spadain_block{i + 1}", f"blocks.{i}")
-    return PublishedNetwork("npt-maxpool" if maxpool else "npt", model, convolution_names(parts), {})
-
-
-def published_aniformer(frames: int, vertices: int) -> PublishedNetwork:
-    """Describe the published AniFormer for windows of so many frames of so many vertices."""
-    config = AniFormerConfig(
-        frames=frames,
-        attention="vertices",
-        heads=1,
-        scaled=False,
-        keys=vertices,
-        order="norm-relu-conv",
-        output="2tanh",
-        vertices=vertices,
-    )
-    with torch.device("meta"):
-        model = AniFormer(config)
-    parts = {f"encoder.conv{i + 1}": f"encoder.{i}" for i in range(3)} | {"decoder.conv5": "head"}
-    names = {EMBEDDING: "embedding"}
-    for i in range(4):
-        attention, ours = f"decoder.att_block{i + 1}", f"layers.{i}.vertices"
-        parts |= {f"decoder.conv{i + 1}": f"layers.{i}.conv"}
-        parts |= {f"{attention}.{name}_conv": f"{ours}.{name}" for name in ("query", "key", "value")}
-        parts |= block_parts(f"decoder.spadain_block{i + 1}", f"layers.{i}.block")
-        names[f"{attention}.gamma"] = f"{ours}.gamma"
-    for i in range(3):
-        names |= {f"encoder.norm{i + 1}.weight": f"affine.{i}.scale", f"encoder.norm{i + 1}.bias": f"affine.{i}.shift"}
-    unused = {f"decoder.norm{i + 1}.{end}": (vertices,) for i in range(3) for end in ("weight", "bias")}
-    return PublishedNetwork("aniformer", model, names | convolution_names(parts), unused)
+    return PublishedNetwork("npt-maxpool" if maxpool else "npt", model, convolution_names(parts))
 
 
 def block_parts(published: str, ours: str) -> dict[str, str]:
@@ -211,19 +154,6 @@ def block_parts(published: str, ours: str) -> dict[str, str]:
 def convolution_names(parts: dict[str, str]) -> dict[str, str]:
     """Name the two tensors of each convolution: published -> ours."""
     return {f"{name}.{end}": f"{ours}.{end}" for name, ours in parts.items() for end in ("weight", "bias")}
-
-
-def published_shape(own: Tensor) -> tuple[int, ...]:
-    """Give the shape that the public code stores a tensor of ours in."""
-    if own.ndim == 4:  # the embedding: (C, 1, T, V) here
-        channels, _, frames, vertices = own.shape
-        return 1, frames, channels, vertices
-    return (*own.shape, 1) if own.ndim in (0, 2) else tuple(own.shape)  # gamma, kernels of length 1
-
-
-def in_our_layout(published: Tensor, own: Tensor) -> Tensor:
-    """Bring a published tensor into the shape of ours."""
-    return published.permute(2, 0, 1, 3).contiguous() if own.ndim == 4 else published.reshape(own.shape)
 
 
 def check_state(state: dict[str, Tensor], network: PublishedNetwork, path: Path) -> None:

@@ -17,7 +17,6 @@ from .data.user_data import ProgressBar, check_files, mesh_settings, read_user_d
 from .export import load_start
 from .loop import TrainingRun, train
 from .models import find_task
-from .processes import joined_processes
 from .task import TrainConfig, UserData
 
 NOTHING = TrainingFiles()
@@ -50,19 +49,17 @@ def train_command(
         bar: makes a progress bar with a title.
     """
     find_task(model)  # which refuses unknown ones
-    with joined_processes() as processes:
-        if resume is not None:
-            fixed = [f"--weights {weights}"] * bool(weights)
-            fixed += [f"--leave-out {pack}" for pack in brought.leave_out or ()]
-            fixed += [f"--pattern {brought.pattern}"] * bool(brought.pattern)
-            settings, folder = resumed_config(model, resume, changes, fixed), resume
-        else:
-            settings, folder = new_config(model, config, out, changes, brought)
-        user_data = read_user_data(settings, brought, bar)
-        if weights is not None:
-            processes.largest(0.0)  # all have seen that the folder is empty before the first one writes there
-            processes.of_first(lambda: begin_with(settings, weights, folder, user_data))
-        return train(settings, folder, max_minutes, user_data, processes)
+    if resume is not None:
+        fixed = [f"--weights {weights}"] * bool(weights)
+        fixed += [f"--leave-out {pack}" for pack in brought.leave_out or ()]
+        fixed += [f"--pattern {brought.pattern}"] * bool(brought.pattern)
+        settings, folder = resumed_config(model, resume, changes, fixed), resume
+    else:
+        settings, folder = new_config(model, config, out, changes, brought)
+    user_data = read_user_data(settings, brought, bar)
+    if weights is not None:
+        begin_with(settings, weights, folder, user_data)
+    return train(settings, folder, max_minutes, user_data)
 
 
 def new_config(

@@ -37,22 +37,14 @@ ON_CLIPS = (
     *("weight_decay=0", "warmup=2000", "decay=0.4"),
 )
 """NPT on AniFormer's data: frames of its motions as pairs, as many vertices; three eighths of the paper's width."""
-FULL_ON_CLIPS = (
-    *("data.kind=clips80", "data.between=0.4", "data.recombine=0", "batch=48", "pairs=120000", "warmup=3000"),
-    *("decay=0.75", "doublings=[0.75,0.92]", "ema=0.99"),
-)
-"""NPT at full width on the frames of as many windows as `aniformer-full` sees, drawn and learned in the same way."""
 ORDERED = "data.pairing=order"
-"""One vertex order for all meshes, as in the public code. LIMP's meshes are in that of its template in any case."""
+"""One vertex order for all meshes, as in the public code."""
 ORDERED_CLIPS = ("data.kind=clips80", ORDERED, "data.reflect=0")
 """NPT on AniFormer's data, all meshes in one order."""
 MIXED = ("data.mix_people=0.8", "data.recombine=0.5")
 """More than 16 people and their poses: mixtures of the people, and limbs of other poses or motions."""
 VANILLA = ("model.head=regression", "losses.motion=off", "losses.appearance=off")
 """AniFormer's Table 1 begins with a head for one frame, trained without the two constraints."""
-ON_ANIMALS = ("data.body=quadruped", "ema=0.99")
-"""Random animals of the shipped quadruped instead of people: the narrow networks of the shipped weights, for a short
-training. The truth is in the identity's unit, so nothing of the truth is given in use."""
 ROWS = {
     "npt-equal": TrainedRow("npt"),
     "npt-no-edge": TrainedRow("npt", ("edge=off",)),
@@ -75,9 +67,6 @@ ROWS = {
     "npt-maxpool-ordered-equal": TrainedRow("npt", ("model.pose_code=global_max", *ON_CLIPS, ORDERED)),
     "npt-frames": TrainedRow("npt", ON_CLIPS),
     "npt-maxpool-frames": TrainedRow("npt", ("model.pose_code=global_max", *ON_CLIPS)),
-    "limp": TrainedRow("limp"),
-    "npt-full-frames": TrainedRow("npt", FULL_ON_CLIPS, config="full", equal_time=False, long=True),
-    "aniformer-full": TrainedRow("aniformer", config="full", equal_time=False, long=True),
     "npt-full": TrainedRow("npt", config="gpu", equal_time=False, long=True),
     "npt-full-mixed": TrainedRow("npt", MIXED, config="gpu", equal_time=False, long=True),
     "npt-ordered": TrainedRow("npt", ORDERED_CLIPS, config="gpu", equal_time=False, long=True),
@@ -85,11 +74,6 @@ ROWS = {
     "aniformer-ordered": TrainedRow("aniformer", config="gpu", equal_time=False, long=True),
     "aniformer-ordered-mixed": TrainedRow("aniformer", MIXED, config="gpu", equal_time=False, long=True),
     "mime-table": TrainedRow("mime", equal_time=False),
-    "npt-quadruped": TrainedRow("npt", (*ON_ANIMALS, "warmup=4000"), config="small"),
-    "npt-maxpool-quadruped": TrainedRow(
-        "npt", ("model.pose_code=global_max", *ON_ANIMALS, "warmup=4000"), config="small"
-    ),
-    "aniformer-quadruped": TrainedRow("aniformer", (*ON_ANIMALS, "warmup=1000"), config="small"),
 }
 """Name of a row's network -> how it is trained."""
 

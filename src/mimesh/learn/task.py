@@ -82,10 +82,6 @@ class TrainConfig:
     """Share of the training, at its end, over which the learning rate falls linearly to zero."""
     milestones: tuple[float, ...] = ()
     """Shares of the training after each of which the learning rate is divided by ten."""
-    doublings: tuple[float, ...] = ()
-    """Shares of the training after each of which meshes have twice as many vertices, and the batch twice as many parts,
-    so that memory stays. Means over more vertices waver less: late, when details are learned, they are worth their
-    time."""
     weight_decay: float = 0.0
     """Decoupled weight decay of Muon's matrices: each step multiplies them by 1 - learning rate x this."""
     beta2: float = 0.999
@@ -105,11 +101,6 @@ class TrainConfig:
     seed: int = 0
 
     @property
-    def most_parts(self) -> int:
-        """Parts of a batch after the last doubling, in each process."""
-        return self.accumulate << len(self.doublings)
-
-    @property
     def window(self) -> int:
         """Frames of a driving mesh or clip that the network takes at once."""
         return 1
@@ -119,15 +110,9 @@ class TrainConfig:
         self.data.check(where)
         if self.weight_decay and self.optimizer != "muon":
             raise InputError(f"{where}: expected weight_decay 0 with optimizer {self.optimizer}, found another")
-        if self.doublings and not self.data.vertices:
-            raise InputError(f"{where}: expected data.vertices above 0 with doublings, found 0; set it")
-        if any(not 0.0 < share < 1.0 for share in self.doublings):
-            raise InputError(f"{where}: expected doublings between 0 and 1, found {list(self.doublings)}")
-        if self.accumulate < 1 or self.batch % self.most_parts:
-            twice = f" times {1 << len(self.doublings)} (doublings)" * bool(self.doublings)
+        if self.accumulate < 1 or self.batch % self.accumulate:
             raise InputError(
-                f"{where}: expected accumulate{twice} to divide batch, found {self.accumulate} and {self.batch}; "
-                "change one"
+                f"{where}: expected accumulate to divide batch, found {self.accumulate} and {self.batch}; change one"
             )
 
 
@@ -247,11 +232,6 @@ class Task(ABC, Generic[Config, Network]):
     @abstractmethod
     def onnx_facts(model: Any) -> dict[str, Any]:
         """Give what the exported file must say about the network, beside its configuration."""
-
-    def with_vertices(self, vertices: int) -> Task[Config, Network]:
-        """Copy the task for meshes of so many vertices."""
-        config = dataclasses.replace(self.config, data=dataclasses.replace(self.config.data, vertices=vertices))
-        return type(self)(config, self.device, self.precision, self.user_data)
 
     @property
     def vertices(self) -> int:

@@ -63,7 +63,7 @@ class Validation:
         `progress` is called after each of them, with pairs.
         """
         protocol, count = self.task.protocol, self.task.config.validation_pairs
-        counts = {kind: protocol.count(kind, count) for kind in protocol.validation_kinds} | {FRESH: FRESH_BATCHES}
+        counts = {kind: protocol.count(kind, count) for kind in protocol.kinds} | {FRESH: FRESH_BATCHES}
         jobs = [(kind, i) for kind, number in counts.items() for i in range(number)]
         errors: dict[str, list[float]] = {kind: [] for kind, _ in jobs}
         pairs = np.cumsum([FRESH_BATCH if kind == FRESH else 1 for kind, _ in jobs])
@@ -78,7 +78,7 @@ class Validation:
         if sum(map(len, errors.values())) < len(jobs):
             return None
         figures = {kind: 1e4 * sum(found) / len(found) for kind, found in errors.items()}
-        hardest = "unseen" if "unseen" in figures else protocol.validation_kinds[-1]
+        hardest = "unseen" if "unseen" in figures else protocol.kinds[-1]
         figures["val"] = (figures[hardest] + figures[FRESH]) / 2
         return figures
 

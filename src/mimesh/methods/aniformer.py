@@ -9,7 +9,6 @@ The result of a frame is the mean over all windows that contain it: at most two 
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -24,7 +23,7 @@ from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
 from ..core.surface_points import batch_of_one, generator, padded_vertices
 from .base import Drive, Shapes
-from .npt import METRES, Corresponding, PointsAt, check_same_mesh, drive_of, driving_input, radii_in_metres
+from .npt import Corresponding, PointsAt, check_same_mesh, drive_of, driving_input
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -61,16 +60,8 @@ class AniFormerMethod:
     """As in `NPTMethod`."""
     pairing: str = "random"
     """As in `NPTMethod`."""
-    sizes: tuple[float, float] | None = None
-    """As in `NPTMethod`."""
     corresponding: Corresponding | None = None
     """As in `NPTMethod`."""
-
-    def with_sizes(self, identity: tuple[str, float], driving: tuple[str, float]) -> AniFormerMethod:
-        """As `NPTMethod.with_sizes`."""
-        if self.target_scale != METRES:
-            return self
-        return dataclasses.replace(self, sizes=radii_in_metres(identity, driving))
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Rank both meshes and choose the driving points and their pairings, once for all frames.
@@ -87,7 +78,7 @@ class AniFormerMethod:
         rest = ranked.merge(identity.vertices)
 
         def points_of(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "N 3"]:
-            return points_at(driving_input(vertices, self.sizes))
+            return points_at(driving_input(vertices))
 
         def run(window: Window) -> Float[np.ndarray, "R V 3"]:
             return self._run(rest, window, pairings)
@@ -139,14 +130,13 @@ class AniFormerMethod:
     ) -> Float[np.ndarray, "R W 3"]:
         """Run the network for each pairing; return the mean result (float64) in the identity's order."""
         total = np.zeros((1 if self.head == "regression" else len(window), *identity.shape))
-        size = self.sizes[0] if self.sizes else 1.0
         for identity_order, driving_order in pairings:
             inputs = {
-                "identity": batch_of_one(identity[identity_order] * size),
+                "identity": batch_of_one(identity[identity_order]),
                 "driving": batch_of_one(window[:, driving_order]),
             }
             total[:, identity_order] += np.asarray(self.session.run(["result"], inputs)[0])[0]
-        return total / (len(pairings) * size)
+        return total / len(pairings)
 
 
 def blended(

@@ -27,7 +27,7 @@ NETWORK_OF_BODY = {"human": "mime", "quadruped": "mime-quadruped"}
 """Shipped body -> the network that finds its joints. `mime` opens the others itself; their names are for measuring."""
 INDEX_PAIRED = {"npt": "npt-ordered-mixed", "aniformer": "aniformer-ordered-mixed"}
 """Shipped network that pairs vertices at random -> the shipped one that pairs them by index."""
-WITHOUT_NETWORK = ("copy", "deformation-transfer", "skeleton")
+WITHOUT_NETWORK = ("copy", "deformation-transfer")
 """Methods that have no weights."""
 TRAINED_WITH_TABLE = {
     "npt-1": ("mime-table",),
@@ -38,20 +38,17 @@ TRAINED_WITH_TABLE = {
         *("aniformer-ordered-plain", "aniformer-ordered-vanilla", "aniformer-ordered-attention-vertices"),
         "aniformer-ordered-vertices",
     ),
-    "aniformer-2": ("npt-ordered-equal", "npt-maxpool-ordered-equal", "limp"),
+    "aniformer-2": ("npt-ordered-equal", "npt-maxpool-ordered-equal"),
     "aniformer-1-random": (
         *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
     ),
     "aniformer-2-random": ("npt-frames", "npt-maxpool-frames"),
-    "animals": ("npt-quadruped", "npt-maxpool-quadruped", "aniformer-quadruped"),
 }
 """Table of a paper -> networks that `mimesh table NAME --train` makes; other tables have rows of some of them, too."""
-TRAINED_FOR_HOURS = {"aniformer-2-random": ("npt-full-frames", "aniformer-full")}
-"""The same, with --long as well."""
 TRAINED_ON_GPU = ("npt-full", "npt-full-mixed", "npt-ordered", "aniformer-ordered")
 """Networks of the tables that scripts/train_on_gpu.py makes, beside INDEX_PAIRED."""
 TABLE_MODELS = (
-    *(name for names in (*TRAINED_WITH_TABLE.values(), *TRAINED_FOR_HOURS.values()) for name in names),
+    *(name for names in TRAINED_WITH_TABLE.values() for name in names),
     *TRAINED_ON_GPU,
 )
 """Networks of the papers' tables, for comparison only: in a checkout's folder `ablations`, not installed, or in another
@@ -139,9 +136,8 @@ def how_to_make(models: Iterable[str], table: str = "") -> str:
         path = Path(model)
         name = REDUCED_MODELS.get(path.name, path.name)
         command = "python scripts/train_on_gpu.py OUT (one GPU)"
-        for tables, options in ((TRAINED_WITH_TABLE, "--train"), (TRAINED_FOR_HOURS, "--train --long (hours)")):
-            for key, names in tables.items():
-                command = f"mimesh table {table or key} {options}" if name in names else command
+        for key, names in TRAINED_WITH_TABLE.items():
+            command = f"mimesh table {table or key} --train" if name in names else command
         made.setdefault(command, []).append(path.name)
     return "; ".join(f"{', '.join(names)} by {command}" for command, names in made.items())
 
@@ -254,10 +250,6 @@ def find_model(
         from .deformation_transfer import DeformationTransfer
 
         return DeformationTransfer(reference, markers)
-    if model == "skeleton":
-        from .skeleton import SkeletonBaseline
-
-        return SkeletonBaseline(seed=seed)
     check_weights(model)
     path = weights_path(model)
     if pairing in ("order", "body") and (ordered := ordered_weights(model)) is not None:

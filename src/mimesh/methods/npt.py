@@ -1,4 +1,4 @@
-"""NPT, its max-pool variant and LIMP as ONNX files, run by onnxruntime, frame by frame.
+"""NPT and its max-pool variant as ONNX files, run by onnxruntime, frame by frame.
 
 Inputs "identity" (B, V, 3) and "driving" (B, V, 3) or, where the pose is pooled, (B, U, 3); output "result" (B, V, 3).
 Each input is centred on its bounding box and divided by its largest distance from there; the result is centred on its
@@ -128,49 +128,6 @@ class NPTMethod:
             inputs = {"identity": batch_of_one(identity * size), "driving": batch_of_one(driving[pairing])}
             total += np.asarray(self.session.run(["result"], inputs)[0])[0]
         return total / (len(pairings) * size)
-
-
-@dataclass(frozen=True, eq=False)
-class LIMPMethod:
-    """The method `limp`, for comparison only: a loaded network that works on the template's topology.
-
-    Inputs "identity" (1, V, 3) and "driving" (1, U, 3); output "result" (1, W, 3), the vertices of the template that
-    the network learned, in the template's order, so the identity must have those. The result is in units of its own.
-    """
-
-    rough: ClassVar[bool] = False
-    template_only: ClassVar[bool] = True
-    """Identities must have the vertices of the template."""
-    name: str
-    session: InferenceSession
-    vertices: int
-    """Vertices of the template."""
-    target_scale: str
-    """As in `NPTMethod`."""
-
-    def prepare(self, identity: Mesh, driving: Clip) -> Drive:
-        """Check the identity's vertex count, which is all that can be checked: their order must be the template's.
-
-        Raises:
-            InputError: the identity has another count.
-        """
-        return drive_of(self, identity, driving)
-
-    def shapes(self, identity: Mesh, driving: Clip) -> Shapes:
-        """As `ShapeMethod.shapes`."""
-        rest = identity.vertices
-        if len(rest) != self.vertices:
-            raise InputError(
-                f"{self.name}: expected the template of {self.vertices} vertices that it was trained on, "
-                f"found an identity of {len(rest)}; it is made for comparison, choose another model"
-            )
-        identity_input = batch_of_one(rest)
-
-        def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
-            inputs = {"identity": identity_input, "driving": batch_of_one(driving_input(vertices))}
-            return np.asarray(self.session.run(["result"], inputs)[0])[0].astype(np.float64)
-
-        return lambda frames: map(pose, frames)
 
 
 def drive_of(network: ShapeMethod, identity: Mesh, driving: Clip) -> Drive:

@@ -15,8 +15,7 @@ KEY = "mimesh"
 """Key of the metadata in the file; the value is JSON."""
 CHOICES = {
     "npt": {"pose_code": ("per_vertex", "global_max"), "target_scale": ("identity", "truth", "metres")},
-    "aniformer": {"head": ("frames", "regression"), "target_scale": ("identity", "truth", "metres")},
-    "limp": {"target_scale": ("identity", "truth")},
+    "aniformer": {"head": ("frames", "regression"), "target_scale": ("identity", "truth")},
     "mime": {},
     "hands": {},
 }
@@ -25,15 +24,16 @@ PAIRINGS = ("random", "order")
 """How networks are trained to pair the vertices of two meshes; files without this key: at random."""
 MAX_WINDOW = 64
 """Largest number of driving frames in a window of aniformer."""
+MAX_VERTICES = 1_000_000
+"""Largest number of vertices that aniformer has weights for."""
 LARGEST = {
     "aniformer": {"frames": MAX_WINDOW},
-    "limp": {"vertices": 1_000_000},
     "mime": {"points": 100_000},
     "hands": {"points": 100_000},
 }
 """Model -> keys whose values are whole numbers from 1, with the largest that is allowed."""
 INPUTS = {
-    **dict.fromkeys(("npt", "aniformer", "limp"), ("driving", "identity")),
+    **dict.fromkeys(("npt", "aniformer"), ("driving", "identity")),
     **dict.fromkeys(("mime", "hands"), ("normals", "points", "vertex_normals", "vertices")),
 }
 """Model -> names of the network's inputs, sorted."""
@@ -61,7 +61,7 @@ def read_metadata(session: InferenceSession, path: Path) -> dict[str, Any]:
     for key, largest in LARGEST.get(model, {}).items():
         _check_number(card.get(key), key, 1, largest, path)
     if model == "aniformer":
-        _check_number(card.get("vertices", 0), "vertices", 0, LARGEST["limp"]["vertices"], path)
+        _check_number(card.get("vertices", 0), "vertices", 0, MAX_VERTICES, path)
     _check_choice({"pairing": "random"} | card, "pairing", PAIRINGS, path)
     if not isinstance(card.get("body", ""), str):
         raise _error(path, "body to be a name", card["body"])

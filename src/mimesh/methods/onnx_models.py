@@ -57,10 +57,6 @@ def load_network(
 
         facts = (card["frames"], card["head"], card["target_scale"])
         return AniFormerMethod(name, session, *facts, ensemble, seed, card.get("vertices", 0), body, pairing)
-    if card["model"] == "limp":
-        from .npt import LIMPMethod
-
-        return LIMPMethod(name, session, card["vertices"], card["target_scale"])
     if card["model"] == "hands":
         raise InputError(f"{path}: expected a model that moves meshes, found the network of hands; mime uses it itself")
     if card["model"] == "mime":

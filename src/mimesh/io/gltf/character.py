@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -80,10 +80,8 @@ AXES = {"+z": (0, 1), "-z": (0, -1), "+x": (1, 0), "-x": (-1, 0)}
 """Horizontal direction (x, z) of each facing."""
 
 
-def read_rigged_character(
-    path: str | Path, pack: str = "", licence: str = "", left_out: Callable[[str], bool] = lambda name: False
-) -> PoolCharacter:
-    """Read a character, turned to face +z, with all of its clips but those that `left_out` names.
+def read_rigged_character(path: str | Path, pack: str = "", licence: str = "") -> PoolCharacter:
+    """Read a character, turned to face +z, with all of its clips.
 
     Args:
         licence: of files that do not state one.
@@ -103,7 +101,7 @@ def read_rigged_character(
     turn = standing.turn
     rig = rig.turned(turn)
     joints = name_limb_joints(rig, path, known)
-    clips = read_clips(document, bound.T_world_node[nodes], nodes, rig.parents, left_out)
+    clips = read_clips(document, bound.T_world_node[nodes], nodes, rig.parents)
     file_parents, poses = rig.parents, sampled_poses(clips, rig, turn)
     rig, joints, order = attach_feet(rig, joints, poses, path)
     meta = _meta(document, pack, licence, "humanoid", facing, bool(clips))
@@ -124,7 +122,6 @@ def read_clips(
     T_world_rest: Float[np.ndarray, "J 4 4"],
     nodes: list[int],
     parents: Iterable[int],
-    left_out: Callable[[str], bool],
 ) -> dict[str, CharacterClip]:
     """Read the animations of a file as frames of joints relative to their parents; scales are dropped."""
     from scipy.spatial.transform import Rotation
@@ -134,7 +131,7 @@ def read_clips(
     rest_rotation = nearest_rotation(T_world_rest[:, :3, :3])
     for number, name in enumerate(animation_names(document)):
         channels = read_channels(document, number)
-        if left_out(name) or not any(channel.path == "rotation" for channel in channels):
+        if not any(channel.path == "rotation" for channel in channels):
             continue
         times = frame_times(document, channels, CLIP_FPS)[:MAX_FRAMES]
         world = sample_joints(document, channels, times, nodes)
@@ -420,10 +417,8 @@ def carried_part(rig: SkinnedCharacter) -> SkinnedCharacter:
     return rig.part(faces)
 
 
-def read_rigged_animal(
-    path: str | Path, pack: str = "", licence: str = "", left_out: Callable[[str], bool] = lambda name: False
-) -> PoolCharacter:
-    """Read an animal, turned to face +z, with all of its clips but those that `left_out` names.
+def read_rigged_animal(path: str | Path, pack: str = "", licence: str = "") -> PoolCharacter:
+    """Read an animal, turned to face +z, with all of its clips.
 
     Args:
         licence: of files that do not state one.
@@ -439,7 +434,7 @@ def read_rigged_animal(
     standing = read_standing_animal(check_mesh(mesh, path), document, scene)
     turn = facing_rotation(standing.facing)
     rig, nodes = carried_part(standing.rig).turned(turn), standing.nodes
-    clips = read_clips(document, standing.scene.T_world_node[nodes], nodes, rig.parents, left_out)
+    clips = read_clips(document, standing.scene.T_world_node[nodes], nodes, rig.parents)
     meta = _meta(document, pack, licence, "quadruped", standing.facing, bool(clips))
     joints, order = name_animal_joints(rig, path), np.arange(len(rig.parents))
     return PoolCharacter(meta, rig, joints, {}, clips, rig.parents, order, turn)

@@ -2,7 +2,7 @@
 
 A sub-folder is a pack, files of the folder itself are one more. A licence that a file does not state is that of the
 nearest file named LICENSE or License, in its folder or above it up to the folder, which is quoted by name. Files that
-the index of a pool lists in another split are left out, and so are clips that are held out for evaluation.
+the index of a pool lists in another split are left out.
 
 A joint of a character counts as the joint of the shipped body with its name (`bodies.character_limbs`); all others
 count as their nearest named ancestor. World rotations of the body's joints relate to those of the character's by an
@@ -32,7 +32,6 @@ from ...core.errors import InputError
 from ...core.frame_buffer import Progress, counted
 from ...evaluate.character_folder import read_character_folder
 from ...evaluate.characters import animal_alignments, body_poses, place_body_joints, rest_alignments
-from ...evaluate.clip_protocols import is_held_out
 from ...io.gltf.character import NOT_STATED
 from ..task import DataConfig, share_option
 from .clips import TrainingClips
@@ -210,7 +209,7 @@ class TrainingCharacters:
         Raises:
             InputError: no such folder, none of its characters can be used, or a pack to leave out that it has not.
         """
-        pool = read_character_folder(folder, split, progress, body.name, is_held_out)
+        pool = read_character_folder(folder, split, progress, body.name)
         counts = Counter(character.meta.pack for character in pool.characters)
         if unknown := [pack for pack in leave_out if pack not in counts]:
             raise InputError(

@@ -68,9 +68,6 @@ class PeopleOptions(DataConfig):
     """Share of people whose legs are folded as those of people who sit, squat and kneel; animals have no such poses."""
     limits: float = share_option(0.12)
     """Share of driving meshes that are posed anyhow within the joint limits."""
-    between: float = share_option()
-    """`clips80`: share of windows and frames that lie on a straight way between two poses within the joint limits,
-    instead of in one of the 80 motions."""
     recombine: float = share_option()
     """`table6`, `clips80`: share of poses, or windows, whose head, arms and legs are each turned as in another one."""
     mix_people: float = share_option()
@@ -81,8 +78,8 @@ class PeopleOptions(DataConfig):
     def check(self, where: str) -> None:
         """Raise InputError for animals in data of people, and for more of a table where there is none."""
         super().check(where)
-        for key, kinds in (("between", TABLE_KINDS[1:]), ("recombine", TABLE_KINDS), ("mix_people", TABLE_KINDS)):
-            if (value := getattr(self, key)) and self.kind not in kinds:
+        for key in ("recombine", "mix_people"):
+            if (value := getattr(self, key)) and self.kind not in TABLE_KINDS:
                 raise InputError(f"{where}: expected data.{key} 0 with {self.kind}, found {value}")
         if self.body == "quadruped" and self.kind not in self.animal_kinds:
             raise InputError(
@@ -290,17 +287,6 @@ def recombined(
         other = random_window(motions, size, frames, rng)
         window = torch.where((some & limb)[:, None, :, None, None], other, window)
     return window
-
-
-def replaced_by_straight(
-    window: Float[Tensor, "B T J 3 3"], limits: Float[Tensor, "2 J 3"], part: float, rng: torch.Generator
-) -> Float[Tensor, "B T J 3 3"]:
-    """Replace a part of the windows by straight ways between two poses within the joint limits."""
-    if not part:
-        return window
-    straight = straight_windows(limits, len(window), window.shape[1], rng)
-    some = uniform(rng, len(window)) < part
-    return torch.where(some[:, None, None, None, None], straight, window)
 
 
 def straight_windows(

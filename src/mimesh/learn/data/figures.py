@@ -10,7 +10,6 @@ part of a body: shapes, sizes and places are drawn far more widely than real one
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -22,12 +21,10 @@ from torch import Tensor, nn
 from ...bodies import RiggedBody
 from ...bodies.anatomy import anatomy_of
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
-from ...core.errors import InputError
 from .bodies import (
     CPU,
     gather_points,
     normal,
-    numbers_of_step,
     on_device,
     posed_joints,
     scaled_joints,
@@ -36,9 +33,8 @@ from .bodies import (
     uniform,
     world_rotations,
 )
-from .characters import CharacterOptions, CharacterSurface, TrainingCharacters
-from .endless import EndlessPeople, PeopleOptions, random_headings, random_index
-from .people import PairBatch, PairSource, in_unit_sphere, pairs_of_rows
+from .characters import CharacterSurface
+from .endless import random_headings
 from .primitives import SHAPES, sample_primitive
 from .surfaces import MAX_HOLE, PosedSurface, random_bumps, random_levels, without_bumps
 
@@ -67,11 +63,6 @@ PROP_SIZE = (0.015, 0.3)
 """Half of the smallest and of the largest size of a prop along each of its axes (metres), drawn by their logarithm."""
 PROP_OFFSET = 0.25
 """Largest distance of a prop's centre from its joint (metres), beside half of its length for props that are held."""
-PAIR_POINTS = 1024
-"""Points of a character from which vertices are drawn; centre and radius of the whole follow from them, within a
-hundredth or two of the radius."""
-NEIGHBOURS = 6
-"""Of these points at rest, the nearest ones that count as neighbours: as many as a vertex of a closed mesh has."""
 
 
 @dataclass(frozen=True)
@@ -311,18 +302,6 @@ class FigureSampler:
         return Figures(which, length, girth, without_bumps(bumps, level), level, lacking, props)
 
 
-@dataclass(frozen=True)
-class PosedPair:
-    """B pairs of two characters. The points of `truth` are those of `identity`, which `rest` has at rest."""
-
-    identity: PosedSurface
-    driving: PosedSurface
-    truth: PosedSurface
-    rest: RestSurface
-    pose: Float[Tensor, "B J 3 3"]
-    """Local rotations of the driving pose; joints that one of the two lacks are straight."""
-
-
 class CharacterPairs:
     """Draws pairs of characters of a bank; each call is a pure function of its arguments."""
 
@@ -348,8 +327,13 @@ class CharacterPairs:
         self.count, self.heading, self.missing, self.low_poly = count, heading, missing, low_poly
         self.parents = body.parents
 
-    def draw(self, poses: Float[Tensor, "2 B J 3 3"], rng: torch.Generator) -> PosedPair:
-        """Draw pairs in poses of the shipped body (local rotations). Half of the identities stand as in their files."""
+    def draw(
+        self, poses: Float[Tensor, "2 B J 3 3"], rng: torch.Generator
+    ) -> tuple[PosedSurface, PosedSurface, PosedSurface]:
+        """Draw identities, driving characters and truths in poses of the shipped body (local rotations).
+
+        Half of the identities stand as in their files.
+        """
         size = poses.shape[1]
         identity, driving = (self.figures.draw(size, rng, self.low_poly) for _ in range(2))
         index = [
@@ -361,15 +345,12 @@ class CharacterPairs:
         rest = random_headings(size, self.heading, rng)[:, None] @ self.bank.alignment[identity.which]
         posed = world_rotations(of_known(poses[0], has), self.parents)
         own = uniform(rng, size, 1, 1, 1) < OWN_REST
-        pose = of_known(poses[1], both_have)
-        turned = world_rotations(pose, self.parents)
+        turned = world_rotations(of_known(poses[1], both_have), self.parents)
         surface, other = self.bank.shaped(identity, index[0]), self.bank.shaped(driving, index[1])
-        return PosedPair(
+        return (
             self.bank.posed(identity, surface, torch.where(own, rest, posed)),
             self.bank.posed(driving, other, turned),
             self.bank.posed(identity, surface, turned),
-            surface,
-            pose,
         )
 
 
@@ -385,70 +366,3 @@ def share_of(size: int, share: float, step: int) -> int:
     """
     before, after = (math.floor(round(share * size * count, 6)) for count in (step, step + 1))
     return after - before
-
-
-@dataclass(frozen=True)
-class PairOptions(PeopleOptions, CharacterOptions):
-    """For pairs of people, a share of them characters."""
-
-    def check(self, where: str) -> None:
-        """Raise InputError for characters with data that they cannot be a part of."""
-        super().check(where)
-        if self.characters and (self.kind != "wide" or not 0 < self.vertices <= PAIR_POINTS):
-            raise InputError(
-                f"{where}: expected data.characters from 0 to 1 with data.kind wide and up to {PAIR_POINTS} "
-                f"data.vertices, found {self.characters} with {self.kind} and {self.vertices or 'all'}; take the "
-                "configuration small"
-            )
-        if self.characters and self.pairing == "order":
-            raise InputError(f"{where}: expected data.pairing random with data.characters, found order; leave it out")
-
-
-class CharacterPairSource(PairSource):
-    """Makes batches of which a share are pairs of characters; people drive every second of them."""
-
-    def __init__(
-        self, config: PairOptions, body: RiggedBody, device: torch.device, seed: int, characters: TrainingCharacters
-    ) -> None:
-        super().__init__(config, body, device, seed)
-        assert isinstance(self.people, EndlessPeople)
-        self.people.add_poses(characters.all_poses)
-        self.characters, heading = config.characters, math.radians(config.heading) / 4
-        self.figures = CharacterPairs(list(characters.surfaces), body, device, PAIR_POINTS, heading, missing=(0.0, 0.0))
-
-    def batch(self, size: int, step: int) -> PairBatch:
-        rng = numbers_of_step(self.seed, step, self.device)
-        figures = share_of(size, self.characters, step)
-        groups = [self.pairs(size - figures, rng)] if figures < size else []
-        groups += [self._figures(figures, rng)] if figures else []
-        names = ("identity", "driving", "truth", "truth_radius", "edges")
-        joined = {name: torch.cat([getattr(group, name) for group in groups]) for name in names}
-        return dataclasses.replace(groups[0], **joined)
-
-    def _figures(self, size: int, rng: torch.Generator) -> PairBatch:
-        (_, shapes), poses, _ = self.people.pairs(size, rng)
-        pairs = self.figures.draw(poses, rng)
-        index = self._with_neighbours(pairs.rest.points, rng)
-        own_points, truths, others = (mesh.points for mesh in (pairs.identity, pairs.truth, pairs.driving))
-        identity, radius = in_unit_sphere(gather_points(own_points, index), own_points)
-        scale = radius if self.config.target_scale == "identity" else None
-        truth, own = in_unit_sphere(gather_points(truths, index), truths, scale)
-        driving_index = self._random_rows(size, index.shape[1], rng)
-        driving, _ = in_unit_sphere(gather_points(others, driving_index), others)
-        people = size // 2
-        vertices = self._stratified_vertices(people, index.shape[1], rng)
-        driving[:people] = self._normalized_mesh(shapes[:people], pairs.pose[:people], vertices)[0]
-        self._reflect(rng, identity, driving, truth)
-        size_of_truth = (own / (own if scale is None else scale))[:, 0, 0]
-        return PairBatch(identity, driving, truth, size_of_truth, pairs_of_rows(index), self.edges_of_mesh)
-
-    def _with_neighbours(self, rest: Float[Tensor, "B P 3"], rng: torch.Generator) -> Int[Tensor, "B V"]:
-        """Draw points of which every second one is a neighbour at rest of the one before it."""
-        first = self._random_rows(len(rest), self.config.vertices // 2, rng)
-        distance = torch.cdist(gather_points(rest, first), rest)
-        near = distance.topk(NEIGHBOURS + 1, largest=False).indices[..., 1:]
-        pick = random_index(NEIGHBOURS, (*first.shape, 1), rng)
-        return torch.stack([first, near.gather(2, pick)[..., 0]], -1).flatten(1)
-
-    def _random_rows(self, size: int, count: int, rng: torch.Generator) -> Int[Tensor, "B N"]:
-        return uniform(rng, size, PAIR_POINTS).argsort(1)[:, :count]

@@ -14,8 +14,6 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ...bodies import RiggedBody
-from ...bodies.joint_ranges import ranges_of
-from ...bodies.sampling import limits_rotvec
 from ...bodies.sampling import rotvec_to_rotmat as numpy_rotmat
 from ...core import geometry
 from ...evaluate.clip_protocols import CLIPS_ANIFORMER
@@ -37,9 +35,9 @@ class TablePeople:
         """
         clips = config.kind == "clips80"
         shapes = (CLIPS_ANIFORMER if clips else HUMAN_NPT).train_people(body)
-        arrays = (shapes, numpy_rotmat(HUMAN_NPT.train_poses(body)), limits_rotvec(body, ranges_of(body)[1]))
         self.config, self.frames = config, frames
-        self.shapes, self.poses, self.limits = (on_device(array, device) for array in arrays)
+        self.shapes = on_device(shapes, device)
+        self.poses = on_device(numpy_rotmat(HUMAN_NPT.train_poses(body)), device)
         # (motions, frames, J, 3, 3); a pose of Table 6 is a motion of one frame.
         self.motions = self.poses[:, None]
         if clips:
@@ -70,10 +68,9 @@ class TablePeople:
         return shapes, self.poses[random_index(len(self.poses), (size,), rng)], window
 
     def _drawn(self, size: int, frames: int, rng: torch.Generator) -> Float[Tensor, "B T J 3 3"]:
-        """Draw windows of the motions, with limbs of others and straight ways in place of some where that is asked."""
+        """Draw windows of the motions, with limbs of others in some where that is asked."""
         window = random_window(self.motions, size, frames, rng)
-        window = endless.recombined(window, self.motions, self.limbs, self.config.recombine, rng)
-        return endless.replaced_by_straight(window, self.limits, self.config.between, rng)
+        return endless.recombined(window, self.motions, self.limbs, self.config.recombine, rng)
 
 
 class VertexSampler:

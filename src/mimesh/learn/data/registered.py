@@ -6,12 +6,10 @@ another person in its pose), some people and poses are held out, and batches and
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import math
 import re
 import tempfile
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +21,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ...core.errors import InputError
-from ...core.frame_buffer import PAGED, Progress, counted, each_frame, release_pages, spread_exactly
+from ...core.frame_buffer import Progress, counted, each_frame
 from ...core.mesh import Clip, Mesh, permute_vertices
 from ...core.normalization import Normalization, bbox_centre, parse_axis, radius
 from ...evaluate.clip_protocols import ClipPair
@@ -33,25 +31,19 @@ from ...io import load_clip, load_points
 from ...io.formats import ANIMATED, CACHE, CLIP_READERS, FORMATS, MESH_READERS, MOTIONS
 from ...motions.on_body import is_motion_file
 from .bodies import copied_to, numbers_of_step, on_device, uniform
-from .clips import DAMAGED
-from .endless import ReflectOptions
+from .endless import ReflectOptions, random_index
 from .people import PairBatch, VertexSampler
 
-VOTES = 25
-"""Meshes, evenly spread over the folder, whose detected axes are compared: the most frequent ones are those of all."""
-NAMED = 4
-"""Files refused that are named at most; others are counted."""
 MESH_SUFFIXES = (MESH_READERS.keys() | CLIP_READERS.keys()) - MOTIONS
 """Of files that may hold a mesh or a clip."""
-LAYOUTS = ("id{person:d}_{pose}", "tr_reg_{person:2}{pose:1}", "{person}/{pose}", "{person:d}_{pose}")
-"""Patterns that are tried in this order: the public data of NPT and `mimesh generate`, FAUST, a folder a person, and
-names of people's clips in one folder (50002_hips)."""
+LAYOUTS = ("id{person:d}_{pose}", "tr_reg_{person:2}{pose:1}", "{person}/{pose}")
+"""Patterns that are tried in this order: the public data of NPT and `mimesh generate`, FAUST, a folder a person."""
 FIELD = re.compile(r"\{(person|pose|motion)(?::(d|[1-9]))?\}")
 """A field of a pattern: any characters of a name, with `:d` digits only, with a number so many characters."""
 HELD_OUT = 10
 """One in so many people, and poses, is held out for validation: the last ones by name, rounded up."""
 LEAST = 3
-"""People, and poses, from which on some are held out: the training needs two of each."""
+"""People and poses from which on some are held out: the training needs two of each."""
 
 
 @dataclass(frozen=True)
@@ -61,16 +53,13 @@ class MeshOptions(ReflectOptions):
     pattern: str = ""
     """How the files are named, such as "{person}-{pose}.ply"; empty: found (`LAYOUTS`)."""
     up: str = ""
-    """Axis of the files away from the ground, such as "+z"; empty: that of the files, or detected."""
+    """Axis of the files away from the ground; empty: +y."""
     front: str = ""
-    """Axis of the files that people face; empty: detected, the same for all meshes."""
-    hold_out_people: str = ""
-    """People that networks are validated on instead of trained: a number (the last ones by name), names with
-    commas between (one name ends with a comma), or none; empty: a tenth."""
-    hold_out_poses: str = ""
+    """Axis of the files that people face; empty: +z."""
+    held_out_people: int | None = None
+    """People that networks are validated on instead of trained, the last ones by name; None: a tenth."""
+    held_out_poses: int | None = None
     """The same of poses, or motions."""
-    frames: int = 0
-    """So many evenly spread frames of each clip, AniFormer's 30 for example; 0: all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,24 +75,25 @@ class RegisteredMeshes:
     facts: dict[str, Any]
     """For cards: `layout` of the folder, numbers of `people`, `poses`, `meshes` and `frames`, the topology, the axes,
     what is `held_out`, and `sha256` of all names and points."""
-    notes: tuple[str, ...]
-    """What is left out."""
+    ignored: int
+    """Number of files that the layout does not match."""
     part: ClassVar[str] = "meshes"
     """Where checkpoints and cards have the facts."""
 
     def described(self) -> str:
-        """Say in one line what the folder holds, what is used for what, and what is left out."""
-        facts, (identities, drivings, truths) = self.facts, self.split.training.counts
-        what = "clips" if facts["frames"] > facts["meshes"] else "meshes"
+        """Say in one line what the folder holds, what is held out, and what is ignored."""
+        facts = self.facts
+        what, poses = ("clips", "motions") if facts["frames"] > facts["meshes"] else ("meshes", "poses")
         frames = f" ({facts['frames']:,} frames)" if what == "clips" else ""
+        held = [f"{what} {', '.join(names)}" for what, names in facts["held_out"].items() if names]
         parts = [
             f"{facts['layout']}: {facts['meshes']:,} {what}{frames} of {facts['people']} people in {facts['poses']} "
-            f"{'motions' if what == 'clips' else 'poses'}, {facts['vertices']:,} vertices, "
-            f"{self.points.nbytes / 2**20:,.0f} MiB; up {facts['up']}, front {facts['front']}",
-            f"{identities:,} can be identity, {drivings:,} driving, {truths:,} truth",
-            described_split(facts["held_out"], self.split),
+            f"{poses}, {facts['vertices']:,} vertices, {self.points.nbytes / 2**20:,.0f} MiB; up {facts['up']}, front "
+            f"{facts['front']}",
+            f"held out for validation: {' and '.join(held)}" if held else "validated on `val` of the shipped body",
+            *[f"{self.ignored} other files ignored"] * bool(self.ignored),
         ]
-        return "; ".join([*parts, *self.notes])
+        return "; ".join(parts)
 
     def continues(self, facts: dict[str, Any]) -> bool:
         """Tell whether a training with some facts may go on with these meshes: they are the same."""
@@ -111,90 +101,77 @@ class RegisteredMeshes:
 
     @classmethod
     def read(
-        cls,
-        folder: str | Path,
-        config: MeshOptions,
-        frames: int = 1,
-        progress: Progress | None = None,
+        cls, folder: str | Path, config: MeshOptions, frames: int = 1, progress: Progress | None = None
     ) -> RegisteredMeshes:
-        """Read the meshes or clips of a folder, or of a file of several clips.
+        """Read the meshes or clips of a folder.
 
         Args:
-            config: names and axes of the files, frames of each clip that are taken, people and poses held out.
+            config: names and axes of the files, people and poses held out.
             frames: consecutive frames of a driving clip that a network takes.
 
         Raises:
-            InputError: no meshes in a known layout, several topologies, no pair of two people in one pose, or nothing
-                of what is to be held out.
+            InputError: no meshes in a known layout, a file that cannot be used, several topologies, or no pair of two
+                people in one pose in the training or among what is to be held out.
         """
         folder = Path(folder)
-        axes = parse_axis(config.up or None, "data.up"), parse_axis(config.front or None, "data.front")
+        axes = parse_axis(config.up or "+y", "data.up"), parse_axis(config.front or "+z", "data.front")
         layout = find_layout(folder, config.pattern)
+        entries = layout.entries
         with tempfile.TemporaryFile(prefix="mimesh-") as file:
-            store = FrameStore(file, config.frames)
-            used, refused = store.add_all(layout.entries, folder, progress)
+            store = FrameStore(file, *axes)
+            lengths = [store.add(entry.path, folder) for entry in counted(entries, len(entries), progress)]
             points = store.mapped()
         assert store.mesh is not None
-        people, poses = (  # numbered by their natural order, whose end is held out
-            {name: number for number, name in enumerate(sorted(names, key=natural))}
-            for names in ({entry.person for entry in used}, {entry.pose for entry in used})
+        people, poses = (  # in their natural order, whose end is held out
+            sorted(names, key=natural) for names in ({e.person for e in entries}, {e.pose for e in entries})
         )
-        table, notes = _table(used, people, poses, config.frames)
-        nothing = np.zeros(len(used), bool)
-        if Split.of(table, frames, nothing, nothing) is None:
-            raise InputError(_no_pair(folder, layout, people, poses, table, frames))
-        held_out, split = _split(table, frames, [*people], [*poses], config)
-        up, front = _turn_to_front(points, store.mesh, *axes)
+        table = MeshTable.of(entries, lengths, people, poses)
+        if Split.of(table, frames, 0, 0) is None:
+            raise InputError(_no_pair(folder, layout, table, frames))
+        held_out, split = hold_out(table, frames, config)
         facts = {
-            "layout": layout.pattern,
-            **{"people": len(people), "poses": len(poses), "meshes": len(used), "frames": len(points)},
-            **{"vertices": points.shape[1], "triangles": len(store.mesh.faces), "up": up, "front": front},
-            **{"held_out": held_out, "sha256": store.digest.hexdigest()},
+            **{"layout": layout.pattern, "people": len(people), "poses": len(poses), "meshes": len(entries)},
+            **{"frames": len(points), "vertices": points.shape[1], "triangles": len(store.mesh.faces)},
+            **{"up": axes[0], "front": axes[1]},
+            "held_out": {
+                what: names[len(names) - count :]
+                for (what, names), count in zip({"people": people, "poses": poses}.items(), held_out, strict=True)
+            },
+            "sha256": store.digest.hexdigest(),
         }
-        notes += _refusals(refused)
-        notes += [f"{layout.ignored} other files ignored"] if layout.ignored else []
-        return cls(points, np.array(store.radius), store.mesh.faces, split, facts, tuple(notes))
+        return cls(points, np.array(store.radius), store.mesh.faces, split, facts, layout.ignored)
 
 
 class FrameStore:
-    """Writes the frames of meshes of one topology to a file: each centred, in the unit sphere, float32."""
+    """Writes the frames of meshes of one topology to a file: each turned to y up and +z front, centred, in the unit
+    sphere, float32."""
 
-    def __init__(self, file: IO[bytes], spread: int = 0) -> None:
-        self.file, self.spread = file, spread
+    def __init__(self, file: IO[bytes], up: str | None, front: str | None) -> None:
+        self.file, self.axes = file, (up, front)
         self.radius: list[float] = []
         self.digest = hashlib.sha256()
         self.mesh: Mesh | None = None
         """The first mesh, whose topology all others must have."""
-        self.path = Path()
+        self.path, self.rotation = Path(), np.eye(3)
 
-    def add_all(
-        self, entries: Sequence[Entry], folder: Path, progress: Progress | None = None
-    ) -> tuple[dict[Entry, int], dict[str, str]]:
-        """Add all meshes and clips, and give the frames that each file has, and by name why others are refused.
-
-        Of clips `spread` frames are kept, evenly spread; all for 0.
-        """
-        used, refused = {}, {}
-        for entry in counted(entries, len(entries), progress):
-            name = entry.path.relative_to(folder).as_posix()
+    def add(self, path: Path, folder: Path) -> int:
+        """Add a mesh or a clip, and give the number of its frames."""
+        frames = self._read(path)
+        self.digest.update(f"{path.relative_to(folder).as_posix()} {len(frames)}\n".encode())
+        for points in each_frame(frames):
+            centred = (points - bbox_centre(points)) @ self.rotation.T
+            if not centred.any():
+                raise InputError(f"{path}: expected a mesh with some size, found all vertices at one point")
+            self.radius.append(radius(centred))
+            self.digest.update(points.astype(np.float32).tobytes())
             try:
-                frames = self._read(entry.path)
-                kept = frames
-                if self.spread and len(frames) > 1:
-                    kept = frames[spread_exactly(len(frames), self.spread, name)]
-            except DAMAGED as error:
-                plain = str(error) if isinstance(error, InputError) else f"expected a sound file, found {error!r:.80}"
-                refused[name] = plain.removeprefix(f"{entry.path}: ")
-                continue
-            self._keep(kept, name)
-            used[entry] = len(frames)
-        if len(refused) > len(used):
-            name, reason = next(iter(refused.items()))
-            raise InputError(
-                f"{folder}: expected meshes of one topology, found {len(refused)} of {len(entries)} that cannot be "
-                f"used, such as {name}: {reason}"
-            )
-        return used, refused
+                self.file.write((centred / self.radius[-1]).astype(np.float32).tobytes())
+            except OSError as error:
+                raise InputError(
+                    f"{tempfile.gettempdir()}: expected room for the meshes, found '{error.strerror}' after "
+                    f"{len(self.radius):,} frames; free some, or set TMPDIR to another folder"
+                ) from error
+        return len(frames)
 
     def mapped(self) -> Float[np.ndarray, "N V 3"]:
         """Map the file, which may be deleted then, to memory."""
@@ -205,165 +182,54 @@ class FrameStore:
     def _read(self, path: Path) -> Float[np.ndarray, "T V 3"]:
         """Read the frames of a mesh, a clip or a folder, and check that they are of the topology."""
         if self.mesh is not None and path.is_file() and FORMATS[path.suffix.lower()].one_mesh:
-            frames = load_points(path, self.mesh, self.path)[None]
-        else:
-            clip = load_clip(path)
-            self._check(clip.mesh, path)
-            frames = clip.vertices
-        if not all(np.ptp(points, axis=0).max() > 0.0 for points in frames):
-            raise InputError(
-                f"{path}: expected a mesh with some size, found all vertices at one point; export it again"
-            )
-        return frames
-
-    def _check(self, mesh: Mesh, path: Path) -> None:
-        suffix = path.suffix.lower()
-        if (suffix in ANIMATED and mesh.source is None) or (path.is_file() and is_motion_file(path)):
+            return load_points(path, self.mesh, self.path)[None]
+        clip = load_clip(path)
+        mesh = clip.mesh
+        if (path.suffix.lower() in ANIMATED and mesh.source is None) or (path.is_file() and is_motion_file(path)):
             raise InputError(f"{path}: expected a mesh or clip, found joints that move; export the mesh")
         if not len(mesh.faces):
             raise InputError(f"{path}: expected a mesh with triangles, found points alone; export the faces too")
         if self.mesh is None:
-            self.mesh, self.path = mesh, path
+            self.mesh, self.path, self.rotation = mesh, path, Normalization.fit(mesh, *self.axes).rotation
         elif mesh.vertices.shape != self.mesh.vertices.shape or not np.array_equal(mesh.faces, self.mesh.faces):
             raise InputError(
                 f"{path}: expected the topology of {self.path.name} ({len(self.mesh.vertices)} vertices), found "
                 f"{len(mesh.vertices)} vertices or other triangles; register it to the same template"
             )
-
-    def _keep(self, frames: Float[np.ndarray, "T V 3"], name: str) -> None:
-        self.digest.update(f"{name} {len(frames)}\n".encode())
-        for points in each_frame(frames):
-            centred = points - bbox_centre(points)
-            self.radius.append(radius(centred))
-            self.digest.update(points.astype(np.float32).tobytes())
-            try:
-                self.file.write((centred / self.radius[-1]).astype(np.float32).tobytes())
-            except OSError as error:
-                raise InputError(
-                    f"{tempfile.gettempdir()}: expected room for the meshes, found '{error.strerror}' after "
-                    f"{len(self.radius):,} frames; free some, or set TMPDIR to another folder"
-                ) from error
+        return clip.vertices
 
 
-def described_split(names: dict[str, list[str]], split: Split) -> str:
-    """Say which people and poses are held out, and what networks are validated on."""
-    if not (split.seen or split.unseen):
-        return "validated on `val` of the shipped body: nothing is held out, or too few people or poses for that"
-    poses = names["poses"]
-    listed = ", ".join(poses) if len(poses) <= NAMED else f"{poses[0]} to {poses[-1]} ({len(poses)})"
-    parts = [f"people {', '.join(names['people'])}"] * bool(names["people"]) + [f"poses {listed}"] * bool(poses)
-    return f"held out for validation: {' and '.join(parts)}"
+def hold_out(table: MeshTable, frames: int, config: MeshOptions) -> tuple[tuple[int, int], Split]:
+    """Hold out what the configuration says; by default a tenth of both, or nothing where no pair would be left.
 
-
-def _split(
-    table: MeshTable, frames: int, people: list[str], poses: list[str], config: MeshOptions
-) -> tuple[dict[str, list[str]], Split]:
-    """Hold out what the configuration says; by default a tenth of both, or nothing where no pair would be left."""
-    asked = {"people": config.hold_out_people, "poses": config.hold_out_poses}
-    names = {what: _chosen(every, asked[what], what) for what, every in (("people", people), ("poses", poses))}
-    if not any(asked.values()) and not all(names.values()):
-        names = {"people": [], "poses": []}
-    columns = ((table.person, people, names["people"]), (table.pose, poses, names["poses"]))
-    split = Split.of(table, frames, *(np.isin(column, list(map(every.index, some))) for column, every, some in columns))
-    if split is not None:
-        return names, split
-    if any(asked.values()):
-        raise InputError(
-            f"data.hold_out_people={asked['people']}, data.hold_out_poses={asked['poses']}: expected pairs in the "
-            f"training and among what is held out ({len(names['people'])} of {len(people)} people, "
-            f"{len(names['poses'])} of {len(poses)} poses), found a part without; hold out others"
-        )
-    return _split(
-        table, frames, people, poses, dataclasses.replace(config, hold_out_people="none", hold_out_poses="none")
-    )
-
-
-def _chosen(names: list[str], asked: str, what: str) -> list[str]:
-    """Choose the people, or poses, to hold out: see `MeshOptions.hold_out_people`."""
-    key = f"data.hold_out_{what}={asked}"
-    if asked in ("", "none") or asked.isdecimal():
-        usual = math.ceil(len(names) / HELD_OUT) if len(names) >= LEAST else 0
-        count = int(asked) if asked.isdecimal() else 0 if asked else usual
-        if count >= len(names):
-            raise InputError(
-                f"{key}: expected fewer than the {len(names)} {what} there are, found {count}; one that has this name "
-                f"is {key},"
-            )
-        return names[len(names) - count :]
-    chosen = [name.strip() for name in asked.split(",") if name.strip()]
-    if unknown := [name for name in chosen if name not in names]:
-        some = ", ".join(names[:NAMED]) + " ..." * (len(names) > NAMED)
-        raise InputError(f"{key}: expected a number, none, or names of {what} ({some}), found {unknown[0]}")
-    return [name for name in names if name in chosen]
-
-
-def _table(
-    lengths: dict[Entry, int], people: dict[str, int], poses: dict[str, int], spread: int = 0
-) -> tuple[MeshTable, list[str]]:
-    """Make the table of all clips; where those of a motion have several lengths, their first frames are used.
-
-    Args:
-        lengths: frames that each file has.
-        spread: of which so many, evenly spread, were kept; 0 for all.
+    Raises:
+        InputError: no pair in the training, or among what is held out.
     """
-    length = np.array([*lengths.values()], np.int64)
-    pose = np.array([poses[entry.pose] for entry in lengths], np.int64)
-    common = np.full(len(poses), np.iinfo(np.int64).max)
-    np.minimum.at(common, pose, length)
-    other = [name for name, number in poses.items() if (length[pose == number] > common[number]).any()]
-    if other and spread:
-        raise InputError(_several_lengths(other[0], lengths))
-    if spread:
-        length, common = (np.where(array > 1, spread, array) for array in (length, common))
-    notes = [f"clips of {', '.join(other[:NAMED])}{' and others' if len(other) > NAMED else ''} have several lengths: "
-             "the first frames, as many as the shortest has, are used"] if other else []  # fmt: skip
-    person = np.array([people[entry.person] for entry in lengths], np.int64)
-    return MeshTable(person, pose, np.cumsum(length) - length, common[pose]), notes
-
-
-def _turn_to_front(
-    points: Float[np.ndarray, "N V 3"], mesh: Mesh, up: str | None, front: str | None
-) -> tuple[str, str]:
-    """Turn all frames, in place, to y up and +z front as most of some frames have it; return the axes of the files."""
-    some = np.unique(np.linspace(0, len(points) - 1, VOTES).round().astype(int))
-    found = [Normalization.fit(Mesh(points[t].astype(np.float64), mesh.faces, up=mesh.up), up, front) for t in some]
-    axes = Counter((one.up, one.front) for one in found).most_common(1)[0][0]
-    rotation = next(one.rotation for one in found if (one.up, one.front) == axes).astype(np.float32)
-    turned = not np.array_equal(rotation, np.eye(3))
-    for start in range(0, len(points), PAGED) if turned else ():
-        points[start : start + PAGED] = points[start : start + PAGED] @ rotation.T
-        release_pages(points)
-    return axes
-
-
-def _several_lengths(motion: str, lengths: dict[Entry, int]) -> str:
-    """Say that clips of one motion are not the same motion, and how to get such."""
-    found = [f"{entry.person} has {length} frames" for entry, length in lengths.items() if entry.pose == motion]
-    return (
-        f"{motion}: expected clips in which frame t is the same pose of all people, found other lengths "
-        f"({', '.join(found[:NAMED])}). Recordings, as those of DFAUST, have no truth of another person in a motion. "
-        "Make it from AMASS's archives of the same takes: mimesh generate clips-aniformer --split train --body-model "
-        "SMPLH.npz --data TAKES -o clips"
+    asked, counts = (config.held_out_people, config.held_out_poses), table.first.shape
+    usual = [math.ceil(count / HELD_OUT) if min(counts) >= LEAST else 0 for count in counts]
+    people, poses = (count if given is None else given for given, count in zip(asked, usual, strict=True))
+    if (split := Split.of(table, frames, people, poses)) is not None:
+        return (people, poses), split
+    if asked == (None, None) and (split := Split.of(table, frames, 0, 0)) is not None:
+        return (0, 0), split
+    raise InputError(
+        f"data.held_out_people={people}, data.held_out_poses={poses}: expected pairs in the training and among what is "
+        f"held out of {counts[0]} people and {counts[1]} poses, found a part without; hold out others"
     )
 
 
-def _refusals(refused: dict[str, str]) -> list[str]:
-    notes = [f"refused {name}: {reason}" for name, reason in list(refused.items())[:NAMED]]
-    return notes + ([f"{len(refused) - NAMED} others refused"] if len(refused) > NAMED else [])
-
-
-def _no_pair(
-    folder: Path, layout: MeshLayout, people: dict[str, int], poses: dict[str, int], table: MeshTable, frames: int
-) -> str:
+def _no_pair(folder: Path, layout: MeshLayout, table: MeshTable, frames: int) -> str:
     """Say why a folder has no pair."""
-    what = f"{len(table.person)} meshes of {len(people)} people in {len(poses)} poses"
-    if frames > 1 and table.length.max() < frames:
+    what = f"{len(layout.entries)} meshes of {table.first.shape[0]} people in {table.first.shape[1]} poses"
+    if table.length.max() < frames:
         return (
             f"{folder}: expected clips of {frames} frames or more, found at most {table.length.max()} ({what}); "
             "train npt on meshes, or give folders of frames"
         )
-    remedy = "name the files by person and pose, or give their names with --pattern"
-    return f"{folder}: expected two people in one pose, found none ({layout.pattern}: {what}); {remedy}"
+    return (
+        f"{folder}: expected two people in one pose, found none ({layout.pattern}: {what}); name the files by person "
+        "and pose, or give their names with --pattern"
+    )
 
 
 @dataclass(frozen=True)
@@ -467,15 +333,35 @@ def _refuse_twins(entries: list[Entry]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class MeshTable:
-    """Who is in which pose: one row for each of K meshes or clips, whose frames follow each other in one array."""
+    """Who is in which pose: P people in B poses, or motions, whose frames follow each other in one array."""
 
-    person: Int[np.ndarray, " K"]
-    pose: Int[np.ndarray, " K"]
-    """Of clips: the motion."""
-    first: Int[np.ndarray, " K"]
-    """Number of its first frame."""
-    length: Int[np.ndarray, " K"]
-    """Number of its frames; 1 for a mesh. All clips of a motion have one length."""
+    first: Int[np.ndarray, "P B"]
+    """Number of the first frame; -1 where a person has no such pose."""
+    length: Int[np.ndarray, " B"]
+    """Frames of each motion; 1 for a pose."""
+
+    @classmethod
+    def of(
+        cls, entries: Sequence[Entry], lengths: Sequence[int], people: Sequence[str], poses: Sequence[str]
+    ) -> MeshTable:
+        """Enter meshes or clips of some numbers of frames.
+
+        Raises:
+            InputError: clips of one motion have several lengths, so that frame t is not the same pose in all.
+        """
+        first, length, start = np.full((len(people), len(poses)), -1), np.zeros(len(poses), np.int64), 0
+        rows, columns = ({name: k for k, name in enumerate(names)} for names in (people, poses))
+        for entry, count in zip(entries, lengths, strict=True):
+            column = columns[entry.pose]
+            if length[column] not in (0, count):
+                raise InputError(
+                    f"{entry.path}: expected the {length[column]} frames that others have in {entry.pose}, found "
+                    f"{count}: frame t must be the same pose of all people. Recordings, as those of DFAUST, have no "
+                    "truth of another person; make it from AMASS's archives of the same takes: mimesh generate "
+                    "clips-aniformer --split train --body-model SMPLH.npz --data TAKES -o clips"
+                )
+            first[rows[entry.person], column], length[column], start = start, count, start + count
+        return cls(first, length)
 
 
 @dataclass(frozen=True)
@@ -487,99 +373,54 @@ class Frames:
     truth: Int[Tensor, "B T"]
 
 
-@dataclass(frozen=True)
-class Choices:
-    """Rows of the table that may stand beside each of R truths: those of its group, without itself."""
-
-    rows: Int[Tensor, " N"]
-    """All that may be chosen, group by group."""
-    start: Int[Tensor, " R"]
-    """Where the group of each truth begins."""
-    count: Int[Tensor, " R"]
-    """How many there are beside the truth."""
-    own: Int[Tensor, " R"]
-    """Where the truth itself stands, which is left out; the number of rows where it is not among them."""
-
-    @classmethod
-    def of(
-        cls, group: Int[np.ndarray, " K"], allowed: Bool[np.ndarray, " K"], truths: Int[np.ndarray, " R"]
-    ) -> Choices:
-        """List the allowed rows beside each truth."""
-        rows = np.flatnonzero(allowed)
-        rows = rows[np.argsort(group[rows], kind="stable")]
-        start, stop = (np.searchsorted(group[rows], group[truths], side) for side in ("left", "right"))
-        place = np.full(len(group), len(rows))
-        place[rows] = np.arange(len(rows))
-        count = stop - start - allowed[truths]
-        return cls(*(torch.from_numpy(array) for array in (rows, start, count, place[truths])))
-
-    def pick(self, truth: Int[Tensor, " B"], share: Float[Tensor, " B"]) -> Int[Tensor, " B"]:
-        """Pick for some truths a row, at a share from 0 to 1 of what there is; the truth itself if there is nothing."""
-        place = self.start[truth] + (share * self.count[truth]).long()
-        place = place + (place >= self.own[truth])
-        place = torch.where(self.count[truth] > 0, place, self.own[truth])
-        return self.rows[place.clamp_max(len(self.rows) - 1)]
-
-
 @dataclass(frozen=True, eq=False)
 class Triples:
-    """All pairs of one kind: every window of the truths is drawn equally often."""
+    """All pairs of one kind: every truth is drawn equally often."""
 
-    table: tuple[Int[Tensor, " K"], Int[Tensor, " K"]]
-    """First frame and length of every row."""
-    truths: Int[Tensor, " R"]
-    ends: Int[Tensor, " R"]
-    """Number of windows of the truths up to each."""
-    identities: Choices
-    drivings: Choices
+    first: Int[Tensor, "P B"]
+    length: Int[Tensor, " B"]
+    truths: Int[Tensor, "R 2"]
+    """Person and pose of each."""
+    identities: Bool[Tensor, "P B"]
+    drivings: Bool[Tensor, "P B"]
     frames: int
     """Frames of a window."""
-    counts: tuple[int, int, int]
-    """Number of meshes or clips that may be identity, driving and truth."""
 
     @classmethod
     def of(
         cls,
         table: MeshTable,
         frames: int,
-        truths: Bool[np.ndarray, " K"],
-        identities: Bool[np.ndarray, " K"],
-        drivings: Bool[np.ndarray, " K"],
+        truths: Bool[np.ndarray, "P B"],
+        identities: Bool[np.ndarray, "P B"],
+        drivings: Bool[np.ndarray, "P B"],
     ) -> Triples | None:
-        """List the pairs among the rows that may be truth, identity and driving; None where there is none.
+        """List the pairs among what may be truth, identity and driving; None where there is none.
 
         A truth needs a driving mesh of another person, and is its own identity where its person has no other pose.
         """
-        rows = np.flatnonzero(truths & (table.length >= frames))
-        beside = Choices.of(table.person, identities, rows), Choices.of(table.pose, drivings, rows)
-        usable = ((beside[0].count.numpy() > 0) | identities[rows]) & (beside[1].count.numpy() > 0)
-        rows = rows[usable]
-        if not len(rows):
+        truths, identities, drivings = (allowed & (table.first >= 0) for allowed in (truths, identities, drivings))
+        usable = truths & (table.length >= frames) & (drivings.sum(0) > drivings) & identities.any(1, keepdims=True)
+        if not usable.any():
             return None
-        of_person = identities & np.isin(table.person, table.person[rows])
-        of_pose = drivings & np.isin(table.pose, table.pose[rows])
-        return cls(
-            (torch.from_numpy(table.first), torch.from_numpy(table.length)),
-            torch.from_numpy(rows),
-            torch.from_numpy(np.cumsum(table.length[rows] - frames + 1)),
-            Choices.of(table.person, identities, rows),
-            Choices.of(table.pose, drivings, rows),
-            frames,
-            (int(of_person.sum()), int(of_pose.sum()), len(rows)),
-        )
+        arrays = (table.first, table.length, np.argwhere(usable), identities, drivings)
+        return cls(*map(torch.from_numpy, arrays), frames)
 
     def draw(self, size: int, rng: torch.Generator) -> Frames:
         """Draw pairs: a window of a truth, then an identity in another pose and a driving person."""
-        first, length = self.table
-        window = torch.randint(int(self.ends[-1]), (size,), generator=rng, device=rng.device)
-        share = uniform(rng, 3, size)
-        truth = torch.searchsorted(self.ends, window, right=True)
-        row = self.truths[truth]
-        start = (window - self.ends[truth] + length[row] - self.frames + 1)[:, None]
-        frames = start + torch.arange(self.frames, device=rng.device)
-        identity, driving = self.identities.pick(truth, share[0]), self.drivings.pick(truth, share[1])
-        still = first[identity] + (share[2] * length[identity]).long()
-        return Frames(still, first[driving, None] + frames, first[row, None] + frames)
+        person, pose = self.truths[random_index(len(self.truths), (size,), rng)].T
+        start = (uniform(rng, size) * (self.length[pose] - self.frames + 1)).long()
+        window = start[:, None] + torch.arange(self.frames, device=rng.device)
+        own = pick_other(self.identities[person], pose, rng)
+        other = pick_other(self.drivings[:, pose].T, person, rng)
+        still = self.first[person, own] + (uniform(rng, size) * self.length[own]).long()
+        return Frames(still, self.first[other, pose, None] + window, self.first[person, pose, None] + window)
+
+
+def pick_other(allowed: Bool[Tensor, "B N"], but: Int[Tensor, " B"], rng: torch.Generator) -> Int[Tensor, " B"]:
+    """Pick a random allowed column of each row but one; that one where there is no other."""
+    keys = torch.where(allowed, uniform(rng, *allowed.shape), -1.0)
+    return keys.scatter(1, but[:, None], -0.5).argmax(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -594,20 +435,19 @@ class Split:
     poses are held out."""
 
     @classmethod
-    def of(
-        cls, table: MeshTable, frames: int, new: Bool[np.ndarray, " K"], new_pose: Bool[np.ndarray, " K"]
-    ) -> Split | None:
-        """Split the pairs of a table into those with new people and new poses, and others; None if a part has none."""
-        known = ~new & ~new_pose
-        training = Triples.of(table, frames, known, known, known)
+    def of(cls, table: MeshTable, frames: int, people: int, poses: int) -> Split | None:
+        """Hold out the last people and poses of a table; None if the training or a kind of validation has no pair."""
+        count = table.first.shape
+        new, new_pose = np.arange(count[0])[:, None] >= count[0] - people, np.arange(count[1]) >= count[1] - poses
+        training = Triples.of(table, frames, ~new & ~new_pose, ~new & ~new_pose, ~new & ~new_pose)
+        tested = new if people else ~new
         # With one new person alone the driving meshes are of people of the training.
-        driving = new if len(np.unique(table.person[new])) > 1 else ~new
-        truths = new if new.any() else ~new
+        driving = new if people > 1 else ~new
         seen, unseen = (
-            Triples.of(table, frames, truths & pose, truths & ~new_pose, driving) if asked.any() else None
-            for pose, asked in ((~new_pose, new), (new_pose, new_pose))
+            Triples.of(table, frames, tested & pose, tested & ~new_pose, driving & True) if held else None
+            for pose, held in ((~new_pose, people), (new_pose, poses))
         )
-        if training is None or (new.any() and seen is None) or (new_pose.any() and unseen is None):
+        if training is None or (people and seen is None) or (poses and unseen is None):
             return None
         return cls(training, seen, unseen)
 
@@ -706,10 +546,9 @@ class HeldOutMeshes(Protocol):
         height = float(np.ptp(identity.vertices[:, 1]))
         if self.triples[kind].frames == 1:
             return Pair(identity, driving, truth[0], height)
-        nothing = np.zeros((0, 2), np.int64)
         return ClipPair(
             identity, driving, truth[0], height, clip=Clip(driving, clip), truth_frames=truth,
-            aligned_frames=self._points(frames.driving[0], order), template=nothing,
+            aligned_frames=self._points(frames.driving[0], order),
         )  # fmt: skip
 
     def _points(self, frames: Int[Tensor, " T"], order: Int[np.ndarray, " V"]) -> Float[np.ndarray, "T V 3"]:

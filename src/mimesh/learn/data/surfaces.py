@@ -2,7 +2,6 @@
 
 A person is the shipped body with a shape, garments, a scale along and across each bone, and a bumpy surface. All of it
 is exact under linear blend skinning, so one person in two poses is a true transfer.
-Scans of surfaces have the points that one camera sees, with holes and noise.
 """
 
 from __future__ import annotations
@@ -15,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from ...bodies import RiggedBody
 from ...bodies.dress import GARMENTS, dressed_body, load_garment
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
 from ...core import geometry, surface_points
-from .bodies import CPU, gather_points, normal, on_device, scaled_joints, skinned_surface, uniform, world_rotations
+from .bodies import CPU, normal, on_device, scaled_joints, skinned_surface, uniform, world_rotations
 from .characters import LEVELS, SMALLEST, flattened
 
 WAVES = 6
@@ -38,23 +37,6 @@ GARMENT_SHARE = 0.25
 """Share of people who wear each garment."""
 MAX_HOLE = 0.45
 """Largest radius of the ball whose points a damaged surface lacks (metres, at rest)."""
-ELEVATION = math.radians(40)
-"""Largest angle of the camera above or below the horizon."""
-GRAZING = 0.1
-"""Cosine of the angle between ray and normal below which a depth camera gets no point."""
-CELL, CELLS = 0.1, 32
-"""Size of the pixels in which points hide others (metres), and their number along a side: with 320 points a person has
-one or two in each pixel on the side that is seen."""
-THICKNESS = 0.12
-"""Depth behind the nearest point of a pixel (metres) from which on a point is hidden: limbs are thinner than this."""
-SCAN_HOLES, MAX_RADIUS = 4, 0.15
-"""Number of holes (hair, dark cloth, reflections) and their largest radius (metres)."""
-MAX_DEPTH_NOISE = 0.02
-"""Largest standard deviation of the noise along the camera's rays (metres); mostly it is far less."""
-MAX_NORMAL_NOISE = 0.5
-"""Largest standard deviation of the noise on the components of unit normals, which scans estimate from neighbours."""
-FEWEST = 24
-"""Visible points below which the whole surface is given."""
 
 
 @dataclass(frozen=True)
@@ -238,59 +220,8 @@ def plain_people(shape: Float[Tensor, "B K"], surface: SurfaceBody) -> People:
     return People(shape, one, one, torch.zeros(size, 1, 5, device=shape.device), worn, level)
 
 
-def scanned(
-    points: Float[Tensor, "B N 3"], normals: Float[Tensor, "B N 3"], rng: torch.Generator
-) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 3"]]:
-    """Scan surfaces (metres), each from a random side: points and normals, repeated up to N."""
-    size = len(points)
-    camera = _camera(size, rng)
-    hidden = _hidden(points, normals, camera) | _in_holes(points, rng)
-    hidden &= (~hidden).sum(1, keepdim=True) >= FEWEST
-    index = repeat_visible(hidden)
-    amount = uniform(rng, 2, size, 1, 1).square()
-    depth = MAX_DEPTH_NOISE * amount[0] * normal(rng, *index.shape, 1)
-    bent = MAX_NORMAL_NOISE * amount[1] * normal(rng, *points.shape)
-    ray = camera[:, None, 2]
-    return (
-        gather_points(points, index) + depth * ray,
-        nn.functional.normalize(gather_points(normals, index) + bent, dim=-1),
-    )
-
-
 def repeat_visible(hidden: Bool[Tensor, "B N"]) -> Int[Tensor, "B N"]:
     """Choose all points that are not hidden, repeated up to N; at least one is visible."""
     order = hidden.int().argsort(dim=1, stable=True)
     visible = (~hidden).sum(1, keepdim=True)
     return order.gather(1, torch.arange(hidden.shape[1], device=hidden.device) % visible)
-
-
-def _camera(size: int, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
-    """Draw the axes of cameras in rows: right, up, and towards the camera."""
-    around, above = uniform(rng, 2, size)
-    angle, elevation = 2 * math.pi * around, ELEVATION * (2 * above - 1)
-    zero = torch.zeros_like(angle)
-    right = torch.stack([angle.cos(), zero, -angle.sin()], -1)
-    towards = torch.stack([angle.sin() * elevation.cos(), elevation.sin(), angle.cos() * elevation.cos()], -1)
-    return torch.stack([right, torch.linalg.cross(towards, right), towards], 1)
-
-
-def _hidden(
-    points: Float[Tensor, "B N 3"], normals: Float[Tensor, "B N 3"], camera: Float[Tensor, "B 3 3"]
-) -> Bool[Tensor, "B N"]:
-    """Tell which points face away from the camera, or lie behind another point of the same pixel."""
-    seen = (points - points.mean(1, keepdim=True)) @ camera.mT
-    pixel = (seen[..., :2] / CELL + CELLS / 2).long().clamp(0, CELLS - 1)
-    pixel = pixel[..., 0] * CELLS + pixel[..., 1]
-    depth = seen[..., 2]
-    away = (normals * camera[:, None, 2]).sum(-1) < GRAZING
-    front = torch.full((len(points), CELLS * CELLS), -math.inf, device=points.device)
-    front = front.scatter_reduce(1, pixel, depth, "amax")
-    return away | (depth < front.gather(1, pixel) - THICKNESS)
-
-
-def _in_holes(points: Float[Tensor, "B N 3"], rng: torch.Generator) -> Bool[Tensor, "B N"]:
-    """Tell which points lie in random balls around points; small balls are frequent."""
-    size, count = points.shape[:2]
-    centre = torch.randint(count, (size, SCAN_HOLES), generator=rng, device=points.device)
-    radius = MAX_RADIUS * uniform(rng, size, 1, SCAN_HOLES).square()
-    return (torch.cdist(points, gather_points(points, centre)) < radius).any(-1)

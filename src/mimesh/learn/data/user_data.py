@@ -25,7 +25,7 @@ def mesh_settings(brought: TrainingFiles) -> list[str]:
     if brought.meshes is None:
         return []
     pattern = [f"data.pattern={brought.pattern}"] if brought.pattern else []
-    return ["data.kind=meshes", "data.between=0", "data.recombine=0", "data.mix_people=0", *pattern]
+    return ["data.kind=meshes", "data.recombine=0", "data.mix_people=0", *pattern]
 
 
 def check_files(brought: TrainingFiles, network: str, options: type[DataConfig]) -> None:
