@@ -81,7 +81,7 @@ def test_trunks_of_other_lengths_are_mapped(joints, taken):
     assert (names[found["Neck"]], names[found["Head"]]) == ("Neck", "Head")
 
 
-BIPED = "Bip01 Pelvis Spine Spine1 Spine2 Neck Head".split()
+BIPED = ["Bip01", "Pelvis", "Spine", "Spine1", "Spine2", "Neck", "Head"]
 """The trunk of a 3ds Max Biped, each joint below the one before; the arms hang on the neck."""
 
 
