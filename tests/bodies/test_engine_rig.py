@@ -136,11 +136,41 @@ def test_limbs_of_the_rest_pose_point_where_they_should(rest, up, front):
             thumb = unit_vectors(joints[side + "ThumbProximal"] - joints[side + "ThumbMetacarpal"])
             assert np.allclose(finger, [left, 0, 0], atol=1e-6)
             assert np.allclose(thumb, [left * 0.5**0.5, 0, 0.5**0.5], atol=1e-6)
-        foot = joints[side + "Toes"] - joints[side + "Foot"]
+    ours = engine_rig(rig, "own", rest=rest, up=up, front=front)
+    joints = dict(zip(ours.names, ours.rig.joints @ axes.T, strict=True))
+    for side in ("Left", "Right"):
+        foot = joints[f"{side}ToeBase"] - joints[f"{side}Foot"]
         assert abs(foot[0]) < 1e-9
         assert foot[2] > 0
     assert np.isclose((laid.mesh.vertices @ axes.T)[:, 1].min(), (rig.mesh.vertices @ axes.T)[:, 1].min())
     assert np.allclose(laid.rig.rotation, axes.T)  # no bone is turned at rest
+
+
+STEPS = {
+    "own": {},
+    "mixamo": {"Hips": (0, 2.2855, 1.2754), "Head": (0, -5.4288, 1.4165)},
+    "unreal": {},
+    "vrm": {"Head": (0, -5.4288, 1.4165)},
+    "godot": {"Head": (0, -5.4288, 1.4165)},
+    "rigify": {},
+}
+"""How far joints of schemes are from those of the shipped body (left, up, front), in cm; toes are alike in all."""
+
+
+@pytest.mark.parametrize("names", SCHEMES)
+def test_joints_lie_where_programs_have_them(names):
+    """Heads at the base of the skull, toes at the ball of the foot."""
+    rig = moving_rig(4)
+    laid = engine_rig(rig, names)
+    joints = dict(zip(laid.names, laid.rig.joints, strict=True))
+    steps = STEPS[names]
+    if names != "own":
+        steps = steps | {f"{side}ToeBase": (x, -1.0742, -1.5688) for side, x in (("Left", -1.1942), ("Right", 1.1942))}
+    for name, old, frame in zip(rig.names, rig.rig.joints, rig.rig.rotation, strict=True):
+        bone = SCHEMES[names].bones.get(name, name)
+        if bone in joints:
+            step = frame.T @ (joints[bone] - old)
+            np.testing.assert_allclose(100 * step, steps.get(name, (0, 0, 0)), atol=1e-3, err_msg=name)
 
 
 def test_the_default_changes_nothing():

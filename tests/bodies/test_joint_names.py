@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from foreign_names import SCHEMES, renamed, spelt
+from foreign_names import CENTRE, SCHEMES, renamed, spelt
 
 from mimesh.bodies import load_body
 from mimesh.bodies.character_limbs import name_sided_joints
@@ -79,6 +79,33 @@ def test_trunks_of_other_lengths_are_mapped(joints, taken):
     found = named_joints(names, (*range(-1, top), top, top, top, top + 3))
     assert [found[joint] - 1 for joint in ("LowerBack", "Spine", "Spine1") if joint in found] == taken
     assert (names[found["Neck"]], names[found["Head"]]) == ("Neck", "Head")
+
+
+BIPED = ["Bip01", "Pelvis", "Spine", "Spine1", "Spine2", "Neck", "Head"]
+"""The trunk of a 3ds Max Biped, each joint below the one before; the arms hang on the neck."""
+
+
+@pytest.mark.parametrize(
+    ("trunk", "expected"),
+    [
+        (BIPED, "Pelvis Spine Spine1 Spine2 Neck - Head"),
+        ([*BIPED[:-1], "Neck1", "Head"], "Pelvis Spine Spine1 Spine2 Neck Neck1 Head"),
+        (["Bip01", "Pelvis", "Spine", "Neck", "Head"], "Pelvis - - Spine Neck - Head"),
+        (["Bip01", "Pelvis", "Neck", "Head"], "Pelvis - - Neck - - Head"),  # the trunk has no other joint
+        (BIPED[:-1], "Pelvis Spine Spine1 Spine2 - - Neck"),
+    ],
+)
+def test_a_neck_that_carries_the_arms_is_a_neck(trunk, expected):
+    names, parents = [name if name == "Bip01" else f"Bip01 {name}" for name in trunk], [*range(-1, len(trunk) - 1)]
+    for side in "LR":
+        for top, chain in (("Neck", "Clavicle UpperArm Forearm Hand"), ("Pelvis", "Thigh Calf Foot Toe0")):
+            for k, part in enumerate(chain.split()):
+                parents.append(len(names) - 1 if k else names.index(f"Bip01 {top}"))
+                names.append(f"Bip01 {side} {part}")
+    found = {joint: names[j] for joint, j in named_joints(tuple(names), tuple(parents)).items()}
+    trunk_of = zip(CENTRE, expected.split(), strict=True)
+    limbs = {joint: name for joint, name in spelt("biped").items() if joint not in CENTRE}
+    assert found == limbs | {joint: f"Bip01 {name}" for joint, name in trunk_of if name != "-"}
 
 
 def test_errors_of_missing_joints_are_one_line():

@@ -123,7 +123,11 @@ def test_characters_of_a_folder_are_measured_without_their_rigs(folder, tmp_path
     assert [label.split(": ")[1:] for label in row["each"]["identity"]] == [["ours", "hero"], ["kit", "file"]]
     text = markdown(report)
     assert "| we: ours | 1 |" in text
-    assert "Joints, % of the height, mean: " in text
+    rows = [line.strip("| ").split(" | ") for line in text.split("joints, % of height: mean")[1].splitlines()]
+    of_hero = dict(zip(rows[0], next(cells for name, *cells in rows if name == "we: ours"), strict=True))
+    errors = row["each"]["joints"][0]
+    assert of_hero["Neck"] == f"{errors['Neck']:.1f}"
+    assert of_hero["Foot"] == f"{(errors['LeftFoot'] + errors['RightFoot']) / 2:.1f}"
     assert len(list((tmp_path / "worst").glob("mime-people-*.png"))) == 2
 
 

@@ -76,6 +76,31 @@ def test_the_rig_of_the_driving_may_be_of_any_kind(kind, model, tmp_path):
     assert deviation(result.clip.vertices, truth(rigs.figure())) < LOOSE.get(kind, EXACT)
 
 
+TRIANGLES = {"LeftShoulder": "Neck", "RightShoulder": "Neck", "LeftUpLeg": "LowerBack", "RightUpLeg": "LowerBack"}
+"""Parents of limbs in 3ds Max Bipeds."""
+
+
+@pytest.mark.parametrize("which", ["identity", "driving"])
+def test_limbs_that_hang_on_spine_and_neck_go_with_hips_and_chest(which, model, tmp_path):
+    person = rigs.figure()
+    motion, kinds = rigs.exercise(person), {"identity": {}, "driving": {}}
+    kinds[which] = {"name": renamed("biped"), "hold": TRIANGLES}
+    identity = rigs.character(tmp_path / "i.glb", frames=3, **kinds["identity"])
+    driving = rigs.character(tmp_path / "d.glb", clips={"move": motion}, **kinds["driving"])
+    result = animate(str(identity), str(driving), model)
+    assert result.own is not None
+    assert deviation(result.clip.vertices, truth(person)) < EXACT
+    result.save_skinned(tmp_path / "o.glb")
+    assert deviation(load_clip(tmp_path / "o.glb").vertices, truth(person)) < 2 * EXACT
+    nodes = [node["name"] for node in open_document(identity).gltf["nodes"]]
+    for joint in ("LowerBack", "Spine", "Spine1", "Neck", "Head"):
+        node = nodes.index(kinds["identity"].get("name", str)(joint))
+        since = result.own.node_matrices([node])[:, 0] @ np.linalg.inv(result.own.source.rest.T_world_node[node])
+        turned = np.stack([frame[person.names.index(joint), :3, :3] for frame in motion])
+        wrong = Rotation.from_matrix(since[:, :3, :3] @ turned.swapaxes(-1, -2)).magnitude()
+        assert np.degrees(wrong).max() < 1e-3, joint
+
+
 @pytest.mark.parametrize("which", ["identity", "driving", "both"])
 def test_a_rest_pose_between_the_axes_has_its_own_front(which, model, tmp_path):
     """The result goes where the identity faces in its file, and its limbs stay with its trunk."""

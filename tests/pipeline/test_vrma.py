@@ -172,17 +172,16 @@ def test_several_clips_are_several_animations(tmp_path):
 
 
 def test_a_neck_that_carries_the_arms_is_the_neck(model, tmp_path):
-    """In 3ds Max Bipeds, the clavicles are below the neck, which the hierarchy then makes part of the trunk."""
+    """In 3ds Max Bipeds, the clavicles are below the neck."""
     hold = dict.fromkeys(("LeftShoulder", "RightShoulder", "Head"), "Neck")
     path = character(tmp_path / "a.glb", name=renamed("biped"), hold=hold, frames=1)
     result = mimesh.animate(path, walk(1, frames=3, faces=600), model)
     nodes = [node.get("name") for node in open_document(path).gltf["nodes"]]
-    assert nodes[result.own.joints["Spine1"]] == "Bip01 Neck"
+    assert nodes[result.own.joints["Neck"]] == "Bip01 Neck"
     motion = _bone_motion(result, "walk", None, tmp_path / "a.vrma")
-    assert {"spine", "chest", "neck", "head"} <= set(motion.bones)
-    assert "upperChest" not in motion.bones
+    assert {"spine", "chest", "upperChest", "neck", "head"} <= set(motion.bones)
     parents = dict(zip(motion.bones, (motion.bones[k] for k in motion.parents), strict=True))
-    assert (parents["head"], parents["neck"], parents["leftShoulder"]) == ("neck", "chest", "chest")
+    assert (parents["head"], parents["neck"], parents["leftShoulder"]) == ("neck", "upperChest", "upperChest")
     by_name = {name: motion.rotation[:, k] for k, name in enumerate(motion.bones)}
     neck, head = (result.own.node_matrices([nodes.index(name)])[:, 0, :3, :3] for name in ("Bip01 Neck", "Bip01 Head"))
     rest = result.own.source.rest.T_world_node

@@ -4,11 +4,16 @@ The motion of every vertex stays. Joints of ours that a scheme does not have tur
 weights cannot be given to their parents. They stay as extra bones: the bones below them are attached to the nearest
 named bone above, with the product of the rotations, and get a path of their own in its frame. So a program that
 ignores extra bones still finds every named bone in its place.
+
+Makers do not agree where the joints of a person are. Those that a scheme is known to have elsewhere than the shipped
+body (engine_joints.json) lie there at rest, in the frame of our joint, and their paths follow: no vertex moves.
 """
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from importlib import resources
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -22,7 +27,7 @@ from ..core.options import Layout
 from ..core.rig import Rig, descendants
 from ..core.skinning import blend_matrices, place_joints, skin_points
 from .engine_names import REQUIRED, SCHEMES, Scheme
-from .joint_names import FINGERS
+from .joint_names import FINGERS, without_side
 
 A_ANGLE = 50.0
 """Degrees by which the arms of the A-pose are below the horizontal. Epic's documentation gives no angle; tutorials turn
@@ -30,6 +35,8 @@ the mannequin's upper arms up by 50 degrees for a T-pose."""
 LEG_TOLERANCE = 15.0
 """Degrees from the vertical within which thighs and shins stay as they are: Godot's importer leaves bones alone that
 deviate no more from its reference pose (`fix_silhouette/threshold`)."""
+SPANS = {"Hips": ("Hips", "Neck"), "Head": ("Hips", "Neck"), "ToeBase": ("Foot", "ToeBase")}
+"""Joints without their side that schemes have elsewhere, and the joints whose distance is the unit of how far."""
 LEAST_DETERMINANT = 0.25
 """Least determinant of a vertex's blended rotations from which on they are inverted. Two equal weights have it where
 their joints differ by 120 degrees."""
@@ -47,7 +54,7 @@ def engine_rig(
     """Rename and rearrange the joints of a rig as a scheme of SCHEMES has them.
 
     With another scheme than ours, another rest pose or a root bone, all bones have the axes of the character at rest:
-    its left side, up and front.
+    its left side, up and front. Some joints are where the scheme has them.
 
     Args:
         root_bone: add a bone on the ground that carries the displacement over it; the hips keep the rest.
@@ -64,7 +71,7 @@ def engine_rig(
     if not scheme.bones and not root_bone and rest == "file":
         return skeleton
     axes = ROTATIONS[ORIENTATIONS.index((up, front))].T
-    bound = _bind(skeleton, rest, axes)
+    bound = _bind(skeleton, rest, axes, _steps(skeleton, names))
     bound = _arrange(bound, scheme) if scheme.bones else bound
     return _with_root(bound, scheme.root, axes[:, 1], root_bone) if root_bone or scheme.has_root else bound
 
@@ -94,8 +101,31 @@ def _check_joints(skeleton: AnimatedRig, names: str, rest: str) -> None:
         )
 
 
-def _bind(skeleton: AnimatedRig, rest: str, axes: Float[np.ndarray, "3 3"]) -> AnimatedRig:
-    """Bind a rig in a rest pose, in which all joints have the given axes (columns: left, up, front of the file)."""
+def _steps(skeleton: AnimatedRig, names: str) -> Float[np.ndarray, "J 3"]:
+    """Compute the step from each joint of ours to that of a scheme, in the axes of our joint.
+
+    Sources: research/recipes/build_engine_joints.py. Joints whose span is not there stay.
+    """
+    table = json.loads((resources.files("mimesh.bodies") / "engine_joints.json").read_text())
+    joints = dict(zip(skeleton.names, skeleton.rig.joints, strict=True))
+    steps = np.zeros((len(joints), 3))
+    for j, joint in enumerate(joints):
+        name = without_side(joint)
+        if name in table.get(names, {}):
+            start, end = (joints.get(joint.removesuffix(name) + of, joints[joint]) for of in SPANS[name])
+            steps[j] = np.linalg.norm(end - start) * np.array(table[names][name])
+            steps[j, 0] *= -1 if joint.startswith("Right") else 1
+    return steps
+
+
+def _bind(
+    skeleton: AnimatedRig, rest: str, axes: Float[np.ndarray, "3 3"], steps: Float[np.ndarray, "J 3"]
+) -> AnimatedRig:
+    """Bind a rig in a rest pose, in which all joints have the given axes (columns: left, up, front of the file).
+
+    Args:
+        steps: how far each joint goes, in its own axes; vertices stay where they are.
+    """
     old, positions = skeleton.rig, skeleton.joint_positions()
     turn = _rest_turns(skeleton, rest, axes)  # of each joint, from the file's pose to the rest pose
     above = list(skeleton.parents[1:])
@@ -107,6 +137,8 @@ def _bind(skeleton: AnimatedRig, rest: str, axes: Float[np.ndarray, "3 3"]) -> A
         rise = axes[:, 1] * ((skeleton.points @ axes[:, 1]).min() - (vertices @ axes[:, 1]).min())
         joints, mesh = joints + rise, mesh.with_vertices(skeleton.on_mesh(vertices + rise))
     motion = skeleton.rotation @ old.rotation.swapaxes(-1, -2)  # of each joint, from the file's pose to each frame
+    joints = joints + (turn @ old.rotation @ steps[..., None])[..., 0]
+    positions = positions + (skeleton.rotation @ steps[..., None])[..., 0]
     rig = Rig(np.tile(axes, (len(joints), 1, 1)), joints, old.weights)
     rotation = motion @ turn.swapaxes(-1, -2) @ axes
     return replace(skeleton, mesh=mesh, rig=rig, rotation=rotation, root=positions[:, 0], positions=positions)

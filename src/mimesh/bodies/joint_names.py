@@ -3,6 +3,7 @@
 The name of a limb joint contains a side and a part, in either order and many spellings: LeftUpLeg, mixamorig:LeftUpLeg,
 L_Thigh, thigh.L, J_Bip_L_UpperLeg, "Bip01 L Thigh". Trunk joints are found from the hierarchy, whatever their names:
 the trunk is the chain from the hips to the common ancestor of both arms, the neck the chain from there to the head.
+Only what is called neck is one wherever the arms hang: in 3ds Max Bipeds, below it.
 Finger joints are found among those below a hand: LeftHandIndex1, index_01_l, L_Index1, leftIndexProximal, f_index.01.L,
 finger2-1.L (five fingers counted from 1), "Bip01 L Finger1" (counted from 0), LThumb, LeftSecondPP (Xsens).
 The Japanese names of MikuMikuDance are translated first.
@@ -128,9 +129,10 @@ def named_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict
     legs = common_ancestors(found, "UpLeg", parents)
     if hips or legs:
         found["Hips"] = hips[0] if hips else legs[0]
-    chest = common_ancestors(found, "Arm", parents)
+    hips = found.get("Hips", -1)
+    chest = _without_neck(common_ancestors(found, "Arm", parents), plain, ancestors(parents, hips))
     if chest:
-        found |= trunk_joints(chest, _head(plain, parents, chest[0]), found.get("Hips", -1), parents)
+        found |= trunk_joints(chest, _head(plain, parents, chest[0]), hips, parents)
     return found
 
 
@@ -151,7 +153,7 @@ def trunk_joints(chest: list[int], head: int | None, hips: int, parents: tuple[i
     """Name the joints of trunk and neck by the hierarchy.
 
     Args:
-        chest: the common ancestors of both arms, nearest first.
+        chest: the common ancestors of both arms that are no neck, nearest first.
         head: joint of the head, if it is known.
         hips: joint of the hips; -1 if it is not known.
     """
@@ -175,17 +177,6 @@ def person_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dic
         return {}
     hands = {name: found[name] for side in ("Left", "Right") if (name := f"{side}Hand") in found}
     return found | named_fingers(joint_names, parents, hands)
-
-
-def with_named_neck(found: Mapping[str, int], joint_names: Sequence[str]) -> dict[str, int]:
-    """Take the last joint of the trunk for the neck where it is called so: in 3ds Max Bipeds, the arms are below it.
-
-    For output, whose readers expect a neck; the joints of a motion stay those that the hierarchy gives.
-    """
-    trunk = [name for name in ("LowerBack", "Spine", "Spine1") if name in found]
-    if "Neck" in found or len(trunk) < 2 or "neck" not in joint_names[found[trunk[-1]]].lower():
-        return dict(found)
-    return {name: joint for name, joint in found.items() if name != trunk[-1]} | {"Neck": found[trunk[-1]]}
 
 
 def finger_joints(side: str) -> tuple[str, ...]:
@@ -429,6 +420,17 @@ def _below(chain: list[int], top: int) -> list[int]:
     """Select the part of a chain below one of its joints, from the top down; of a chain without it all but the root."""
     stop = chain.index(top) if top in chain else len(chain) - 1
     return chain[:stop][::-1]
+
+
+def _without_neck(chest: list[int], plain: list[str], above_legs: list[int]) -> list[int]:
+    """Leave out joints called neck that carry both arms; they stay where the trunk has no others.
+
+    Args:
+        chest: the common ancestors of both arms, nearest first.
+        above_legs: the hips and their ancestors.
+    """
+    below = [j for j in chest if "neck" not in plain[j]]
+    return chest if not below or below[0] in above_legs else below
 
 
 def _head(plain: list[str], parents: tuple[int, ...], chest: int) -> int | None:

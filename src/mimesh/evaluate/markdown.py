@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..bodies.joint_names import without_side
 from .summary import summary, win_share
 
 BASELINES = ("copy", "deformation-transfer-13")
@@ -107,7 +108,7 @@ def rig_table(rows: Sequence[tuple[str, dict[str, Any]]], first: str = "method")
 
 
 def rigs_of_makers(row: dict[str, Any]) -> str:
-    """Format the rigs of a method by maker and pack, and the mean error of each joint in per cent of the height."""
+    """Format the rigs of a method by maker and pack, and the mean error of each joint for each of them."""
     each = row["each"]
     groups = [": ".join(label.split(": ")[:-1]) for label in each["identity"]]
     rows = []
@@ -118,13 +119,16 @@ def rigs_of_makers(row: dict[str, Any]) -> str:
             if found == group
         ]
         rows.append((group, summary(row["method"], group, figures)))
-    errors: dict[str, list[float]] = {}
-    for joints in filter(None, each["joints"]):
-        for name, error in joints.items():
-            side = name.removeprefix("Left").removeprefix("Right")
-            errors.setdefault(side, []).append(error)
-    line = ", ".join(f"{name} {np.mean(values):.1f}" for name, values in errors.items())
-    return f"{rig_table(rows, 'maker: pack')}\n\nJoints, % of the height, mean: {line}."
+    errors: dict[str, dict[str, list[float]]] = {}
+    for group, joints in zip(groups, each["joints"], strict=True):
+        for name, error in (joints or {}).items():
+            errors.setdefault(without_side(name), {}).setdefault(group, []).append(error)
+    lines = [
+        [group, *(f"{np.mean(of[group]):.1f}" if group in of else "-" for of in errors.values())]
+        for group in sorted(set(groups))
+    ]
+    by_joint = markdown_table(["joints, % of height: mean", *errors], lines)
+    return f"{rig_table(rows, 'maker: pack')}\n\n{by_joint}"
 
 
 def makers_table(rows: list[dict[str, Any]]) -> str:

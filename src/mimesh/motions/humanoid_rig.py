@@ -36,6 +36,8 @@ from ..core.rig import descendants
 from .posed_rest import action_frames, rests_in_action
 from .retarget import BONES, limb_alignments, rest_heading
 
+TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
+"""Joints of trunk and neck, from the hips up."""
 LEG = ("UpLeg", "Leg", "Foot")
 """Joints of a leg from hip to ankle, without their side."""
 WHOLE = {"Arm": "Hand", "UpLeg": "Foot"}
@@ -134,7 +136,8 @@ class HumanoidRig:
         """Select the joints that move with the hips, the hips first, and the parent of each among them.
 
         Besides those below the hips these are joints elsewhere that are a person's or move vertices: they go with the
-        hips. Others (handles of the animator, a root) stay as they are.
+        hips. Others (handles of the animator, a root) stay as they are. Legs go with the hips and arms with the chest,
+        wherever the file hangs them (`_hung`).
         """
         hips, parents = self.joints["Hips"], self.character.parents
         below = descendants([hips], parents)
@@ -143,13 +146,30 @@ class HumanoidRig:
         others = [j for j in weighted if j < len(parents) and j not in below]
         kept = [hips, *(j for j in below if j != hips), *others]
         place = {joint: k for k, joint in enumerate(kept)}
-        above = [-1]
+        above, hung = [-1], self._hung() if self.body_name == "human" else {}
         for joint in kept[1:]:
             chain = [j for j in ancestors(parents, joint)[1:] if j in place]
-            above.append(place[chain[0]] if chain else 0)
+            above.append(place[hung.get(joint, chain[0])] if chain else 0)
         order = parents_first(above)
         rank = np.argsort(order)
         return [kept[k] for k in order], tuple(int(rank[above[k]]) if above[k] >= 0 else -1 for k in order)
+
+    def _hung(self) -> dict[int, int]:
+        """Return the first joint of limbs that hang on a joint below the hips or chest, and the hips or chest.
+
+        3ds Max Bipeds have legs on the spine and arms on the neck ("triangle pelvis" and "triangle neck"), and thighs
+        and collar bones that keep their places in pelvis and chest by keys of position.
+        """
+        parents, joints, found = self.character.parents, self.joints, {}
+        trunk = [joints[name] for name in TRUNK if name in joints]
+        chest = next(joints[name] for name in ("Spine1", "Spine", "LowerBack", "Hips") if name in joints)
+        for side in SIDES:
+            for parts, goal in ((("Shoulder", "Arm"), chest), (("UpLeg",), joints["Hips"])):
+                limb = ancestors(parents, next(joints[side + part] for part in parts if side + part in joints))
+                held = next((k for k, j in enumerate(limb) if j in trunk), len(limb))
+                if goal in limb[held + 1 :]:
+                    found[limb[held - 1]] = goal
+        return found
 
 
 def humanoid_rig(

@@ -12,7 +12,6 @@ from jaxtyping import Float
 
 from ..bodies.engine_names import SCHEMES, root_name
 from ..bodies.engine_rig import Layout, engine_rig, t_posed
-from ..bodies.joint_names import with_named_neck
 from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError, option
 from ..core.normalization import ORIENTATIONS, ROTATIONS
@@ -75,10 +74,8 @@ def save_as_vrm(
     turn = ROTATIONS[ORIENTATIONS.index((report["up"], report["front"]))]
     if own is not None:
         posed = _own_t_pose(rigged, own, layout, turn[1])
-        names = [str(node.get("name", "")) for node in own.source.document.gltf["nodes"]]
-        person = with_named_neck(own.person, names)
-        joints = check_joints(person, path)
-        bones = {bone: person[joint] for bone, joint in zip(bone_names(joints), joints, strict=True)}
+        joints = check_joints(own.person, path)
+        bones = {bone: own.person[joint] for bone, joint in zip(bone_names(joints), joints, strict=True)}
         save_vrm(posed, bones, meta, turn, path)
         return
     rig = engine_rig(_upright(rigged.skeleton, turn), layout.names, layout.root_bone, "T")

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies.hands import straight_hands
-from ..bodies.joint_names import with_named_neck
 from ..core.animated_rig import RigAnimation
 from ..core.errors import InputError, option
 from ..core.geometry import nearest_rotation
@@ -78,9 +77,8 @@ def _own_bone_motion(identity: Mesh, animation: OwnAnimation, name: str, path: P
     """
     rig = read_own_rig(identity)
     document, humanoid = rig.source.document, rig.humanoid
-    person = with_named_neck(rig.person, [str(node.get("name", "")) for node in document.gltf["nodes"]])
-    joints = check_joints(person, path)
-    nodes = [person[joint] for joint in joints]
+    joints = check_joints(rig.person, path)
+    nodes = [rig.person[joint] for joint in joints]
     is_vrm = vrm_version(document) is not None and bool(vrm_bones(document))
     at_rest = world_matrices(document) if is_vrm else rig.scene.T_world_node
     rest, world = at_rest[nodes], animation.node_matrices(nodes)
@@ -89,8 +87,7 @@ def _own_bone_motion(identity: Mesh, animation: OwnAnimation, name: str, path: P
     hips = world[:, 0, :3, 3] @ turn.T
     if is_vrm:
         return BoneMotion(name, joints, rest[:, :3, 3] @ turn.T, turn @ moved @ turn.T, hips, animation.fps)
-    frame_of = {node: humanoid.frames[joint] for joint, node in rig.person.items()}
-    frames = np.stack([frame_of[node] for node in nodes])
+    frames = np.stack([humanoid.frames[joint] for joint in joints])
     floor = float(humanoid.character.mesh.vertices[:, 1].min())
     return since_t_pose(
         name, joints, rest[:, :3, 3] @ turn.T, turn @ frames, turn @ moved @ frames, hips, floor, animation.fps

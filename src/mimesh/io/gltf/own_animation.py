@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...bodies.joint_names import ancestors, with_named_neck
+from ...bodies.joint_names import ancestors
 from ...core.animated_rig import frames_around
 from ...core.frame_buffer import spread_exactly
 from ...core.geometry import nearest_rotation
@@ -113,10 +113,8 @@ class OwnAnimation:
             root_bone: name of the new bone; None adds none.
             root_moves: let it carry the way over the ground; the hips have to be known for it.
         """
-        old = [str(node.get("name", "")) for node in self.source.document.gltf["nodes"]]
-        return dataclasses.replace(
-            self, renamed=new_names(self.joints, bones, old), root_bone=root_bone, root_moves=root_moves
-        )
+        renamed = new_names(self.joints, bones)
+        return dataclasses.replace(self, renamed=renamed, root_bone=root_bone, root_moves=root_moves)
 
     def resampled(self, fps: float) -> OwnAnimation:
         """Sample the animation at another frame rate, between frames as players of glTF do."""
@@ -294,13 +292,11 @@ def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) 
     return np.array(value, float)[None]
 
 
-def new_names(joints: Mapping[str, int], bones: Mapping[str, str], old: Sequence[str]) -> dict[int, str]:
-    """Assign new names to the nodes of a person's joints, whose names were `old`.
+def new_names(joints: Mapping[str, int], bones: Mapping[str, str]) -> dict[int, str]:
+    """Assign new names to the nodes of a person's joints.
 
-    A trunk of fewer joints than ours gets the names from the hips up, because programs require the first of them. A
-    joint that is called neck is one, even if it carries the arms, as in 3ds Max.
+    A trunk of fewer joints than ours gets the names from the hips up, because programs require the first of them.
     """
-    joints = with_named_neck(joints, old)
     trunk = [joints[name] for name in TRUNK if name in joints]
     names = {1: TRUNK[:1], 2: (TRUNK[0], TRUNK[-1])}.get(len(trunk), TRUNK)
     known = {name: node for name, node in joints.items() if name not in TRUNK} | dict(zip(names, trunk, strict=False))
