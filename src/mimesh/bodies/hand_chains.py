@@ -27,7 +27,7 @@ METACARPAL = 0.5
 """Distance of a metacarpal from the wrist, over that of the joint after it, up to which the first of more than three
 joints is one."""
 WHOLE_HAND = 0.75
-"""Share of the surface below the wrist from which on a chain carries the hand, or what stands for it: no finger."""
+"""Share of the surface below the wrist from which on a joint carries the palm: it is none of a finger."""
 PLACES = (("Middle",), ("Index", "Pinky"), ("Index", "Middle", "Pinky"), FINGERS[1:])
 """Names of one to four fingers from the thumb's side on: they are spread over the whole palm."""
 
@@ -90,10 +90,10 @@ def _chains(rig: SkinnedCharacter, hand: int) -> list[list[int]]:
     ends = [j for j in below if not any(parents[k] == j for k in below)]
     shared = Counter(j for end in ends for j in ancestors(parents, end))
     chains = [[j for j in ancestors(parents, end)[::-1] if j in below and shared[j] == 1] for end in ends]
-    areas, whole = surface_areas(rig), carried_vertices(rig, hand)
-    carried = {chain[0]: carried_vertices(rig, chain[0]) for chain in chains}
-    chains = [chain for chain in chains if _is_finger(rig, carried[chain[0]], rig.joint_names[chain[0]])]
-    chains = [chain for chain in chains if areas[carried[chain[0]]].sum() < WHOLE_HAND * areas[whole].sum()]
+    areas, carried = surface_areas(rig), {j: carried_vertices(rig, j) for j in (hand, *below)}
+    most = WHOLE_HAND * areas[carried[hand]].sum()
+    chains = [[j for j in chain if areas[carried[j]].sum() < most] for chain in chains]
+    chains = [chain for chain in chains if chain and _is_finger(rig, carried[chain[0]], rig.joint_names[chain[0]])]
     reach = np.linalg.norm(rig.joints - rig.joints[hand], axis=1)
     return [c[1:] if len(c) > 3 and reach[c[0]] < METACARPAL * reach[c[1]] else c for c in chains]
 

@@ -168,7 +168,8 @@ def hand_frames(
 
     A hand is turned as its knuckles are, and each finger joint as its bone; the last of a finger follows the one
     before. Where all knuckles are at one place, the joints after them tell. With one knuckle only the direction of the
-    hand is known, without one nothing: it is taken for a straight hand (`straight_hand`). A hand without a joint is on the forearm, whose direction is from the elbow to the knuckles.
+    hand is known, without one nothing: it is taken for a straight hand (`straight_hand`). A hand without a joint is on
+    the forearm: its direction is that from the elbow to the knuckles.
 
     Args:
         rest: positions of the forearm, the hand and its finger joints at rest.
