@@ -21,7 +21,6 @@ from ..core.normalization import bbox_centre
 from ..core.rig import Rig, descendant_matrix, descendants
 from .body_model import load_body
 from .joint_names import (
-    FINGERS,
     ancestors,
     called_hips,
     common_ancestors,
@@ -306,8 +305,6 @@ pairs below 0 are none. Chosen on characters whose names are known (docs/log/rig
 LONG_TAIL, TWIN = 0.3, 0.05
 """Length in heights from which on a chain of joints may be a tail that hides a person's shape, and the difference of
 lengths up to which two chains are the limbs of both sides."""
-THUMB = 0.75
-"""Distance of the first joint of a thumb from the wrist, over that of the next finger, up to which it is one."""
 BLOCK = 4096
 """Vertices whose weights are compared at once; bounds the memory."""
 
@@ -369,7 +366,7 @@ def carried_overlap(rig: SkinnedCharacter, body: Rig) -> Float[np.ndarray, "B J"
     Returns the area of the intersection over that of the union; weights count as shares of a vertex's area.
     """
     below, body_below = descendant_matrix(rig.parents), descendant_matrix(load_body().parents)
-    areas = _areas(rig)
+    areas = surface_areas(rig)
     common, theirs, ours = np.zeros((len(body_below), len(below))), np.zeros(len(below)), np.zeros(len(body_below))
     for start in range(0, len(areas), BLOCK):
         block = slice(start, start + BLOCK)
@@ -439,7 +436,7 @@ def _hips(rig: SkinnedCharacter, body: Rig, above: set[int]) -> int:
     """Find the joint among those above arms or legs that itself carries most of the surface that the hips carry."""
     hips = sum(body.weights[:, load_body().joint_names.index(name)] for name in PELVIS)
     own = np.zeros(len(rig.parents) + 1)
-    np.add.at(own, rig.joint_of, (_areas(rig) * hips)[:, None] * rig.weights)
+    np.add.at(own, rig.joint_of, (surface_areas(rig) * hips)[:, None] * rig.weights)
     return max(sorted(above, reverse=True), key=lambda joint: own[joint])
 
 
@@ -462,37 +459,7 @@ def _scores(
     return (MATCH + overlap[joints] - NEARNESS * distance / length) * moves_vertices(rig)
 
 
-def fingers_by_place(rig: SkinnedCharacter, hand: int, side: str) -> dict[str, int]:
-    """Find the finger joints below a hand by place alone; none where four or five chains of joints do not begin there.
-
-    The thumb of five, or of four that are not alike, begins nearest to the wrist; the others follow from its side on,
-    or without it from the front: palms of a T-pose face down.
-
-    Args:
-        rig: a character that faces +z.
-        side: of the hand, Left or Right.
-    """
-    moving, parents = moves_vertices(rig), rig.parents
-    below = [j for j in descendants([hand], parents) if j != hand and moving[j]]
-    ends = [j for j in below if not any(parents[k] == j for k in below)]
-    shared = Counter(j for end in ends for j in ancestors(parents, end))
-    chains = [[j for j in ancestors(parents, end)[::-1] if j in below and shared[j] == 1][-3:] for end in ends]
-    if not 4 <= len(chains) <= len(FINGERS) or min(map(len, chains)) < 2:
-        return {}
-    start = rig.joints[[chain[0] for chain in chains]]
-    reach = np.linalg.norm(start - rig.joints[hand], axis=1)
-    nearest, second = np.sort(reach)[:2]
-    thumb = int(reach.argmin()) if len(chains) == len(FINGERS) or nearest < THUMB * second else None
-    others = [k for k in range(len(chains)) if k != thumb]
-    along = start[others].mean(axis=0) - rig.joints[hand]
-    across = np.array([0.0, 0.0, 1.0]) if thumb is None else start[thumb] - start[others].mean(axis=0)
-    across = across - (across @ along) / (along @ along) * along
-    others.sort(key=lambda k: -float(start[k] @ across))
-    named = dict(zip(FINGERS[1:], others, strict=False)) | ({} if thumb is None else {FINGERS[0]: thumb})
-    return {f"{side}Hand{finger}{k}": j for finger, c in named.items() for k, j in enumerate(chains[c], 1)}
-
-
-def _areas(rig: SkinnedCharacter) -> Float[np.ndarray, " V"]:
+def surface_areas(rig: SkinnedCharacter) -> Float[np.ndarray, " V"]:
     """Compute the area of each vertex; all count alike where there are no faces."""
     mesh = rig.mesh
     return vertex_areas(mesh.vertices, mesh.faces) if len(mesh.faces) else np.ones(len(mesh.vertices))

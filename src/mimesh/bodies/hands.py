@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -152,6 +152,13 @@ KNUCKLES = tuple(f"Hand{finger}1" for finger in FINGERS[1:])
 """First joints of the fingers without the thumb, without their side."""
 FEWEST_KNUCKLES = 2
 """Knuckles that show where a palm faces."""
+ONE_PLACE = 0.05
+"""Distance of the outer knuckles over that from the wrist below which they show no direction; people have 0.7."""
+
+
+def has_hand(joints: Iterable[str], side: str) -> bool:
+    """Tell whether there is a joint of a side's hand, or one of its fingers, which then hangs on the forearm."""
+    return not {f"{side}Hand", *finger_joints(side)}.isdisjoint(joints)
 
 
 def hand_frames(
@@ -160,17 +167,22 @@ def hand_frames(
     """Compute the rotations of a hand and its finger joints from the shipped body's T-pose to another rest pose.
 
     A hand is turned as its knuckles are, and each finger joint as its bone; the last of a finger follows the one
-    before. With one knuckle only the direction of the hand is known, without one nothing: it is taken for a straight
-    hand (`straight_hand`).
+    before. Where all knuckles are at one place, the joints after them tell. With one knuckle only the direction of the
+    hand is known, without one nothing: it is taken for a straight hand (`straight_hand`). A hand without a joint is on
+    the forearm: its direction is that from the elbow to the knuckles.
 
     Args:
-        rest: positions of the hand and its finger joints at rest.
+        rest: positions of the forearm, the hand and its finger joints at rest.
         hand: rotation of the forearm.
         side: Left or Right.
     """
     body = body_with_fingers()
     t_pose = {name: body.joints[j] for j, name in enumerate(body.joint_names)}
     wrist, knuckles = f"{side}Hand", [side + knuckle for knuckle in KNUCKLES if side + knuckle in rest]
+    if wrist not in rest:
+        rest = {**rest, wrist: rest[f"{side}ForeArm"]}
+    if len(knuckles) >= FEWEST_KNUCKLES and _at_one_place([rest[name] for name in knuckles], rest[wrist]):
+        knuckles = [after for name in knuckles if (after := f"{name[:-1]}2") in rest]
     if len(knuckles) < FEWEST_KNUCKLES:
         hand = hand @ straight_hand(side)
     if len(knuckles) == 1:
@@ -213,6 +225,11 @@ def straight_hands(joints: Sequence[str], above: Sequence[tuple[str, ...]]) -> F
         if sum(side + knuckle in joints for knuckle in KNUCKLES) < FEWEST_KNUCKLES:
             turns[[f"{side}Hand" in names for names in above]] = straight_hand(side)
     return turns
+
+
+def _at_one_place(knuckles: list[Float[np.ndarray, " 3"]], wrist: Float[np.ndarray, " 3"]) -> bool:
+    """Tell whether knuckles are so near to each other that they show no direction."""
+    return bool(np.linalg.norm(knuckles[0] - knuckles[-1]) < ONE_PLACE * np.linalg.norm(knuckles[0] - wrist))
 
 
 def _palm(at: Mapping[str, Float[np.ndarray, " 3"]], wrist: str, knuckles: list[str]) -> Float[np.ndarray, "3 3"]:

@@ -42,11 +42,11 @@ FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky")
 """Fingers of a hand in the order of their joints, three each."""
 BESIDE = {
     "Index": ("Middle", "Ring", "Pinky"),
-    "Middle": ("Ring", "Index", "Pinky"),
-    "Ring": ("Middle", "Pinky", "Index"),
+    "Middle": ("Ring", "Pinky", "Index"),
+    "Ring": ("Pinky", "Middle", "Index"),
     "Pinky": ("Ring", "Middle", "Index"),
 }
-"""Fingers that a finger moves with, the nearest first: an index finger points alone, a thumb has none beside it."""
+"""Fingers that a finger moves with where it is lacking: an index finger points alone, a thumb has none beside it."""
 FEWEST_FINGERS = 3
 """Fingers of joints without a mesh are read from so many on, or where one has two joints: optical captures have one or
 two of one joint each, mostly noise."""
@@ -218,6 +218,10 @@ def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands:
         chained = all(numbered[0] in ancestors(parents, j) for j in numbered)
         if chained and 1 < len(numbered) < len(places):
             places |= dict.fromkeys(numbered, FINGERS.index("Middle"))
+        # Beside a thumb with a name the index finger is the first that has a number: hands of cartoons.
+        elif any(places[j] == 0 for j in places if j not in numbered):
+            least = min((places[j] for j in numbered), default=0)
+            places |= {j: min(places[j] - least + 1, len(FINGERS) - 1) for j in numbered}
         # The shipped body's stubs stand for fingers that no others do: HandFinger1 for all, Thumb for one.
         named = [j for j in places if _finger_number(words[j]) is None]
         for stub, others in (("HandFinger1", named), ("Thumb", [j for j in named if places[j] == 0])):
@@ -243,6 +247,16 @@ def followed_fingers(joint: str) -> tuple[str, ...]:
         return ()
     chains = [(finger, int(number) - 1), *((other, int(number)) for other in BESIDE.get(finger, ()))]
     return tuple(f"{side}Hand{of}{k}" for of, count in chains for k in range(count, 0, -1))
+
+
+def stands_for(fingers: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """List the fingers that each finger of a hand stands for: itself, and those that the hand lacks beside it."""
+    found: dict[str, tuple[str, ...]] = dict.fromkeys(fingers, ())
+    for finger in FINGERS:
+        own = next((other for other in (finger, *BESIDE.get(finger, ())) if other in found), None)
+        if own is not None:
+            found[own] += (finger,)
+    return found
 
 
 def captured_fingers(

@@ -8,7 +8,7 @@ it turns the limbs of each of them to the same directions. So M_j(t) of an ident
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -21,12 +21,12 @@ from ..bodies.character_limbs import (
     Limb,
     attach_feet,
     find_limbs,
-    fingers_by_place,
     moves_vertices,
     name_limb_joints,
 )
-from ..bodies.hands import body_with_fingers, hand_frames
-from ..bodies.joint_names import ancestors, finger_joints, named_fingers, parents_first
+from ..bodies.hand_chains import find_fingers
+from ..bodies.hands import body_with_fingers, hand_frames, has_hand
+from ..bodies.joint_names import ancestors, finger_joints, parents_first
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.geometry import nearest_rotation
 from ..core.normalization import axis_name
@@ -62,6 +62,8 @@ class HumanoidRig:
     """Angle (radians, from z towards x, after `turn`) at which it faces, where that is between the axes."""
     in_action: bool = False
     """Whether it rests in another pose than a T- or A-pose, in which it need not stand on its soles."""
+    palms: Mapping[str, Float[np.ndarray, "3 3"]] = field(default_factory=dict)
+    """Rotation A of each hand, by side, whose fingers hang on the forearm, as there is no joint of the hand."""
 
     body_name: ClassVar[str] = "human"
     """The shipped body whose joints these are."""
@@ -115,21 +117,30 @@ class HumanoidRig:
     def motion(self, world: Float[np.ndarray, "T K 4 4"], rest: Float[np.ndarray, "K 4 4"]) -> PersonMotion:
         """Compute the motion of the known joints from their transforms, with weights for the character's vertices.
 
+        A hand without a joint, whose fingers hang on the forearm, gets one where they begin.
+
         Args:
             world: transform of each joint of `person` in every frame, in the axes and unit of the character.
             rest: the same at rest, with the same scales.
         """
         names, character = self.person, self.character
-        moved = nearest_rotation(world[..., :3, :3] @ np.linalg.pinv(rest[:, :3, :3]))
-        frames = np.stack([self.frames[name] for name in names])
         column_of = {self.joints[name]: k for k, name in enumerate(names)}
-        weights = character.summed_weights(character.nearest_columns(column_of, 0), len(names))
+        columns, frames = character.nearest_columns(column_of, 0), dict(self.frames)
+        weights = character.summed_weights(columns, len(names))
+        for side, palm in self.palms.items():
+            place, frames[f"{side}Hand"] = names.index(f"{side}ForeArm") + 1, palm
+            hand, at_rest = _hand_on_forearm(side, names, world, rest)
+            names = (*names[:place], f"{side}Hand", *names[place:])
+            world, rest = np.insert(world, place, hand, axis=1), np.insert(rest, place, at_rest, axis=0)
+            weights = np.insert(weights, place, 0.0, axis=1)
+        moved = nearest_rotation(world[..., :3, :3] @ np.linalg.pinv(rest[:, :3, :3]))
+        turns = np.stack([frames[name] for name in names])
         up, front = axis_name(self.turn[1]), axis_name(self.turn[2])
-        at_rest = self.turn @ frames, rest[:, :3, 3] @ self.turn.T
+        resting = self.turn @ turns, rest[:, :3, 3] @ self.turn.T
         surface = None if self.in_action else character.mesh.vertices
         positions = world[..., :3, 3]
         return PersonMotion(
-            names, moved @ frames, positions, self.leg, weights, surface, front, up, at_rest, self.heading
+            names, moved @ turns, positions, self.leg, weights, surface, front, up, resting, self.heading
         )
 
     def tree(self) -> tuple[list[int], tuple[int, ...]]:
@@ -172,6 +183,17 @@ class HumanoidRig:
         return found
 
 
+def _hand_on_forearm(
+    side: str, names: tuple[str, ...], world: Float[np.ndarray, "T K 4 4"], rest: Float[np.ndarray, "K 4 4"]
+) -> tuple[Float[np.ndarray, "T 4 4"], Float[np.ndarray, "4 4"]]:
+    """Return the transforms of a hand without a joint, which is where its fingers begin, over time and at rest."""
+    forearm = names.index(f"{side}ForeArm")
+    knuckles = [name for name in finger_joints(side) if name in names and name.endswith("1")]
+    at_rest = rest[forearm].copy()
+    at_rest[:3, 3] = rest[[names.index(name) for name in knuckles], :3, 3].mean(axis=0)
+    return world[:, forearm] @ np.linalg.pinv(rest[forearm]) @ at_rest, at_rest
+
+
 def humanoid_rig(
     character: SkinnedCharacter,
     turn: Float[np.ndarray, "3 3"],
@@ -204,13 +226,8 @@ def humanoid_rig(
     facing, joints, order = attach_feet(facing, joints, moved, path)
     # Fingers that the file itself names count before those found by their names.
     unnamed = [side for side in SIDES if not any(name in joints for name in finger_joints(side))]
-    hands = {name: joints[name] for side in unnamed if (name := f"{side}Hand") in joints}
-    joints |= named_fingers(facing.joint_names, facing.parents, hands)
+    joints |= find_fingers(facing, joints, unnamed)
     moving = moves_vertices(facing)
-    for name, hand in hands.items():
-        side = name.removesuffix("Hand")
-        if not any(moving[joints[finger]] for finger in finger_joints(side) if finger in joints):
-            joints |= fingers_by_place(facing, hand, side)
     named = joints
     joints = {name: joint for name, joint in named.items() if moving[joint] or name in ("Hips", "Head")}
     limbs = find_limbs(facing, joints, path)
@@ -226,6 +243,7 @@ def humanoid_rig(
         turn,
         0.0 if in_action else rest_heading(facing.joints, named),
         in_action,
+        {side: back @ frames[hand] for side in SIDES if (hand := f"{side}Hand") in frames and hand not in named},
     )
     return rig, order.tolist()
 
@@ -241,6 +259,6 @@ def rest_frames(
     frames = {name: aligned.get(name, np.eye(3)) for name in joints}
     positions = {name: rest[joint] for name, joint in joints.items()}
     for side in SIDES:
-        if f"{side}Hand" in joints:
-            frames |= hand_frames(positions, frames[f"{side}Hand"], side)
+        if has_hand(joints, side):
+            frames |= hand_frames(positions, aligned.get(f"{side}Hand", frames[f"{side}ForeArm"]), side)
     return {name: heading @ frame for name, frame in frames.items()}

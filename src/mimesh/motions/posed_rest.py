@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies.character_limbs import SIDES, Limb, carried_vertices
-from ..bodies.hands import body_with_fingers, hand_frames
+from ..bodies.hands import body_with_fingers, hand_frames, has_hand
 from ..bodies.joint_names import ancestors
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.geometry import angles_between, nearest_rotation, rotation_between, unit_vectors
@@ -106,10 +106,10 @@ def action_frames(character: SkinnedCharacter, joints: Mapping[str, int], limbs:
         if foot in frames:
             points = character.mesh.vertices[carried_vertices(character, joints[foot])]
             frames |= dict.fromkeys((foot, f"{side}ToeBase"), _foot_frame(points, frames[foot]))
-        if hand in frames:
-            frames |= hand_frames(positions, frames[hand], side)
+        if has_hand(joints, side):
+            frames |= hand_frames(positions, frames.get(hand, frames[f"{side}ForeArm"]), side)
     above = {name: [body.joint_names[j] for j in ancestors(body.parents, body.joint(name))] for name in joints}
-    return {name: frames[next(known for known in above[name] if known in frames)] for name in joints}
+    return frames | {name: frames[next(known for known in above[name] if known in frames)] for name in joints}
 
 
 def _tell(axes: Frames, joints: Positions, limbs: Mapping[str, Limb]) -> bool:

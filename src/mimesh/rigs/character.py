@@ -23,6 +23,7 @@ from ..core.skinning import SkinnedMesh
 from ..core.soles import Soles, find_soles, sole_height
 from ..core.surface_points import SurfacePoints, generator, interpolate
 from .confidence import Confidence
+from .fingers import Curl, finger_curls
 
 if TYPE_CHECKING:
     from ..motions.humanoid_rig import HumanoidRig
@@ -74,6 +75,8 @@ class Character:
     standing: Mapping[str, Float[np.ndarray, "3 3"]] = field(default_factory=dict)
     """Rotations at rest of the body's joints that keep how they stand: they are turned from there by as much as the
     driving's from its own rest."""
+    palms: Mapping[str, Float[np.ndarray, "3 3"]] = field(default_factory=dict)
+    """Rotations of the hands at rest whose fingers hang on the forearm, as there is no joint of the hand, by side."""
     in_action: bool = False
     """Whether it sits, lies or moves at rest, so that it need not stand on its soles."""
 
@@ -119,6 +122,7 @@ class Character:
             whole=humanoid.whole_limbs,
             directions={name: end / np.linalg.norm(end) for name, end in ends.items()},
             standing={name: humanoid.turn @ humanoid.frames[name] for name in humanoid.stands & humanoid.joints.keys()},
+            palms={side: norm.rotation @ palm for side, palm in humanoid.palms.items()},
             in_action=humanoid.in_action,
         )
 
@@ -182,7 +186,7 @@ class Character:
             for name, end in self.whole.items()
             if name in index and end in index
         }
-        linked = LinkedJoints(_nearest_known(self.above, index), whole)
+        linked = LinkedJoints(_nearest_known(self.above, index), whole, finger_curls(self, index))
         if rest is None or not self.standing:
             return linked
         at_rest = linked.rotations(*(array[None] for array in rest))[0]
@@ -202,6 +206,8 @@ class LinkedJoints:
     whole: Mapping[int, tuple[int, Float[np.ndarray, " 3"]]]
     """Joints of the character that move a whole limb: index of the driving's joint at the other end of the limb, and
     direction of the limb in a T-pose."""
+    curls: tuple[Curl, ...] = ()
+    """Fingers that do not follow one of the driving joint by joint."""
     standing: Float[np.ndarray, "J 3 3"] | None = None
     """Rotation before that of each joint, in the frame of the joint; None: none."""
 
@@ -219,6 +225,8 @@ class LinkedJoints:
             new = unit_vectors(positions[:, end] - positions[:, start])
             columns = (rotate_between(old, new, rotation[:, start, :, k]) for k in range(3))
             linked[:, joint] = np.stack(list(columns), axis=-1)
+        for curl in self.curls:
+            curl.turn(linked, rotation)
         return linked if self.standing is None else linked @ self.standing
 
 
