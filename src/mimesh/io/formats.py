@@ -154,6 +154,7 @@ FORMATS = {
         "NumPy archive", _read_npz, _of("npz", "write_npz"), _read_npz_clip, _of("npz", "write_npz_clip"), POINTS_ALONE
     ),
     ".obj": Format("OBJ", _of("obj", "read_obj"), _of("obj", "write_obj"), one_mesh=True),
+    ".off": Format("OFF", _of("off", "read_off"), _of("off", "write_off"), lacks=POINTS_ALONE, one_mesh=True),
     ".pc2": Format("PC2 points", None, None, _read_cache, _of("pc2", "write_pc2")),
     ".pkl": Format("SMPL's pickle", _read_body_model),
     ".ply": Format(

@@ -143,7 +143,7 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
 
     def poses() -> np.ndarray:
         rest = standing.scene.T_world_node[nodes]
-        return sampled_poses(read_clips(document, rest, nodes, rig.parents, lambda name: False), rig, np.eye(3))
+        return sampled_poses(read_clips(document, rest, nodes, rig.parents), rig, np.eye(3))
 
     if of_animal:
         humanoid, order = animal_rig(rig, turn, path)
