@@ -145,3 +145,13 @@ def test_people_have_no_base():
     for mesh in (person(0), person(1, pose=3)):
         assert flat_side(mesh)[0] is None
         assert find_part(mesh, None) is None
+
+
+def test_a_flat_side_alone_is_no_base():
+    """Of a slender cone it has more of the surface than a person's soles, and less of it than a base has."""
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    ring = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
+    faces = [(k, (k + 1) % 24, 24) for k in range(24)] + [((k + 1) % 24, k, 25) for k in range(24)]
+    cone = Mesh(np.concatenate([ring, [[0, 9.8, 0], [0, 0, 0]]]), np.array(faces), "cone")
+    assert flat_side(cone)[0] == "-y"
+    assert find_part(cone, None) is None

@@ -23,7 +23,7 @@ from mimesh.methods.find import INDEX_PAIRED, find_mime
 from mimesh.pipeline import transfer
 from mimesh.pipeline.look import REJECTION_THRESHOLD, Subject, fitting_body, same_after_half_turn, second_look
 from mimesh.pipeline.rigging import rig
-from mimesh.rigs.confidence import MAX_SPREAD, OTHER_KIND, Confidence, Standards
+from mimesh.rigs.confidence import MAX_OTHER_KIND, MAX_SPREAD, OTHER_KIND, Confidence, Standards
 from mimesh.tools.inspect import facts_of
 
 pytestmark = pytest.mark.usefixtures("kept")
@@ -140,6 +140,16 @@ def test_a_person_whose_surface_is_away_from_the_fitted_body_is_refused(distance
     read = replace(fit("human", -1.0), surface_distance=distance)
     monkeypatch.setattr("mimesh.pipeline.look.predicted_body", lambda *_: (None, None, fit("quadruped", 5.0)))
     assert second_look(find_mime("mime"), "human", Subject(MESHES["man"], UP), read) == found
+
+
+@pytest.mark.parametrize(
+    ("misfit", "spread", "found"),
+    [(MAX_OTHER_KIND + 0.3, 19.0, "human"), (MAX_OTHER_KIND + 0.3, 23.0, None), (MAX_OTHER_KIND - 0.1, 90.0, "human")],
+)
+def test_what_hardly_looks_like_a_person_is_refused_where_predictions_contradict_each_other(misfit, spread, found):
+    """Figures of blocks, which face both ways, are not."""
+    fits = {"human": fit("human", misfit, spread), "quadruped": fit("quadruped", 5.0)}
+    assert fitting_body("human", fits, turned=False) == found
 
 
 @pytest.mark.slow

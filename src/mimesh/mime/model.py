@@ -42,6 +42,7 @@ from .body_fit import (
 from .hands import Bends, FingeredHand, HandFinder, WeightedMesh, follow_fingers, with_fingers
 from .joint_targets import JointTargets
 from .kept_results import kept
+from .lost_shins import lost_shin
 from .part_tracking import PartTracker
 from .prediction import (
     ENSEMBLE,
@@ -276,11 +277,8 @@ class Mime:
         # Smoothing improves the normals but shrinks the surface: points are taken from the original mesh.
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
         confidence = self.network.confidence(rigs, mean, mean.weights[len(vertices) :])
-        if targets is None:
-            rig, confidence, fit = self._with_fit(mean, confidence, sample, rigs)
-        else:
-            rig, confidence, fit = self._with_corrections(mean, confidence, sample, queries, targets)
-            confidence = self._with_weights(confidence, rig.weights[len(vertices) :])
+        measured = slice(len(vertices), None)
+        rig, confidence, fit = self._with_body(mean, confidence, sample, rigs, queries, measured, targets)
         weights, nearest, known = rig.weights[: len(vertices)], None, 0.0
         if not weighted:
             return dataclasses.replace(rig, weights=weights), confidence
@@ -299,6 +297,32 @@ class Mime:
         """Draw points for some predictions from a mesh, and return its denoised vertices, on which they were drawn."""
         denoised = Denoiser.of(mesh, ranked)(mesh.vertices)
         return sampled_points(mesh, denoised, ranked, predictions * self.points, generator(self.seed, 0)), denoised
+
+    def _with_body(
+        self,
+        rig: Rig,
+        confidence: Confidence,
+        sample: SurfaceSample,
+        predictions: Sequence[Rig],
+        queries: NetworkPoints,
+        measured: slice,
+        targets: JointTargets | None,
+    ) -> tuple[Rig, Confidence, BodyFit | None]:
+        """Fit the body to the consensus of predictions; with some joints at their targets if they are known or found.
+
+        Args:
+            queries: the points that have the weights of the rig.
+            measured: those of them that are spread evenly over the surface.
+            targets: joints that the user has corrected; None: a shin may be found on the other leg.
+        """
+        found = targets
+        if targets is None:
+            fitted, sure, fit = self._with_fit(rig, confidence, sample, predictions)
+            found = lost_shin(sample, fit) if fit is not None and self.body == "human" else None
+            if found is None:
+                return fitted, sure, fit
+        rig, confidence, fit = self._with_corrections(rig, confidence, sample, queries, found)
+        return rig, self._with_weights(confidence, rig.weights[measured], corrected=targets is not None), fit
 
     def _with_fit(
         self, rig: Rig, confidence: Confidence, sample: SurfaceSample, predictions: Sequence[Rig]
@@ -336,11 +360,14 @@ class Mime:
         weights = corrected_weights(rig.weights, queries.points, queries.normals, displacement, fit.posed)
         return Rig(fit.rotation, fit.joints, weights), _with_measures(confidence, fit), fit
 
-    def _with_weights(self, confidence: Confidence, weights: Float[np.ndarray, "N J"]) -> Confidence:
-        """Measure a corrected rig again: predictions may differ where the corrected body covers the surface."""
+    def _with_weights(self, confidence: Confidence, weights: Float[np.ndarray, "N J"], corrected: bool) -> Confidence:
+        """Measure a rig with other weights again.
+
+        Predictions may differ where the body covers the surface if the user has `corrected` it.
+        """
         measured = Confidence.of(confidence.prediction_spread, weights, self.joints, self.parents)
         confidence = dataclasses.replace(confidence, weight_entropy=measured.weight_entropy, limbs=measured.limbs)
-        if confidence.unmatched_surface > MAX_UNMATCHED_SURFACE:
+        if not corrected or confidence.unmatched_surface > MAX_UNMATCHED_SURFACE:
             return confidence
         return dataclasses.replace(confidence, prediction_spread=0.0, fit_angle=0.0, flexion=0.0)
 
@@ -374,12 +401,10 @@ class Mime:
                 other = self.network.predict_keyframes(samples, frames, denoised, best.reference, turn)
                 best = min(best, other, key=lambda reading: self._cost(reading, frames, denoised))
         sample = best.surface(frames, denoised)
-        if targets is None:
-            rig, confidence, _ = self._with_fit(best.consensus, best.confidence, sample, best.predictions)
-        else:
-            queries = NetworkPoints(best.points, tracked.normals(denoised[best.reference]))
-            rig, confidence, _ = self._with_corrections(best.consensus, best.confidence, sample, queries, targets)
-            confidence = self._with_weights(confidence, rig.weights)
+        queries = NetworkPoints(best.points, tracked.normals(denoised[best.reference]))
+        rig, confidence, _ = self._with_body(
+            best.consensus, best.confidence, sample, best.predictions, queries, slice(None), targets
+        )
         # Without a fit the median over all keyframes is more reliable than the reference alone.
         leg = leg_length(rig.joints, self.legs) if self.fits_body else best.leg
         near = _nearest_weights(sample.points, best.points, rig)

@@ -194,7 +194,7 @@ def _without_base(mesh: Mesh, asked: str) -> MeshPart | None:
     flat = np.bincount(component[lying], area[lying], component.max() + 1) / np.bincount(component, area).clip(1e-30)
     base = flat[component] > BASE_FLAT  # soles on a floor may be in its side, too
     kept = np.flatnonzero(~base)
-    if len(kept) < len(mesh.faces) / 2:
+    if not base.any() or len(kept) < len(mesh.faces) / 2:
         return None
     note = f"the base of {mesh.name} stays where it is, and is not looked at; {option(asked, ...)} takes another part"
     if _gltf_source(mesh) is not None:

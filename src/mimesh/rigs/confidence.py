@@ -59,6 +59,10 @@ PERSON_DISTANCE, DISTANCE_WEIGHT = 0.022, 10.0
 """Mean distance of the surface from the fitted person (metres of the body) from which on a mesh is the less accepted,
 and the weight of its logarithm. Clothes reach 0.036 and noise 0.030, at an `other_kind` below -1.8; people who sit and
 are misread 0.025 to 0.07 (docs/log/mime.md, 2026-11-28). Animals of blocks have up to 0.068."""
+PERSON_SPREAD, SPREAD_WEIGHT = 20.0, 10.0
+"""Spread (degrees) of the predictions for a person above MAX_OTHER_KIND from which on a mesh is the less accepted, and
+the weight of its logarithm. Of such people at the joint limits the largest is 19.7, of a fist 36, of a snowman 26, of
+people who are misread 22 to 35. Below MAX_OTHER_KIND figures of blocks, which face both ways, have up to 139."""
 OTHER_KIND_ERROR = 0.15
 """Smallest expected error (heights of the identity) of a mesh above that: what animals and things were given in the fit
 of EXPECTED_ERROR. Their true error is not defined."""
@@ -101,6 +105,8 @@ class Standards:
     """As FOLDED."""
     distance: float = np.inf
     """As PERSON_DISTANCE."""
+    spread: float = np.inf
+    """As PERSON_SPREAD."""
 
     @classmethod
     def of(cls, joints: tuple[str, ...]) -> Standards:
@@ -109,7 +115,14 @@ class Standards:
 
 
 HUMAN_STANDARDS = Standards(
-    "a person", HUMAN, MAX_ENTROPY, MIN_SHARE, EXPECTED_ERROR, MAX_ERROR, distance=PERSON_DISTANCE
+    kind="a person",
+    anatomy=HUMAN,
+    max_entropy=MAX_ENTROPY,
+    min_share=MIN_SHARE,
+    expected_error=EXPECTED_ERROR,
+    max_error=MAX_ERROR,
+    distance=PERSON_DISTANCE,
+    spread=PERSON_SPREAD,
 )
 QUADRUPED_STANDARDS = Standards(
     kind="a four-legged animal",
@@ -202,9 +215,11 @@ class Confidence:
         """Measure by which a mesh is refused: `other_kind`, and more where the surface is away from the fitted body.
 
         People who sit are read upside down or folded by predictions that agree; the body then covers less of them.
+        What hardly looks like a person, and is predicted otherwise each time, is refused, too.
         """
         away = max(self.surface_distance / self.standards.distance, 1.0)
-        return self.other_kind + DISTANCE_WEIGHT * float(np.log(away))
+        apart = max(self.prediction_spread / self.standards.spread, 1.0) if self.is_other_kind else 1.0
+        return self.other_kind + DISTANCE_WEIGHT * float(np.log(away)) + SPREAD_WEIGHT * float(np.log(apart))
 
     @property
     def is_other_kind(self) -> bool:
