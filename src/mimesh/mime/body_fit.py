@@ -48,9 +48,9 @@ OUTLIER_SCALE = 3.0
 MATCH_WEIGHT = 0.3
 """Weight of a match beside the prior. Below 1, because the errors of neighbouring matches are not independent."""
 RELIABLE_MISMATCH, MISMATCH_POINTS = 0.0022, 16
-"""Mismatch of the shapes (see `_mismatch`, metres of the body) up to which a surface is taken for the shipped body's, and
-the neighbours that are averaged. People of the shipped body have 0.1 mm, dressed ones 0.5, those with noise of up to 5 %
-1.9, realistic and stylised characters of others 1.6, figures of blocks 3 (docs/log/mime.md)."""
+"""Mismatch of the shapes (see `_mismatch`, metres of the body) up to which a surface is taken for the shipped body's,
+and the neighbours that are averaged. People of the shipped body have 0.1 mm, dressed ones 0.5, those with noise of up
+to 5 % 1.9, realistic and stylised characters of others 1.6, figures of blocks 3 (docs/log/mime.md)."""
 
 
 class Trust(NamedTuple):
