@@ -115,7 +115,7 @@ def test_nearest_points_are_the_same_in_chunks(trial, monkeypatch):
 def test_joints_are_found_without_normals(trial):
     fit = fit_body(SurfaceSample(trial.surface.points, 0 * trial.surface.normals), *trial.prediction)
     degrees, metres = errors(fit, trial.true)
-    assert degrees < 5
+    assert degrees < 6.5 < errors(trial.prediction, trial.true)[0]
     assert metres < 0.02
 
 
