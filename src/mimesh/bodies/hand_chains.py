@@ -15,7 +15,7 @@ from jaxtyping import Bool
 from ..core.geometry import unit_vectors
 from ..core.rig import descendants
 from .character_limbs import carried_vertices, moves_vertices, surface_areas
-from .joint_names import FINGERS, ancestors, finger_joints, name_words, named_fingers
+from .joint_names import FINGERS, ancestors, finger_joints, is_stub, name_words, named_fingers
 from .skinned_character import SkinnedCharacter
 
 THUMB = 0.75
@@ -86,7 +86,7 @@ def fingers_by_place(rig: SkinnedCharacter, hand: int, side: str, thumb: int | N
 def _chains(rig: SkinnedCharacter, hand: int) -> list[list[int]]:
     """List the chains of joints below a hand that may be fingers, without metacarpals."""
     moving, parents = moves_vertices(rig), rig.parents
-    below = [j for j in descendants([hand], parents) if j != hand and moving[j]]
+    below = [j for j in descendants([hand], parents) if j != hand and moving[j] and not is_stub(rig.joint_names[j])]
     ends = [j for j in below if not any(parents[k] == j for k in below)]
     shared = Counter(j for end in ends for j in ancestors(parents, end))
     chains = [[j for j in ancestors(parents, end)[::-1] if j in below and shared[j] == 1] for end in ends]

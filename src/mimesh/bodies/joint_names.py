@@ -207,7 +207,7 @@ def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands:
         if f"{side}Hand" not in hands:
             continue
         hand = hands[f"{side}Hand"]
-        below = [j for j in range(len(parents)) if hand in ancestors(parents, j)[1:]]
+        below = [j for j in range(len(parents)) if hand in ancestors(parents, j)[1:] and not _is_twist(joint_names[j])]
         # A word of the hand's own name says nothing about a joint below it: base of CC_Base_L_Hand (Character Creator).
         said = NO_PHALANX.intersection(_hand_words(_own_name(joint_names[hand])))
         words = {j: [w for w in _hand_words(_own_name(joint_names[j])) if w not in said] for j in below}
@@ -220,6 +220,7 @@ def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands:
             places |= dict.fromkeys(numbered, FINGERS.index("Middle"))
         # Beside a thumb with a name the index finger is the first that has a number: hands of cartoons.
         elif any(places[j] == 0 for j in places if j not in numbered):
+            numbered = [j for j in numbered if not is_stub(joint_names[j])]
             least = min((places[j] for j in numbered), default=0)
             places |= {j: min(places[j] - least + 1, len(FINGERS) - 1) for j in numbered}
         # The shipped body's stubs stand for fingers that no others do: HandFinger1 for all, Thumb for one.
@@ -234,6 +235,15 @@ def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands:
             chain = [j for j in chain if j == chain[0] or chain[0] in ancestors(parents, j)]
             found |= {f"{side}Hand{finger}{k}": j for k, j in enumerate(chain[:3], 1)}
     return found
+
+
+def is_stub(name: str) -> bool:
+    """Tell whether a joint below a hand is none of a finger: a stub of the shipped body, or one that twists."""
+    return _is_twist(name) or any(name.split(":")[-1] in stubs for stubs in _STUBS.values())
+
+
+def _is_twist(name: str) -> bool:
+    return "twist" in name.lower()
 
 
 def followed_fingers(joint: str) -> tuple[str, ...]:

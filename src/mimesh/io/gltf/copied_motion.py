@@ -33,6 +33,7 @@ from .scene import (
     DEFAULT_TRS,
     local_matrices,
     local_matrix,
+    node_name,
     node_parents,
     node_properties,
     normalized_quaternions,
@@ -238,7 +239,7 @@ def _chain_names(names: list[str], parents: tuple[int, ...], node: int, length: 
 
 
 def _names(document: Document) -> list[str]:
-    return [str(node.get("name", f"node{number}")) for number, node in enumerate(document.gltf.get("nodes", []))]
+    return [node_name(document, node) for node in range(len(document.gltf.get("nodes", [])))]
 
 
 def _parent_frames(document: Document, nodes: list[int]) -> Float[np.ndarray, "K 4 4"]:

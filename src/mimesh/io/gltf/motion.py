@@ -28,7 +28,7 @@ from ..timing import DEFAULT_FPS
 from .animation import AnimationChannel, animated_nodes, frame_rate, frame_times, sample_nodes, select_channels
 from .check import damaged
 from .document import Document
-from .scene import joint_matrices, node_parents, scene_nodes, sort_parents_first, used_skins, world_matrices
+from .scene import joint_matrices, node_name, node_parents, scene_nodes, sort_parents_first, used_skins, world_matrices
 from .vrm import is_vrm_animation, vrm_bones
 
 PLAYED_PATHS = ("translation", "rotation")
@@ -273,7 +273,7 @@ def _joint_name(document: Document, node: int, bones: dict[str, int]) -> str:
     """Return the name of a node; in a VRM animation that of our joint, or one that stands for none."""
     if bones:
         return next((name for name, number in bones.items() if number == node), f"node{node}")
-    return str(document.gltf["nodes"][node].get("name", f"node{node}"))
+    return node_name(document, node)
 
 
 def _joint_motion(

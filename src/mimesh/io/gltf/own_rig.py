@@ -27,10 +27,11 @@ from .check import damaged
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS, front_before_placing, rest_matrices
-from .read import RestScene, check_weights, find_skin, range_name, skin_joints, unweighted_parts
+from .read import RestScene, check_weights, find_skin, skin_joints, unweighted_parts
 from .scene import (
     local_matrices,
     local_matrix,
+    node_name,
     node_parents,
     node_properties,
     sort_parents_first,
@@ -208,7 +209,7 @@ class GltfJoints:
             if channel.path == "scale":
                 own = node_properties(nodes[channel.node])["scale"]
                 if (np.abs(channel.sample(self.times) - own) > SCALED * np.abs(own).max()).any():
-                    found.append(str(nodes[channel.node].get("name", f"node{channel.node}")))
+                    found.append(node_name(self.document, channel.node))
         return found
 
     def person(self) -> PersonMotion:
@@ -293,11 +294,11 @@ def _check_skin(
     ]
     left = {
         "joints without a usable inverse bind matrix, which count as bound where they are": dict.fromkeys(
-            str(document.gltf["nodes"][node].get("name", f"node{node}")) for node in unbound
+            node_name(document, node) for node in unbound
         ),
         "parts without weights, which are not bent": unweighted_parts(document, scene),
         "parts without a joint, which stay where they are": dict.fromkeys(
-            range_name(document, span) for span in unskinned
+            node_name(document, span.node) for span in unskinned
         ),
         "joints with an unequal scale or none, which move no vertex": [rig.joint_names[joint] for joint in still],
     }

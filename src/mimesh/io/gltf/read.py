@@ -26,6 +26,7 @@ from ..polygons import joined_corners, with_face_normals
 from .document import Document, image_type, read_floats
 from .scene import (
     joint_matrices,
+    node_name,
     node_parents,
     normal_matrices,
     read_attribute,
@@ -367,7 +368,7 @@ def rig_on_nodes(
     joint_of, weights, points = (
         np.concatenate([_pad_influences(part[k], columns) for part in parts]) for k in range(3)
     )
-    names = tuple(str(document.gltf["nodes"][node].get("name", f"node{node}")) for node in nodes)
+    names = tuple(node_name(document, node) for node in nodes)
     parents = tuple(joint_of_node[node_parent[node]] for node in nodes)
     return SkinnedCharacter(mesh, names, parents, rest.T_world_node[nodes], joint_of, weights, points), nodes
 
@@ -388,16 +389,12 @@ def unweighted_parts(document: Document, rest: RestScene) -> tuple[str, ...]:
         weight = np.asarray(sum(read_floats(document, primitive["attributes"][name]).sum(axis=1) for name in sets))
         bare = ~((weight > 0) & np.isfinite(weight))
         if bare.all():
-            parts[range_name(document, span)] = parts.get(range_name(document, span), 0) + len(bare)
+            name = node_name(document, span.node)
+            parts[name] = parts.get(name, 0) + len(bare)
         else:
             some += int(bare.sum())
     check_weights(some / total, sum(parts.values()) / total, document.path)
     return tuple(parts)
-
-
-def range_name(document: Document, span: VertexRange) -> str:
-    """Return the name of the node that shows a range of vertices."""
-    return str(document.gltf["nodes"][span.node].get("name", f"node{span.node}"))
 
 
 def check_weights(bare: float, parts: float, path: object) -> None:

@@ -84,6 +84,11 @@ def world_matrices(
     return T_world_node
 
 
+def node_name(document: Document, node: int) -> str:
+    """Return the name of a node, or one that tells its number."""
+    return str(document.gltf["nodes"][node].get("name", f"node{node}"))
+
+
 def scene_nodes(document: Document) -> list[int]:
     """List the nodes of the default scene (else of scene 0, else of the file), depth first: the scene order."""
     gltf = document.gltf
