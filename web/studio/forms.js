@@ -8,7 +8,6 @@ const DESCRIPTIONS = {
   npt: "Neural Pose Transfer (2020), frame by frame",
   "npt-maxpool": "its variant with one pose code",
   aniformer: "AniFormer (2021), three frames at once",
-  skeleton: "fits a body model to both meshes; slow",
   copy: "the driving mesh's own vertices, for comparison",
 };
 const ROOTS = { scale: "by leg length", keep: "as far as the driving", drop: "none, in place" };

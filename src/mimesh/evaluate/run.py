@@ -60,22 +60,15 @@ WITHOUT_FOLDER: dict[str, Protocol] = {
     **{protocol.name: protocol for protocol in (CLIPS_ANIFORMER, CLIPS_ORDERED, QUADRUPED)},
 }
 """Protocols that need no folder."""
-READ_A_FOLDER: dict[str, Callable[[Any], Protocol]] = {
-    "cross-body": cross_body,
-    "characters": characters,
-    "animals": animals,
-    "rigs": rigs,
+READ_A_FOLDER: dict[str, tuple[Callable[[Any], Protocol], str]] = {
+    "cross-body": (cross_body, "a folder of rigged characters"),
+    "characters": (characters, "the folder of a pool of rigged characters"),
+    "animals": (animals, "a folder of rigged animals"),
+    "rigs": (rigs, "a folder of rigged people"),
 }
-"""Name -> function that makes the protocol from its folder."""
+"""Name -> function that makes the protocol from its folder, and what the folder is."""
 FOLDERS = tuple(READ_A_FOLDER)
 """Names of the protocols that read a folder."""
-NEED_A_FOLDER = {
-    "cross-body": "a folder of rigged characters",
-    "characters": "the folder of a pool of rigged characters",
-    "animals": "a folder of rigged animals",
-    "rigs": "a folder of rigged people",
-}
-"""Protocols that are nothing without their folder, and what it is."""
 
 USUAL = MeasureOptions()
 
@@ -302,10 +295,11 @@ def find_protocol(
     for option, value in (("--height", height), ("--fps", fps)):
         if value is not None:
             raise InputError(f"{option}: expected it with a list of files, found the protocol {name}; leave it out")
-    if name in NEED_A_FOLDER and data is None:
-        raise InputError(f"{name}: expected {NEED_A_FOLDER[name]}, found none; give it with --data")
     if name in READ_A_FOLDER:
-        return READ_A_FOLDER[name](data)
+        read, folder = READ_A_FOLDER[name]
+        if data is None:
+            raise InputError(f"{name}: expected {folder}, found none; give it with --data")
+        return read(data)
     if name not in WITHOUT_FOLDER:
         known = ", ".join((*WITHOUT_FOLDER, *FOLDERS))
         raise InputError(f"{name}: expected a protocol ({known}) or the path of a list, found neither; check the name")

@@ -315,12 +315,13 @@ class Mime:
             measured: those of them that are spread evenly over the surface.
             targets: joints that the user has corrected; None: a shin may be found on the other leg.
         """
-        found = targets
         if targets is None:
             fitted, sure, fit = self._with_fit(rig, confidence, sample, predictions)
             found = lost_shin(sample, fit) if fit is not None and self.body == "human" else None
             if found is None:
                 return fitted, sure, fit
+        else:
+            found = targets
         rig, confidence, fit = self._with_corrections(rig, confidence, sample, queries, found)
         return rig, self._with_weights(confidence, rig.weights[measured], corrected=targets is not None), fit
 

@@ -403,8 +403,9 @@ class Triples:
         usable = truths & (table.length >= frames) & (drivings.sum(0) > drivings) & identities.any(1, keepdims=True)
         if not usable.any():
             return None
-        arrays = (table.first, table.length, np.argwhere(usable), identities, drivings)
-        return cls(*map(torch.from_numpy, arrays), frames)
+        chosen = torch.from_numpy(np.argwhere(usable))
+        first, length, own, other = map(torch.from_numpy, (table.first, table.length, identities, drivings))
+        return cls(first, length, chosen, own, other, frames)
 
     def draw(self, size: int, rng: torch.Generator) -> Frames:
         """Draw pairs: a window of a truth, then an identity in another pose and a driving person."""
