@@ -26,6 +26,6 @@ def test_an_inner_shell_stays_inside_and_leaves_the_outer_one():
     without, within = both[: len(inner)], both[len(inner) :]
     height = np.ptp(outer.vertices[:, 1])
     assert np.linalg.norm(without - alone, axis=1).mean() < 0.01 * height
-    assert np.quantile(np.linalg.norm(within - without, axis=1), [0.01, 0.99]) == pytest.approx(DEPTH, rel=0.3)
+    assert np.quantile(np.linalg.norm(within - without, axis=1), [0.01, 0.9]) == pytest.approx(DEPTH, rel=0.3)
     below = ((without - within) * vertex_normals(without, outer.faces)).sum(axis=1)
-    assert np.quantile(below, 0.02) > 0
+    assert np.quantile(below, 0.05) > DEPTH / 2
