@@ -153,7 +153,14 @@ def _limb_frames(
     chosen: dict[str, np.ndarray] = {}
     if axes:
         totals = [
-            sum(axes[side + name].T @ each for name, of in zip(kept[side], estimates[side], strict=True) for each in of)
+            np.sum(
+                [
+                    axes[side + name].T @ each
+                    for name, of in zip(kept[side], estimates[side], strict=True)
+                    for each in of
+                ],
+                axis=0,
+            )
             for side in SIDES
         ]
         chosen = dict(zip(SIDES, paired_axes(totals), strict=True))

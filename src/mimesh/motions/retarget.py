@@ -361,9 +361,8 @@ def calibrated_joints(
     axial = _are_near(found, of_axes, left)
     if axial:
         found = of_axes | {joint: m for joint, m in found.items() if joint.endswith(("Foot", "ToeBase"))}
-    for joint in sorted(
-        index.keys() - found.keys(), key=body.joint
-    ):  # others are turned like one of these, in the mean
+    # All others are turned like one of these, in the mean.
+    for joint in sorted(index.keys() - found.keys(), key=body.joint):
         above = [body.joint_names[k] for k in ancestors(body.parents, body.joint(joint))]
         if joint in ("LowerBack", "Spine"):  # the chest is estimated better than the hips
             above = ["Spine1", *above]
@@ -381,7 +380,7 @@ def _back(rotation, turned):
 def _axes_of_t_pose(measured):
     """Find the axis rotations that measured rotations of hips and limbs are nearest to."""
     arms = [[f"{side}Arm", f"{side}ForeArm"] for side in ("Left", "Right")]
-    both = paired_axes([sum(measured[joint] for joint in joints) for joints in arms])
+    both = paired_axes([np.sum([measured[joint] for joint in joints], axis=0) for joints in arms])
     legs = {joint: nearest_axes(measured[joint]) for joint in ("Hips", *BONES) if "Arm" not in joint}
     return legs | {joint: axes for axes, joints in zip(both, arms, strict=True) for joint in joints}
 
