@@ -103,7 +103,7 @@ def case(motion=None, size=0.8, path=None, noise=0.0, driving_size=1.0, shin=1.0
     rest, rig = rig_of(np.zeros(0), driving_size)
     vertices, identity_rig = rig_of(sample_shape(BODY, 7, 3), size, shin)
     skinned = SkinnedMesh.of(vertices, identity_rig, BODY.parents)
-    everyone = SurfacePoints(np.repeat(np.arange(len(rest))[:, None], 3, axis=1), np.tile([1.0, 0, 0], (len(rest), 1)))
+    everyone = SurfacePoints.of_vertices(len(rest))
     leg, mine = leg_length(rig.joints, LEGS), find_soles(vertices, identity_rig, LEGS, BODY.parents)
     feet = Feet.of(LEGS, leg, mine, skinned, find_soles(rest, rig, LEGS, BODY.parents), everyone)
     assert feet is not None
@@ -140,10 +140,10 @@ def test_legs_that_cannot_bend_stand_by_the_height_of_the_root(bones):
     np.testing.assert_array_equal(after.rotation, before.rotation)
     assert stiff.skate(after)[0] < 0.9 * stiff.skate(before)[0]
     driving = stiff.stride * whole.track.soles[..., 1].min(axis=(1, 2))
-    errors = [feet.identity_heights(of.rotation, of.root).min(axis=1) - driving for of in (before, after)]
+    errors = [feet.identity_soles(of.rotation, of.root)[..., 1].min(axis=(1, 2)) - driving for of in (before, after)]
     leg = whole.stride * feet.driving_leg
     assert np.ptp(errors[0]) > 0.05 * leg
-    assert np.ptp(errors[1]) < 0.025 * leg
+    assert np.ptp(errors[1]) < 0.03 * leg
 
 
 def test_a_surface_without_feet_has_no_soles():
@@ -338,7 +338,7 @@ def test_hands_stand_where_the_drivings_do(arm):
     for array in (vertices, own.joints):
         array[:, 0] = np.sign(array[:, 0]) * np.interp(abs(array[:, 0]), [0, 0.2, 2], [0, 0.2, 0.2 + arm * 1.8])
     skinned, leg = SkinnedMesh.of(vertices, own, BODY.parents), leg_length(rig.joints, LEGS)
-    everyone = SurfacePoints(np.repeat(np.arange(len(rest))[:, None], 3, axis=1), np.tile([1.0, 0, 0], (len(rest), 1)))
+    everyone = SurfacePoints.of_vertices(len(rest))
     mine, theirs = (find_soles(p, r, LEGS, BODY.parents, ARMS) for p, r in ((vertices, own), (rest, rig)))
     feet = Feet.of(LEGS, leg, mine, skinned, theirs, everyone, ARMS)
     assert feet is not None
@@ -392,14 +392,14 @@ def test_knees_and_seats_rest_where_the_drivings_do(name, thicker):
     above_feet = np.clip((vertices[:, 1:2] - own.joints[LEGS[0][2], 1]) / 0.1, 0, 1)
     vertices = vertices + thicker * above_feet * vertex_normals(vertices, BODY.faces)
     skinned, leg = SkinnedMesh.of(vertices, own, BODY.parents), leg_length(rig.joints, LEGS)
-    everyone = SurfacePoints(np.repeat(np.arange(len(rest))[:, None], 3, axis=1), np.tile([1.0, 0, 0], (len(rest), 1)))
+    everyone = SurfacePoints.of_vertices(len(rest))
     mine, theirs = (find_soles(p, r, LEGS, BODY.parents) for p, r in ((vertices, own), (rest, rig)))
     bodies = tuple(body_points(p, r, LEGS, BODY.parents) for p, r in ((vertices, own), (rest, rig)))
     feet = Feet.of(LEGS, leg, mine, skinned, theirs, everyone, bodies=(bodies[0], bodies[1]))
     assert feet is not None
     rotation, translation = BODY.skinning_transforms(BODY.joints, motion.rotmat, motion.root)
     positions = (rotation @ BODY.joints[..., None])[..., 0] + translation
-    soles, body = feet.driving.in_frames(frames)
+    soles, body = (np.stack(points) for points in zip(*map(feet.driving.in_frame, frames), strict=True))
     track = JointTrack(rotation, positions, motion.fps, soles, body[..., 1].min(axis=1))
     posed = PosedJoints(rotation, positions[:, 0])
 

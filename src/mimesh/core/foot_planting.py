@@ -274,7 +274,7 @@ def plant_feet(
             closed = (cyclic, cyclic and closed_root)
             along = _solve(weight, error @ axis, len(soles), track.fps, SLIDES, closed, stiff, free_root)
             found += along[..., None] * axis
-    heights = feet.identity_heights(posed.rotation, posed.root)
+    heights = soles[..., 1].min(axis=2)
     resting = _resting(track, floor(contacts.height), feet.driving_leg) if feet.body is not None else None
     raised = 0.0 if resting is None else resting.sunk
     weight, error, apart = _heights(heights, contacts, raised, scale[1], track.fps, leg, blocks)
@@ -473,7 +473,7 @@ def height_of_soles(posed: PosedJoints, track: JointTrack, feet: Feet, scale: fl
     lowest ones.
     """
     assert track.soles is not None
-    theirs, mine = track.soles[..., 1].min(axis=2), feet.identity_heights(posed.rotation, posed.root)
+    theirs, mine = track.soles[..., 1].min(axis=2), feet.identity_soles(posed.rotation, posed.root)[..., 1].min(axis=2)
     contacts, legs = find_contacts(track, feet.driving_leg, feet.hands), len(feet.legs) - feet.hands
     part, frames = slice(legs), slice(None)
     if contacts is not None:
