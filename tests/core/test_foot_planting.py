@@ -382,36 +382,60 @@ def going_down(name, frames=48):
     return dataclasses.replace(still, root=np.multiply.outer(-lowest, [0.0, 1.0, 0.0]))
 
 
-@pytest.mark.parametrize("name", RESTS)
-@pytest.mark.parametrize("thicker", [-0.03, 0.03])
-def test_knees_and_seats_rest_where_the_drivings_do(name, thicker):
-    """Those of a thicker person would be in the floor, those of a thinner one over it."""
+def resting(name, thicker, bones=3):
+    """Return what goes down: the feet of both, the track, and the identity's joints before and after planting.
+
+    Args:
+        thicker: how much thicker than the driving the identity is.
+        bones: joints of a leg; the others go with the last of these.
+    """
     motion = going_down(name)
     frames = motion_clip(BODY, np.zeros(0), motion).vertices.astype(float)
     (rest, rig), (vertices, own) = rig_of(np.zeros(0)), rig_of(np.zeros(0))
     above_feet = np.clip((vertices[:, 1:2] - own.joints[LEGS[0][2], 1]) / 0.1, 0, 1)
     vertices = vertices + thicker * above_feet * vertex_normals(vertices, BODY.faces)
     skinned, leg = SkinnedMesh.of(vertices, own, BODY.parents), leg_length(rig.joints, LEGS)
+    stiff = tuple(joints[:bones] for joints in LEGS)
     everyone = SurfacePoints.of_vertices(len(rest))
-    mine, theirs = (find_soles(p, r, LEGS, BODY.parents) for p, r in ((vertices, own), (rest, rig)))
-    bodies = tuple(body_points(p, r, LEGS, BODY.parents) for p, r in ((vertices, own), (rest, rig)))
-    feet = Feet.of(LEGS, leg, mine, skinned, theirs, everyone, bodies=(bodies[0], bodies[1]))
+    mine, theirs = (find_soles(p, r, legs, BODY.parents) for p, r, legs in ((vertices, own, stiff), (rest, rig, LEGS)))
+    bodies = tuple(body_points(p, r, legs, BODY.parents) for p, r, legs in ((vertices, own, stiff), (rest, rig, LEGS)))
+    feet = Feet.of(stiff, leg, mine, skinned, theirs, everyone, bodies=(bodies[0], bodies[1]))
     assert feet is not None
     rotation, translation = BODY.skinning_transforms(BODY.joints, motion.rotmat, motion.root)
     positions = (rotation @ BODY.joints[..., None])[..., 0] + translation
     soles, body = (np.stack(points) for points in zip(*map(feet.driving.in_frame, frames), strict=True))
     track = JointTrack(rotation, positions, motion.fps, soles, body[..., 1].min(axis=1))
-    posed = PosedJoints(rotation, positions[:, 0])
+    turned = rotation.copy()
+    for joints in stiff:
+        turned[:, descendants([joints[-1]], BODY.parents)] = rotation[:, joints[-1], None]
+    posed = PosedJoints(turned if bones < 3 else rotation, positions[:, 0])
+    return feet, track, posed, plant_feet(posed, track, skinned, feet, (1.0, 1.0))
+
+
+@pytest.mark.parametrize("name", RESTS)
+@pytest.mark.parametrize("thicker", [-0.03, 0.03])
+def test_knees_and_seats_rest_where_the_drivings_do(name, thicker):
+    """Those of a thicker person would be in the floor, those of a thinner one over it."""
+    feet, track, posed, planted = resting(name, thicker)
 
     def lowest(moved):
         heel = feet.identity_soles(moved.rotation, moved.root)[..., 1].min(axis=(1, 2))
         return np.stack([feet.identity_lowest(moved.rotation, moved.root), heel])
 
-    driving = np.stack([body[..., 1].min(axis=1), soles[..., 1].min(axis=(1, 2))])
-    planted = plant_feet(posed, track, skinned, feet, (1.0, 1.0))
+    driving = np.stack([track.lowest, track.soles[..., 1].min(axis=(1, 2))])
     before, after = lowest(posed) - driving, lowest(planted) - driving
     assert driving[0, -1] < 0.01
     assert np.abs(before[0, -1]) > 0.015
     assert np.abs(after[0, -1]) < 0.01
     assert np.abs(after[1]).max() < 0.005, "feet stay where they are"
     assert np.abs(np.diff(after)).max() < 0.02, "no step in a twentieth of a second"
+
+
+def test_blocks_rest_on_what_is_lowest():
+    """Shins that do not bend reach through the floor on which those of who kneels lie."""
+    feet, track, posed, planted = resting("kneels", 0.0, bones=1)
+    driving = np.minimum(track.lowest, track.soles[..., 1].min(axis=(1, 2)))
+    before, after = (feet.identity_lowest(of.rotation, of.root, with_soles=True) - driving for of in (posed, planted))
+    assert np.ptp(before) > 0.05
+    assert abs(after[-1] - after[0]) < 0.015
+    assert np.ptp(after) < 0.03

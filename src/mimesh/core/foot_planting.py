@@ -279,8 +279,11 @@ def plant_feet(
     raised = 0.0 if resting is None else resting.sunk
     weight, error, apart = _heights(heights, contacts, raised, scale[1], track.fps, leg, blocks)
     if resting is not None:  # one more foot, on a leg that stays as it is
-        lift = scale[1] * resting.height - apart - feet.identity_lowest(posed.rotation, posed.root)
-        also = np.c_[resting.feet * (np.arange(weight.shape[1]) < weight.shape[1] - feet.hands), resting.weight]
+        lift = scale[1] * resting.height - apart - feet.identity_lowest(posed.rotation, posed.root, with_soles=blocks)
+        feet_too = np.arange(weight.shape[1]) < weight.shape[1] - feet.hands
+        if blocks:  # what is lowest rests, be it a foot: the others cannot reach the floor
+            weight, feet_too = weight * (1 - resting.weight[:, None]), np.zeros_like(feet_too)
+        also = np.c_[resting.feet * feet_too, resting.weight]
         weight = np.maximum(np.c_[weight, np.zeros(len(weight))], also / (HEIGHT_SECONDS * track.fps) ** 2)
         error, stiff = np.c_[error, lift], np.append(stiff, True)
     stiffness = replace(HEIGHTS, root_bend=BLOCKS_BEND) if blocks else HEIGHTS

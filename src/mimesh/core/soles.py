@@ -38,8 +38,8 @@ toes in the ground. Elsewhere the rest pose stands on no floor of the clip, as w
 soles are then at least 1.1 over it, the height of hips."""
 
 Soles = tuple[Int[np.ndarray, "C M"] | None, ...]
-"""For each leg, then for each arm, the C contact points of its foot or hand, each as the indices of the M points that make
-it; None: no foot."""
+"""For each leg, then for each arm, the C contact points of its foot or hand, each as the indices of the M points that
+make it; None: no foot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,8 +267,8 @@ def sole_points(
 ) -> Int[np.ndarray, "C M"] | None:
     """Find the contact points of a foot: indices of the M points that make each of them (some repeated).
 
-    In each of CONTACTS parts of the foot's length, they are the lowest points when the foot, with its toes straightened,
-    is tilted by PITCHES. None if the surface has no such foot.
+    In each of CONTACTS parts of the foot's length, they are the lowest points when the foot, with straightened toes, is
+    tilted by PITCHES. None if the surface has no such foot.
 
     Args:
         ankle: the joint, or the last one of a leg that has no ankle.
