@@ -431,6 +431,18 @@ def test_knees_and_seats_rest_where_the_drivings_do(name, thicker):
     assert np.abs(np.diff(after)).max() < 0.02, "no step in a twentieth of a second"
 
 
+def test_soles_stand_at_any_tilt():
+    """The lowest contact point is as low as the lowest vertex, on heels and on toes."""
+    whole, tilts = walking(), np.radians(np.arange(-40, 41, 20))
+    turns = np.tile(np.eye(3), (len(tilts), len(BODY.joint_names), 1, 1))
+    foot = Rotation.from_rotvec(np.multiply.outer(tilts, [1.0, 0.0, 0.0])).as_matrix()
+    turns[:, descendants([leg[2] for leg in LEGS], BODY.parents)] = foot[:, None]
+    root = np.tile(whole.posed().root[:1], (len(tilts), 1))
+    lowest = whole.skinned.posed_frames(turns, root)[..., 1].min(axis=1)
+    soles = whole.feet.identity_soles(turns, root)[..., 1].min(axis=(1, 2))
+    np.testing.assert_allclose(soles, lowest, atol=0.003)
+
+
 def test_blocks_rest_on_what_is_lowest():
     """Shins that do not bend reach through the floor on which those of who kneels lie."""
     feet, track, posed, planted = resting("kneels", 0.0, bones=1)
