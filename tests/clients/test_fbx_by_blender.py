@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from client_programs import blender
 from engine_rigs import moving_rig
-from gltf_samples import png, props
+from gltf_samples import Sample, box, png, props
 from people import person, walk
 from PIL import Image
 from rigs import character
@@ -47,6 +47,17 @@ for material in bpy.data.materials:
 print("FOUND" + json.dumps(found))
 """
 """Script that prints colour and image of each material of an FBX file."""
+
+PATH_IN_BLENDER = """
+import sys, bpy
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.import_scene.fbx(filepath=sys.argv[1])
+(armature,) = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
+for frame in (1, 2, 3):
+    bpy.context.scene.frame_set(frame)
+    print("FOUND", *(armature.matrix_world @ armature.pose.bones["hips"].matrix).translation)
+"""
+"""Script that prints where the bone "hips" is in frames of an FBX file."""
 
 
 @pytest.fixture(autouse=True)
@@ -149,6 +160,43 @@ def test_fbx_is_written_again_as_fbx(tmp_path):
     compare(tmp_path / "a.fbx", tmp_path / "b.fbx", rig.names)
 
 
+def run(script, fbx):
+    """Run a script in Blender; return what it prints after the word FOUND."""
+    path = fbx.with_suffix(".py")
+    path.write_text(script)
+    answer = subprocess.run([blender(), path, fbx], capture_output=True, text=True, check=True)
+    return [line.removeprefix("FOUND") for line in answer.stdout.splitlines() if line.startswith("FOUND")]
+
+
+def test_hips_straight_above_their_root_keep_their_path_in_blender(tmp_path):
+    sample, (positions, _, _, faces) = Sample(), box(0.2)
+    weighted = {
+        "POSITION": sample.accessor(positions + [0.0, 1.0, 0.0]),
+        "JOINTS_0": sample.accessor(np.tile([1, 0, 0, 0], (24, 1)), "u1"),
+        "WEIGHTS_0": sample.accessor(np.tile([1.0, 0.0, 0.0, 0.0], (24, 1))),
+    }
+    bind = np.tile(np.eye(4), (2, 1, 1))
+    bind[1, 3, 1] = -1.0  # columns first, as glTF has them
+    path = np.array([[0.0, 1.0, 0.0], [0.2, 0.6, 0.0], [0.3, 0.9, 0.5]])
+    key = {"input": sample.accessor(np.arange(3) / FPS), "output": sample.accessor(path)}
+    sample.gltf |= {
+        "scenes": [{"nodes": [0, 2]}],
+        "nodes": [
+            {"name": "root", "children": [1]},
+            {"name": "hips", "translation": [0, 1, 0]},
+            {"name": "box", "mesh": 0, "skin": 0},
+        ],
+        "meshes": [{"primitives": [{"attributes": weighted, "indices": sample.indices(faces, "u1")}]}],
+        "skins": [{"joints": [0, 1], "inverseBindMatrices": sample.accessor(bind.reshape(2, 16))}],
+        "animations": [
+            {"name": "a", "samplers": [key], "channels": [{"sampler": 0, "target": {"node": 1, "path": "translation"}}]}
+        ],
+    }
+    save_whole(sample.glb(tmp_path / "a.glb"), tmp_path / "a.fbx")
+    found = np.array([line.split() for line in run(PATH_IN_BLENDER, tmp_path / "a.fbx")], float)
+    np.testing.assert_allclose(found, path @ [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=2e-5)  # z is up
+
+
 def test_colours_and_texture_names(tmp_path):
     """Blender has networks of nodes for vertex colours, unlit materials, and a texture with a factor."""
     (tmp_path / "colour map.png").write_bytes(png())
@@ -179,10 +227,7 @@ def test_colours_and_texture_names(tmp_path):
     beside, inside = ["colour map.png", len(png())], ["image1.jpg", len(other.getvalue())]
     expected = {"flat": (color, []), "unlit": (color, []), "beside": ([1, 1, 1], [beside]), "inside": (color, [inside])}
 
-    script = tmp_path / "read.py"
-    script.write_text(READ_IN_BLENDER)
-    answer = subprocess.run([blender(), script, tmp_path / "a.fbx"], capture_output=True, text=True, check=True)
-    by_blender = json.loads(answer.stdout.partition("FOUND")[2].splitlines()[0])
+    by_blender = json.loads(run(READ_IN_BLENDER, tmp_path / "a.fbx")[0])
     # Meshes with and without vertex colours share a material.
     assert set(by_blender) & {"DefaultMaterial"} == set(by_blender) - set(expected)
     for name, (color, images) in expected.items():

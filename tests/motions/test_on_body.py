@@ -15,6 +15,7 @@ from mimesh.bodies.hands import hand_weight
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import angles_between
 from mimesh.core.mesh import cut_clip
+from mimesh.core.rig import local_rotations
 from mimesh.core.skinning import SkinnedMesh
 from mimesh.io import load_clip, load_mesh
 from mimesh.motions import Motion, load_motion, motion_clip, resample, window
@@ -100,6 +101,24 @@ def test_joints_of_other_rest_poses_are_calibrated(rest, axes, body, tmp_path):
             assert rotation_error(body, loaded, motion, side + joint).max() < degrees
     assert rotation_error(body, loaded, motion, "Hips").max() < 5
     assert rotation_error(body, loaded, motion, "Spine1").max() < 4
+
+
+def test_frames_along_the_axes_of_a_t_pose_tell_how_sticks_lean_and_bend(body, tmp_path):
+    """Who runs never stands upright, and elbows of game rigs bend to the front, 30 degrees from those of the body."""
+    motion, turns = window(load_motion("walk"), 0.0, 2.0), []
+    rotation = joint_tracks(body, motion)[0]
+    lean = Rotation.from_euler("x", 15, degrees=True).as_matrix()
+    ahead = rotation[:, body.joint("Spine1"), :, 2].mean(axis=0) * [1.0, 0.0, 1.0]
+    heading = Rotation.align_vectors(ahead[None], [[0.0, 0.0, 1.0]])[0].as_matrix()
+    for j, joint in enumerate(body.joint_names):
+        rolled = Rotation.from_euler("x", 30 * joint.endswith(("Arm", "Hand")), degrees=True).as_matrix()
+        turns.append(heading @ lean @ heading.T @ rotation[:, j] @ rolled)
+    leaning = dataclasses.replace(motion, rotmat=local_rotations(np.stack(turns, axis=1), body.parents))
+    loaded = motion_of_file(write_bvh(tmp_path / "a.bvh", body, leaning, rest="axes", name=renamed("lafan1")))
+    for joint in ("Hips", "Spine", "Spine1", "Neck", "Head", "LeftArm", "RightForeArm", "LeftHand"):
+        assert rotation_error(body, loaded, leaning, joint).max() < 1e-3, joint
+    for joint in ("LeftUpLeg", "RightLeg"):  # the body's thighs are 5 degrees off the frontal plane
+        assert rotation_error(body, loaded, leaning, joint).max() < 1.5, joint
 
 
 def test_hips_and_feet_of_sticks_are_level_while_a_person_stands(body, tmp_path):

@@ -77,6 +77,16 @@ def test_a_clip_that_begins_in_the_air_comes_down_to_the_floor_of_the_rest_pose(
     np.testing.assert_allclose(height_of(result.clip.vertices), stride() * HEIGHTS[:stop], atol=CLOSE)
 
 
+def test_the_floor_does_not_depend_on_the_triangles_of_the_driving(model, tmp_path):
+    driving = mimesh.load_clip(landing(tmp_path / "landing.glb"))
+    fewer = dataclasses.replace(driving.mesh, faces=driving.mesh.faces[::2])
+    heroes = [
+        mimesh.animate(hero(tmp_path / "hero.glb"), clip, model).clip.vertices
+        for clip in (driving, dataclasses.replace(driving, mesh=fewer))
+    ]
+    np.testing.assert_allclose(*heroes, atol=1e-6)
+
+
 def test_a_motion_file_has_one_floor_whatever_part_of_it_is_taken(model, tmp_path):
     still = np.tile(np.eye(3), (len(HEIGHTS), len(BODY.parents), 1, 1))
     path = np.stack([0 * HEIGHTS, HEIGHTS, np.linspace(0, 0.2, len(HEIGHTS))], axis=1)

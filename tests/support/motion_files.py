@@ -43,6 +43,8 @@ def rest_pose(body: RiggedBody, kind: str) -> np.ndarray:
             for parts, degrees in ((ARM, -lowered * sign), (LEG, out * sign)):
                 for part in parts:
                     turns[body.joint(side + part)] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    elif kind == "axes":
+        turns = _along_axes(body, turns)
     elif kind != "t":
         turns = _all_along(body, np.array([0.0, 1, 0] if kind == "up" else [1.0, 0, 0]), turns)
     return turns
@@ -62,6 +64,22 @@ def _all_along(body: RiggedBody, direction: np.ndarray, turns: np.ndarray) -> np
                      for part in parts if joint == side + part), joint)  # fmt: skip
         turn = Rotation.from_rotvec(direction * roll.setdefault(limb, rng.uniform(-3, 3)))
         turns[j] = (turn * Rotation.align_vectors(direction[None], bone[None])[0]).as_matrix()
+    return turns
+
+
+def _along_axes(body: RiggedBody, turns: np.ndarray) -> np.ndarray:
+    """Rotate the bones of trunk and limbs to x: first the nearest axis, by an axis rotation."""
+    x = np.array([1.0, 0.0, 0.0])
+    for joint in ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head"):
+        turns[body.joint(joint)] = Rotation.from_euler("z", -90, degrees=True).as_matrix()
+    tails = BONES | {f"{side}{foot}": f"{side}ToeBase" for side in ("Left", "Right") for foot in ("Foot", "ToeBase")}
+    for joint, tail in tails.items():
+        bone = body.joints[body.joint(tail)] - body.joints[body.joint(joint.replace("ToeBase", "Foot"))]
+        axis = np.sign(bone) * (np.abs(bone) == np.abs(bone).max())
+        to_x = Rotation.align_vectors(x[None], axis[None])[0]
+        turns[body.joint(joint)] = (to_x * Rotation.align_vectors(axis[None], bone[None])[0]).as_matrix()
+    for side in ("Left", "Right"):
+        turns[body.joint(f"{side}Hand")] = turns[body.joint(f"{side}ForeArm")]
     return turns
 
 

@@ -274,13 +274,16 @@ def plant_feet(
             closed = (cyclic, cyclic and closed_root)
             along = _solve(weight, error @ axis, len(soles), track.fps, SLIDES, closed, stiff, free_root)
             found += along[..., None] * axis
-    heights = feet.identity_heights(posed.rotation, posed.root)
+    heights = soles[..., 1].min(axis=2)
     resting = _resting(track, floor(contacts.height), feet.driving_leg) if feet.body is not None else None
     raised = 0.0 if resting is None else resting.sunk
     weight, error, apart = _heights(heights, contacts, raised, scale[1], track.fps, leg, blocks)
     if resting is not None:  # one more foot, on a leg that stays as it is
-        lift = scale[1] * resting.height - apart - feet.identity_lowest(posed.rotation, posed.root)
-        also = np.c_[resting.feet * (np.arange(weight.shape[1]) < weight.shape[1] - feet.hands), resting.weight]
+        lift = scale[1] * resting.height - apart - feet.identity_lowest(posed.rotation, posed.root, with_soles=blocks)
+        feet_too = np.arange(weight.shape[1]) < weight.shape[1] - feet.hands
+        if blocks:  # what is lowest rests, be it a foot: the others cannot reach the floor
+            weight, feet_too = weight * (1 - resting.weight[:, None]), np.zeros_like(feet_too)
+        also = np.c_[resting.feet * feet_too, resting.weight]
         weight = np.maximum(np.c_[weight, np.zeros(len(weight))], also / (HEIGHT_SECONDS * track.fps) ** 2)
         error, stiff = np.c_[error, lift], np.append(stiff, True)
     stiffness = replace(HEIGHTS, root_bend=BLOCKS_BEND) if blocks else HEIGHTS
@@ -473,7 +476,7 @@ def height_of_soles(posed: PosedJoints, track: JointTrack, feet: Feet, scale: fl
     lowest ones.
     """
     assert track.soles is not None
-    theirs, mine = track.soles[..., 1].min(axis=2), feet.identity_heights(posed.rotation, posed.root)
+    theirs, mine = track.soles[..., 1].min(axis=2), feet.identity_soles(posed.rotation, posed.root)[..., 1].min(axis=2)
     contacts, legs = find_contacts(track, feet.driving_leg, feet.hands), len(feet.legs) - feet.hands
     part, frames = slice(legs), slice(None)
     if contacts is not None:

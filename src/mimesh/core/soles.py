@@ -12,16 +12,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .frame_buffer import Frames, Progress, vertices_of_all
+from .normalization import Normalization
 from .rig import Rig, descendants
 from .skinning import SkinnedMesh
 from .surface_points import SurfacePoints
 
 CONTACTS = 4
 """Contact points of a foot, in equal parts of its length from heel to toes: a foot rolls from one to the next."""
-MEAN_OF = 6
-"""Largest number of surface points whose mean is a contact point; a mean, because surfaces may be noisy."""
-DEPTH = 0.1
-"""Points are averaged up to this height over the lowest one (foot lengths), not with points of the instep."""
+PITCHES = np.radians([-50.0, -30.0, -10.0, 10.0, 30.0, 50.0])
+"""How far a foot is tilted, toes down and up, when each of the points that make a contact point is the lowest."""
+OF_EACH = len(PITCHES)
+"""Number of surface points of a contact point, of which the lowest stands."""
 OUTSIDE = 3.0
 """Points outside a part of the foot count as higher by this multiple of their distance from it, so that parts without
 points take the nearest ones."""
@@ -37,8 +38,8 @@ toes in the ground. Elsewhere the rest pose stands on no floor of the clip, as w
 soles are then at least 1.1 over it, the height of hips."""
 
 Soles = tuple[Int[np.ndarray, "C M"] | None, ...]
-"""For each leg, then for each arm, the C contact points of its foot or hand, each as the indices of M points whose mean
-it is; None: no foot."""
+"""For each leg, then for each arm, the C contact points of its foot or hand, each as the indices of the M points that
+make it; None: no foot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +48,7 @@ class SolePoints:
 
     feet: int
     surface: SurfacePoints
-    """The F * C * M points of the surface whose means the first are, then the others."""
+    """The F * C * M points of the surface that make the first, then the others."""
     rest: int = 0
     """B."""
 
@@ -75,16 +76,16 @@ class SolePoints:
         return soles[0], body[0]
 
     def in_frames(
-        self, frames: Frames, progress: Progress | None = None
+        self, frames: Frames, norm: Normalization, progress: Progress | None = None
     ) -> tuple[Float[np.ndarray, "T F C 3"], Float[np.ndarray, "T B 3"]]:
-        """Return the same in all frames, of which only their vertices are read."""
+        """Return the same in all frames, of which only their vertices are read, normalised."""
         used, corners = np.unique(self.surface.corners, return_inverse=True)
         few = SurfacePoints(corners.reshape(-1, 3), self.surface.barycentric)
-        return self._split(few.points(vertices_of_all(frames, used, progress)))
+        return self._split(norm.apply(few.points(vertices_of_all(frames, used, progress))))
 
     def _split(self, points: Float[np.ndarray, "T N 3"]) -> tuple[np.ndarray, np.ndarray]:
         count = points.shape[1] - self.rest
-        return points[:, :count].reshape(len(points), self.feet, -1, MEAN_OF, 3).mean(axis=3), points[:, count:]
+        return _contact_points(points[:, :count].reshape(len(points), self.feet, -1, OF_EACH, 3)), points[:, count:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +99,7 @@ class Feet:
     driving: SolePoints
     """Contact points of the driving."""
     identity: SkinnedMesh
-    """The F * C * M points of the identity whose means are its contact points."""
+    """The F * C * M points of the identity that make its contact points."""
     hands: int = 0
     """How many of the feet, the last ones, are hands."""
     body: SkinnedMesh | None = None
@@ -149,7 +150,7 @@ class Feet:
 
     def without_hands(self) -> Feet:
         """Leave out the hands."""
-        points = (len(self.legs) - self.hands) * CONTACTS * MEAN_OF
+        points = (len(self.legs) - self.hands) * CONTACTS * OF_EACH
         driving = self.driving.surface
         return replace(
             self,
@@ -170,17 +171,7 @@ class Feet:
         self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
     ) -> Float[np.ndarray, "T F C 3"]:
         """Return the identity's contact points in all frames."""
-        return self._sole_points(rotation, root).mean(axis=3)
-
-    def identity_heights(
-        self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
-    ) -> Float[np.ndarray, "T F"]:
-        """Return the height of the lowest contact point of each of the identity's soles in all frames.
-
-        Blocks stand on an edge or a corner, which no mean shows: of stiff legs it is that of the lowest point.
-        """
-        height = self._sole_points(rotation, root)[..., 1]
-        return np.where(self.stiff, height.min(axis=(2, 3)), height.mean(axis=3).min(axis=2))
+        return _contact_points(self._sole_points(rotation, root))
 
     def identity_lowest(
         self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"], with_soles: bool = False
@@ -194,7 +185,17 @@ class Feet:
         self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
     ) -> Float[np.ndarray, "T F C M 3"]:
         points = self.identity.posed_frames(rotation, np.zeros_like(root))
-        return points.reshape(len(rotation), len(self.legs), -1, MEAN_OF, 3) + root[:, None, None, None]
+        return points.reshape(len(rotation), len(self.legs), -1, OF_EACH, 3) + root[:, None, None, None]
+
+
+def _contact_points(points: Float[np.ndarray, "T F C M 3"]) -> Float[np.ndarray, "T F C 3"]:
+    """Return contact points: in the middle of their points over the ground, and as low as the lowest of these.
+
+    A sole that tilts stands on an edge, which no mean shows.
+    """
+    contacts = points.mean(axis=3)
+    contacts[..., 1] = points[..., 1].min(axis=3)
+    return contacts
 
 
 def find_soles(
@@ -241,7 +242,7 @@ def _palm_points(
 
 def sole_height(points: Float[np.ndarray, "N 3"], soles: Soles, legs: int) -> float | None:
     """Return the height of the lowest contact point of the first `legs` feet; None if there is none."""
-    feet = [points[indices].mean(axis=1)[:, 1].min() for indices in soles[:legs] if indices is not None]
+    feet = [points[indices][..., 1].min() for indices in soles[:legs] if indices is not None]
     return float(min(feet)) if feet else None
 
 
@@ -264,10 +265,10 @@ def sole_points(
     whole: bool = True,
     along: int = 2,
 ) -> Int[np.ndarray, "C M"] | None:
-    """Find the contact points of a foot: indices of the M points whose mean each of them is (some repeated).
+    """Find the contact points of a foot: indices of the M points that make each of them (some repeated).
 
-    In each of CONTACTS parts of the foot's length, they are the lowest points in the frame of the ankle, with the toes
-    straightened. None if the surface has no such foot.
+    In each of CONTACTS parts of the foot's length, they are the lowest points when the foot, with straightened toes, is
+    tilted by PITCHES. None if the surface has no such foot.
 
     Args:
         ankle: the joint, or the last one of a leg that has no ankle.
@@ -292,11 +293,7 @@ def sole_points(
     heel, toe = np.percentile(straight[:, along], (1, 99))
     length = max(toe - heel, 1e-9)
     part = length / CONTACTS
-    chosen = []
-    for k in range(CONTACTS):
-        outside = np.maximum(np.abs(straight[:, along] - heel - (k + 0.5) * part) - part / 2, 0)
-        height = straight[:, 1] + OUTSIDE * outside
-        lowest = np.argsort(height, kind="stable")[:MEAN_OF]
-        lowest = lowest[height[lowest] <= height[lowest[0]] + DEPTH * length]
-        chosen.append(np.resize(on_foot[lowest], MEAN_OF))
-    return np.stack(chosen)
+    middles = heel + (np.arange(CONTACTS) + 0.5) * part
+    outside = np.maximum(np.abs(straight[:, along] - middles[:, None]) - part / 2, 0)
+    tilted = np.cos(PITCHES)[:, None] * straight[:, 1] - np.sin(PITCHES)[:, None] * straight[:, along]
+    return on_foot[(tilted + OUTSIDE * outside[:, None]).argmin(axis=-1)]

@@ -88,6 +88,11 @@ class SurfacePoints:
         face, barycentric = sample_surface(mesh.vertices, faces, count, rng)
         return cls(faces[face], barycentric)
 
+    @classmethod
+    def of_vertices(cls, count: int) -> SurfacePoints:
+        """Take the vertices of a mesh themselves."""
+        return cls(np.repeat(np.arange(count)[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (count, 1)))
+
     def part(self, which: int, of: int) -> SurfacePoints:
         """Select part `which` of `of` disjoint parts; each is as evenly spread as the whole."""
         return SurfacePoints(self.corners[which % of :: of], self.barycentric[which % of :: of])

@@ -20,8 +20,7 @@ from ..bodies.hands import body_with_fingers, hand_frames, has_hand
 from ..bodies.joint_names import ancestors
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.geometry import angles_between, nearest_rotation, rotation_between, unit_vectors
-from ..core.normalization import ROTATIONS
-from .retarget import HINGES, hinge_rotations, limb_alignments
+from .retarget import HINGES, hinge_rotations, limb_alignments, nearest_axes, paired_axes
 
 TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Head")
 """Joints of the trunk, from the hips up."""
@@ -146,8 +145,7 @@ def _limb_frames(
 ) -> Frames:
     """Compute the rotations of the joints of both arms or legs, whose bones keep their directions, of hands and feet.
 
-    Elbows of animations by hand do not bend about one axis. All joints of both limbs have the same axis up in a T-pose,
-    left and right in the same or the opposite direction, so all estimates together choose it.
+    All estimates together choose the axes of their frames (`paired_axes`).
     """
     names = hinge[:2]
     estimates = {side: _estimates(limbs, side, hinge, trunk) for side in SIDES}
@@ -155,14 +153,17 @@ def _limb_frames(
     chosen: dict[str, np.ndarray] = {}
     if axes:
         totals = [
-            sum(each.T @ axes[side + name] for name, of in zip(kept[side], estimates[side], strict=True) for each in of)
+            np.sum(
+                [
+                    axes[side + name].T @ each
+                    for name, of in zip(kept[side], estimates[side], strict=True)
+                    for each in of
+                ],
+                axis=0,
+            )
             for side in SIDES
         ]
-        scores = np.stack([np.einsum("rkl,kl->r", ROTATIONS, total) for total in totals])
-        same_axis = np.einsum("rl,sl->rs", np.abs(ROTATIONS[:, 1]), np.abs(ROTATIONS[:, 1])) > 0.5
-        pairs = np.where(same_axis, scores[0][:, None] + scores[1], -np.inf)
-        best = np.unravel_index(pairs.argmax(), pairs.shape)
-        chosen = {side: ROTATIONS[k].T for side, k in zip(SIDES, best, strict=True)}
+        chosen = dict(zip(SIDES, paired_axes(totals), strict=True))
     frames: Frames = {}
     for side in SIDES:
         for name, found in zip(kept[side], estimates[side], strict=True):
@@ -225,7 +226,7 @@ def _by_axes(estimate: Float[np.ndarray, "3 3"], axes: Float[np.ndarray, "3 3"] 
     """Return the rotation of a frame from the axis rotation nearest to an estimate; without a frame the estimate."""
     if axes is None:
         return estimate
-    return axes @ ROTATIONS[np.einsum("rkl,kl->r", ROTATIONS, estimate.T @ axes).argmax()].T
+    return axes @ nearest_axes(axes.T @ estimate)
 
 
 def _chest(joints: Mapping[str, object]) -> str:

@@ -15,7 +15,7 @@ level while a person stands upright, as feet are while they are flat on the grou
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,11 +23,18 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody
 from ..bodies.hands import hand_frames
-from ..bodies.joint_names import captured_fingers, finger_joints, followed_fingers, named_joints, require_joints
+from ..bodies.joint_names import (
+    ancestors,
+    captured_fingers,
+    finger_joints,
+    followed_fingers,
+    named_joints,
+    require_joints,
+)
 from ..core.errors import InputError
-from ..core.geometry import nearest_rotation, rotation_between, rotations_between, unit_vectors
+from ..core.geometry import angles_between, nearest_rotation, rotation_between, rotations_between, unit_vectors
 from ..core.mesh import LARGEST
-from ..core.normalization import turn
+from ..core.normalization import ROTATIONS, turn
 from ..core.rig import local_rotations
 from ..core.soles import floor_height
 from .bvh import Bvh
@@ -291,6 +298,16 @@ FLAT, BENT_WEIGHT = 0.03, 1e-4
 and the weight of the angle between foot and shin in all frames. Chosen on the shipped takes and animations by hand."""
 
 
+ALONG_AXES = 20.0, 8.0
+"""Largest angles (degrees) of the left of hips, and of thighs and shins in the mean, from where frames have the axes of
+a T-pose. In clips of KayKit's and Mixamo's, written as sticks, up to 17 and 6; thighs and shins that are turned about
+their bones at random are below it in one of a hundred skeletons."""
+SAME_AXES = 60.0
+"""Angle (degrees) up to which trunk and head are turned in the mean of a clip while their frames have the same axes."""
+OBLIQUE_FRAME = 30.0
+"""Angle (degrees) from the axes from which on a frame is oblique, as those of hip joints and collar bones may be."""
+
+
 def axes_from_motion(position: Float[np.ndarray, "T J 3"], index: dict[str, int]) -> Float[np.ndarray, "3 3"]:
     """Compute the axis rotation of a motion's world to y up: on average, shoulders are above feet.
 
@@ -328,14 +345,80 @@ def calibrated_joints(
             trunk = estimates["Hips" if upper == "UpLeg" else "Spine1"][0]
             chain = (f"{side}{upper}", f"{side}{lower}", f"{side}{end}")
             estimates |= hinge_rotations(position, index, body_rest, body_index, chain, direction, trunk)
-        estimates[f"{side}Hand"] = estimates[f"{side}ForeArm"]
         estimates |= _foot_rotations(position, index, body_rest, body_index, side, estimates[f"{side}Leg"])
-    measured = {}
-    for joint, j in index.items():
-        estimate, weight = estimates.get(joint, estimates["Spine1"])
-        total = (weight[:, None, None] * np.swapaxes(rotation[:, j], -1, -2) @ estimate).sum(0)
-        measured[joint] = nearest_rotation(total)
-    return {joint: _with_exact_bone(joint, m, rest, index, body_rest[0], body_index) for joint, m in measured.items()}
+    measured = {
+        joint: nearest_rotation((weight[:, None, None] * _back(rotation[:, index[joint]], estimate)).sum(0))
+        for joint, (estimate, weight) in estimates.items()
+        if joint in index
+    }
+
+    def exact(found):
+        return {name: _with_exact_bone(name, m, rest, index, body_rest[0], body_index) for name, m in found.items()}
+
+    found, of_axes = exact(measured), exact(_axes_of_t_pose(measured))
+    hips = np.subtract(*(position[:, index[f"{side}UpLeg"]] for side in ("Left", "Right")))
+    left = unit_vectors(_back(rotation[:, index["Hips"]], hips[..., None]).sum(0)[:, 0])
+    axial = _are_near(found, of_axes, left)
+    if axial:
+        found = of_axes | {joint: m for joint, m in found.items() if joint.endswith(("Foot", "ToeBase"))}
+    # All others are turned like one of these, in the mean.
+    for joint in sorted(index.keys() - found.keys(), key=body.joint):
+        above = [body.joint_names[k] for k in ancestors(body.parents, body.joint(joint))]
+        if joint in ("LowerBack", "Spine"):  # the chest is estimated better than the hips
+            above = ["Spine1", *above]
+        near = next(name for name in above if name in found)
+        turn = _back(rotation[:, index[joint]], rotation[:, index[near]]).sum(0)
+        found[joint] = (_turn_of_axes if axial else nearest_rotation)(turn) @ found[near]
+    return found
+
+
+def _back(rotation, turned):
+    """Express rotations, or columns of vectors, in the frames of a joint."""
+    return np.swapaxes(rotation, -1, -2) @ turned
+
+
+def _axes_of_t_pose(measured):
+    """Find the axis rotations that measured rotations of hips and limbs are nearest to."""
+    arms = [[f"{side}Arm", f"{side}ForeArm"] for side in ("Left", "Right")]
+    both = paired_axes([np.sum([measured[joint] for joint in joints], axis=0) for joints in arms])
+    legs = {joint: nearest_axes(measured[joint]) for joint in ("Hips", *BONES) if "Arm" not in joint}
+    return legs | {joint: axes for axes, joints in zip(both, arms, strict=True) for joint in joints}
+
+
+def _are_near(found, of_axes, left):
+    """Tell whether hips, thighs and shins are turned nearly as where frames have the axes of a T-pose.
+
+    Of hips their left axis tells: how far they lean is not measured well where a person never stands upright.
+    """
+    hips = np.degrees(np.arccos(np.clip(left @ of_axes["Hips"][:, 0], -1, 1)))
+    legs = [angles_between(found[joint], of_axes[joint]) for joint in BONES if "Leg" in joint]
+    return hips < ALONG_AXES[0] and np.mean(legs) < ALONG_AXES[1]
+
+
+def _turn_of_axes(turn):
+    """Find the rotation from one joint's frame to another's in a T-pose, from the sum over the frames of a clip."""
+    mean = nearest_rotation(turn)
+    if angles_between(mean, np.eye(3)) < SAME_AXES:
+        return np.eye(3)
+    axes = nearest_axes(mean)
+    return axes if angles_between(mean, axes) < OBLIQUE_FRAME else mean
+
+
+def nearest_axes(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """Return the axis rotation nearest to a sum of rotations."""
+    return ROTATIONS[np.einsum("rkl,kl->r", ROTATIONS, rotation).argmax()]
+
+
+def paired_axes(totals: Sequence[Float[np.ndarray, "3 3"]]) -> list[Float[np.ndarray, "3 3"]]:
+    """Find the axis rotations nearest to the sums of estimates M of the joints of a left and a right limb.
+
+    Elbows of animations by hand do not bend about one axis. All joints of both limbs have the same axis up in a T-pose,
+    left and right in the same or the opposite direction, so all estimates together choose it.
+    """
+    scores = np.stack([np.einsum("rkl,kl->r", ROTATIONS, total) for total in totals])
+    up = np.abs(ROTATIONS[:, :, 1])
+    pairs = np.where(up @ up.T > 0.5, scores[0][:, None] + scores[1], -np.inf)
+    return [ROTATIONS[k] for k in np.unravel_index(pairs.argmax(), pairs.shape)]
 
 
 def _middle(position, index, part):

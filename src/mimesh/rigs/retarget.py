@@ -36,8 +36,8 @@ from ..core.normalization import Normalization
 from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
 from ..core.soles import Feet, SolePoints, Soles, body_points, find_soles, floor_height, sole_height
-from ..core.surface_points import SurfacePoints, generator
-from .character import Character, LinkedJoints, RestPose
+from ..core.surface_points import SurfacePoints, generator, interpolate
+from .character import GRID_SAMPLES, Character, LinkedJoints, RestPose
 from .confidence import Confidence
 
 if TYPE_CHECKING:
@@ -50,10 +50,6 @@ Follow = Callable[[Float[np.ndarray, "U 3"]], Pose]
 """Finds the joints in a frame of a clip, which has these vertices."""
 SurfaceMotion = Callable[[SurfacePoints], Float[np.ndarray, "T N 3"]]
 """Maps points of the driving's surface to their positions in frames of the whole clip, normalised."""
-SOLE_SAMPLES = 8192
-"""Points of a driving's surface among which those of the soles are, where its joints are known."""
-
-
 FLOOR_FRAMES = 120
 """Largest number of frames, evenly spread, in which the floor of a clip is looked for where its frames are made one by
 one."""
@@ -94,13 +90,12 @@ class JointMotion:
         """Normalise the joints of a file; `mesh` is the clip's first frame, normalised already."""
         positions = norm.apply(motion.positions.reshape(-1, 3)).reshape(motion.positions.shape)
         track = JointTrack(norm.rotation @ motion.rotation, positions, fps)
-        surface = SurfacePoints.of(mesh, SOLE_SAMPLES, generator(seed, 1))
+        vertices = SurfacePoints.of_vertices(len(mesh.vertices))  # as of a character: a sole stands on its lowest ones
         soles: Soles = ()
         skin = None
         ankles: tuple[str, ...] = ()
         floor = body = None
         if motion.weights is not None:
-            weights = (surface.barycentric[..., None] * motion.weights[surface.corners]).sum(axis=1)
             index = {name: k for k, name in enumerate(motion.joints)}
             anatomy = anatomy_of_joints(motion.joints)
             legs, arms = (
@@ -108,19 +103,22 @@ class JointMotion:
                 for limbs in (anatomy.legs, anatomy.arms)
             )
             ankles = tuple(motion.joints[leg[-1]] if leg else "" for leg in legs)
-            rig = Rig(track.rotation[0], track.positions[0], weights)
-            points, parents = surface.points(mesh.vertices), body_parents(motion.joints)
-            soles = find_soles(points, rig, legs, parents, arms)
-            body = body_points(points, rig, legs + arms, parents)
-            skin = points, rig
-            if motion.rest is not None and motion.rest_vertices is not None:  # taking back a pose bends joints
+            rig = Rig(track.rotation[0], track.positions[0], motion.weights)
+            parents = body_parents(motion.joints)
+            soles = find_soles(mesh.vertices, rig, legs, parents, arms)
+            body = body_points(mesh.vertices, rig, legs + arms, parents)
+            at_rest = None if motion.rest_vertices is None else norm.apply(motion.rest_vertices)
+            if at_rest is not None and has_path(motion.positions[:, 0], motion.leg):
+                floor = sole_height(at_rest, soles, len(legs))
+            posed = mesh.vertices
+            if motion.rest is not None and at_rest is not None:  # taking back a pose bends joints
                 turned, places = motion.rest
-                rig = Rig(norm.rotation @ turned, norm.apply(places), weights)
-                skin = surface.points(norm.apply(motion.rest_vertices)), rig
-            if motion.rest_vertices is not None and has_path(motion.positions[:, 0], motion.leg):
-                floor = sole_height(surface.points(norm.apply(motion.rest_vertices)), soles, len(legs))
+                posed, rig = at_rest, Rig(norm.rotation @ turned, norm.apply(places), motion.weights)
+            surface = SurfacePoints.of(mesh, GRID_SAMPLES, generator(seed, 1))
+            weights = interpolate(motion.weights, surface.corners, surface.barycentric)
+            skin = surface.points(posed), replace(rig, weights=weights)
         leg = motion.leg / norm.radius
-        return cls(motion.joints, None, leg, surface, soles, ankles, track, body, motion.rest, floor, skin)
+        return cls(motion.joints, None, leg, vertices, soles, ankles, track, body, motion.rest, floor, skin)
 
     @property
     def grid(self) -> BodyGrid | None:
@@ -146,9 +144,8 @@ class JointMotion:
         # Of a surface whose joints are known, only the points of the soles are read.
         if soles is None:
             return self.track
-        contacts, body = soles.in_frames(clip.vertices, progress)
-        lowest = norm.apply(body)[..., 1].min(axis=1) if soles.rest else None
-        return replace(self.track, soles=norm.apply(contacts), lowest=lowest)
+        contacts, body = soles.in_frames(clip.vertices, norm, progress)
+        return replace(self.track, soles=contacts, lowest=body[..., 1].min(axis=1) if soles.rest else None)
 
     def tracked(
         self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float, name: str, feet: SolePoints | None = None

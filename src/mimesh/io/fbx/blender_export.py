@@ -45,6 +45,9 @@ EXPORT = {
     "embed_textures": True,
 }
 """Options of Blender's FBX exporter: every frame is a key, no bones are added, shape keys are kept."""
+APART = 1e-5
+"""Distance of a bone from the y axis of that above it, over the length of that, from which on Blender's FBX importer
+does not connect them (1e-6), and single precision keeps it."""
 ARMATURE = "Armature"
 """Name of the armature's node in the file: Unreal Engine leaves a root node of this name out of the skeleton."""
 
@@ -66,9 +69,39 @@ def export(job):
         for other in [thing for thing in bpy.data.objects if thing.name == ARMATURE and thing != armatures[0]]:
             other.name = f"{ARMATURE} (of the file)"
         armatures[0].name = ARMATURE
+    for armature in armatures:
+        keep_apart(armature)
     if job["clips"]:
         add_strips(job["clips"], armatures)
     call(bpy.ops.export_scene.fbx, EXPORT, filepath=job["fbx"], bake_anim=bool(job["clips"]))
+
+
+def keep_apart(armature):
+    """Move bones with a path off the y axis of the bone above them, by APART.
+
+    Where the only bone below another is on that axis, Blender's FBX importer connects it, and connected bones have no
+    path: hips above a root would stay where they are at rest.
+    """
+    action = armature.animation_data and armature.animation_data.action
+    curves = [curve for curve in curves_of(action) if curve.data_path.endswith(".location")] if action else []
+    paths = {curve.data_path for curve in curves if any(abs(key.co[1]) > 0 for key in curve.keyframe_points)}
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    for bone in armature.data.edit_bones:
+        if bone.parent and f'pose.bones["{bpy.utils.escape_identifier(bone.name)}"].location' in paths:
+            way = bone.head - bone.parent.head
+            if (way - way.dot(bone.parent.y_axis) * bone.parent.y_axis).length < APART * way.length:
+                step = APART * way.length * bone.parent.x_axis
+                bone.use_connect = False
+                bone.head, bone.tail = bone.head + step, bone.tail + step
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def curves_of(action):
+    """Return the curves of an action; from Blender 5 on they are those of its layers."""
+    if hasattr(action, "fcurves"):
+        return list(action.fcurves)
+    return [c for layer in action.layers for strip in layer.strips for bag in strip.channelbags for c in bag.fcurves]
 
 
 def make_plain(entry):
