@@ -11,7 +11,6 @@ import urllib.request
 import pytest
 
 from mimesh.studio import make_session
-from mimesh.studio.uploads import remove_leftovers
 
 
 @pytest.fixture
@@ -40,19 +39,6 @@ def test_interrupt_ends_the_studio_and_leaves_no_files(program, tmp_path):
     assert program.returncode == 0
     assert (out, errors) == (b"", b"")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_leftovers_of_a_killed_studio_are_removed(tmp_path):
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
-    names = [f"mimesh-studio-{ended.pid}-x", f"mimesh-studio-{os.getpid()}-x", "mimesh-studio-old", "other-1-x"]
-    for name in names:
-        (tmp_path / name / "uploads").mkdir(parents=True)
-    target = tmp_path / f"mimesh-studio-{ended.pid}-link"
-    target.symlink_to(tmp_path / "other-1-x")
-    remove_leftovers(tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*names[1:], target.name])
-    assert (tmp_path / "other-1-x" / "uploads").is_dir()
 
 
 @pytest.mark.parametrize(

@@ -111,15 +111,16 @@ def _thumb(rig: SkinnedCharacter, hand: int, chains: list[list[int]]) -> int | N
     start = rig.joints[[chain[0] for chain in chains]]
     reach = np.linalg.norm(start - rig.joints[hand], axis=1)
     nearest, second = np.sort(reach)[:2]
-    if len(chains) == len(FINGERS) or nearest < THUMB * second:
-        return int(reach.argmin())
+    near = int(reach.argmin()) if len(chains) == len(FINGERS) or nearest < THUMB * second else None
+    if near is not None and len(chains) > 2:
+        return near
     ends = [rig.mesh.vertices[carried_vertices(rig, chain[0])].mean(axis=0) for chain in chains]
     pointing = unit_vectors(np.array(ends) - start)
     angles = np.degrees(np.arccos((pointing @ pointing.T).clip(-1, 1)))
     if len(chains) == 2:
-        # The one that points elsewhere than the forearm.
+        # The one that points elsewhere than the forearm: the joint of a mitten may begin at the wrist.
         forearm = unit_vectors(rig.joints[hand] - rig.joints[rig.parents[hand]])
-        return int((pointing @ forearm).argmin()) if angles[0, 1] > APART else None
+        return int((pointing @ forearm).argmin()) if angles[0, 1] > APART else near
     apart = [np.delete(row, k).min() for k, row in enumerate(angles)]
     spread = [np.delete(np.delete(angles, k, 0), k, 1).max() for k in range(len(chains))]
     k = int(np.argmin(spread))
