@@ -315,15 +315,13 @@ class Mime:
             measured: those of them that are spread evenly over the surface.
             targets: joints that the user has corrected; None: a shin may be found on the other leg.
         """
-        found = targets
-        if targets is None:
-            fitted, sure, fit = self._with_fit(rig, confidence, sample, predictions)
-            found = lost_shin(sample, fit) if fit is not None and self.body == "human" else None
-            if found is None:
-                return fitted, sure, fit
-        rig, confidence, fit = self._with_corrections(rig, confidence, sample, queries, found)
-        # What was found is as uncertain as what was predicted: other orientations are still looked at.
-        return rig, confidence if targets is None else self._with_weights(confidence, rig.weights[measured]), fit
+        if targets is not None:
+            rig, confidence, fit = self._with_corrections(rig, confidence, sample, queries, targets)
+            return rig, self._with_weights(confidence, rig.weights[measured]), fit
+        fitted, sure, fit = self._with_fit(rig, confidence, sample, predictions)
+        found = lost_shin(sample, fit) if fit is not None and self.body == "human" else None
+        # What is found is as uncertain as what was predicted: weights are not measured again.
+        return self._with_corrections(rig, confidence, sample, queries, found) if found else (fitted, sure, fit)
 
     def _with_fit(
         self, rig: Rig, confidence: Confidence, sample: SurfaceSample, predictions: Sequence[Rig]
