@@ -48,6 +48,7 @@ def test_a_shin_that_was_predicted_on_the_other_leg_is_found():
     foot = BODY.joint("RightFoot")
     assert np.linalg.norm(wrong.joints[foot] - joints[foot]) > 0.3
     found = lost_shin(surface, wrong)
+    assert found is not None
     np.testing.assert_allclose(found.positions, joints[[BODY.joint(name) for name in LEGS]], atol=0.02)
 
 

@@ -315,15 +315,13 @@ class Mime:
             measured: those of them that are spread evenly over the surface.
             targets: joints that the user has corrected; None: a shin may be found on the other leg.
         """
-        if targets is None:
-            fitted, sure, fit = self._with_fit(rig, confidence, sample, predictions)
-            found = lost_shin(sample, fit) if fit is not None and self.body == "human" else None
-            if found is None:
-                return fitted, sure, fit
-        else:
-            found = targets
-        rig, confidence, fit = self._with_corrections(rig, confidence, sample, queries, found)
-        return rig, self._with_weights(confidence, rig.weights[measured], corrected=targets is not None), fit
+        if targets is not None:
+            rig, confidence, fit = self._with_corrections(rig, confidence, sample, queries, targets)
+            return rig, self._with_weights(confidence, rig.weights[measured]), fit
+        fitted, sure, fit = self._with_fit(rig, confidence, sample, predictions)
+        found = lost_shin(sample, fit) if fit is not None and self.body == "human" else None
+        # What is found is as uncertain as what was predicted: weights are not measured again.
+        return self._with_corrections(rig, confidence, sample, queries, found) if found else (fitted, sure, fit)
 
     def _with_fit(
         self, rig: Rig, confidence: Confidence, sample: SurfaceSample, predictions: Sequence[Rig]
@@ -361,14 +359,11 @@ class Mime:
         weights = corrected_weights(rig.weights, queries.points, queries.normals, displacement, fit.posed)
         return Rig(fit.rotation, fit.joints, weights), _with_measures(confidence, fit), fit
 
-    def _with_weights(self, confidence: Confidence, weights: Float[np.ndarray, "N J"], corrected: bool) -> Confidence:
-        """Measure a rig with other weights again.
-
-        Predictions may differ where the body covers the surface if the user has `corrected` it.
-        """
+    def _with_weights(self, confidence: Confidence, weights: Float[np.ndarray, "N J"]) -> Confidence:
+        """Measure a corrected rig again: predictions may differ where the corrected body covers the surface."""
         measured = Confidence.of(confidence.prediction_spread, weights, self.joints, self.parents)
         confidence = dataclasses.replace(confidence, weight_entropy=measured.weight_entropy, limbs=measured.limbs)
-        if not corrected or confidence.unmatched_surface > MAX_UNMATCHED_SURFACE:
+        if confidence.unmatched_surface > MAX_UNMATCHED_SURFACE:
             return confidence
         return dataclasses.replace(confidence, prediction_spread=0.0, fit_angle=0.0, flexion=0.0)
 
