@@ -42,7 +42,9 @@ def driving(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def named(driving, tmp_path_factory) -> np.ndarray:
-    path = rigs.character(tmp_path_factory.mktemp("named") / "a.glb", faces=FACES, name=renamed("mixamo"), person=stubless())
+    path = rigs.character(
+        tmp_path_factory.mktemp("named") / "a.glb", faces=FACES, name=renamed("mixamo"), person=stubless()
+    )
     return animate(str(path), driving).clip.vertices
 
 
