@@ -33,8 +33,11 @@ ROWS: dict[str, tuple[int, list[tuple[float, float]]]] = {
 PARTS = ("Trunk", "Head", *(side + part for side in SIDES for part in ROWS if part not in ("Trunk", "Head")))
 NEEDED = frozenset(side + joint for side in SIDES for joint in ("Arm", "ForeArm", "Hand", "UpLeg"))
 """Joints without which there are no points."""
-NEAREST = 8
-"""Samples of the surface whose median distance is the girth at a point: of layers of clothes the middle one."""
+NEAREST = 32
+"""Samples of the surface whose mean distance is the girth at a point."""
+WIDTH = 0.25
+"""Standard deviation of their weights (radians around the line). Medians of 8 samples differed twice as much between
+samples of one surface (hands 1.5 cm, heads 0.8)."""
 FEWEST = 12
 """Samples of the surface that a part has at least."""
 HEAD_TOP, FINGERTIPS = 1.2, 0.7
@@ -218,9 +221,11 @@ def _rings(
     up, angle = np.radians(up), np.tile(np.arange(count) * (2 * np.pi / count), len(rows))
     level = np.cos(angle)[:, None] * front + np.sin(angle)[:, None] * across
     direction = np.cos(up)[:, None] * level + np.sin(up)[:, None] * axis
-    nearest = tree.query(np.column_stack([at * stretch, direction]), NEAREST)[1]
-    grid = start + at[:, None] * along + np.median(distance[nearest], axis=1)[:, None] * direction
-    return grid, _normals(grid.reshape(len(rows), count, 3), direction), weights[nearest].mean(axis=1)
+    apart, nearest = tree.query(np.column_stack([at * stretch, direction]), min(NEAREST, len(surface)))
+    near = np.exp((np.square(apart[:, :1]) - np.square(apart)) / (2 * WIDTH**2))[..., None]
+    near /= near.sum(axis=1, keepdims=True)
+    grid = start + at[:, None] * along + (near * distance[nearest, None]).sum(axis=1) * direction
+    return grid, _normals(grid.reshape(len(rows), count, 3), direction), (near * weights[nearest]).sum(axis=1)
 
 
 def _normals(grid: Float[np.ndarray, "R C 3"], outward: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
