@@ -60,6 +60,12 @@ class BodyGrid:
     """Part, such as Trunk or LeftHand -> its points among the G."""
     arm: float
     """Length of an arm, from shoulder to wrist: the unit of distances."""
+    rings: SkinnedMesh
+    """Centres of the R rings of points."""
+    radius: Float[np.ndarray, " R"]
+    """Radii of spheres around them that the points are in (arm lengths)."""
+    ring: Int[np.ndarray, " G"]
+    """Ring of each point."""
 
     @classmethod
     def of_pose(
@@ -98,7 +104,7 @@ class BodyGrid:
             return None
         part_of = np.array([part_of_joint(name) for name in names])[weights.argmax(axis=1)]
         arm = float(np.mean([np.linalg.norm(place[f"{side}Hand"] - place[f"{side}Arm"]) for side in SIDES]))
-        parts, found, count = {}, [], 0
+        parts, found, sizes, count = {}, [], [], 0
         for part in PARTS:
             rows = np.flatnonzero(part_of == part)
             if part.endswith("Hand"):
@@ -107,12 +113,18 @@ class BodyGrid:
             if line is not None:
                 found.append(_rings(part, line, points[rows], weights[rows]))
                 parts[part] = slice(count, count := count + len(found[-1][0]))
+                around, rows = ROWS[part.removeprefix("Left").removeprefix("Right")]
+                sizes += len(rows) * [around]
         grid, normals, weights = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
         step, still = 0.1 * arm, np.broadcast_to(np.eye(3), (len(joints), 3, 3))
         skinned = SkinnedMesh.of(
             np.concatenate([grid, grid + step * normals]), Rig(still, joints, np.tile(weights, (2, 1))), parents
         )
-        return cls(skinned, grid, parts, arm)
+        ring, starts = np.repeat(np.arange(len(sizes)), sizes), np.cumsum([0, *sizes[:-1]])
+        centres, means = (np.add.reduceat(of, starts) / np.array(sizes)[:, None] for of in (grid, weights))
+        radius = np.maximum.reduceat(np.linalg.norm(grid - centres[ring], axis=1), starts) / arm
+        rings = SkinnedMesh.of(centres, Rig(still, joints, means), parents)
+        return cls(skinned, grid, parts, arm, rings, radius, ring)
 
     def chosen(self, parts: list[str]) -> BodyGrid:
         """Select parts, in this order."""
@@ -123,6 +135,7 @@ class BodyGrid:
             self,
             skinned=skinned,
             rest=self.rest[cells],
+            ring=self.ring[cells],
             parts=dict(zip(parts, map(slice, ends, ends[1:]), strict=True)),
         )
 
@@ -137,6 +150,12 @@ class BodyGrid:
         both = self.skinned.posed_frames_at(rotation, positions - positions[:, :1]) / self.arm
         points, moved = np.split(both.astype(np.float32), 2, axis=1)
         return np.concatenate([points, unit_vectors(moved - points)], axis=2, dtype=np.float32)
+
+    def spheres(
+        self, rotation: Float[np.ndarray, "T J 3 3"], positions: Float[np.ndarray, "T J 3"]
+    ) -> Float[np.ndarray, "T R 3"]:
+        """Return the centres of the rings, relative to the root joint and in arm lengths."""
+        return self.rings.posed_frames_at(rotation, positions - positions[:, :1]) / self.arm
 
 
 def joints_in_t_pose(rig: Rig, parents: tuple[int, ...]) -> Float[np.ndarray, "J 3"]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..bodies.character_limbs import SIDES
 from ..core.foot_planting import PosedJoints, falling, longest_reach, move_ankle
@@ -48,8 +48,8 @@ ROUNDS = 3
 """Times that points that are too deep are looked for."""
 FPS = 30
 """Frames a second for which corrections are found, about; others are interpolated: corrections are smooth."""
-BLOCK = 128
-"""Frames that are corrected at once: 6 MiB for distances."""
+BLOCK = 32
+"""Frames that are corrected at once: their distances stay in the processor's cache."""
 LEAST = (0.3 * CENTIMETRE, 0.6 * CENTIMETRE)
 """Corrections below the first are none: surfaces are known to about as much. From the second on they are whole."""
 MOVED = {"ForeArm": [1, 2, 3], "Hand": [0, 1, 3]}
@@ -80,7 +80,11 @@ class Places:
     """Where the M points of an arm are over a surface in T frames."""
 
     around: Int[np.ndarray, "T M K"]
-    """The points of the surface around the nearest one."""
+    """Points of the surface around each."""
+    nearest: Int[np.ndarray, "T M"]
+    """The nearest one of them."""
+    away: Float[np.ndarray, "T M"]
+    """How far away it is (arm lengths)."""
     shares: Float[np.ndarray, "T M K"]
     """Their weights; rows sum to 1."""
     gap: Float[np.ndarray, "T M"]
@@ -109,14 +113,17 @@ class Places:
         start = np.arange(len(surface))[:, None, None] * surface.shape[1]
         rows = surface.reshape(-1, 6).take(start + around, axis=0)
         offset = points[:, :, None] - rows[..., :3]
+        square = np.square(offset).sum(axis=3)
+        least = square.min(axis=2, keepdims=True)
         if shares is None:
-            square = np.square(offset).sum(axis=3)
-            shares = np.exp((square[..., :1] - square) / np.float32(2 * SPREAD**2))
+            shares = np.exp((least - square) / np.float32(2 * SPREAD**2))
             shares /= shares.sum(axis=2, keepdims=True)
+        nearest = np.take_along_axis(around, square.argmin(axis=2)[..., None], axis=2)[..., 0]
         along = (shares[:, :, None] @ offset)[:, :, 0]
         normal = unit_vectors((shares[:, :, None] @ rows[..., 3:])[:, :, 0])
         gap = (shares * (offset * rows[..., 3:]).sum(axis=3)).sum(axis=2)
-        return cls(around, shares, (gap + (along * normal).sum(axis=2)) / 2, normal, along)
+        gap = (gap + (along * normal).sum(axis=2)) / 2
+        return cls(around, nearest, np.sqrt(least[..., 0]), shares, gap, normal, along)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +138,8 @@ class Pull:
     """How much this counts."""
     allowed: Float[np.ndarray, "T M"]
     """How deep it may be in the body (arm lengths)."""
+    inside: Int[np.ndarray, "T M"]
+    """The nearest point of the body, before it goes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,12 +202,15 @@ class Contacts:
         count = len(positions)
         chosen = np.unique(np.append(np.arange(0, count, max(1, round(track.fps / FPS))), count - 1))
         found = np.zeros((len(self.arms), len(chosen), 3))
-        for start in range(0, len(chosen), BLOCK):
-            block = slice(start, start + BLOCK)
+        near = np.flatnonzero(self._near(track, posed.rotation, positions, chosen))
+        for start in range(0, len(near), BLOCK):
+            block = near[start : start + BLOCK]
             frames = chosen[block]
             theirs = self.driving.posed(track.rotation[frames], track.positions[frames])
             own = self.identity.posed(posed.rotation[frames], positions[frames])
             found[:, block] = self._corrections(theirs, own, positions[frames])
+        if not found.any():
+            return posed
         if count > 1:
             found = _smoothed(_between(found, chosen, count), track.fps, cyclic)
         some = found.any(axis=(0, 2))  # the other frames stay as they are to the last bit
@@ -208,6 +220,25 @@ class Contacts:
         moved = posed.rotation.copy()
         moved[some] = rotation
         return PosedJoints(moved, posed.root)
+
+    def _near(
+        self,
+        track: JointTrack,
+        rotation: Float[np.ndarray, "T J 3 3"],
+        positions: Float[np.ndarray, "T J 3"],
+        frames: Int[np.ndarray, " N"],
+    ) -> Bool[np.ndarray, " N"]:
+        """Tell by spheres around rings in which frames arms of the driving may touch, or the identity's be inside."""
+        theirs = self.driving.spheres(track.rotation[frames], track.positions[frames])
+        own = self.identity.spheres(rotation[frames], positions[frames])
+        near = np.zeros(len(frames), bool)
+        for grid, centres, apart in ((self.driving, theirs, TOUCHING[1]), (self.identity, own, 0.0)):
+            for arm in self.arms:
+                rings, others = (np.unique(grid.ring[points]) for points in (arm.points, arm.others))
+                reach = grid.radius[rings][:, None] + grid.radius[others] + apart
+                offset = centres[:, rings, None] - centres[:, None, others]
+                near |= (np.square(offset).sum(axis=3) < reach**2).any(axis=(1, 2))
+        return near
 
     def _corrections(self, theirs: Surface, own: Surface, positions: Float[np.ndarray, "T J 3"]) -> Corrections:
         """Find the displacements of the identity's wrists.
@@ -222,13 +253,19 @@ class Contacts:
         side = sum((of.weight[..., None] * of.takes).swapaxes(1, 2) @ of.goal for of in pulls)
         steps = self._within_reach(positions, np.linalg.solve(square, side))
         square = (square[:, :, None, :, None] * np.eye(3)[:, None]).reshape(-1, 3 * count, 3 * count)
+        inside = [of.inside for of in pulls]
         for _ in range(ROUNDS):
             matrix, right = square.copy(), side.copy()
             for k, (arm, of) in enumerate(zip(self.arms, pulls, strict=True)):
-                pushed, normal, depth = self._push(arm, own, of.allowed, steps[:, k])
+                at = self._after(arm, own, inside[k], steps[:, k])
+                inside[k] = at.nearest
+                depth = np.maximum(-at.gap - of.allowed, 0)
+                normal = self.takes[arm.points].sum(axis=1)[:, None] * at.normal
+                pushed = PUSH / len(arm.points) * (depth > 0)[..., None] * normal
                 block = slice(3 * k, 3 * k + 3)
                 matrix[:, block, block] += pushed.swapaxes(1, 2) @ normal
-                right[:, k] += (depth[:, None] @ pushed)[:, 0]
+                # Depths are those after the step so far, which is part of the one that is looked for.
+                right[:, k] += ((depth + (normal @ steps[:, k, :, None])[..., 0])[:, None] @ pushed)[:, 0]
             steps = np.linalg.solve(matrix, right.reshape(-1, 3 * count, 1)).reshape(-1, count, 3)
             steps = self._within_reach(positions, steps)
         steps *= 1 - falling(np.linalg.norm(steps, axis=2, keepdims=True), LEAST)
@@ -237,35 +274,25 @@ class Contacts:
     def _pull(self, arm: Arm, theirs: Surface, own: Surface) -> Pull:
         """Find where the points of an arm should go that touch."""
         points = theirs[:, arm.points, :3]
-        nearest, away, inside = _nearest(theirs, points, arm.others, arm.body)
+        nearest, inside = _nearest(theirs, points, arm.others, arm.body)
         touched = Places.over(theirs, points, self.beside[nearest])
         entered = Places.over(theirs, points, self.beside[inside])
-        now = Places.over(own, own[:, arm.points, :3], touched.around, touched.shares)
+        points = own[:, arm.points, :3]
+        inside = _nearest(own, points, arm.others[: arm.body], arm.body)[1]
+        now = Places.over(own, points, touched.around, touched.shares)
         goal = touched.along - now.along
         goal += ((touched.gap - now.gap) - (goal * now.normal).sum(axis=2))[..., None] * now.normal
-        contact = falling(np.maximum(touched.gap, away - BETWEEN), TOUCHING)
+        contact = falling(np.maximum(touched.gap, touched.away - BETWEEN), TOUCHING)
         weight = contact * np.exp((touched.gap.min(axis=1, keepdims=True) - touched.gap) / NEAR)
         weight *= contact.max(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
         takes = -(touched.shares[..., None] * self.takes[touched.around]).sum(axis=2) + self.takes[arm.points]
-        return Pull(takes, contact[..., None] * goal, weight, np.maximum(-entered.gap, 0) + TOLERANCE)
+        return Pull(takes, contact[..., None] * goal, weight, np.maximum(-entered.gap, 0) + TOLERANCE, inside)
 
-    def _push(
-        self, arm: Arm, own: Surface, allowed: Float[np.ndarray, "T M"], step: Float[np.ndarray, "T 3"]
-    ) -> tuple[Float[np.ndarray, "T M 3"], Float[np.ndarray, "T M 3"], Float[np.ndarray, "T M"]]:
-        """Find how the points of an arm that are too deep after a step have to move.
-
-        Returns:
-            Derivatives of their distances from the body by the step, weighted and not, and the distances that they
-            have to move from where they were before the step.
-        """
+    def _after(self, arm: Arm, own: Surface, inside: Int[np.ndarray, "T M"], step: Float[np.ndarray, "T 3"]) -> Places:
+        """Find where the points of an arm are over the body after a step, near where they were."""
         share = self.takes[arm.points].sum(axis=1)
         moved = own[:, arm.points, :3] + (share[:, None] * step[:, None]).astype(np.float32)
-        inside = _nearest(own, moved, arm.others[: arm.body], arm.body)[2]
-        at = Places.over(own, moved, self.beside[inside])
-        depth = np.maximum(-at.gap - allowed, 0)
-        normal = share[:, None] * at.normal
-        pushed = PUSH / len(arm.points) * (depth > 0)[..., None] * normal
-        return pushed, normal, depth + (normal @ step[..., None])[..., 0]
+        return Places.over(own, moved, self.beside[inside])
 
     def _within_reach(
         self, positions: Float[np.ndarray, "T J 3"], steps: Float[np.ndarray, "T A 3"]
@@ -289,17 +316,15 @@ def difference(driving: BodyGrid, identity: BodyGrid, parts: list[str]) -> float
 
 def _nearest(
     surface: Surface, points: Float[np.ndarray, "T M 3"], others: Int[np.ndarray, " O"], body: int
-) -> tuple[Int[np.ndarray, "T M"], Float[np.ndarray, "T M"], Int[np.ndarray, "T M"]]:
-    """Find the nearest of a surface's points, how far away they are, and the nearest of the first `body` points."""
+) -> tuple[Int[np.ndarray, "T M"], Int[np.ndarray, "T M"]]:
+    """Find the nearest of some of a surface's points, and the nearest of the first `body` of them."""
     targets = surface[:, others, :3]
     level = np.square(targets).sum(axis=2, keepdims=True) / -2
     ones = np.ones_like(points[..., :1])
     # |p - o|^2 = |p|^2 - 2 (p o - |o|^2 / 2): the nearest point has the largest value in brackets.
     value = np.concatenate([points, ones], axis=2) @ np.concatenate([targets, level], axis=2).swapaxes(1, 2)
     inside = value[..., :body].argmax(axis=2)
-    nearest = inside if len(others) == body else value.argmax(axis=2)
-    largest = np.take_along_axis(value, nearest[..., None], axis=2)[..., 0]
-    return others[nearest], np.sqrt(np.maximum(np.square(points).sum(axis=2) - 2 * largest, 0)), inside
+    return inside if len(others) == body else others[value.argmax(axis=2)], inside
 
 
 def _moved_points(grid: BodyGrid, side: str) -> Int[np.ndarray, " M"]:
