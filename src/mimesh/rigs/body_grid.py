@@ -145,11 +145,13 @@ class BodyGrid:
 
     def posed(
         self, rotation: Float[np.ndarray, "T J 3 3"], positions: Float[np.ndarray, "T J 3"]
-    ) -> Float[np.ndarray, "T G 6"]:
+    ) -> Float[np.ndarray, "6 T G"]:
         """Return the points, relative to the root joint and in arm lengths, and their unit normals."""
         both = self.skinned.posed_frames_at(rotation, positions - positions[:, :1]) / self.arm
-        points, moved = np.split(both.astype(np.float32), 2, axis=1)
-        return np.concatenate([points, unit_vectors(moved - points)], axis=2, dtype=np.float32)
+        points, normals = np.split(np.moveaxis(both, 2, 0).astype(np.float32, order="C"), 2, axis=2)
+        normals = normals - points
+        normals /= np.maximum(np.sqrt(np.square(normals).sum(axis=0)), 1e-12)
+        return np.concatenate([points, normals])
 
     def spheres(
         self, rotation: Float[np.ndarray, "T J 3 3"], positions: Float[np.ndarray, "T J 3"]

@@ -16,7 +16,6 @@ from jaxtyping import Bool, Float, Int
 
 from ..bodies.character_limbs import SIDES
 from ..core.foot_planting import PosedJoints, falling, longest_reach, move_ankle
-from ..core.geometry import unit_vectors
 from ..core.joint_tracks import JointTrack
 from ..core.skinning import SkinnedMesh
 from .body_grid import ROWS, BodyGrid
@@ -55,8 +54,8 @@ LEAST = (0.3 * CENTIMETRE, 0.6 * CENTIMETRE)
 MOVED = {"ForeArm": [1, 2, 3], "Hand": [0, 1, 3]}
 """Rings of forearms and hands whose points touch others: every second point of them."""
 
-Surface = Float[np.ndarray, "T G 6"]
-"""Points of a body in T frames, and their normals."""
+Surface = Float[np.ndarray, "6 T G"]
+"""Points of a body in T frames, and their normals: coordinates come first, as sums over long last axes are faster."""
 Corrections = Float[np.ndarray, "A T 3"]
 """Displacement of the wrist of each arm (arm lengths)."""
 
@@ -79,28 +78,28 @@ class Arm:
 class Places:
     """Where the M points of an arm are over a surface in T frames."""
 
-    around: Int[np.ndarray, "T M K"]
+    around: Int[np.ndarray, "K T M"]
     """Points of the surface around each."""
     nearest: Int[np.ndarray, "T M"]
     """The nearest one of them."""
     away: Float[np.ndarray, "T M"]
     """How far away it is (arm lengths)."""
-    shares: Float[np.ndarray, "T M K"]
-    """Their weights; rows sum to 1."""
+    shares: Float[np.ndarray, "K T M"]
+    """Weights of the points around; columns sum to 1."""
     gap: Float[np.ndarray, "T M"]
     """Distance from the surface, negative inside (arm lengths)."""
-    normal: Float[np.ndarray, "T M 3"]
+    normal: Float[np.ndarray, "3 T M"]
     """Unit normal of the surface."""
-    along: Float[np.ndarray, "T M 3"]
+    along: Float[np.ndarray, "3 T M"]
     """From the mean of the points of the surface (arm lengths)."""
 
     @classmethod
     def over(
         cls,
         surface: Surface,
-        points: Float[np.ndarray, "T M 3"],
-        around: Int[np.ndarray, "T M K"],
-        shares: Float[np.ndarray, "T M K"] | None = None,
+        points: Float[np.ndarray, "3 T M"],
+        around: Int[np.ndarray, "K T M"],
+        shares: Float[np.ndarray, "K T M"] | None = None,
     ) -> Places:
         """Compute where points are over those of a surface around them.
 
@@ -110,29 +109,28 @@ class Places:
         Args:
             shares: weights; None: they fall with the distance.
         """
-        start = np.arange(len(surface))[:, None, None] * surface.shape[1]
-        rows = surface.reshape(-1, 6).take(start + around, axis=0)
-        offset = points[:, :, None] - rows[..., :3]
-        square = np.square(offset).sum(axis=3)
-        least = square.min(axis=2, keepdims=True)
+        _, frames, count = surface.shape
+        rows = surface.reshape(6, -1).take(around + count * np.arange(frames)[:, None], axis=1)
+        offset, normals = points[:, None] - rows[:3], rows[3:]
+        square = np.square(offset).sum(axis=0)
+        least = square.min(axis=0)
         if shares is None:
             shares = np.exp((least - square) / np.float32(2 * SPREAD**2))
-            shares /= shares.sum(axis=2, keepdims=True)
-        nearest = np.take_along_axis(around, square.argmin(axis=2)[..., None], axis=2)[..., 0]
-        along = (shares[:, :, None] @ offset)[:, :, 0]
-        normal = unit_vectors((shares[:, :, None] @ rows[..., 3:])[:, :, 0])
-        gap = (shares * (offset * rows[..., 3:]).sum(axis=3)).sum(axis=2)
-        gap = (gap + (along * normal).sum(axis=2)) / 2
-        return cls(around, nearest, np.sqrt(least[..., 0]), shares, gap, normal, along)
+            shares /= shares.sum(axis=0)
+        nearest = np.take_along_axis(around, square.argmin(axis=0)[None], axis=0)[0]
+        along, normal = (shares * offset).sum(axis=1), (shares * normals).sum(axis=1)
+        normal /= np.maximum(np.sqrt(np.square(normal).sum(axis=0)), 1e-12)
+        gap = (shares * (offset * normals).sum(axis=0)).sum(axis=0) + (along * normal).sum(axis=0)
+        return cls(around, nearest, np.sqrt(least), shares, gap / 2, normal, along)
 
 
 @dataclass(frozen=True, eq=False)
 class Pull:
     """What the contacts of an arm ask for, in T frames."""
 
-    takes: Float[np.ndarray, "T M A"]
+    takes: Float[np.ndarray, "T A M"]
     """How far each of its points goes with the wrist of each arm, relative to what it touches."""
-    goal: Float[np.ndarray, "T M 3"]
+    goal: Float[np.ndarray, "3 T M"]
     """How far it should go (arm lengths)."""
     weight: Float[np.ndarray, "T M"]
     """How much this counts."""
@@ -149,9 +147,9 @@ class Contacts:
     driving: BodyGrid
     identity: BodyGrid
     arms: tuple[Arm, ...]
-    beside: Int[np.ndarray, "G K"]
+    beside: Int[np.ndarray, "K G"]
     """The points nearest to each point at rest, itself the first: of the body, or of its arm."""
-    takes: Float[np.ndarray, "G A"]
+    takes: Float[np.ndarray, "A G"]
     """How far each point goes with the wrist of each arm: 1 for those of the hand."""
     strength: float
     """0 of bodies that are the same, 1 of those that surely differ."""
@@ -187,14 +185,14 @@ class Contacts:
             return None
         driving, identity = (grid.chosen([*body, *limbs[0], *limbs[1]]) for grid in (driving, identity))
         cells = [identity.cells(parts) for parts in (body, *limbs)]
-        beside = np.concatenate([of[KDTree(driving.rest[of]).query(driving.rest[of], NEIGHBOURS)[1]] for of in cells])
+        beside = [of[KDTree(driving.rest[of]).query(driving.rest[of], NEIGHBOURS)[1]] for of in cells]
         whole = [k for k in range(len(SIDES)) if limbs[k]]
-        takes = np.stack([_takes(identity, SIDES[k]) for k in whole], axis=1).astype(np.float32)
+        takes = np.stack([_takes(identity, SIDES[k]) for k in whole])
         found = tuple(
             Arm(arms[k], _moved_points(identity, SIDES[k]), np.concatenate([cells[0], cells[2 - k]]), len(cells[0]))
             for k in whole
         )
-        return cls(driving, identity, found, beside, takes, strength, skinned)
+        return cls(driving, identity, found, np.concatenate(beside).T.copy(), takes, strength, skinned)
 
     def kept(self, posed: PosedJoints, track: JointTrack, cyclic: bool) -> PosedJoints:
         """Correct the arms of a motion of the identity that follows the driving's `track`."""
@@ -246,26 +244,29 @@ class Contacts:
         They minimise the weighted squares of distances of touching points from their goals, of depths that are too
         large, and of the displacements, of which each point takes its share.
         """
-        pulls = [self._pull(arm, theirs, own) for arm in self.arms]
-        count = len(self.arms)
-        square = sum((of.weight[..., None] * of.takes).swapaxes(1, 2) @ of.takes for of in pulls)
-        square = square + STIFFNESS * np.eye(count)
-        side = sum((of.weight[..., None] * of.takes).swapaxes(1, 2) @ of.goal for of in pulls)
+        pulls, count = [self._pull(arm, theirs, own) for arm in self.arms], len(self.arms)
+        weighted = [of.takes * of.weight[:, None] for of in pulls]
+        square = STIFFNESS * np.eye(count) + sum(
+            w @ of.takes.swapaxes(1, 2) for w, of in zip(weighted, pulls, strict=True)
+        )
+        side = sum(w @ np.moveaxis(of.goal, 0, 2) for w, of in zip(weighted, pulls, strict=True))
         steps = self._within_reach(positions, np.linalg.solve(square, side))
         square = (square[:, :, None, :, None] * np.eye(3)[:, None]).reshape(-1, 3 * count, 3 * count)
         inside = [of.inside for of in pulls]
         for _ in range(ROUNDS):
             matrix, right = square.copy(), side.copy()
             for k, (arm, of) in enumerate(zip(self.arms, pulls, strict=True)):
-                at = self._after(arm, own, inside[k], steps[:, k])
+                share, step = self.takes[k, arm.points], steps[:, k].T[..., None]
+                moved = own[:3, :, arm.points] + (share * step).astype(np.float32)
+                at = Places.over(own, moved, self.beside[:, inside[k]])
                 inside[k] = at.nearest
                 depth = np.maximum(-at.gap - of.allowed, 0)
-                normal = self.takes[arm.points].sum(axis=1)[:, None] * at.normal
-                pushed = PUSH / len(arm.points) * (depth > 0)[..., None] * normal
+                normal = share * at.normal
+                pushed = PUSH / len(share) * (depth > 0) * normal
                 block = slice(3 * k, 3 * k + 3)
-                matrix[:, block, block] += pushed.swapaxes(1, 2) @ normal
+                matrix[:, block, block] += np.einsum("itm,jtm->tij", pushed, normal)
                 # Depths are those after the step so far, which is part of the one that is looked for.
-                right[:, k] += ((depth + (normal @ steps[:, k, :, None])[..., 0])[:, None] @ pushed)[:, 0]
+                right[:, k] += np.einsum("itm,tm->ti", pushed, depth + (normal * step).sum(axis=0))
             steps = np.linalg.solve(matrix, right.reshape(-1, 3 * count, 1)).reshape(-1, count, 3)
             steps = self._within_reach(positions, steps)
         steps *= 1 - falling(np.linalg.norm(steps, axis=2, keepdims=True), LEAST)
@@ -273,26 +274,20 @@ class Contacts:
 
     def _pull(self, arm: Arm, theirs: Surface, own: Surface) -> Pull:
         """Find where the points of an arm should go that touch."""
-        points = theirs[:, arm.points, :3]
+        points = theirs[:3, :, arm.points]
         nearest, inside = _nearest(theirs, points, arm.others, arm.body)
-        touched = Places.over(theirs, points, self.beside[nearest])
-        entered = Places.over(theirs, points, self.beside[inside])
-        points = own[:, arm.points, :3]
+        touched = Places.over(theirs, points, self.beside[:, nearest])
+        entered = Places.over(theirs, points, self.beside[:, inside])
+        points = own[:3, :, arm.points]
         inside = _nearest(own, points, arm.others[: arm.body], arm.body)[1]
         now = Places.over(own, points, touched.around, touched.shares)
         goal = touched.along - now.along
-        goal += ((touched.gap - now.gap) - (goal * now.normal).sum(axis=2))[..., None] * now.normal
+        goal += (touched.gap - now.gap - (goal * now.normal).sum(axis=0)) * now.normal
         contact = falling(np.maximum(touched.gap, touched.away - BETWEEN), TOUCHING)
         weight = contact * np.exp((touched.gap.min(axis=1, keepdims=True) - touched.gap) / NEAR)
         weight *= contact.max(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
-        takes = -(touched.shares[..., None] * self.takes[touched.around]).sum(axis=2) + self.takes[arm.points]
-        return Pull(takes, contact[..., None] * goal, weight, np.maximum(-entered.gap, 0) + TOLERANCE, inside)
-
-    def _after(self, arm: Arm, own: Surface, inside: Int[np.ndarray, "T M"], step: Float[np.ndarray, "T 3"]) -> Places:
-        """Find where the points of an arm are over the body after a step, near where they were."""
-        share = self.takes[arm.points].sum(axis=1)
-        moved = own[:, arm.points, :3] + (share[:, None] * step[:, None]).astype(np.float32)
-        return Places.over(own, moved, self.beside[inside])
+        takes = self.takes[:, None, arm.points] - (touched.shares * self.takes[:, touched.around]).sum(axis=1)
+        return Pull(takes.swapaxes(0, 1), contact * goal, weight, np.maximum(-entered.gap, 0) + TOLERANCE, inside)
 
     def _within_reach(
         self, positions: Float[np.ndarray, "T J 3"], steps: Float[np.ndarray, "T A 3"]
@@ -315,14 +310,14 @@ def difference(driving: BodyGrid, identity: BodyGrid, parts: list[str]) -> float
 
 
 def _nearest(
-    surface: Surface, points: Float[np.ndarray, "T M 3"], others: Int[np.ndarray, " O"], body: int
+    surface: Surface, points: Float[np.ndarray, "3 T M"], others: Int[np.ndarray, " O"], body: int
 ) -> tuple[Int[np.ndarray, "T M"], Int[np.ndarray, "T M"]]:
     """Find the nearest of some of a surface's points, and the nearest of the first `body` of them."""
-    targets = surface[:, others, :3]
-    level = np.square(targets).sum(axis=2, keepdims=True) / -2
-    ones = np.ones_like(points[..., :1])
+    targets = surface[:3, :, others]
+    level = np.square(targets).sum(axis=0, keepdims=True) / -2
     # |p - o|^2 = |p|^2 - 2 (p o - |o|^2 / 2): the nearest point has the largest value in brackets.
-    value = np.concatenate([points, ones], axis=2) @ np.concatenate([targets, level], axis=2).swapaxes(1, 2)
+    points = np.concatenate([points, np.ones_like(points[:1])]).transpose(1, 2, 0)
+    value = points @ np.concatenate([targets, level]).swapaxes(0, 1)
     inside = value[..., :body].argmax(axis=2)
     return inside if len(others) == body else others[value.argmax(axis=2)], inside
 
