@@ -177,6 +177,8 @@ class Contacts:
         if driving is None or identity is None:
             return None
         common = [part for part in driving.parts if part in identity.parts]
+        if "Trunk" not in common:
+            return None
         strength = 1 - float(falling(np.array(difference(driving, identity, common)), SAME))
         limbs = [[f"{side}{part}" for part in ("Arm", "ForeArm", "Hand")] for side in SIDES]
         body = [part for part in common if part not in {*limbs[0], *limbs[1]}]
