@@ -17,7 +17,6 @@ MODELS = (
         "mime",
         "Predicts joints and skinning weights of both meshes; fast, made for people and four-legged animals",
     ),
-    ("skeleton", "skeleton", "Fits a body model to both meshes, frame by frame; takes seconds per frame"),
     ("npt", "NPT", "Neural Pose Transfer (2020), frame by frame"),
     ("npt-maxpool", "NPT, max-pooled", "Its variant with one pose code"),
     ("aniformer", "AniFormer", "AniFormer (2021), three frames at once"),
@@ -113,7 +112,7 @@ class MimeshSettings(PropertyGroup):
     )
     contacts: BoolProperty(
         name="Keep hands in contact",
-        default=True,
+        default=False,
         description="Hands touch the body where those of the driving do, and arms stay out of it (mime only)",
     )
     smooth: FloatProperty(

@@ -188,7 +188,9 @@ def shaped_people(count: int) -> list[PoolCharacter]:
         found.append(PoolCharacter(meta, own, places, {}, {}, body.parents, np.arange(len(body.parents))))
     strongest = body.weights.argmax(axis=1)
     waist = np.isin(strongest, [body.joint(name) for name in ("LowerBack", "Spine")])
-    found.sort(key=lambda c: np.ptp(c.rig.mesh.vertices[waist][:, [0, 2]], axis=0).sum() / np.ptp(c.rig.mesh.vertices[:, 1]))
+    found.sort(
+        key=lambda c: np.ptp(c.rig.mesh.vertices[waist][:, [0, 2]], axis=0).sum() / np.ptp(c.rig.mesh.vertices[:, 1])
+    )
     every = 4  # neighbours in this order are alike
     return found[: every * count : every] + found[: -every * count - 1 : -every]
 
