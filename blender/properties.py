@@ -17,6 +17,7 @@ MODELS = (
         "mime",
         "Predicts joints and skinning weights of both meshes; fast, made for people and four-legged animals",
     ),
+    ("skeleton", "skeleton", "Fits a body model to both meshes, frame by frame; takes seconds per frame"),
     ("npt", "NPT", "Neural Pose Transfer (2020), frame by frame"),
     ("npt-maxpool", "NPT, max-pooled", "Its variant with one pose code"),
     ("aniformer", "AniFormer", "AniFormer (2021), three frames at once"),

@@ -46,7 +46,7 @@ def degrees(a: np.ndarray, b: np.ndarray) -> float:
 @pytest.fixture(scope="module")
 def hero(tmp_path_factory) -> str:
     """A person with fingers at rest."""
-    return str(rigs.character(tmp_path_factory.mktemp("hero") / "hero.glb", person=PERSON, frames=3, faces=600))
+    return str(rigs.character(tmp_path_factory.mktemp("hero") / "hero.glb", person=PERSON, frames=3))
 
 
 def moved(hero: str, driving: Path, model, **options):
@@ -57,7 +57,7 @@ def test_hands_and_fingers_are_those_of_the_same_joints_with_a_mesh(hero, model,
     motion = {"move": rigs.exercise(PERSON, joints=(*rigs.MOVING, *FINGERS))}
     rest = rigs.arms_down(PERSON)
     with_mesh, alone = (
-        rigs.character(tmp_path / name, person=PERSON, rest=rest, clips=motion, change=change, faces=600)
+        rigs.character(tmp_path / name, person=PERSON, rest=rest, clips=motion, change=change)
         for name, change in (("mesh.glb", None), ("alone.glb", without_mesh))
     )
     expected, found = (turns(moved(hero, path, model)) for path in (with_mesh, alone))

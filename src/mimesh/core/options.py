@@ -39,13 +39,14 @@ def declared(default: T, help: str, values: tuple[str, ...] = (), **command: Any
 def options(cls: type[T]) -> type[T]:
     """Make a dataclass one of options: arguments are checked, and wrong ones raise InputError."""
     made, signature = cls.__init__, inspect.signature(cls.__init__)
+    names = [name for name in signature.parameters if name != "self"]
     values = {field.name: field.metadata["values"] for field in dataclasses.fields(cls)}  # type: ignore
 
     @functools.wraps(made)
     def __init__(self: Any, *args: Any, **given: Any) -> None:
         from .arguments import check_call
 
-        check_call(signature, (self, *args), given)
+        check_call(cls.__name__, signature, names, (self, *args), given)
         made(self, *args, **given)
         for name, allowed in values.items():
             check_value(name, getattr(self, name), allowed)
@@ -334,6 +335,9 @@ class RenderOptions:
     strip: bool = declared(False, "Frames of each clip side by side.", name="--strip")
     turntable: bool = declared(False, "One mesh from all sides.", name="--turntable")
     truth: Path | None = declared(None, "Heat map of the distance to this mesh or clip, in mm if files are in metres.")
+    stretch: Path | None = declared(
+        None, "Heat map of how edges differ in length from this mesh's.", metavar="REFERENCE"
+    )
     track: bool = declared(False, "In movies, the camera goes along.", name="--track")
     view: str = declared("three-quarter", "three-quarter, front, side, left, right, back or top.")
     size: int = declared(480, "Height of one picture in pixels.", min=32, max=4096)
@@ -361,12 +365,22 @@ class RecordedRange(FrameRange):
 
 
 @dataclass(frozen=True)
-class ConvertOptions(RecordedRange):
+class BlendShapeOptions:
+    """How many morph targets a clip is written with."""
+
+    blendshapes: int | None = declared(
+        None, "Write K morph targets, not one a frame (.glb, .gltf).", metavar="K", min=1
+    )
+    """None is one for each frame."""
+
+
+@dataclass(frozen=True)
+class ConvertOptions(BlendShapeOptions, RecordedRange):
     """Which clip of a file `mimesh convert` reads, which of its frames, and what it writes."""
 
     fps: float | None = declared(None, "Of IN, where it does not say; else to sample it at.")
     """Files with times are sampled at this rate, others are played at it."""
-    animation: str | None = declared(None, "Which animation of a GLB: its name or number.")
+    animation: str | None = declared(None, "Which animation of a GLB or clip of an HDF5 file: its name or number.")
     frame: int | None = declared(None, "This frame alone, counted from 0.")
     frames: int | None = declared(None, "So many frames, evenly spread from first to last.", min=1)
     frames_as: str | None = declared(None, "In a folder: obj or ply.", metavar="SUFFIX")
@@ -406,7 +420,7 @@ class TrainingFiles:
     leave_out: list[str] | None = declared(None, "Pack (sub-folder) of --characters that is not used.", metavar="PACK")
     meshes: Path | None = declared(
         None,
-        "Folder of registered meshes (npt) or clips (aniformer) to train on.",
+        "Folder of registered meshes (npt) or clips (aniformer), or an .hdf5 of clips, to train on.",
         metavar="DIR",
     )
     pattern: str = declared("", "How the files of --meshes are named, such as '{person}-{pose}.ply'.")
