@@ -52,7 +52,7 @@ def still(joints):
     return Rig(np.broadcast_to(np.eye(3), (len(joints), 3, 3)), joints, BODY.weights)
 
 
-def sampled(points, joints, seed, pose=0.0):
+def sampled(points, joints, seed, pose: float | np.ndarray = 0.0):
     """Find the points of a body from other samples of its surface, in a pose."""
     rotation, places = posed(pose * np.ones((1, len(joints), 3)), joints)
     samples = SurfacePoints.of(BODY.mesh(points), 8192, generator(seed, 0))

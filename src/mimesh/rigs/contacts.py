@@ -115,8 +115,8 @@ class Places:
         square = np.square(offset).sum(axis=0)
         least = square.min(axis=0)
         if shares is None:
-            shares = np.exp((least - square) / np.float32(2 * SPREAD**2))
-            shares /= shares.sum(axis=0)
+            falls = np.exp((least - square) / np.float32(2 * SPREAD**2))
+            shares = falls / falls.sum(axis=0)
         nearest = np.take_along_axis(around, square.argmin(axis=0)[None], axis=0)[0]
         along, normal = (shares * offset).sum(axis=1), (shares * normals).sum(axis=1)
         normal /= np.maximum(np.sqrt(np.square(normal).sum(axis=0)), 1e-12)
@@ -248,10 +248,9 @@ class Contacts:
         """
         pulls, count = [self._pull(arm, theirs, own) for arm in self.arms], len(self.arms)
         weighted = [of.takes * of.weight[:, None] for of in pulls]
-        square = STIFFNESS * np.eye(count) + sum(
-            w @ of.takes.swapaxes(1, 2) for w, of in zip(weighted, pulls, strict=True)
-        )
-        side = sum(w @ np.moveaxis(of.goal, 0, 2) for w, of in zip(weighted, pulls, strict=True))
+        both = list(zip(weighted, pulls, strict=True))
+        square = STIFFNESS * np.eye(count) + np.sum([w @ of.takes.swapaxes(1, 2) for w, of in both], axis=0)
+        side = np.sum([w @ np.moveaxis(of.goal, 0, 2) for w, of in both], axis=0)
         steps = self._within_reach(positions, np.linalg.solve(square, side))
         square = (square[:, :, None, :, None] * np.eye(3)[:, None]).reshape(-1, 3 * count, 3 * count)
         inside = [of.inside for of in pulls]

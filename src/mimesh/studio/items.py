@@ -28,7 +28,6 @@ class Options:
     model: str = "mime"
     root: str = "scale"
     ground: bool = True
-    contacts: bool = False
     smooth: float = 0.0
     refine: bool | None = None
     body: str = "auto"
@@ -47,7 +46,6 @@ class Options:
         _check_choice(values, "model", models)
         _check_choice(values, "root", values_of(MotionOptions, "root"))
         _check_choice(values, "ground", (True, False))
-        _check_choice(values, "contacts", (True, False))
         _check_choice(values, "refine", (None, True, False))
         _check_choice(values, "body", values_of(Hints, "body"))
         _check_choice(values, "rig", values_of(Hints, "rig"))
@@ -64,9 +62,7 @@ class Options:
 
     def motion(self, model: Mime | Method) -> MotionOptions:
         """Return the motion options for a model: only one with joints has any."""
-        if not isinstance(model, Mime):
-            return MotionOptions()
-        return MotionOptions(self.root, self.ground, self.smooth, contacts=self.contacts)
+        return MotionOptions(self.root, self.ground, self.smooth) if isinstance(model, Mime) else MotionOptions()
 
     def kind(self, model: Mime | Method) -> tuple[str, str]:
         """Return rig and body for a model: one with joints has the rigs of files, one of several bodies has a body."""
