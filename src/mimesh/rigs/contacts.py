@@ -114,14 +114,13 @@ class Places:
         offset, normals = points[:, None] - rows[:3], rows[3:]
         square = np.square(offset).sum(axis=0)
         least = square.min(axis=0)
-        if shares is None:
-            falls = np.exp((least - square) / np.float32(2 * SPREAD**2))
-            shares = falls / falls.sum(axis=0)
+        falls = np.exp((least - square) / np.float32(2 * SPREAD**2))
+        weights = falls / falls.sum(axis=0) if shares is None else shares
         nearest = np.take_along_axis(around, square.argmin(axis=0)[None], axis=0)[0]
-        along, normal = (shares * offset).sum(axis=1), (shares * normals).sum(axis=1)
+        along, normal = (weights * offset).sum(axis=1), (weights * normals).sum(axis=1)
         normal /= np.maximum(np.sqrt(np.square(normal).sum(axis=0)), 1e-12)
-        gap = (shares * (offset * normals).sum(axis=0)).sum(axis=0) + (along * normal).sum(axis=0)
-        return cls(around, nearest, np.sqrt(least), shares, gap / 2, normal, along)
+        gap = (weights * (offset * normals).sum(axis=0)).sum(axis=0) + (along * normal).sum(axis=0)
+        return cls(around, nearest, np.sqrt(least), weights, gap / 2, normal, along)
 
 
 @dataclass(frozen=True, eq=False)
