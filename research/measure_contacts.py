@@ -186,7 +186,11 @@ def shaped_people(count: int) -> list[PoolCharacter]:
         own = dataclasses.replace(rig, mesh=mesh, T_world_joint=frames, points=points)
         places = {name: j for j, name in enumerate(body.joint_names)}
         found.append(PoolCharacter(meta, own, places, {}, {}, body.parents, np.arange(len(body.parents))))
-    found.sort(key=lambda character: girth(character, person_of(character)))
+    strongest = body.weights.argmax(axis=1)
+    waist = np.isin(strongest, [body.joint(name) for name in ("LowerBack", "Spine")])
+    found.sort(
+        key=lambda c: np.ptp(c.rig.mesh.vertices[waist][:, [0, 2]], axis=0).sum() / np.ptp(c.rig.mesh.vertices[:, 1])
+    )
     every = 4  # neighbours in this order are alike
     return found[: every * count : every] + found[: -every * count - 1 : -every]
 

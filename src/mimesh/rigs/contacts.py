@@ -2,27 +2,29 @@
 
 Both bodies have corresponding points (`body_grid`). Where points of the driving's hands and forearms are near its
 trunk, head, legs or other arm, the identity's should be as near to the corresponding place, in units of the arm, and
-they should not be deeper inside its body than the driving's are. A few Gauss-Newton steps find for each frame and arm
-how the wrist moves; shoulder and elbow follow by inverse kinematics, and the hand keeps its direction. Turning hands
-and swivelling elbows as well changed next to nothing (docs/log/rigs.md).
+they should not be deeper inside its body than the driving's are. For each frame and arm, least squares find how the
+wrist moves; shoulder and elbow follow by inverse kinematics, and the hand keeps its direction. Turning hands and
+swivelling elbows as well changed next to nothing (docs/log/rigs.md). Bodies of the same shape move nothing.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..bodies.character_limbs import SIDES
 from ..core.foot_planting import PosedJoints, falling, longest_reach, move_ankle
-from ..core.geometry import unit_vectors
 from ..core.joint_tracks import JointTrack
 from ..core.skinning import SkinnedMesh
 from .body_grid import ROWS, BodyGrid
 
 CENTIMETRE = 1 / 53
 """Arm lengths: a person of 1.75 m has arms of 53 cm, from shoulder to wrist."""
+SAME = (0.8 * CENTIMETRE, 1.6 * CENTIMETRE)
+"""Difference of two bodies (`difference`) below which they are the same, as far as surfaces are known: nothing moves.
+From the second on corrections are whole."""
 TOUCHING = (2 * CENTIMETRE, 8 * CENTIMETRE)
 """Distances below which a point touches, and from which on it does not."""
 NEAR = 3 * CENTIMETRE
@@ -41,38 +43,21 @@ STIFFNESS = 0.02
 """Weight of the square of a correction (arm lengths)."""
 SECONDS = 0.05
 """Standard deviation of the Gaussian filter over corrections."""
-ROUNDS = 5
-"""Gauss-Newton steps."""
+ROUNDS = 3
+"""Times that points that are too deep are looked for."""
 FPS = 30
 """Frames a second for which corrections are found, about; others are interpolated: corrections are smooth."""
-LEAST = (1 * CENTIMETRE, 2 * CENTIMETRE)
+BLOCK = 32
+"""Frames that are corrected at once: their distances stay in the processor's cache."""
+LEAST = (0.3 * CENTIMETRE, 0.6 * CENTIMETRE)
 """Corrections below the first are none: surfaces are known to about as much. From the second on they are whole."""
-BLOCK = 128
-"""Frames that are corrected at once: 6 MiB for distances."""
 MOVED = {"ForeArm": [1, 2, 3], "Hand": [0, 1, 3]}
 """Rings of forearms and hands whose points touch others: every second point of them."""
 
-Surface = Float[np.ndarray, "T G 6"]
-"""Points of a body in T frames, and their normals."""
+Surface = Float[np.ndarray, "6 T G"]
+"""Points of a body in T frames, and their normals: coordinates come first, as sums over long last axes are faster."""
 Corrections = Float[np.ndarray, "A T 3"]
 """Displacement of the wrist of each arm (arm lengths)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Target:
-    """Points of a body that an arm may touch."""
-
-    points: Int[np.ndarray, " O"]
-    """Which of the body's points these are."""
-    beside: Int[np.ndarray, "O K"]
-    """Those of the body's points nearest to each of these at rest, itself the first."""
-
-    @classmethod
-    def of(cls, points: Int[np.ndarray, " O"], rest: Float[np.ndarray, "G 3"]) -> Target:
-        """Find the neighbours among some of a body's points."""
-        from scipy.spatial import KDTree
-
-        return cls(points, points[KDTree(rest[points]).query(rest[points], NEIGHBOURS)[1]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,76 +68,75 @@ class Arm:
     """The identity's shoulder, elbow and wrist."""
     points: Int[np.ndarray, " M"]
     """Points of forearm and hand that should touch what the driving's do."""
-    share: Float[np.ndarray, " M"]
-    """How far each goes with the wrist: 1 for those of the hand."""
-    body: Target
-    """Trunk, head and legs, which it should not be in: the first points of the body."""
-    others: Target
-    """What it may touch: these and the other arm."""
+    others: Int[np.ndarray, " O"]
+    """Points that it may touch: trunk, head and legs, which it should not be in, then the other arm."""
+    body: int
+    """How many of these are trunk, head and legs: the first points of a body."""
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
     """Where the M points of an arm are over a surface in T frames."""
 
-    around: Int[np.ndarray, "T M K"]
-    """The points of the surface around the nearest one."""
-    shares: Float[np.ndarray, "T M K"]
-    """Their weights; rows sum to 1."""
-    contact: Float[np.ndarray, "T M"]
-    """1 of a point that touches, 0 of one that is away."""
+    around: Int[np.ndarray, "K T M"]
+    """Points of the surface around each."""
+    nearest: Int[np.ndarray, "T M"]
+    """The nearest one of them."""
+    away: Float[np.ndarray, "T M"]
+    """How far away it is (arm lengths)."""
+    shares: Float[np.ndarray, "K T M"]
+    """Weights of the points around; columns sum to 1."""
     gap: Float[np.ndarray, "T M"]
     """Distance from the surface, negative inside (arm lengths)."""
-    normal: Float[np.ndarray, "T M 3"]
+    normal: Float[np.ndarray, "3 T M"]
     """Unit normal of the surface."""
-    along: Float[np.ndarray, "T M 3"]
+    along: Float[np.ndarray, "3 T M"]
     """From the mean of the points of the surface (arm lengths)."""
-    alone: Float[np.ndarray, "T M"]
-    """1, less half of what the weights of the other arm are: two arms that meet go half-way each."""
 
     @classmethod
-    def of(cls, surface: Surface, arm: Arm, target: Target) -> Places:
-        """Find the points of an arm on the surface."""
-        points, others = surface[:, arm.points, :3], surface[:, target.points, :3]
-        level = np.square(others).sum(axis=2, keepdims=True) / -2
-        ones = np.ones_like(points[..., :1])
-        # |p - o|^2 = |p|^2 - 2 (p o - |o|^2 / 2): the nearest point has the largest value in brackets.
-        nearest = (
-            np.concatenate([points, ones], axis=2) @ np.concatenate([others, level], axis=2).swapaxes(1, 2)
-        ).argmax(axis=2)
-        around = target.beside[nearest]
-        square = np.square(points[:, :, None] - _rows(surface, around)[..., :3]).sum(axis=3)
-        shares = np.exp((square[..., :1] - square) / np.float32(2 * SPREAD**2))
-        shares /= shares.sum(axis=2, keepdims=True)
-        gap, normal, along = _over(surface, arm, around, shares)
-        contact = falling(np.maximum(gap, np.sqrt(square[..., 0]) - BETWEEN), TOUCHING)
-        alone = 1 - (shares * (around >= len(arm.body.points))).sum(axis=2) / 2
-        return cls(around, shares, contact, gap, normal, along, alone)
+    def over(
+        cls,
+        surface: Surface,
+        points: Float[np.ndarray, "3 T M"],
+        around: Int[np.ndarray, "K T M"],
+        shares: Float[np.ndarray, "K T M"] | None = None,
+    ) -> Places:
+        """Compute where points are over those of a surface around them.
 
-    def at(self, frames: Bool[np.ndarray, " T"]) -> Places:
-        """Select frames."""
-        return Places(**{field.name: getattr(self, field.name)[frames] for field in fields(self)})
+        The distance is the mean of that from the planes of the points, which is too small over a convex surface, and of
+        that from the plane of their mean, which is too large by as much.
+
+        Args:
+            shares: weights; None: they fall with the distance.
+        """
+        _, frames, count = surface.shape
+        rows = surface.reshape(6, -1).take(around + count * np.arange(frames)[:, None], axis=1)
+        offset, normals = points[:, None] - rows[:3], rows[3:]
+        square = np.square(offset).sum(axis=0)
+        least = square.min(axis=0)
+        falls = np.exp((least - square) / np.float32(2 * SPREAD**2))
+        weights = falls / falls.sum(axis=0) if shares is None else shares
+        nearest = np.take_along_axis(around, square.argmin(axis=0)[None], axis=0)[0]
+        along, normal = (weights * offset).sum(axis=1), (weights * normals).sum(axis=1)
+        normal /= np.maximum(np.sqrt(np.square(normal).sum(axis=0)), 1e-12)
+        gap = (weights * (offset * normals).sum(axis=0)).sum(axis=0) + (along * normal).sum(axis=0)
+        return cls(around, nearest, np.sqrt(least), weights, gap / 2, normal, along)
 
 
-def _rows(surface: Surface, index: Int[np.ndarray, "T M K"]) -> Float[np.ndarray, "T M K 6"]:
-    """Select points of each frame."""
-    start = np.arange(len(surface))[:, None, None] * surface.shape[1]
-    return surface.reshape(-1, 6).take(start + index, axis=0)
+@dataclass(frozen=True, eq=False)
+class Pull:
+    """What the contacts of an arm ask for, in T frames."""
 
-
-def _over(
-    surface: Surface, arm: Arm, around: Int[np.ndarray, "T M K"], shares: Float[np.ndarray, "T M K"]
-) -> tuple[Float[np.ndarray, "T M"], Float[np.ndarray, "T M 3"], Float[np.ndarray, "T M 3"]]:
-    """Compute distances from a surface, its unit normals, and vectors from the mean of its points.
-
-    The distance is the mean of that from the planes of the points, which is too small over a convex surface, and of
-    that from the plane of their mean, which is too large by as much.
-    """
-    rows = _rows(surface, around)
-    offset = surface[:, arm.points, None, :3] - rows[..., :3]
-    along, normal = (shares[:, :, None] @ offset)[:, :, 0], unit_vectors((shares[:, :, None] @ rows[..., 3:])[:, :, 0])
-    gap = (shares * (offset * rows[..., 3:]).sum(axis=3)).sum(axis=2)
-    return (gap + (along * normal).sum(axis=2)) / 2, normal, along
+    takes: Float[np.ndarray, "T A M"]
+    """How far each of its points goes with the wrist of each arm, relative to what it touches."""
+    goal: Float[np.ndarray, "3 T M"]
+    """How far it should go (arm lengths)."""
+    weight: Float[np.ndarray, "T M"]
+    """How much this counts."""
+    allowed: Float[np.ndarray, "T M"]
+    """How deep it may be in the body (arm lengths)."""
+    inside: Int[np.ndarray, "T M"]
+    """The nearest point of the body, before it goes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +146,12 @@ class Contacts:
     driving: BodyGrid
     identity: BodyGrid
     arms: tuple[Arm, ...]
+    beside: Int[np.ndarray, "K G"]
+    """The points nearest to each point at rest, itself the first: of the body, or of its arm."""
+    takes: Float[np.ndarray, "A G"]
+    """How far each point goes with the wrist of each arm: 1 for those of the hand."""
+    strength: float
+    """0 of bodies that are the same, 1 of those that surely differ."""
     skinned: SkinnedMesh
     """The identity."""
 
@@ -173,7 +163,7 @@ class Contacts:
         skinned: SkinnedMesh,
         arms: tuple[tuple[int, ...], ...],
     ) -> Contacts | None:
-        """Find what both bodies have; None where that is no whole arm.
+        """Find what both bodies have; None where that is no whole arm, and where the bodies are the same.
 
         Args:
             driving: points of the driving; None: its joints are not known well enough.
@@ -181,21 +171,29 @@ class Contacts:
             skinned: the identity.
             arms: its joints of each arm, from shoulder to wrist, those of them that it has.
         """
+        from scipy.spatial import KDTree
+
         if driving is None or identity is None:
             return None
         common = [part for part in driving.parts if part in identity.parts]
-        limbs = [[part for part in common if part in _arm_parts(side)] for side in SIDES]
+        if "Trunk" not in common:
+            return None
+        strength = 1 - float(falling(np.array(difference(driving, identity, common)), SAME))
+        limbs = [[f"{side}{part}" for part in ("Arm", "ForeArm", "Hand")] for side in SIDES]
         body = [part for part in common if part not in {*limbs[0], *limbs[1]}]
+        limbs = [limb if len(arms[k]) == 3 and set(limb) <= set(common) else [] for k, limb in enumerate(limbs)]
+        if not strength or not any(limbs):
+            return None
         driving, identity = (grid.chosen([*body, *limbs[0], *limbs[1]]) for grid in (driving, identity))
         cells = [identity.cells(parts) for parts in (body, *limbs)]
-        whole = [k for k in range(len(SIDES)) if len(arms[k]) == len(limbs[k]) == len(_arm_parts(SIDES[k]))]
-        found = []
-        for k in whole:
-            targets = [
-                Target.of(points, driving.rest) for points in (cells[0], np.concatenate([cells[0], cells[2 - k]]))
-            ]
-            found.append(Arm(arms[k], *_moved_points(identity, SIDES[k]), *targets))
-        return cls(driving, identity, tuple(found), skinned) if found else None
+        beside = [of[KDTree(driving.rest[of]).query(driving.rest[of], NEIGHBOURS)[1]] for of in cells]
+        whole = [k for k in range(len(SIDES)) if limbs[k]]
+        takes = np.stack([_takes(identity, SIDES[k]) for k in whole])
+        found = tuple(
+            Arm(arms[k], _moved_points(identity, SIDES[k]), np.concatenate([cells[0], cells[2 - k]]), len(cells[0]))
+            for k in whole
+        )
+        return cls(driving, identity, found, np.concatenate(beside).T.copy(), takes, strength, skinned)
 
     def kept(self, posed: PosedJoints, track: JointTrack, cyclic: bool) -> PosedJoints:
         """Correct the arms of a motion of the identity that follows the driving's `track`."""
@@ -203,122 +201,140 @@ class Contacts:
         count = len(positions)
         chosen = np.unique(np.append(np.arange(0, count, max(1, round(track.fps / FPS))), count - 1))
         found = np.zeros((len(self.arms), len(chosen), 3))
-        for start in range(0, len(chosen), BLOCK):
-            block = slice(start, start + BLOCK)
+        near = np.flatnonzero(self._near(track, posed.rotation, positions, chosen))
+        for start in range(0, len(near), BLOCK):
+            block = near[start : start + BLOCK]
             frames = chosen[block]
             theirs = self.driving.posed(track.rotation[frames], track.positions[frames])
-            found[:, block] = self._corrections(theirs, posed.rotation[frames], positions[frames])
+            own = self.identity.posed(posed.rotation[frames], positions[frames])
+            found[:, block] = self._corrections(theirs, own, positions[frames])
+        if not found.any():
+            return posed
         if count > 1:
             found = _smoothed(_between(found, chosen, count), track.fps, cyclic)
         some = found.any(axis=(0, 2))  # the other frames stay as they are to the last bit
-        rotation = posed.rotation.copy()
-        rotation[some] = self._moved(rotation[some], positions[some], found[:, some])
-        return PosedJoints(rotation, posed.root)
+        rotation = posed.rotation[some]
+        for arm, steps in zip(self.arms, self.identity.arm * found[:, some], strict=True):
+            rotation = move_ankle(rotation, positions[some], arm.joints, steps, self.skinned.parents, -1.0)
+        moved = posed.rotation.copy()
+        moved[some] = rotation
+        return PosedJoints(moved, posed.root)
 
-    def _corrections(
-        self, theirs: Surface, rotation: Float[np.ndarray, "T J 3 3"], positions: Float[np.ndarray, "T J 3"]
-    ) -> Corrections:
-        """Find the corrections of all arms in some frames."""
-        places = [Places.of(theirs, arm, arm.others) for arm in self.arms]
-        allowed = [np.maximum(-Places.of(theirs, arm, arm.body).gap, 0) + TOLERANCE for arm in self.arms]
-        first = self.identity.posed(rotation, positions)
-        found = np.zeros((len(self.arms), len(positions), 3))
-        own = [Places.of(first, arm, arm.body) for arm in self.arms]
-        deep = [np.maximum(-by.gap - most, 0) for by, most in zip(own, allowed, strict=True)]
-        some = np.any([of.contact + depth for of, depth in zip(places, deep, strict=True)], axis=(0, 2))
-        if not some.any():
-            return found
-        places, allowed = [of.at(some) for of in places], [most[some] for most in allowed]
-        rotation, positions = rotation[some], positions[some]
-        first, steps = first[some], found[:, some]
-        now = first
+    def _near(
+        self,
+        track: JointTrack,
+        rotation: Float[np.ndarray, "T J 3 3"],
+        positions: Float[np.ndarray, "T J 3"],
+        frames: Int[np.ndarray, " N"],
+    ) -> Bool[np.ndarray, " N"]:
+        """Tell by spheres around rings in which frames arms of the driving may touch, or the identity's be inside."""
+        theirs = self.driving.spheres(track.rotation[frames], track.positions[frames])
+        own = self.identity.spheres(rotation[frames], positions[frames])
+        near = np.zeros(len(frames), bool)
+        for grid, centres, apart in ((self.driving, theirs, TOUCHING[1]), (self.identity, own, 0.0)):
+            for arm in self.arms:
+                rings, others = (np.unique(grid.ring[points]) for points in (arm.points, arm.others))
+                reach = grid.radius[rings][:, None] + grid.radius[others] + apart
+                offset = centres[:, rings, None] - centres[:, None, others]
+                near |= (np.square(offset).sum(axis=3) < reach**2).any(axis=(1, 2))
+        return near
+
+    def _corrections(self, theirs: Surface, own: Surface, positions: Float[np.ndarray, "T J 3"]) -> Corrections:
+        """Find the displacements of the identity's wrists.
+
+        They minimise the weighted squares of distances of touching points from their goals, of depths that are too
+        large, and of the displacements, of which each point takes its share.
+        """
+        pulls, count = [self._pull(arm, theirs, own) for arm in self.arms], len(self.arms)
+        weighted = [of.takes * of.weight[:, None] for of in pulls]
+        both = list(zip(weighted, pulls, strict=True))
+        square = STIFFNESS * np.eye(count) + np.sum([w @ of.takes.swapaxes(1, 2) for w, of in both], axis=0)
+        side = np.sum([w @ np.moveaxis(of.goal, 0, 2) for w, of in both], axis=0)
+        steps = self._within_reach(positions, np.linalg.solve(square, side))
+        square = (square[:, :, None, :, None] * np.eye(3)[:, None]).reshape(-1, 3 * count, 3 * count)
+        inside = [of.inside for of in pulls]
         for _ in range(ROUNDS):
-            for k, (arm, of) in enumerate(zip(self.arms, places, strict=True)):
-                steps[k] = self._within_reach(
-                    positions, arm, steps[k] + _step(first, now, arm, of, allowed[k], steps[k])
-                )
-            turned = self._moved(rotation, positions, steps)
-            now = self.identity.posed(turned, self.skinned.joint_positions(turned, positions[:, 0]))
-        found[:, some] = steps * (1 - falling(np.linalg.norm(steps, axis=2, keepdims=True), LEAST))
-        return found
+            matrix, right = square.copy(), side.copy()
+            for k, (arm, of) in enumerate(zip(self.arms, pulls, strict=True)):
+                share, step = self.takes[k, arm.points], steps[:, k].T[..., None]
+                moved = own[:3, :, arm.points] + (share * step).astype(np.float32)
+                at = Places.over(own, moved, self.beside[:, inside[k]])
+                inside[k] = at.nearest
+                depth = np.maximum(-at.gap - of.allowed, 0)
+                normal = share * at.normal
+                pushed = PUSH / len(share) * (depth > 0) * normal
+                block = slice(3 * k, 3 * k + 3)
+                matrix[:, block, block] += np.einsum("itm,jtm->tij", pushed, normal)
+                # Depths are those after the step so far, which is part of the one that is looked for.
+                right[:, k] += np.einsum("itm,tm->ti", pushed, depth + (normal * step).sum(axis=0))
+            steps = np.linalg.solve(matrix, right.reshape(-1, 3 * count, 1)).reshape(-1, count, 3)
+            steps = self._within_reach(positions, steps)
+        steps *= 1 - falling(np.linalg.norm(steps, axis=2, keepdims=True), LEAST)
+        return self.strength * steps.swapaxes(0, 1)
+
+    def _pull(self, arm: Arm, theirs: Surface, own: Surface) -> Pull:
+        """Find where the points of an arm should go that touch."""
+        points = theirs[:3, :, arm.points]
+        nearest, inside = _nearest(theirs, points, arm.others, arm.body)
+        touched = Places.over(theirs, points, self.beside[:, nearest])
+        entered = Places.over(theirs, points, self.beside[:, inside])
+        points = own[:3, :, arm.points]
+        inside = _nearest(own, points, arm.others[: arm.body], arm.body)[1]
+        now = Places.over(own, points, touched.around, touched.shares)
+        goal = touched.along - now.along
+        goal += (touched.gap - now.gap - (goal * now.normal).sum(axis=0)) * now.normal
+        contact = falling(np.maximum(touched.gap, touched.away - BETWEEN), TOUCHING)
+        weight = contact * np.exp((touched.gap.min(axis=1, keepdims=True) - touched.gap) / NEAR)
+        weight *= contact.max(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
+        takes = self.takes[:, None, arm.points] - (touched.shares * self.takes[:, touched.around]).sum(axis=1)
+        return Pull(takes.swapaxes(0, 1), contact * goal, weight, np.maximum(-entered.gap, 0) + TOLERANCE, inside)
 
     def _within_reach(
-        self, positions: Float[np.ndarray, "T J 3"], arm: Arm, steps: Float[np.ndarray, "T 3"]
-    ) -> Float[np.ndarray, "T 3"]:
+        self, positions: Float[np.ndarray, "T J 3"], steps: Float[np.ndarray, "T A 3"]
+    ) -> Float[np.ndarray, "T A 3"]:
         """Move wrists that are too far away to the nearest place that the arm reaches."""
-        shoulder, _, wrist = (positions[:, j] / self.identity.arm for j in arm.joints)
-        line = wrist + steps - shoulder
-        reach = longest_reach(positions, arm.joints) / self.identity.arm
-        line *= np.minimum(1, reach / np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-9))
-        return shoulder + line - wrist
-
-    def _moved(
-        self, rotation: Float[np.ndarray, "T J 3 3"], positions: Float[np.ndarray, "T J 3"], found: Corrections
-    ) -> Float[np.ndarray, "T J 3 3"]:
-        """Move wrists."""
-        for arm, steps in zip(self.arms, found, strict=True):
-            step = self.identity.arm * steps
-            rotation = move_ankle(rotation, positions, arm.joints, step, self.skinned.parents, -1.0)
-        return rotation
+        shoulder, wrist = (np.stack([positions[:, arm.joints[j]] for arm in self.arms], axis=1) for j in (0, -1))
+        reach = np.stack([longest_reach(positions, arm.joints) for arm in self.arms], axis=1)
+        line = (wrist - shoulder) / self.identity.arm + steps
+        length = np.linalg.norm(line, axis=2, keepdims=True)
+        return steps + (np.minimum(1, reach / self.identity.arm / np.maximum(length, 1e-9)) - 1) * line
 
 
-def _arm_parts(side: str) -> list[str]:
-    return [f"{side}{part}" for part in ("Arm", "ForeArm", "Hand")]
+def difference(driving: BodyGrid, identity: BodyGrid, parts: list[str]) -> float:
+    """Measure how far two surfaces are apart in a T-pose, in the part but hands where that is most (arm lengths)."""
+    grids = [(grid.rest - grid.rest[grid.parts["Trunk"]].mean(axis=0)) / grid.arm for grid in (driving, identity)]
+    apart = [
+        grids[0][driving.parts[part]] - grids[1][identity.parts[part]] for part in parts if not part.endswith("Hand")
+    ]
+    return max(float(np.sqrt(np.square(of).sum(axis=1).mean())) for of in apart)
 
 
-def _moved_points(grid: BodyGrid, side: str) -> tuple[Int[np.ndarray, " M"], Float[np.ndarray, " M"]]:
-    """Return the points of an arm that touch others, and how far each goes with the wrist."""
-    points, shares = [], []
-    for part, rings in MOVED.items():
+def _nearest(
+    surface: Surface, points: Float[np.ndarray, "3 T M"], others: Int[np.ndarray, " O"], body: int
+) -> tuple[Int[np.ndarray, "T M"], Int[np.ndarray, "T M"]]:
+    """Find the nearest of some of a surface's points, and the nearest of the first `body` of them."""
+    targets = surface[:3, :, others]
+    level = np.square(targets).sum(axis=0, keepdims=True) / -2
+    # |p - o|^2 = |p|^2 - 2 (p o - |o|^2 / 2): the nearest point has the largest value in brackets.
+    points = np.concatenate([points, np.ones_like(points[:1])]).transpose(1, 2, 0)
+    value = points @ np.concatenate([targets, level]).swapaxes(0, 1)
+    inside = value[..., :body].argmax(axis=2)
+    return inside if len(others) == body else others[value.argmax(axis=2)], inside
+
+
+def _moved_points(grid: BodyGrid, side: str) -> Int[np.ndarray, " M"]:
+    """Return the points of an arm that touch others."""
+    rings = (grid.cells([side + part]).reshape(-1, ROWS[part][0])[rows, ::2] for part, rows in MOVED.items())
+    return np.concatenate([ring.ravel() for ring in rings])
+
+
+def _takes(grid: BodyGrid, side: str) -> Float[np.ndarray, " G"]:
+    """Return how far points go with the wrist of an arm; its elbow goes half as far, on average."""
+    takes = np.zeros(len(grid.rest))
+    for part, (start, end) in {"Arm": (0, 0.5), "ForeArm": (0.5, 1), "Hand": (1, 1)}.items():
         count, rows = ROWS[part]
-        some = grid.cells([side + part]).reshape(len(rows), count)[rings, ::2]
-        points.append(some.ravel())
-        # The elbow goes half as far as the wrist, on average.
-        share = [(1 + rows[ring][0]) / 2 if part == "ForeArm" else 1.0 for ring in rings]
-        shares.append(np.repeat(share, some.shape[1]))
-    return np.concatenate(points), np.concatenate(shares)
-
-
-def _step(
-    first: Surface,
-    now: Surface,
-    arm: Arm,
-    driving: Places,
-    allowed: Float[np.ndarray, "T M"],
-    found: Float[np.ndarray, "T 3"],
-) -> Float[np.ndarray, "T 3"]:
-    """Compute a Gauss-Newton step of the displacement of a wrist.
-
-    Minimises the weighted squares of distances of touching points from their targets, of depths that are too large, and
-    of the displacement.
-
-    Args:
-        first: the identity before any correction.
-        now: the identity with the correction found so far.
-        arm: the arm.
-        driving: its points on the driving.
-        allowed: how deep its points may be in the body.
-        found: the correction so far.
-    """
-    own = Places.of(now, arm, arm.body)
-    points = now[:, arm.points, :3]
-    gap, normal, along = _over(now, arm, driving.around, driving.shares)
-    target = driving.along - along
-    target += ((driving.gap - gap) - (target * normal).sum(axis=2))[..., None] * normal
-    contact = driving.contact[..., None]
-    target = contact * target + (1 - contact) * (first[:, arm.points, :3] - points)
-    weight = driving.contact * np.exp((driving.gap.min(axis=1, keepdims=True) - driving.gap) / NEAR)
-    total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
-    weight *= driving.contact.max(axis=1, keepdims=True) / total
-    depth = np.maximum(-own.gap - allowed, 0)
-    push = PUSH / len(arm.points) * (depth > 0)
-    # A point moves by its share of the displacement.
-    pushed = (push * arm.share**2)[..., None] * own.normal
-    diagonal = (weight * arm.share**2).sum(axis=1) + STIFFNESS
-    matrix = diagonal[:, None, None] * np.eye(3) + pushed.swapaxes(1, 2) @ own.normal
-    side = ((weight * arm.share * driving.alone)[..., None] * target).sum(axis=1) - STIFFNESS * found
-    side += ((push * arm.share * depth)[..., None] * own.normal).sum(axis=1)
-    return np.linalg.solve(matrix, side[..., None])[..., 0]
+        takes[grid.parts[side + part]] = np.repeat([start + (end - start) * at for at, _ in rows], count)
+    return takes
 
 
 def _between(found: Float[np.ndarray, "A K 3"], chosen: Int[np.ndarray, " K"], count: int) -> Corrections:
