@@ -403,8 +403,9 @@ class Triples:
         usable = truths & (table.length >= frames) & (drivings.sum(0) > drivings) & identities.any(1, keepdims=True)
         if not usable.any():
             return None
-        arrays = (table.first, table.length, np.argwhere(usable), identities, drivings)
-        return cls(*map(torch.from_numpy, arrays), frames)
+        tensor = torch.from_numpy
+        chosen = (tensor(np.argwhere(usable)), tensor(identities), tensor(drivings))
+        return cls(tensor(table.first), tensor(table.length), *chosen, frames)
 
     def draw(self, size: int, rng: torch.Generator) -> Frames:
         """Draw pairs: a window of a truth, then an identity in another pose and a driving person."""
