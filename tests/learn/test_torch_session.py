@@ -51,6 +51,6 @@ def test_a_report_says_what_ran_the_network(exported):
     )
 
 
-def test_other_networks_and_test_sets_are_refused():
+def test_other_networks_are_refused():
     with pytest.raises(InputError, match="expected networks of npt and aniformer, found mime"):
         evaluate_command("human-npt", ["mime"], split="val", pairs=1, runtime=in_torch)
