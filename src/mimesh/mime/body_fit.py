@@ -61,16 +61,21 @@ class Trust(NamedTuple):
     exponent: int
     """How fast that changes."""
     least: float = 0.0
-    """Share of the fit where the shapes differ."""
+    """Share of the fit where the shapes differ and predictions are far apart."""
 
-    def share(self, mismatch: float) -> float:
-        """Return the share of the fit, up to 1."""
-        return self.least + (1 - self.least) / (1 + (mismatch / self.mismatch) ** self.exponent)
+    def share(self, mismatch: float, spread: float = 0.0) -> float:
+        """Return the share of the fit, up to 1; `spread` is that of predicted positions, over the surface's extent."""
+        least = self.least * spread**2 / (spread**2 + UNSURE**2)
+        return least + (1 - least) / (1 + (mismatch / self.mismatch) ** self.exponent)
 
 
-PLACES = {"human": Trust(0.0008, 4, 0.35), "quadruped": Trust(RELIABLE_MISMATCH, 6)}
-"""How far the positions of a fit's joints count. Errors of fit and prediction differ, so that their mean has a smaller
-one than either where shapes differ: 5.1 % of the height of cube people, against 5.9 and 6.2 (docs/log/mime.md)."""
+UNSURE = 0.012
+"""Spread of predicted positions, over the extent of the surface, at which the fit keeps half of its least share."""
+
+
+PLACES = {"human": Trust(0.0008, 4, 0.45), "quadruped": Trust(RELIABLE_MISMATCH, 6)}
+"""How far the positions of a fit's joints count. Where shapes differ and predictions do, the mean of fit and
+prediction is nearer than either: 5.0 % of the height of cube people, against 5.9 and 6.2 (docs/log/mime.md)."""
 TURNS = {"human": Trust(0.0005, 3), "quadruped": Trust(RELIABLE_MISMATCH, 6)}
 """The same of their rotations: limbs of other makers' people point 2 to 7 degrees nearer to the truth as predicted."""
 REFINED = ("quadruped",)
@@ -131,7 +136,12 @@ def fit_predictions(surface: SurfaceSample, consensus: Rig, predictions: Sequenc
     returned.
     """
     rotations = [consensus.rotation, *(rig.rotation for rig in predictions)]
-    best = fit_body(surface, consensus.rotation, consensus.joints, name=name, others=rotations)
+    spread = 0.0
+    if predictions:
+        places = np.stack([rig.joints for rig in predictions])
+        apart = np.linalg.norm(places - np.median(places, axis=0), axis=-1)
+        spread = float(np.median(apart) / np.ptp(surface.points, axis=0).max())
+    best = fit_body(surface, consensus.rotation, consensus.joints, name=name, others=rotations, spread=spread)
     if not predictions or best.distance > SHIPPED_SHAPE or max(best.gaps.values(), default=0.0) < STILL_OFF:
         return best
     fits = [fit_body(surface, rig.rotation, rig.joints, name=name).gap for rig in predictions]
@@ -147,6 +157,7 @@ def fit_body(
     targets: JointTargets | None = None,
     name: str = "human",
     others: Sequence[Float[np.ndarray, "J 3 3"]] = (),
+    spread: float = 0.0,
 ) -> BodyFit:
     """Fit a shipped body to a surface, from predicted rotations and positions of its joints.
 
@@ -154,7 +165,8 @@ def fit_body(
     `SampledBody`). Joints are those of the fitted body where it covers the surface closely, and else a blend with the
     predicted ones (`PLACES`, `TURNS`). The surface may have any unit, position and heading. Joints are the shipped
     body's, in its order; those with `targets` keep these positions. `others` are more predicted rotations, from which
-    limbs that do not lie on the surface are searched.
+    limbs that do not lie on the surface are searched. `spread` is how far predicted positions lie apart, over the
+    extent of the surface.
     """
     from scipy.spatial import KDTree
 
@@ -171,7 +183,7 @@ def fit_body(
     posed = PosedBody(body, state)
     # Where the body does not have the shape of the surface, its joints are less right than the predicted ones.
     distance = mismatch / state.size
-    place, turn = PLACES[name].share(distance), TURNS[name].share(distance)
+    place, turn = PLACES[name].share(distance, spread), TURNS[name].share(distance)
     blended = nearest_rotation(turn * state.rotation + (1 - turn) * rotation)
     unmatched = surface.tree.query(posed.points)[0] > UNMATCHED_BODY * state.size
     unmatched_body = {limb: float(unmatched[points].mean()) for limb, points in _limb_points(name).items()}
