@@ -28,7 +28,7 @@ from ...evaluate.clip_protocols import ClipPair
 from ...evaluate.pairs import Pair
 from ...evaluate.protocols import Protocol
 from ...io import load_clip, load_points
-from ...io.formats import ANIMATED, CACHES, CLIP_READERS, FORMATS, MESH_READERS, MOTIONS
+from ...io.formats import ANIMATED, CACHE, CLIP_READERS, FORMATS, MESH_READERS, MOTIONS
 from ...motions.on_body import is_motion_file
 from .bodies import copied_to, numbers_of_step, on_device, uniform
 from .endless import ReflectOptions, random_index
@@ -307,8 +307,8 @@ def _candidates(folder: Path) -> Iterator[Path]:
         if path.is_dir():
             if any(file.suffix.lower() in MESH_SUFFIXES for file in path.iterdir()):
                 yield path
-        elif path.suffix.lower() in CACHES or (
-            path.suffix.lower() in MESH_SUFFIXES and not any(path.with_suffix(end).exists() for end in CACHES)
+        elif path.suffix.lower() == CACHE or (
+            path.suffix.lower() in MESH_SUFFIXES and not path.with_suffix(CACHE).exists()
         ):
             yield path
 
