@@ -40,6 +40,7 @@ from .look import (
     Look,
     Subject,
     agreed,
+    check_known_body,
     different_kinds,
     facing_front,
     finds_joints,
@@ -356,6 +357,10 @@ def found_alone(
             "people and "
             "four-legged animals alone"
         )
+    if len(mime.bodies) == 1:
+        check_known_body(mime, asked)
+        seen = known_look(mime, subject)
+        return seen, *find(mime, seen)
     seen = look(mime, subject, None if asked == "auto" else asked, quick=True)
     found, norm = find(mime.of_body(seen.body), seen)
     if asked != "auto" or subject.body is not None:
