@@ -187,7 +187,7 @@ def test_what_is_no_body_is_refused_unless_the_user_insists():
 def test_a_network_of_ones_own_knows_one_body(model):
     rigged = mimesh.rig(person(0), model)
     assert (rigged.body, rigged.source) == ("human", "found")
-    with pytest.raises(InputError, match="body: expected human with the model .*, found quadruped"):
+    with pytest.raises(InputError, match=r"body: expected human with the model .*, found quadruped"):
         mimesh.rig(person(0), model, hints=mimesh.Hints(body="quadruped"))
 
 
