@@ -196,7 +196,7 @@ def test_a_mistake_raises_an_error_that_names_no_option(name, outcomes):
 def test_arguments_that_a_function_lacks_are_refused_by_python():
     with pytest.raises(TypeError, match="unexpected keyword argument 'frnt'"):
         mimesh.transfer(CUBE, CUBE, frnt="+z")  # type: ignore[call-arg]
-    with pytest.raises(TypeError, match="missing 1 required positional argument"):
+    with pytest.raises(TypeError, match=r"missing .*argument"):
         mimesh.transfer(CUBE)  # type: ignore[call-arg]
 
 

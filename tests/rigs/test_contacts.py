@@ -14,7 +14,7 @@ from mimesh.core.geometry import vertex_normals
 from mimesh.core.joint_tracks import JointTrack
 from mimesh.core.rig import Rig
 from mimesh.core.skinning import SkinnedMesh, skinning_transforms
-from mimesh.core.surface_points import SurfacePoints, generator
+from mimesh.core.surface_points import SurfacePoints, generator, interpolate
 from mimesh.rigs.body_grid import BodyGrid
 from mimesh.rigs.contacts import Contacts
 
@@ -56,7 +56,7 @@ def sampled(points, joints, seed, pose: float | np.ndarray = 0.0):
     """Find the points of a body from other samples of its surface, in a pose."""
     rotation, places = posed(pose * np.ones((1, len(joints), 3)), joints)
     samples = SurfacePoints.of(BODY.mesh(points), 8192, generator(seed, 0))
-    weights = samples.points(BODY.weights)
+    weights = interpolate(BODY.weights, samples.corners, samples.barycentric)
     vertices = SkinnedMesh.of(points, still(joints), BODY.parents).posed_at(rotation[0], places[0])
     rig = Rig(rotation[0], places[0], weights)
     return BodyGrid.of_pose(samples.points(vertices), rig, BODY.joint_names, BODY.parents)

@@ -178,7 +178,7 @@ class Contacts:
         common = [part for part in driving.parts if part in identity.parts]
         if "Trunk" not in common:
             return None
-        strength = 1 - float(falling(np.array(difference(driving, identity, common)), SAME))
+        strength = 1 - float(falling(np.array([difference(driving, identity, common)]), SAME)[0])
         limbs = [[f"{side}{part}" for part in ("Arm", "ForeArm", "Hand")] for side in SIDES]
         body = [part for part in common if part not in {*limbs[0], *limbs[1]}]
         limbs = [limb if len(arms[k]) == 3 and set(limb) <= set(common) else [] for k, limb in enumerate(limbs)]

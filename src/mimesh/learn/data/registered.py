@@ -391,9 +391,9 @@ class Triples:
         cls,
         table: MeshTable,
         frames: int,
-        truths: Bool[np.ndarray, "P B"],
-        identities: Bool[np.ndarray, "P B"],
-        drivings: Bool[np.ndarray, "P B"],
+        truths: Bool[np.ndarray, "P #B"],
+        identities: Bool[np.ndarray, "P #B"],
+        drivings: Bool[np.ndarray, "P #B"],
     ) -> Triples | None:
         """List the pairs among what may be truth, identity and driving; None where there is none.
 
