@@ -15,7 +15,7 @@ from jaxtyping import Bool
 from ..core.geometry import unit_vectors
 from ..core.rig import descendants
 from .character_limbs import carried_vertices, moves_vertices, surface_areas
-from .joint_names import FINGERS, ancestors, finger_joints, name_words, named_fingers
+from .joint_names import FINGERS, ancestors, finger_joints, is_finger_stub, name_words, named_fingers
 from .skinned_character import SkinnedCharacter
 
 THUMB = 0.75
@@ -46,7 +46,8 @@ def find_fingers(rig: SkinnedCharacter, joints: Mapping[str, int], sides: Iterab
     moving = moves_vertices(rig)
     for side in sides:
         named = {name[:-1] for name in finger_joints(side) if name in found and moving[found[name]]}
-        if f"{side}Hand" not in joints or named - {f"{side}Hand{FINGERS[0]}"}:
+        stubs = any(is_finger_stub(rig.joint_names[found[f"{name}1"]]) for name in named if f"{name}1" in found)
+        if f"{side}Hand" not in joints or named - {f"{side}Hand{FINGERS[0]}"} or stubs:
             continue
         placed = fingers_by_place(rig, joints[f"{side}Hand"], side, found.get(f"{side}Hand{FINGERS[0]}1"))
         if len(placed) > len(named):

@@ -228,7 +228,7 @@ def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands:
         if chained and 1 < len(numbered) < len(places):
             places |= dict.fromkeys(numbered, FINGERS.index("Middle"))
         # Beside a thumb with a name the index finger is the first that has a number: hands of cartoons.
-        elif any(places[j] == 0 for j in places if j not in numbered):
+        elif any(places[j] == 0 for j in places if j not in numbered and not is_finger_stub(joint_names[j])):
             least = min((places[j] for j in numbered), default=0)
             places |= {j: min(places[j] - least + 1, len(FINGERS) - 1) for j in numbered}
         # The shipped body's stubs stand for fingers that no others do: HandFinger1 for all, Thumb for one.
@@ -256,6 +256,11 @@ def followed_fingers(joint: str) -> tuple[str, ...]:
         return ()
     chains = [(finger, int(number) - 1), *((other, int(number)) for other in BESIDE.get(finger, ()))]
     return tuple(f"{side}Hand{of}{k}" for of, count in chains for k in range(count, 0, -1))
+
+
+def is_finger_stub(name: str) -> bool:
+    """Tell whether the name of a joint ends as one of the shipped body's that stand for fingers."""
+    return name.endswith(tuple(stub for stubs in _STUBS.values() for stub in stubs))
 
 
 def stands_for(fingers: Iterable[str]) -> dict[str, tuple[str, ...]]:
