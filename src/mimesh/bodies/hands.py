@@ -185,7 +185,7 @@ def hand_frames(
         knuckles = [after for name in knuckles if (after := f"{name[:-1]}2") in rest]
     if len(knuckles) < FEWEST_KNUCKLES:
         hand = hand @ straight_hand(side)
-    if len(knuckles) == 1 and knuckles != [f"{side}HandMiddle1"]:  # all fingers of a mitten are as straight as its hand
+    if len(knuckles) == 1 and knuckles != [f"{side}HandMiddle1"]:  # a mitten is as straight as its hand
         along, old_along = (at[knuckles[0]] - at[wrist] for at in (rest, t_pose))
         hand = rotation_between(hand @ old_along, along) @ hand
     if len(knuckles) >= FEWEST_KNUCKLES:
