@@ -51,7 +51,7 @@ def find_fingers(rig: SkinnedCharacter, joints: Mapping[str, int], sides: Iterab
         stubs = any(is_finger_stub(rig.joint_names[found[f"{name}1"]]) for name in named if f"{name}1" in found)
         if f"{side}Hand" not in joints or named - {f"{side}Hand{FINGERS[0]}"} or stubs:
             continue
-        # Where no names are known, two or three chains may be anything: a palm in two parts, a thumb beside all fingers.
+        # Where no names are known, two or three chains may be anything: parts of a palm, a thumb beside all fingers.
         placed = fingers_by_place(rig, joints[f"{side}Hand"], side, found.get(f"{side}Hand{FINGERS[0]}1"))
         chains = sum(name.endswith("1") for name in placed)
         if len(placed) > len(named) and (chains >= FEWEST_UNNAMED or f"{side}Hand" in known):
