@@ -15,7 +15,7 @@ from jaxtyping import Bool
 from ..core.geometry import unit_vectors
 from ..core.rig import descendants
 from .character_limbs import carried_vertices, moves_vertices, surface_areas
-from .joint_names import FINGERS, ancestors, finger_joints, is_stub, name_words, named_fingers
+from .joint_names import FINGERS, ancestors, finger_joints, is_finger_stub, name_words, named_fingers, named_joints
 from .skinned_character import SkinnedCharacter
 
 THUMB = 0.75
@@ -28,6 +28,8 @@ METACARPAL = 0.5
 joints is one."""
 WHOLE_HAND = 0.75
 """Share of the surface below the wrist from which on a joint carries the palm: it is none of a finger."""
+FEWEST_UNNAMED = 4
+"""Chains that are fingers where the name of the hand says nothing either."""
 PLACES = (("Middle",), ("Index", "Pinky"), ("Index", "Middle", "Pinky"), FINGERS[1:])
 """Names of one to four fingers from the thumb's side on: they are spread over the whole palm."""
 
@@ -43,13 +45,16 @@ def find_fingers(rig: SkinnedCharacter, joints: Mapping[str, int], sides: Iterab
     carriers = {side: [joints[at] for part in ("Hand", "ForeArm") if (at := side + part) in joints] for side in sides}
     hands = {f"{side}Hand": of[0] for side, of in carriers.items() if of}
     found = named_fingers(rig.joint_names, rig.parents, hands)
-    moving = moves_vertices(rig)
+    moving, known = moves_vertices(rig), named_joints(rig.joint_names, rig.parents)
     for side in sides:
         named = {name[:-1] for name in finger_joints(side) if name in found and moving[found[name]]}
-        if f"{side}Hand" not in joints or named - {f"{side}Hand{FINGERS[0]}"}:
+        stubs = any(is_finger_stub(rig.joint_names[found[f"{name}1"]]) for name in named if f"{name}1" in found)
+        if f"{side}Hand" not in joints or named - {f"{side}Hand{FINGERS[0]}"} or stubs:
             continue
+        # Where no names are known, two or three chains may be anything: parts of a palm, a thumb beside all fingers.
         placed = fingers_by_place(rig, joints[f"{side}Hand"], side, found.get(f"{side}Hand{FINGERS[0]}1"))
-        if len(placed) > len(named):
+        chains = sum(name.endswith("1") for name in placed)
+        if len(placed) > len(named) and (chains >= FEWEST_UNNAMED or f"{side}Hand" in known):
             found = {name: joint for name, joint in found.items() if not name.startswith(side)} | placed
     return found
 
@@ -86,7 +91,7 @@ def fingers_by_place(rig: SkinnedCharacter, hand: int, side: str, thumb: int | N
 def _chains(rig: SkinnedCharacter, hand: int) -> list[list[int]]:
     """List the chains of joints below a hand that may be fingers, without metacarpals."""
     moving, parents = moves_vertices(rig), rig.parents
-    below = [j for j in descendants([hand], parents) if j != hand and moving[j] and not is_stub(rig.joint_names[j])]
+    below = [j for j in descendants([hand], parents) if j != hand and moving[j]]
     ends = [j for j in below if not any(parents[k] == j for k in below)]
     shared = Counter(j for end in ends for j in ancestors(parents, end))
     chains = [[j for j in ancestors(parents, end)[::-1] if j in below and shared[j] == 1] for end in ends]

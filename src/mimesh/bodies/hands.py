@@ -188,7 +188,7 @@ def hand_frames(
         knuckles = [after for name in knuckles if (after := f"{name[:-1]}2") in rest]
     if len(knuckles) < FEWEST_KNUCKLES:
         hand = hand @ straight_hand(side)
-    if len(knuckles) == 1:
+    if len(knuckles) == 1 and knuckles != [f"{side}HandMiddle1"]:  # a mitten is as straight as its hand
         along, old_along = (at[knuckles[0]] - at[wrist] for at in (rest, t_pose))
         bend = rotation_between(hand @ old_along, along)
         if angles_between(bend, np.eye(3)) > BESIDE_MIDDLE:

@@ -207,7 +207,7 @@ def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands:
         if f"{side}Hand" not in hands:
             continue
         hand = hands[f"{side}Hand"]
-        below = [j for j in range(len(parents)) if hand in ancestors(parents, j)[1:] and not _is_twist(joint_names[j])]
+        below = [j for j in range(len(parents)) if hand in ancestors(parents, j)[1:]]
         # A word of the hand's own name says nothing about a joint below it: base of CC_Base_L_Hand (Character Creator).
         said = NO_PHALANX.intersection(_hand_words(_own_name(joint_names[hand])))
         words = {j: [w for w in _hand_words(_own_name(joint_names[j])) if w not in said] for j in below}
@@ -219,8 +219,7 @@ def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands:
         if chained and 1 < len(numbered) < len(places):
             places |= dict.fromkeys(numbered, FINGERS.index("Middle"))
         # Beside a thumb with a name the index finger is the first that has a number: hands of cartoons.
-        elif any(places[j] == 0 for j in places if j not in numbered):
-            numbered = [j for j in numbered if not is_stub(joint_names[j])]
+        elif any(places[j] == 0 for j in places if j not in numbered and not is_finger_stub(joint_names[j])):
             least = min((places[j] for j in numbered), default=0)
             places |= {j: min(places[j] - least + 1, len(FINGERS) - 1) for j in numbered}
         # The shipped body's stubs stand for fingers that no others do: HandFinger1 for all, Thumb for one.
@@ -237,15 +236,6 @@ def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands:
     return found
 
 
-def is_stub(name: str) -> bool:
-    """Tell whether a joint below a hand is none of a finger: a stub of the shipped body, or one that twists."""
-    return _is_twist(name) or any(name.split(":")[-1] in stubs for stubs in _STUBS.values())
-
-
-def _is_twist(name: str) -> bool:
-    return "twist" in name.lower()
-
-
 def followed_fingers(joint: str) -> tuple[str, ...]:
     """List the joints that a finger joint follows where it is lacking: those above it, then of the fingers beside it.
 
@@ -257,6 +247,11 @@ def followed_fingers(joint: str) -> tuple[str, ...]:
         return ()
     chains = [(finger, int(number) - 1), *((other, int(number)) for other in BESIDE.get(finger, ()))]
     return tuple(f"{side}Hand{of}{k}" for of, count in chains for k in range(count, 0, -1))
+
+
+def is_finger_stub(name: str) -> bool:
+    """Tell whether the name of a joint ends as one of the shipped body's that stand for fingers."""
+    return name.endswith(tuple(stub for stubs in _STUBS.values() for stub in stubs))
 
 
 def stands_for(fingers: Iterable[str]) -> dict[str, tuple[str, ...]]:
