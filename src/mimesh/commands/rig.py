@@ -57,7 +57,6 @@ def rig(
     from ..pipeline.rigging import rig as find_rig
     from ..pipeline.vrm import vrm_meta
     from ..tools.convert import not_kept
-    from ..tools.inspect import metres_note
     from ..tools.preview import names_beside, rig_picture, save_picture, written_beside
     from .clips import check_suffix
 
@@ -85,7 +84,7 @@ def rig(
         pictures, not_drawn = written_beside(picture, lambda: save_picture(rig_picture(rigged), picture))
     facts = joint_facts(rigged, target, replaced, len(rigged.skeleton.names), corrected)
     facts["vertices"] = len(rigged.mesh.vertices)
-    facts["report"]["notes"] += [*not_kept(rigged.skeleton.mesh, target), *metres_note(rigged.mesh, target), *not_drawn]
+    facts["report"]["notes"] += [*not_kept(rigged.skeleton.mesh, target, rigged.body), *not_drawn]
     facts["report"]["pictures"] = [*map(str, pictures)]
     then = ("animate", str(target), "walk.bvh") if rigged.body == "human" else ("look", str(target))
     return print_joint_facts(facts, output, then)
