@@ -51,7 +51,7 @@ def rig(
     pose; --names mixamo, --rest T gives the bones and the pose that programs for motions expect. A .vrm is VRM 1.0: a
     person in the T-pose, with --author and --license.
     """
-    from ..io import check_writable, load_mesh
+    from ..io import load_mesh
     from ..io.atomic import together
     from ..io.formats import JOINTED
     from ..pipeline.rigging import rig as find_rig
@@ -68,7 +68,6 @@ def rig(
     check_joint_outputs(joints, model, file, target)
     if target.suffix.lower() == ".vrm" != file.suffix.lower():
         vrm_meta(file.stem, options.author, options.license, target)
-    check_writable(target)
     refuse_existing(output.no_clobber, target, picture, joints.save_joints)
     hints, corrected = with_joint_files(hints, file, None, joints, model)
     with progress("finding joints", output.silent):
