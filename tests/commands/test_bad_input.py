@@ -136,6 +136,7 @@ REFUSED = {
     ANIMATE + "--morphs --rest T": "expected joints in a .glb, .gltf or .fbx, found x.glb without",
     ANIMATE + "-o x.usdc --output-fps 30": "expected joints in a .glb, .gltf or .fbx, found x.usdc without",
     ANIMATE + "--names maya": "--names: expected one of own, mixamo, unreal, vrm, godot, rigify",
+    ANIMATE + "--names ureal": "found 'ureal'; did you mean unreal?",
     ANIMATE + "--rest sitting": "--rest: expected one of file, T, A, found 'sitting'",
     ANIMATE + "--output-fps 0": "--output-fps: expected a positive frame rate, found 0",
     ANIMATE + "--morphs --skinned": "--morphs: expected it without --skinned",

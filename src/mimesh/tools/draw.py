@@ -14,6 +14,7 @@ from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Clip, cut_clip
 from ..core.options import FrameRange, RenderOptions
 from ..io import check_writable, load_clip
+from ..io.formats import PICTURES
 from ..view import heat, movie, sheet
 from ..view.movie import MOVIES
 from ..view.pack import Panel
@@ -24,7 +25,6 @@ from .preview import save_picture
 if TYPE_CHECKING:
     from PIL import Image
 
-PICTURES = (".png", ".jpg", ".jpeg")
 PAGE = ".html"
 NOT_FOR_PAGES = ("view", "size", "width", "clay", "labels", "background")
 """Options of pictures and movies that pages have not: on a page the viewer chooses them."""
