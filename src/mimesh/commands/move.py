@@ -412,7 +412,7 @@ def result_facts(
         fps, frames = output_fps, len(frames_around(frames, fps, output_fps)[0])
     rate = () if fps is None else (*rate_note(fps, output), *size_note(output))
     report = {**result.report, **(deviations or {})}
-    kept = (*not_kept(mesh, output, report.get("body")), *posed_vrm_note(output))
+    kept = (*not_kept(result.identity or mesh, output, report.get("body")), *posed_vrm_note(output))
     notes = [*result.notes, *kept, *rate, *skinned_note(report), *driving_notes]
     notes += shown["notes"]
     facts: dict[str, Any] = {

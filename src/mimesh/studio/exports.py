@@ -149,7 +149,7 @@ def _write_result(order: Order, result: ClipResult, driving: str, target: Path, 
     jointed = order.skinned or order.suffix == BONES_ONLY
     if len(result.frames) == 1 and not jointed:
         save_mesh(result.mesh, path)
-        return list(not_kept(result.mesh, path, result.report.get("body")))
+        return list(not_kept(result.identity or result.mesh, path, result.report.get("body")))
     if order.suffix in FRAMES:
         from ..io import save_clip
 
@@ -164,7 +164,11 @@ def _write_result(order: Order, result: ClipResult, driving: str, target: Path, 
     else:
         result.save(path, progress=progress)
         written = ()
-    return [*not_kept(result.mesh, path, result.report.get("body")), *rate_note(result.fps, path), *written]
+    return [
+        *not_kept(result.identity or result.mesh, path, result.report.get("body")),
+        *rate_note(result.fps, path),
+        *written,
+    ]
 
 
 def _write_rig(order: Order, item: Item, options: Options, target: Path, progress: Progress) -> list[str]:
