@@ -104,6 +104,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "a number as model": (_transfer(CUBE, CUBE, 3), "model: expected a name"),
     "a class as model": (_transfer(CUBE, CUBE, Halves), "give Halves()"),
     "an unknown axis": (_transfer(CUBE, CUBE, "copy", up="w"), "up: expected one of"),
+    "an unknown axis of hints": (lambda: mimesh.Hints(driving_up="q"), "driving_up: expected one of"),
     "an axis of a number": (_transfer(CUBE, CUBE, "copy", front=1), "front: expected text or None, found 1"),
     "one axis twice": (_transfer(CUBE, CUBE, "copy", up="+y", front="-y"), 'up="+y" front="-y"'),
     "half an ensemble": (_transfer(CUBE, CUBE, "npt", ensemble=1.5), "ensemble: expected a whole number"),

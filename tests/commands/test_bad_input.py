@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import os
 import signal
 import subprocess
@@ -80,6 +81,19 @@ def test_a_bad_file_is_refused(line, name, good, call):
     assert all(word in message for word in (name, "expected", "found", ";"))
 
 
+@pytest.mark.parametrize("output", ["x.usdc", "x.mp4"])
+@pytest.mark.parametrize(
+    "verb", ["convert noise.glb", "transfer noise.glb good.obj -o", "animate noise.glb good.obj -o"]
+)
+def test_what_writes_a_format_is_looked_for_before_a_file_is_read(verb, output, good, call, monkeypatch):
+    find = importlib.util.find_spec
+    hidden = ("pxr", "av")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name in hidden else find(name, *rest))
+    write_bad("noise.glb")
+    library = "usd-core to write USD" if output == "x.usdc" else "PyAV to write MP4"
+    assert f"{output}: expected {library}, found it not installed" in refused(f"{verb} {output}", call, good)
+
+
 TRANSFER = "transfer good.obj good.obj -o x.obj "
 ANIMATE = "animate good.obj walk.glb -o x.glb "
 TWO = "animate good.obj walk.glb run.npz -o x.glb "
@@ -122,6 +136,7 @@ REFUSED = {
     ANIMATE + "--morphs --rest T": "expected joints in a .glb, .gltf or .fbx, found x.glb without",
     ANIMATE + "-o x.usdc --output-fps 30": "expected joints in a .glb, .gltf or .fbx, found x.usdc without",
     ANIMATE + "--names maya": "--names: expected one of own, mixamo, unreal, vrm, godot, rigify",
+    ANIMATE + "--names ureal": "found 'ureal'; did you mean unreal?",
     ANIMATE + "--rest sitting": "--rest: expected one of file, T, A, found 'sitting'",
     ANIMATE + "--output-fps 0": "--output-fps: expected a positive frame rate, found 0",
     ANIMATE + "--morphs --skinned": "--morphs: expected it without --skinned",

@@ -2,10 +2,12 @@
 
 import json
 
+import numpy as np
 import pytest
 from people import person
 
 from mimesh.io import load_mesh, save_mesh
+from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.own_rig import has_rig
 
 
@@ -28,6 +30,20 @@ def test_a_mesh_gets_bones_a_picture_and_the_next_step(hero, call):
     moved = json.loads(call("rig hero.obj -o same.glb --joints hero-found.json --no-fingers --no-preview --json").out)
     assert (moved["source"], moved["joints"], moved["replaced"]) == ("corrected", 31, False)
     assert moved["report"]["pictures"] == []
+
+
+def test_the_picture_and_the_count_are_those_of_the_file_that_is_written(hero, call, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("mimesh.tools.preview.bones_picture", lambda *args, **axes: drawn.append(args) or 1 / 0)
+    found = json.loads(call("rig hero.obj -o t.glb --no-fingers --rest A --names unreal --root-bone --json").out)
+    (skin,) = open_document(hero / "t.glb").gltf["skins"]
+    assert found["joints"] == len(skin["joints"]) != 31
+    mesh, joints, *_ = drawn[0]
+    assert len(joints) == found["joints"]
+    np.testing.assert_allclose(mesh.vertices, load_mesh(hero / "t.glb").vertices, atol=1e-5)
+    assert np.abs(mesh.vertices - load_mesh(hero / "hero.obj").vertices).max() > 0.1
+    again = json.loads(call("rig t.glb -o again.glb --no-preview --json").out)
+    assert (again["source"], again["joints"]) == ("file", found["joints"])
 
 
 def test_what_cannot_be_is_refused_before_any_work(hero, refuses):

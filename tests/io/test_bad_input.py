@@ -57,6 +57,8 @@ def test_missing_empty_and_unknown_files_are_refused(load, tmp_path):
         (tmp_path / name).write_bytes(b"x")
         message = input_error_of(load, tmp_path / name)
         assert all(suffix in message for suffix in mesh_suffixes())
+    (tmp_path / "skin.PNG").write_bytes(b"x")
+    assert "skin.PNG: expected a mesh, found a picture" in input_error_of(load, tmp_path / "skin.PNG")
 
 
 def test_folder_is_refused_as_a_mesh(tmp_path):

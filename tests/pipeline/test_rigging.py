@@ -176,10 +176,16 @@ def test_corrected_joints_stay_where_they_are_put(rigged):
 
 
 def test_what_is_no_body_is_refused_unless_the_user_insists():
-    with pytest.raises(RefusedMeshError, match=r"^ring: expected a person or a four-legged animal, found a shape"):
+    with pytest.raises(
+        RefusedMeshError, match=r"^ring: expected a person or a four-legged animal, found a shape"
+    ) as refused:
         mimesh.rig(ring())
     insisted = mimesh.rig(ring(), hints=mimesh.Hints(body="human"))
-    assert any("ring does not look like a person" in note for note in insisted.notes)
+    (note,) = (note for note in insisted.notes if "ring does not look like a person" in note)
+    for words in (str(refused.value), note):
+        assert "up=..." in words
+        assert "driving" not in words
+        assert "rigs in both files" not in words
     with pytest.raises(InputError, match="body: expected human, quadruped or auto, found other"):
         mimesh.rig(ring(), hints=mimesh.Hints(body="other"))
 

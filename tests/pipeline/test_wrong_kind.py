@@ -17,11 +17,18 @@ from mimesh.__main__ import run
 from mimesh.bodies import load_body
 from mimesh.bodies.animals import animal
 from mimesh.core.errors import RefusedMeshError
-from mimesh.core.mesh import Mesh
+from mimesh.core.mesh import Mesh, Part
 from mimesh.io import save_mesh
 from mimesh.methods.find import INDEX_PAIRED, find_mime
 from mimesh.pipeline import transfer
-from mimesh.pipeline.look import REJECTION_THRESHOLD, Subject, fitting_body, same_after_half_turn, second_look
+from mimesh.pipeline.look import (
+    REJECTION_THRESHOLD,
+    Subject,
+    fitting_body,
+    has_large_parts,
+    same_after_half_turn,
+    second_look,
+)
 from mimesh.pipeline.rigging import rig
 from mimesh.rigs.confidence import MAX_OTHER_KIND, MAX_SPREAD, OTHER_KIND, Confidence, Standards
 from mimesh.tools.inspect import facts_of
@@ -32,6 +39,20 @@ UP = ("+y", None)
 
 
 MESHES = {"man": replace(person(0), name="man"), "cow": replace(small(animal("cow")), name="cow"), "ring": ring()}
+
+
+def test_parts_beside_each_other_may_be_characters():
+    man = Mesh(MESHES["man"].vertices, MESHES["man"].faces)
+    count, half = len(man.vertices), len(man.faces)
+
+    def joined(shift):
+        vertices = np.concatenate([man.vertices, man.vertices + shift])
+        parts = tuple(Part(f"part{k}", k * half, (k + 1) * half) for k in range(2))
+        return Mesh(vertices, np.concatenate([man.faces, man.faces + count]), parts=parts)
+
+    assert has_large_parts(joined([2.5, 0, 0]))
+    assert not has_large_parts(joined([0, 0, 0.01])), "clothes"
+    assert not has_large_parts(man)
 
 
 @pytest.fixture

@@ -24,6 +24,7 @@ from mimesh.tools.convert import (
     LARGE,
     DrivingClip,
     convert,
+    not_kept,
     posed_vrm_note,
     read_driving,
     size_note,
@@ -240,6 +241,20 @@ def test_notes_tell_which_pose_of_a_moving_file_was_taken(tmp_path):
 def test_bones_alone_are_written_by_another_command(tmp_path):
     with pytest.raises(InputError, match=r"bones alone; write it with mimesh animate CHARACTER a.bvh -o b.vrma"):
         convert(tmp_path / "a.bvh", tmp_path / "b.vrma")
+
+
+def test_a_person_in_centimetres_without_a_unit_is_noted_in_formats_in_metres(tmp_path):
+    unitless = zoo.cube()
+    high = 182.5 / np.ptp(unitless.vertices, axis=0).max()
+    save_mesh(dataclasses.replace(unitless, vertices=unitless.vertices * high, name="man"), tmp_path / "man.obj")
+    noted = "man measures 182.5, which man.glb has in metres: a person, if its unit is cm; scale by 0.01 on import"
+    assert noted in convert(tmp_path / "man.obj", tmp_path / "man.glb").notes
+    mesh = load_mesh(tmp_path / "man.obj")
+    assert not_kept(mesh, tmp_path / "man.glb", "human") == (noted,)
+    assert not_kept(mesh, tmp_path / "man.glb", "quadruped") == not_kept(mesh, tmp_path / "man.ply") == ()
+    in_metres = load_mesh(tmp_path / "man.glb")
+    assert not_kept(in_metres, tmp_path / "man.gltf") == ()
+    assert "man.vrm has in metres" in not_kept(in_metres, tmp_path / "man.vrm")[0]
 
 
 def test_a_vrm_in_a_pose_has_a_note(tmp_path):

@@ -99,7 +99,8 @@ def doctor(json: Json = False) -> None:
         print_json({"ok": healthy, "checks": [vars(check) for check in checks]})
     else:
         for check in checks:
-            say(f"{'ok  ' if check.ok else 'FAIL'}  {check.name:<20}{check.found}")
+            mark = "FAIL" if not check.ok else "-" if check.optional else "ok"
+            say(f"{mark:<4}  {check.name:<20}{check.found}")
         print_next("demo") if healthy else say("next: pip install --force-reinstall mimesh")
     if not healthy:
         raise Stop(1)

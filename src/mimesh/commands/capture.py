@@ -42,7 +42,7 @@ def capture(
     By default the output is CLIP.bvh beside CLIP. A .glb or .fbx has the joints alone, a
     .vrma plays on any VRM. Joints that the file has are taken as they are.
     """
-    from ..io import check_writable, load_driving
+    from ..io import load_driving
     from ..pipeline.capturing import JOINT_FILES
     from ..pipeline.capturing import capture as capture_joints
     from ..tools.convert import frames_at
@@ -51,7 +51,6 @@ def capture(
     target = output_path(output.output, lambda: clip.with_name(f"{clip.stem if clip.is_file() else clip.name}.bvh"))
     refuse_inputs(target, clip)
     check_suffix(target, JOINT_FILES)
-    check_writable(target)
     refuse_existing(output.no_clobber, target)
     hints, corrected = with_joint_files(hints, clip, None, joints, model)
     with progress(f"reading {clip.name}", output.silent) as advance:

@@ -66,7 +66,7 @@ def transfer(
     By default the output is IDENTITY-DRIVING beside IDENTITY and in its format. Of an OBJ or glTF it is the same
     file with its points moved.
     """
-    from ..io import load_mesh
+    from ..io import check_writable, load_mesh
     from ..io.atomic import together
     from ..io.formats import MESH_WRITERS
     from ..pipeline import transfer as run_transfer
@@ -75,6 +75,7 @@ def transfer(
     suffix = usual_suffix(identity)
     _refuse_motion(identity, output.output)
     target = output_path(output.output, lambda: output_beside(identity, driving, suffix))
+    check_writable(target)
     inputs = identity, driving, *_files(options), taken.body_model
     check_outputs(target, output, *inputs, usual=suffix)
     check_joint_outputs(joints, model, identity, driving, target)
@@ -150,12 +151,13 @@ def animate(
     without a suffix is a folder of meshes. Several DRIVING, or several animations of one (--animation Walk --animation
     Run, or --animation all), become one .glb with an animation for each.
     """
-    from ..io import load_mesh
+    from ..io import check_writable, load_mesh
     from ..io.atomic import together
     from ..tools.convert import choose_clips, own_body_note
 
     _refuse_motion(identity, output.output)
     target = output_path(output.output, lambda: clip_output(identity, driving), frames=True)
+    check_writable(target)
     clips = choose_clips(driving, taken.animation)
     # The preview of a single clip has the name of the output alone.
     titles = [clip.name if len(clips) > 1 else None for clip in clips]
@@ -410,7 +412,7 @@ def result_facts(
         fps, frames = output_fps, len(frames_around(frames, fps, output_fps)[0])
     rate = () if fps is None else (*rate_note(fps, output), *size_note(output))
     report = {**result.report, **(deviations or {})}
-    kept = (*not_kept(mesh, output), *posed_vrm_note(output))
+    kept = (*not_kept(result.identity or mesh, output, report.get("body")), *posed_vrm_note(output))
     notes = [*result.notes, *kept, *rate, *skinned_note(report), *driving_notes]
     notes += shown["notes"]
     facts: dict[str, Any] = {

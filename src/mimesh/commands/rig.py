@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,6 +22,9 @@ from .terminal import (
     refuse_existing,
     refuse_inputs,
 )
+
+if TYPE_CHECKING:
+    from ..pipeline.rigging import RiggedMesh
 
 
 @dataclass(frozen=True)
@@ -51,25 +55,23 @@ def rig(
     pose; --names mixamo, --rest T gives the bones and the pose that programs for motions expect. A .vrm is VRM 1.0: a
     person in the T-pose, with --author and --license.
     """
-    from ..io import check_writable, load_mesh
+    from ..io import load_mesh
     from ..io.atomic import together
     from ..io.formats import JOINTED
     from ..pipeline.rigging import rig as find_rig
     from ..pipeline.vrm import vrm_meta
     from ..tools.convert import not_kept
-    from ..tools.inspect import metres_note
     from ..tools.preview import names_beside, rig_picture, save_picture, written_beside
     from .clips import check_suffix
 
     target = output_path(output.output, lambda: file.with_name(f"{file.stem}-rigged.glb"))
     picture = names_beside(target)[0] if output.preview else None
-    for written in filter(None, (target, picture)):
-        refuse_inputs(written, file)
+    for path in filter(None, (target, picture)):
+        refuse_inputs(path, file)
     check_suffix(target, JOINTED)
     check_joint_outputs(joints, model, file, target)
     if target.suffix.lower() == ".vrm" != file.suffix.lower():
         vrm_meta(file.stem, options.author, options.license, target)
-    check_writable(target)
     refuse_existing(output.no_clobber, target, picture, joints.save_joints)
     hints, corrected = with_joint_files(hints, file, None, joints, model)
     with progress("finding joints", output.silent):
@@ -81,11 +83,20 @@ def rig(
         rigged.save(target, **bones, **made_by, influences=weights.influences)
         save_found(rigged.joints, joints.save_joints, file, rigged.mesh)
     pictures, not_drawn = (), ()
+    # A .vrm is in the T-pose.
+    written = dataclasses.replace(layout, rest="T") if target.suffix.lower() == ".vrm" else layout
     if picture is not None:
-        pictures, not_drawn = written_beside(picture, lambda: save_picture(rig_picture(rigged), picture))
-    facts = joint_facts(rigged, target, replaced, len(rigged.skeleton.names), corrected)
+        pictures, not_drawn = written_beside(picture, lambda: save_picture(rig_picture(rigged, written), picture))
+    facts = joint_facts(rigged, target, replaced, _joint_count(rigged, written), corrected)
     facts["vertices"] = len(rigged.mesh.vertices)
-    facts["report"]["notes"] += [*not_kept(rigged.skeleton.mesh, target), *metres_note(rigged.mesh, target), *not_drawn]
+    facts["report"]["notes"] += [*not_kept(rigged.skeleton.mesh, target, rigged.body), *not_drawn]
     facts["report"]["pictures"] = [*map(str, pictures)]
     then = ("animate", str(target), "walk.bvh") if rigged.body == "human" else ("look", str(target))
     return print_joint_facts(facts, output, then)
+
+
+def _joint_count(rigged: RiggedMesh, layout: Layout) -> int:
+    """Return how many joints a file has that is written in a layout."""
+    if rigged.own is None:
+        return len(rigged.laid_out(layout).names)
+    return len({joint for skin in rigged.own.source.document.gltf["skins"] for joint in skin["joints"]})

@@ -15,13 +15,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from .errors import InputError, option
+from .errors import InputError, did_you_mean, option
 
 if TYPE_CHECKING:
     from .joint_corrections import JointCorrections
     from .mesh import Mesh
 
 T = TypeVar("T")
+AXES = ("up", "front", "driving_up", "driving_front")
+"""Hints that are axes."""
 AXIS = "x, y, z, -x, -y or -z, instead of the one found."
 GIVEN = "by default the .joints.json beside it (mime)."
 """Where corrected joints are looked for."""
@@ -57,7 +59,8 @@ def options(cls: type[T]) -> type[T]:
 def check_value(name: str, value: object, allowed: tuple[str, ...]) -> None:
     """Raise InputError for a text that an option may not be; it may be any if `allowed` is empty."""
     if allowed and isinstance(value, str) and value not in allowed:
-        raise InputError(f"{option(name)}: expected one of {', '.join(allowed)}, found {value!r}; choose one of them")
+        close = did_you_mean(value, allowed) or "; choose one of them"
+        raise InputError(f"{option(name)}: expected one of {', '.join(allowed)}, found {value!r}{close}")
 
 
 def values_of(cls: type, name: str) -> tuple[str, ...]:
@@ -114,6 +117,15 @@ class Hints:
     driving_part: str | None = declared(None, "The same of DRIVING.", metavar="NAME")
     """The same of the driving; all else is not looked at."""
 
+    def __post_init__(self) -> None:
+        """Raise InputError for an axis that is none."""
+        given = {name: axis for name, axis in zip(AXES, self.axes, strict=True) if axis is not None}
+        if given:
+            from .normalization import parse_axis
+
+            for name, axis in given.items():
+                parse_axis(axis, option(name))
+
     @property
     def axes(self) -> tuple[str | None, str | None, str | None, str | None]:
         """Up and front of the identity, up and front of the driving; None is detected."""
@@ -149,8 +161,8 @@ class FrameRange:
     """Frame to stop before; None takes all."""
     step: int = declared(1, "Take every so many frames.")
     """Take every `step`-th frame; the result then has the rate fps / step, so that its speed is the clip's."""
-    fps: float | None = declared(None, "Frame rate of the clip, where its files do not say.")
-    """Frame rate of the clip (frames a second), where its file has none or a wrong one."""
+    fps: float | None = declared(None, "Frames a second: files with times are sampled at it, others are played at it.")
+    """Frames a second: files with times are sampled at it and keep their duration, others are played at it."""
 
     def __post_init__(self) -> None:
         """Raise InputError if frames are counted from the end."""
@@ -364,8 +376,6 @@ class RecordedRange(FrameRange):
 class ConvertOptions(RecordedRange):
     """Which clip of a file `mimesh convert` reads, which of its frames, and what it writes."""
 
-    fps: float | None = declared(None, "Of IN, where it does not say; else to sample it at.")
-    """Files with times are sampled at this rate, others are played at it."""
     animation: str | None = declared(None, "Which animation of a GLB: its name or number.")
     frame: int | None = declared(None, "This frame alone, counted from 0.")
     frames: int | None = declared(None, "So many frames, evenly spread from first to last.", min=1)

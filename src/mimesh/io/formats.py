@@ -191,6 +191,8 @@ BODY_MODELS = {".pkl"}
 """Files of body models, which are no frame of a clip: registrations may lie beside the meshes of a folder."""
 FRAMES_ONLY = (CACHE, ".npz")
 """Files of frames without a rest shape."""
+PICTURES = (".png", ".jpg", ".jpeg")
+"""Pictures: what `render` draws, and what is named in place of a mesh."""
 FRAME_SUFFIXES = (".obj", ".ply")
 """Formats of the frames of a clip written to a folder; the first is the default."""
 

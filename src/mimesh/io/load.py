@@ -18,7 +18,7 @@ from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip, stored_clip
 from ..core.system import refuse_pipe
-from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, MESH_READERS, MOTIONS, found_suffix
+from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, MESH_READERS, MOTIONS, PICTURES, found_suffix
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 PACKED = (b"PK\3\4", b"Rar!", b"7z\xbc\xaf")
@@ -63,6 +63,8 @@ def load_mesh(path: str | Path) -> Mesh:
                 "give it as the driving clip or save one frame"
             )
         return clip.mesh
+    if path.suffix.lower() in PICTURES:
+        raise InputError(f"{path}: expected a mesh, found a picture; name the file of the mesh")
     if path.suffix.lower() not in MESH_READERS:
         raise InputError(
             f"{path}: expected one of {' '.join(sorted(MESH_READERS.keys() | CLIP_READERS))}, {found_suffix(path)}; "
@@ -89,8 +91,8 @@ def load_clip(
 
     Args:
         path: the file or folder.
-        fps: frames per second, overriding the file's own rate; without either it is 30. Files with times (glTF, USD,
-            motions) are resampled at it and keep their duration; others (folders, NPZ, PC2) are played at it.
+        fps: frames a second: files with times (glTF, FBX, USD, motions) are sampled at it and keep their duration,
+            others (folders, PC2, NPZ) are played at it. By default the rate of the file, or 30.
         animation: name or number of an animation of a glTF file, None: the first, with those that move other nodes.
         progress: called with (frames read, frames in all).
         frames: those to take, counted from 0 at the frame rate of the result; see `cut_clip`. Of a motion file the

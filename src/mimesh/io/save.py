@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib.util
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -230,15 +231,24 @@ def save_whole(source: Path, path: Path, animation: str | None = None) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Check that the program that writes a format is installed, before the work is done.
+    """Check that what writes a format is installed, before the work is done.
 
     Raises:
-        InputError: an .fbx, and no Blender.
+        InputError: an .fbx and no Blender, USD and no usd-core, or an .mp4 and no PyAV.
     """
-    if path.suffix.lower() == ".fbx":
+    suffix = path.suffix.lower()
+    if suffix == ".fbx":
         from .fbx.write import find_blender
 
         find_blender(path)
+    elif suffix.startswith(".usd"):
+        from .usd import need_library
+
+        need_library(path, "write")
+    elif suffix == ".mp4" and importlib.util.find_spec("av") is None:
+        raise InputError(
+            f"{path}: expected PyAV to write MP4, found it not installed; pip install 'mimesh[video]', or write a .webp"
+        )
 
 
 def _mesh_path_of_cache(clip: Clip, path: Path) -> Path | None:

@@ -208,7 +208,7 @@ def capture(
     notes += facing_note(norm, first.name, "front") + rigs.notes + taken.notes + far_frames_note(taken, first.name)
     if motion.confidence is not None:
         report |= motion.confidence.facts()
-        notes = motion.confidence.notes(first.name) + notes
+        notes = motion.confidence.notes(first.name, alone=True) + notes
     elif hints.up is None:
         report["up_from"] = "joints"
     return _captured(found, first.name, seen.body, report, timer, notes)

@@ -48,6 +48,8 @@ UpFront = tuple[str | None, str | None]
 """Up and front of a mesh; None is detected."""
 MOST_PARTS = 12
 """Parts of a mesh that a message names."""
+LARGE_PART = 0.7
+"""Length of a part over that of the mesh along the same axis, from which on the part may be a character."""
 OTHER = "other"
 """Choice of `--body` for what is neither a person nor a four-legged animal."""
 KINDS = {"human": "a person", "quadruped": "a four-legged animal"}
@@ -277,20 +279,36 @@ def different_kinds(found: list[str | None], subjects: tuple[Subject, Subject]) 
     names = [subject.mesh.name for subject in subjects]
     if None in found:
         odd, other = (0, 1) if found[0] is None else (1, 0)
+        alone = subjects[0] is subjects[1]
         body = found[other]
         beside = f", as {names[other]} is {KINDS[body]}" if body else ""
-        parts = list(dict.fromkeys(part.name for part in subjects[odd].mesh.parts))
-        asked = option("driving_part" if odd and subjects[0] is not subjects[1] else "part", ...)
-        scene = f"; of its parts ({', '.join(parts[:MOST_PARTS])}) {asked} takes one" * (len(parts) > 1)
+        mesh = subjects[odd].mesh
+        parts = list(dict.fromkeys(part.name for part in mesh.parts))
+        asked = option("driving_part" if odd and not alone else "part", ...)
+        several = ", perhaps several characters" * has_large_parts(mesh)
+        scene = f"{several}; of its parts ({', '.join(parts[:MOST_PARTS])}) {asked} takes one" * (len(parts) > 1)
         return (
             f"{names[odd]}: expected a person or a four-legged animal{beside}, found a shape that looks like "
-            f"neither, as far as can be told{scene}; {if_it_is()}"
+            f"neither, as far as can be told{scene}; {if_it_is(alone)}"
         )
     first, second = (KINDS[body] for body in found if body is not None)
     return (
         f"{names[0]} is taken for {first}, and {names[1]} for {second}: expected two of a kind; give "
         f"another driving, or {option('body', 'human')} or quadruped if one of the two is taken for the wrong one"
     )
+
+
+def has_large_parts(mesh: Mesh) -> bool:
+    """Return whether two of a mesh's first parts are beside each other, each almost as long as the mesh along an axis.
+
+    Clothes are not beside the body, and limbs are shorter than it.
+    """
+    boxes = []
+    for part in mesh.parts[:MOST_PARTS]:
+        points = mesh.vertices[mesh.faces[part.start : part.stop]].reshape(-1, 3)
+        if len(points) and (np.ptp(points, axis=0) > LARGE_PART * np.ptp(mesh.vertices, axis=0)).any():
+            boxes.append((points.min(axis=0), points.max(axis=0)))
+    return any((low > high).any() for low, _ in boxes for _, high in boxes)
 
 
 def normalised(mesh: Mesh, norm: Normalization) -> Mesh:

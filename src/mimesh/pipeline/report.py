@@ -338,7 +338,8 @@ def facing_note(norm: Normalization, name: str, front: str) -> tuple[str, ...]:
     if not norm.unsure:
         return notes
     return notes + (
-        f"the facing of {name} is uncertain (taken: up {norm.up}, front {norm.front}); give {option(front, ...)}",
+        f"the facing of {name} is uncertain (taken: up {norm.up}, front {norm.front}); "
+        f"give {option(front, ...)} if it faces elsewhere",
     )
 
 

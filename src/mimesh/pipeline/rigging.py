@@ -232,7 +232,7 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
         notes += (f"{mesh.name} has a rig, which is kept; {option('rig', 'mimesh')} replaces it",)
     elif character.confidence is not None:
         report |= character.confidence.facts()
-        notes = character.confidence.notes(mesh.name) + notes
+        notes = character.confidence.notes(mesh.name, alone=True) + notes
     notes += missing_images_notes(missing_images(mesh)) + (() if part is None else part.notes)
     source = "file" if rigs.humanoid is not None else "corrected" if known.corrections.given else "found"
     skeleton = _at_rest(mesh, character, norm)

@@ -43,8 +43,7 @@ def vrm_meta(name: str, author: str | Sequence[str] | None, license: str | None,
     if missing or not license:
         raise InputError(
             f"{path}: expected {option('author')} and {option('license')} for a .vrm, found no "
-            f"{' and no '.join(missing)}; give {option('author', ...)}, and {option('license', PUBLIC_LICENSE)}, or "
-            "write a .glb"
+            f"{' and no '.join(missing)}; the licence may be {PUBLIC_LICENSE}, or write a .glb"
         )
     if not license.startswith(("https://", "http://")):
         raise InputError(f"{option('license')}: expected a URL, found {license!r}; give for example {PUBLIC_LICENSE}")

@@ -72,12 +72,16 @@ MOST_LACKING = 3
 """Limbs without a surface from which on a note says so, too: a chair taken for an animal lacks a head and two legs."""
 
 
-def if_it_is() -> str:
-    """Return advice for meshes that do not look like the body that was looked for."""
-    return (
+def if_it_is(alone: bool) -> str:
+    """Return advice for meshes that do not look like the body that was looked for, or for one that has no driving."""
+    advice = (
         f"if it is a person or a four-legged animal, say which with {option('body', ...)}, and how it stands with "
-        f"{option('up', ...)} and {option('front', ...)} (of the driving: {option('driving_up')}, "
-        f"{option('driving_front')}); "
+        f"{option('up', ...)} and {option('front', ...)}"
+    )
+    if alone:
+        return advice
+    return (
+        f"{advice} (of the driving: {option('driving_up')}, {option('driving_front')}); "
         f"other things need rigs in both files, or {option('body', 'other')}"
     )
 
@@ -278,18 +282,23 @@ class Confidence:
         }
         return facts | {"unmatched_body": unmatched, "unmatched_surface": round(self.unmatched_surface, 4)}
 
-    def notes(self, name: str) -> tuple[str, ...]:
-        """Return a note for the user if limbs of the mesh `name` were not found with certainty, with reasons."""
+    def notes(self, name: str, alone: bool = False) -> tuple[str, ...]:
+        """Return a note for the user if limbs of the mesh `name` were not found with certainty, with reasons.
+
+        Args:
+            alone: there is no other mesh.
+        """
         if self.uncertainty <= 1:
             return ()
         reasons = "; ".join(self._reasons() or ["predictions and surface do not fit together"])
         if self.is_other_kind:
-            return (f"{name} does not look like {self.standards.kind}, as far as can be told: {reasons}; {if_it_is()}",)
+            doubt = f"{name} does not look like {self.standards.kind}, as far as can be told"
+            return (f"{doubt}: {reasons}; {if_it_is(alone)}",)
         large = self.fitted and self.expected_error > self.standards.max_error
         error = f" (about {self.expected_error:.0%} of the height)" if large else ""
         feet = ", and feet are not planted" if self.lacks_leg else ""
         other = (large and self.expected_error > DOUBTFUL_ERROR) or len(self._without_surface()) >= MOST_LACKING
-        advice = f". It may not be {self.standards.kind}: {if_it_is()}" if other else ""
+        advice = f". It may not be {self.standards.kind}: {if_it_is(alone)}" if other else ""
         note = (
             f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}{advice}"
         )

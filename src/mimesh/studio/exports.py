@@ -22,7 +22,6 @@ from ..pipeline.result import ClipResult
 from ..pipeline.skinned import AS_IT_IS, save_skinned
 from ..pipeline.vrma import check_bones_layout
 from ..tools.convert import BONES_ONLY, not_kept, part, rate_note, resampled_note, skinned_note
-from ..tools.inspect import metres_note
 from ..view.movie import MOVIES
 from .items import Item, Options, finished_result
 from .operations import capture_driving, rig_mesh
@@ -150,7 +149,7 @@ def _write_result(order: Order, result: ClipResult, driving: str, target: Path, 
     jointed = order.skinned or order.suffix == BONES_ONLY
     if len(result.frames) == 1 and not jointed:
         save_mesh(result.mesh, path)
-        return list(not_kept(result.mesh, path))
+        return list(not_kept(result.identity or result.mesh, path, result.report.get("body")))
     if order.suffix in FRAMES:
         from ..io import save_clip
 
@@ -165,7 +164,11 @@ def _write_result(order: Order, result: ClipResult, driving: str, target: Path, 
     else:
         result.save(path, progress=progress)
         written = ()
-    return [*not_kept(result.mesh, path), *rate_note(result.fps, path), *written]
+    return [
+        *not_kept(result.identity or result.mesh, path, result.report.get("body")),
+        *rate_note(result.fps, path),
+        *written,
+    ]
 
 
 def _write_rig(order: Order, item: Item, options: Options, target: Path, progress: Progress) -> list[str]:
@@ -174,7 +177,7 @@ def _write_rig(order: Order, item: Item, options: Options, target: Path, progres
     progress(1, 2)
     bones = {"names": layout.names, "root_bone": layout.root_bone, "rest": layout.rest}
     rigged.save(path, **bones, author=order.author, license=order.license, influences=order.influences)
-    return [*rigged.notes, *not_kept(rigged.skeleton.mesh, path), *metres_note(rigged.mesh, path)]
+    return [*rigged.notes, *not_kept(rigged.skeleton.mesh, path, rigged.body)]
 
 
 def _write_motion(order: Order, driving: Item, options: Options, target: Path, progress: Progress) -> tuple[str, ...]:

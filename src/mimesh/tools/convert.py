@@ -43,6 +43,10 @@ BONES_ONLY = ".vrma"
 """Format that holds the motion of bones and no mesh."""
 LARGE = 256 * 2**20
 """Bytes of a clip from which on a note says how to make it smaller."""
+PERSON = (1.4, 2.1)
+"""Longest side (metres) of a standing person, arms spread or not: smallest and largest."""
+UNITS = (("m", 1.0), ("dm", 0.1), ("cm", 0.01), ("mm", 0.001), ("inch", 0.0254))
+"""Names of units, and their length in metres."""
 NOTED_LIMITING = 0.02
 """Distance over the mesh's size from which on a note tells the effect of four weights a vertex: that of 10 of 12
 characters of the pool (train and val) is below, 0.002 to 0.013; means over all vertices are below 0.001 for all."""
@@ -438,12 +442,16 @@ def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[st
     )
 
 
-def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
-    """Return notes on what the format of a path changes of a mesh: its axes, and attributes that it does not keep."""
+def not_kept(mesh: Mesh, path: Path, body: str | None = None) -> tuple[str, ...]:
+    """Return notes on what the format of a path changes of a mesh: its axes, its unit, and attributes that are lost.
+
+    Args:
+        body: what the mesh is known to be, see `Hints.body`.
+    """
     suffix = path.suffix.lower()
     if isinstance(mesh.source, RewritableSource) and mesh.source.suffix == suffix:
         return ()
-    turned = _turned_note(mesh, path)
+    turned = _turned_note(mesh, path) + (() if body in ("quadruped", "other") else _metres_note(mesh, path))
     materials = {part.material for part in mesh.parts}
     is_image = len(materials) == 1 and any(material and material.texture for material in materials)
     has = {
@@ -469,6 +477,29 @@ def _turned_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
     if not turned or path.suffix.lower() not in JOINTED:
         return ()
     return (f"{mesh.name} has up {mesh.up}: {path.name} is turned to +y, which its format has up",)
+
+
+def _metres_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
+    """Return a note on a person of no person's size in a format in metres, unless the mesh's own file has a unit.
+
+    glTF files are in metres, too, whatever they should be in: only a .vrm, which is a person, gets a note on them.
+    """
+    suffix, own = path.suffix.lower(), getattr(mesh.source, "suffix", "")
+    if suffix not in JOINTED or hasattr(mesh.source, "meters_per_unit") or (own in JOINTED and suffix != ".vrm"):
+        return ()
+    longest = float(np.ptp(mesh.vertices, axis=0).max())
+    unit = unit_guess(longest)
+    if unit in (None, "m"):
+        return ()
+    return (
+        f"{mesh.name} measures {longest:.4g}, which {path.name} has in metres: a person, if its unit is {unit}; "
+        f"scale by {dict(UNITS)[unit]:g} on import",
+    )
+
+
+def unit_guess(longest: float) -> str | None:
+    """Return the unit in which the longest side is a person's height; the ranges of two units do not overlap."""
+    return next((unit for unit, metres in UNITS if PERSON[0] <= longest * metres <= PERSON[1]), None)
 
 
 def posed_vrm_note(path: Path) -> tuple[str, ...]:

@@ -39,6 +39,8 @@ class Check:
     ok: bool
     found: str
     """Version, count or error, for the user."""
+    optional: bool = False
+    """Whether it is missing, and only some formats or commands need it."""
 
 
 def examine() -> list[Check]:
@@ -71,7 +73,7 @@ def _version(package: str, extra: str | None = None, purpose: str = "") -> Check
     except metadata.PackageNotFoundError:
         if extra is None:
             return Check(package, False, "missing")
-        return Check(package, True, f"not installed (pip install 'mimesh[{extra}]' {purpose})")
+        return Check(package, True, f"not installed (pip install 'mimesh[{extra}]' {purpose})", optional=True)
 
 
 def _blender() -> Check:
@@ -83,8 +85,10 @@ def _blender() -> Check:
         return Check("blender", True, find_blender(Path("result.fbx"))[0])
     except InputError:
         if os.environ.get(VARIABLE):
-            return Check("blender", True, f"not found at {VARIABLE}={os.environ[VARIABLE]} (correct it to write FBX)")
-        return Check("blender", True, f"not installed (pip install {PACKAGE}, or the program, to write FBX)")
+            found = f"not found at {VARIABLE}={os.environ[VARIABLE]} (correct it to write FBX)"
+        else:
+            found = f"not installed (pip install {PACKAGE}, or the program, to write FBX)"
+        return Check("blender", True, found, optional=True)
 
 
 def _probe(name: str, probe: Callable[[], str]) -> Check:

@@ -13,7 +13,8 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Clip, cut_clip
 from ..core.options import FrameRange, RenderOptions
-from ..io import load_clip
+from ..io import check_writable, load_clip
+from ..io.formats import PICTURES
 from ..view import heat, movie, sheet
 from ..view.movie import MOVIES
 from ..view.pack import Panel
@@ -24,7 +25,6 @@ from .preview import save_picture
 if TYPE_CHECKING:
     from PIL import Image
 
-PICTURES = (".png", ".jpg", ".jpeg")
 PAGE = ".html"
 NOT_FOR_PAGES = ("view", "size", "width", "clay", "labels", "background")
 """Options of pictures and movies that pages have not: on a page the viewer chooses them."""
@@ -59,6 +59,7 @@ def check_options(options: RenderOptions, output: Path) -> None:
     if suffix not in (*PICTURES, *MOVIES, PAGE):
         known = ".png, .jpg, .webp, .gif, .mp4 or .html"
         raise InputError(f"{output}: expected {known}, found '{suffix}'; rename it")
+    check_writable(output)
     if len(kinds) > 1:
         raise InputError(f"render: expected one kind of picture, found {' and '.join(kinds)}; choose one")
     if options.track and (suffix not in MOVIES or options.turntable):

@@ -23,11 +23,8 @@ from ..pipeline.file_rigs import NO_RIGS
 from ..pipeline.gltf_rigs import known_joints, rig_facts
 from ..pipeline.joint_route import found_character
 from ..pipeline.look import KINDS, Subject
+from .convert import unit_guess
 
-PERSON = (1.4, 2.1)
-"""Longest side (metres) of a standing person, arms spread or not: smallest and largest."""
-UNITS = (("m", 1.0), ("dm", 0.1), ("cm", 0.01), ("mm", 0.001), ("inch", 0.0254))
-"""Names of units, and their length in metres."""
 MOST_NAMES = 6
 """Names of parts or materials that are listed."""
 
@@ -154,7 +151,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         components=_components(proper, len(merged)),
         low=_triple(low),
         high=_triple(high),
-        unit_guess=_unit_guess(float((high - low).max())),
+        unit_guess=unit_guess(float((high - low).max())),
         watertight=len(counts) > 0 and bool((counts == 2).all()),
         boundary_edges=int((counts == 1).sum()),
         non_manifold_edges=int((counts > 2).sum()),
@@ -332,17 +329,3 @@ def _inside_out(vertices: Float[np.ndarray, "W 3"], faces: Int[np.ndarray, "F 3"
     # Signed volumes of the tetrahedra from the centroid to each face; the centroid makes open edges matter least.
     local = vertices - vertices[faces].mean(axis=(0, 1))
     return bool((local[faces[:, 0]] * face_vectors(local, faces)).sum() < 0)
-
-
-def metres_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
-    """Return a note on a person who is no person's size in a .vrm, which is in metres."""
-    longest = float(np.ptp(mesh.vertices, axis=0).max())
-    unit = _unit_guess(longest)
-    if path.suffix.lower() != ".vrm" or unit in (None, "m"):
-        return ()
-    return (f"{path.name} is in metres, of which its person has {longest:.3g}: scale {mesh.name} first, from {unit}",)
-
-
-def _unit_guess(longest: float) -> str | None:
-    """Return the unit in which the longest side is a person's height; the ranges of two units do not overlap."""
-    return next((unit for unit, metres in UNITS if PERSON[0] <= longest * metres <= PERSON[1]), None)

@@ -13,6 +13,7 @@ from jaxtyping import Float, UInt8
 from ..core.errors import InputError
 from ..core.frame_buffer import evenly_spread
 from ..core.mesh import Clip, Mesh, merged_mesh, same_colors
+from ..core.options import Layout
 from ..core.printable import file_name
 from ..core.surface_clusters import clustered_mesh
 from ..io.atomic import whole_file, writing
@@ -109,9 +110,12 @@ def result_picture(result: Result | ClipResult) -> Image.Image:
     return page(tiles, len(tiles))
 
 
-def rig_picture(rigged: RiggedMesh) -> Image.Image:
-    """Draw a mesh, and its bones over it from the front and from the side."""
-    skeleton = rigged.skeleton
+def rig_picture(rigged: RiggedMesh, layout: Layout) -> Image.Image:
+    """Draw a mesh as it is written in a layout, and its bones over it from the front and from the side.
+
+    The own rig of a file is drawn as the file has it, which only a .vrm in the T-pose does not.
+    """
+    skeleton = rigged.laid_out(layout) if rigged.own is None else rigged.skeleton
     return bones_picture(skeleton.mesh, skeleton.rig.joints, skeleton.parents, "bones", **_axes(rigged.report))
 
 

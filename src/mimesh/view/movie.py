@@ -16,7 +16,7 @@ from ..core.frame_buffer import PAGED, Progress, counted, release_pages
 from ..core.geometry import normal_turner
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
-from ..io import save_clip
+from ..io import check_writable, save_clip
 from ..io.atomic import whole_file, writing
 from .camera import Camera, extreme_points, fit, follow, orbit
 from .raster import render_mesh
@@ -60,7 +60,7 @@ def save_movie(frames: Iterable[Image.Image | np.ndarray], path: str | Path, fps
     one by one, and a side of odd length loses its last pixel.
 
     Raises:
-        InputError: another suffix, no frames, a frame rate that is not positive, or a Pillow without WebP.
+        InputError: another suffix, no frames, a frame rate that is not positive, no PyAV, or a Pillow without WebP.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -68,6 +68,7 @@ def save_movie(frames: Iterable[Image.Image | np.ndarray], path: str | Path, fps
     if suffix not in (*writers, ".mp4"):
         known = ".webp, .gif or .mp4"
         raise InputError(f"{path}: expected a movie name ending in {known}, found {path.suffix or 'no suffix'}")
+    check_writable(path)
     if not fps > 0:
         raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give one with {option('fps', ...)}")
     pictures = (_as_image(frame) for frame in frames)
@@ -201,13 +202,8 @@ def _write_gif(images: list[Image.Image], path: Path, fps: float) -> None:
 
 
 def _write_mp4(images: Iterator[Image.Image], path: Path, fps: float) -> int:
-    try:
-        import av
-    except ImportError as error:
-        raise InputError(
-            f"{path.suffix}: expected PyAV to write it, found it not installed; pip install 'mimesh[video]', "
-            "or write a .webp"
-        ) from error
+    import av
+
     count = 0
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))

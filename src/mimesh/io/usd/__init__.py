@@ -28,7 +28,7 @@ def read_usd(path: Path) -> Mesh:
     Raises:
         InputError: usd-core is not installed, the file is damaged, or it shows no meshes.
     """
-    _need_library(path, "read")
+    need_library(path, "read")
     return guarded_mesh("mimesh.io.usd.read:read_mesh", path, UsdSource, layer_bytes(path))
 
 
@@ -38,7 +38,7 @@ def read_usd_clip(path: Path, fps: float | None = None, progress: Progress | Non
     Raises:
         InputError: as `read_usd`, or faces that change over time.
     """
-    _need_library(path, "read")
+    need_library(path, "read")
     reader = "mimesh.io.usd.read:read_clip"
     return guarded_clip(reader, path, UsdSource, layer_bytes(path), fps, progress)
 
@@ -50,7 +50,7 @@ def write_usd(mesh: Mesh, path: Path) -> None:
 
 def write_usd_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:
     """Write a clip as a new USD file in which time code k is frame k (see `write.write_new`)."""
-    _need_library(path, "write")
+    need_library(path, "write")
     from pxr import Tf  # pyright: ignore[reportAttributeAccessIssue]
 
     from .write import write_new
@@ -79,7 +79,7 @@ def stage_axes(mesh: Mesh) -> tuple[tuple[str, float], float]:
     return TO_Y_UP[up], getattr(mesh.source, "meters_per_unit", 1.0)
 
 
-def _need_library(path: Path, verb: str) -> None:
+def need_library(path: Path, verb: str) -> None:
     """Raise InputError where usd-core is not installed; `verb` is "read" or "write"."""
     os.environ.setdefault(*USE_PREAD)
     if importlib.util.find_spec("pxr") is None:
