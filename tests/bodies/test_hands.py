@@ -12,10 +12,12 @@ from mimesh.bodies.hands import (
     fingertips,
     gestures,
     load_hands,
+    straight_hand,
     within_limits,
 )
 from mimesh.bodies.joint_names import FINGERS, finger_joints, named_fingers, with_finger_joints
 from mimesh.core.geometry import MIRROR
+from mimesh.motions.humanoid_rig import rest_frames
 
 CHAINS = {
     "Mixamo": [[f"mixamorig:LeftHand{finger}{k}" for k in (1, 2, 3, 4)] for finger in FINGERS],
@@ -169,3 +171,11 @@ def test_fist_brings_the_fingertips_to_the_palm_of_either_hand():
             np.linalg.norm(v[tips[1:]] - wrist, axis=1) for v in (body.vertices, body.posed(np.zeros(1), rotmat))
         )
         assert (after < 0.72 * before).all()
+
+
+def test_a_hand_below_an_arm_without_an_elbow_has_a_frame():
+    joints = {"Hips": [0, 1, 0]}
+    for side, x in (("Left", 1.0), ("Right", -1.0)):
+        joints |= {f"{side}UpLeg": [0.1 * x, 0.9, 0], f"{side}Arm": [0.2 * x, 1.4, 0], f"{side}Hand": [0.7 * x, 1.4, 0]}
+    frames = rest_frames(np.array([*joints.values()], float), {name: j for j, name in enumerate(joints)}, {})
+    np.testing.assert_allclose(frames["LeftHand"], straight_hand("Left"), atol=1e-9)

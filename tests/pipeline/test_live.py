@@ -244,7 +244,6 @@ def test_a_model_that_fails_in_a_frame_goes_on(driving):
         ({"root": "up"}, "^root: expected"),
         ({"threads": 0}, "threads: expected 1 or more"),
         ({"model": "npt", "root": "drop"}, "expected a model with joints"),
-        ({"hints": mimesh.Hints(front="+q")}, "^front: expected"),
     ],
 )
 def test_unusable_options_are_refused(driving, options, message):

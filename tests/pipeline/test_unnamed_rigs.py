@@ -69,7 +69,7 @@ def test_the_joints_of_a_driving_are_used_without_names(driving, tmp_path):
     assert any(FOUND in note for note in second.notes)
     apart = second.clip.vertices - first.clip.vertices
     assert np.abs(apart - apart.mean(axis=(0, 1))).max() < 1e-4
-    assert np.abs(apart).max() < 0.003  # the soles of a mesh that was found and of one that is named
+    assert np.abs(apart).max() < 0.004  # the soles of a mesh that was found and of one that is named
 
 
 @pytest.mark.slow

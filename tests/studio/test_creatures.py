@@ -114,7 +114,7 @@ def test_meshes_that_do_not_correspond_are_refused_in_the_words_of_the_page(clie
     upload(client, "identity", files / "bird.glb")
     upload(client, "driving", files / "hero.glb")
     error = moved(client)["outcome"]["error"]
-    assert "expected a rig as in bird, or a clip" in error
+    assert "expected rigs in both files, or two shapes of one mesh" in error
     assert "deformation-transfer, of the command mimesh animate alone" in error
 
 

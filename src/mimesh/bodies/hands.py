@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -159,9 +159,10 @@ ONE_PLACE = 0.05
 """Distance of the outer knuckles over that from the wrist below which they show no direction; people have 0.7."""
 
 
-def has_hand(joints: Iterable[str], side: str) -> bool:
+def has_hand(joints: Collection[str], side: str) -> bool:
     """Tell whether there is a joint of a side's hand, or one of its fingers, which then hangs on the forearm."""
-    return not {f"{side}Hand", *finger_joints(side)}.isdisjoint(joints)
+    on_forearm = f"{side}ForeArm" in joints and not set(finger_joints(side)).isdisjoint(joints)
+    return f"{side}Hand" in joints or on_forearm
 
 
 def hand_frames(

@@ -260,5 +260,6 @@ def rest_frames(
     positions = {name: rest[joint] for name, joint in joints.items()}
     for side in SIDES:
         if has_hand(joints, side):
-            frames |= hand_frames(positions, aligned.get(f"{side}Hand", frames[f"{side}ForeArm"]), side)
+            turn = aligned.get(f"{side}Hand", frames.get(f"{side}ForeArm", np.eye(3)))  # an arm may have no elbow
+            frames |= hand_frames(positions, turn, side)
     return {name: heading @ frame for name, frame in frames.items()}

@@ -106,7 +106,8 @@ def action_frames(character: SkinnedCharacter, joints: Mapping[str, int], limbs:
             points = character.mesh.vertices[carried_vertices(character, joints[foot])]
             frames |= dict.fromkeys((foot, f"{side}ToeBase"), _foot_frame(points, frames[foot]))
         if has_hand(joints, side):
-            frames |= hand_frames(positions, frames.get(hand, frames[f"{side}ForeArm"]), side)
+            above = (hand, f"{side}ForeArm", f"{side}Arm", _chest(joints))
+            frames |= hand_frames(positions, frames[next(name for name in above if name in frames)], side)
     above = {name: [body.joint_names[j] for j in ancestors(body.parents, body.joint(name))] for name in joints}
     return frames | {name: frames[next(known for known in above[name] if known in frames)] for name in joints}
 
