@@ -19,7 +19,6 @@ from ..bodies.character_limbs import SIDES
 from ..bodies.hands import FLEXION
 from ..bodies.joint_names import FINGERS, ancestors, followed_fingers, stands_for
 from ..bodies.sampling import rotvec_to_rotmat
-from ..motions.motion import rotmat_to_rotvec
 
 if TYPE_CHECKING:
     from .character import Character
@@ -46,6 +45,8 @@ class Curl:
 
     def bends(self, rotation: Float[np.ndarray, "T D 3 3"]) -> Float[np.ndarray, "T N 3"]:
         """Return the rotation vector of each joint relative to the one before; `rotation` is that of the driving."""
+        from ..motions.motion import rotmat_to_rotvec
+
         count, total = len(self.joints), np.zeros((len(rotation), len(self.joints), 3))
         for chain in self.fingers:
             world = rotation[:, list(chain)]
