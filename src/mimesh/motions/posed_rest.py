@@ -102,7 +102,7 @@ def action_frames(character: SkinnedCharacter, joints: Mapping[str, int], limbs:
     frames |= _limb_frames(limbs, axes, legs, frames["Hips"]) | _limb_frames(limbs, axes, arms, frames[_chest(joints)])
     for side in SIDES:
         foot, hand = f"{side}Foot", f"{side}Hand"
-        if foot in frames:
+        if foot in frames and foot in joints:
             points = character.mesh.vertices[carried_vertices(character, joints[foot])]
             frames |= dict.fromkeys((foot, f"{side}ToeBase"), _foot_frame(points, frames[foot]))
         if has_hand(joints, side):
