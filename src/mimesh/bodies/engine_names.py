@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 from ..core.options import Layout
 from .joint_names import FINGERS
 
-"""Pose that a skeleton is bound in: that of the file, arms horizontal, or arms lowered (`engine_rig.A_ANGLE`)."""
 TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
+"""Joints of trunk and neck, from the hips up."""
 LIMBS = ("Shoulder", "Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot", "ToeBase")
 REQUIRED = (
     *("Hips", "LowerBack", "Head"),

@@ -24,7 +24,7 @@ from .terminal import (
 )
 
 if TYPE_CHECKING:
-    from ..pipeline.rigging import RiggedMesh
+    from ..io.gltf.own_rig import OwnRig
 
 
 @dataclass(frozen=True)
@@ -83,11 +83,15 @@ def rig(
         rigged.save(target, **bones, **made_by, influences=weights.influences)
         save_found(rigged.joints, joints.save_joints, file, rigged.mesh)
     pictures, not_drawn = (), ()
-    # A .vrm is in the T-pose.
+    # A .vrm is in the T-pose. The own rig of a file is drawn as the file has it, which only such a .vrm does not.
     written = dataclasses.replace(layout, rest="T") if target.suffix.lower() == ".vrm" else layout
+    skeleton = rigged.laid_out(written) if rigged.own is None else rigged.skeleton
     if picture is not None:
-        pictures, not_drawn = written_beside(picture, lambda: save_picture(rig_picture(rigged, written), picture))
-    facts = joint_facts(rigged, target, replaced, _joint_count(rigged, written), corrected)
+        pictures, not_drawn = written_beside(
+            picture, lambda: save_picture(rig_picture(skeleton, rigged.report), picture)
+        )
+    count = len(skeleton.names) if rigged.own is None else _joints_of_skins(rigged.own)
+    facts = joint_facts(rigged, target, replaced, count, corrected)
     facts["vertices"] = len(rigged.mesh.vertices)
     facts["report"]["notes"] += [*not_kept(rigged.skeleton.mesh, target, rigged.body), *not_drawn]
     facts["report"]["pictures"] = [*map(str, pictures)]
@@ -95,8 +99,6 @@ def rig(
     return print_joint_facts(facts, output, then)
 
 
-def _joint_count(rigged: RiggedMesh, layout: Layout) -> int:
-    """Return how many joints a file has that is written in a layout."""
-    if rigged.own is None:
-        return len(rigged.laid_out(layout).names)
-    return len({joint for skin in rigged.own.source.document.gltf["skins"] for joint in skin["joints"]})
+def _joints_of_skins(own: OwnRig) -> int:
+    """Return how many joints the skins of a file have."""
+    return len({joint for skin in own.source.document.gltf["skins"] for joint in skin["joints"]})

@@ -169,8 +169,6 @@ def fit_body(
     limbs that do not lie on the surface are searched. `spread` is how far predicted positions lie apart, over the
     extent of the surface.
     """
-    from scipy.spatial import KDTree
-
     body = sampled_body(name)
     ranges = joint_ranges(name) if name in REFINED and targets is None else None
     start = rotation if ranges is None else ranges.world(rotation[0], ranges.clipped(rotation))
@@ -188,8 +186,7 @@ def fit_body(
     blended = nearest_rotation(turn * state.rotation + (1 - turn) * rotation)
     unmatched = surface.tree.query(posed.points)[0] > UNMATCHED_BODY * state.size
     unmatched_body = {limb: float(unmatched[points].mean()) for limb, points in _limb_points(name).items()}
-    to_body = KDTree(posed.points).query(surface.points[: 2 * BODY_POINTS])[0]
-    unmatched_surface = float((to_body > UNMATCHED_SURFACE * state.size).mean())
+    unmatched_surface = float(is_uncovered(posed, surface.points[: 2 * BODY_POINTS]).mean())
     positions = place * posed.joints + (1 - place) * joints
     return BodyFit(
         rotation=blended,
@@ -594,6 +591,13 @@ def search_limbs(
             break
         state = better
     return state
+
+
+def is_uncovered(posed: PosedBody, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, " N"]:
+    """Tell which points of a surface are farther than UNMATCHED_SURFACE from a fitted body."""
+    from scipy.spatial import KDTree
+
+    return KDTree(posed.points).query(points)[0] > UNMATCHED_SURFACE * posed.state.size
 
 
 def limb_gaps(posed: PosedBody, surface: SurfaceSample) -> dict[str, float]:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ..bodies.character_limbs import SIDES
 from ..rigs.confidence import MAX_UNMATCHED_SURFACE
-from .body_fit import BODY_POINTS, UNMATCHED_SURFACE, BodyFit, SurfaceSample, fit_body, limb_gaps
+from .body_fit import BODY_POINTS, BodyFit, SurfaceSample, fit_body, is_uncovered, limb_gaps
 from .joint_targets import JointTargets
 
 LOST_LEG = 0.05
@@ -39,7 +39,8 @@ def lost_shin(surface: SurfaceSample, fit: BodyFit) -> JointTargets | None:
     lost = [side for side in SIDES if fit.unmatched_body[f"{side.lower()} leg"] > LOST_LEG]
     if not lost or fit.unmatched_surface <= MAX_UNMATCHED_SURFACE:
         return None
-    uncovered = _uncovered(surface, fit)
+    points = surface.points[: 2 * BODY_POINTS]
+    uncovered = points[is_uncovered(fit.posed, points)]
     fits = []
     for side in lost:
         foot = _foot(uncovered, fit.joints[legs[side]], size)
@@ -52,14 +53,6 @@ def lost_shin(surface: SurfaceSample, fit: BodyFit) -> JointTargets | None:
         return None
     found = [joint for side in SIDES for joint in legs[side]]
     return JointTargets(found, best.joints[found])
-
-
-def _uncovered(surface: SurfaceSample, fit: BodyFit) -> Float[np.ndarray, "N 3"]:
-    """Return the points of the surface that are far from the fitted body."""
-    from scipy.spatial import KDTree
-
-    points = surface.points[: 2 * BODY_POINTS]
-    return points[KDTree(fit.posed.points).query(points)[0] > UNMATCHED_SURFACE * fit.posed.state.size]
 
 
 def _foot(

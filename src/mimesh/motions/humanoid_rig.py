@@ -24,6 +24,7 @@ from ..bodies.character_limbs import (
     moves_vertices,
     name_limb_joints,
 )
+from ..bodies.engine_names import TRUNK
 from ..bodies.hand_chains import find_fingers
 from ..bodies.hands import body_with_fingers, hand_frames, has_hand
 from ..bodies.joint_names import ancestors, finger_joints, parents_first
@@ -36,8 +37,6 @@ from ..core.rig import descendants
 from .posed_rest import action_frames, rests_in_action
 from .retarget import BONES, limb_alignments, rest_heading
 
-TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
-"""Joints of trunk and neck, from the hips up."""
 LEG = ("UpLeg", "Leg", "Foot")
 """Joints of a leg from hip to ankle, without their side."""
 WHOLE = {"Arm": "Hand", "UpLeg": "Foot"}

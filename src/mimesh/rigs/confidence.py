@@ -292,8 +292,8 @@ class Confidence:
             return ()
         reasons = "; ".join(self._reasons() or ["predictions and surface do not fit together"])
         if self.is_other_kind:
-            doubt = f"{name} does not look like {self.standards.kind}, as far as can be told"
-            return (f"{doubt}: {reasons}; {if_it_is(alone)}",)
+            unlike = f"{name} does not look like {self.standards.kind}, as far as can be told"
+            return (f"{unlike}: {reasons}; {if_it_is(alone)}",)
         large = self.fitted and self.expected_error > self.standards.max_error
         error = f" (about {self.expected_error:.0%} of the height)" if large else ""
         feet = ", and feet are not planted" if self.lacks_leg else ""

@@ -13,11 +13,10 @@ from jaxtyping import Float, UInt8
 from ..core.errors import InputError
 from ..core.frame_buffer import evenly_spread
 from ..core.mesh import Clip, Mesh, merged_mesh, same_colors
-from ..core.options import Layout
 from ..core.printable import file_name
 from ..core.surface_clusters import clustered_mesh
 from ..io.atomic import whole_file, writing
-from ..pipeline.report import MeshReport
+from ..pipeline.report import MeshReport, RigReport
 from ..pipeline.result import ClipResult, Result
 from ..view.camera import fit
 from ..view.movie import clip_frames
@@ -28,7 +27,7 @@ from ..view.sheet import DRIVING_TINT, captioned, page, stack, strip
 if TYPE_CHECKING:
     from PIL import Image
 
-    from ..pipeline.rigging import RiggedMesh
+    from ..core.animated_rig import AnimatedRig
 
 MOTION = MotionLimits(frames=250, characters=4 * 2**20, vertices=50_000, driving_vertices=2000)
 """Of a page beside a result: seconds to write, and 5 MB with the script, a small .glb and no textures."""
@@ -110,13 +109,9 @@ def result_picture(result: Result | ClipResult) -> Image.Image:
     return page(tiles, len(tiles))
 
 
-def rig_picture(rigged: RiggedMesh, layout: Layout) -> Image.Image:
-    """Draw a mesh as it is written in a layout, and its bones over it from the front and from the side.
-
-    The own rig of a file is drawn as the file has it, which only a .vrm in the T-pose does not.
-    """
-    skeleton = rigged.laid_out(layout) if rigged.own is None else rigged.skeleton
-    return bones_picture(skeleton.mesh, skeleton.rig.joints, skeleton.parents, "bones", **_axes(rigged.report))
+def rig_picture(skeleton: AnimatedRig, report: RigReport) -> Image.Image:
+    """Draw the mesh of a rig at rest, and its bones over it from the front and from the side."""
+    return bones_picture(skeleton.mesh, skeleton.rig.joints, skeleton.parents, "bones", **_axes(report))
 
 
 def bones_picture(
