@@ -108,7 +108,6 @@ REFUSED = {
     TRANSFER + "-m copy -o good.obj/x.obj": "good.obj",
     TRANSFER + "-m copy -o good.obj/": "expected a folder for the output, found a file",
     TRANSFER + "-m copy --open --no-preview": "--open: expected a page",
-    TRANSFER + "-m copy --log-level loud": "--log-level: expected debug, info, warning, error, found 'loud'",
     TRANSFER + "-m copy --threads 0": "--threads: expected 1 or more, found 0",
     TRANSFER + "-m deformation-transfer": "--reference",
     TRANSFER + "-m deformation-transfer --reference gone.obj": "gone.obj",
