@@ -189,8 +189,8 @@ def _heat(options: RenderOptions, clip: Clip, cut: FrameRange) -> Iterator[Image
     """Draw heat maps of the frames: distance to the truth (mm)."""
     assert options.truth is not None
     truth = _truth(options.truth, cut)
-    measure = heat.distance_to(clip, np.asarray(truth.vertices if len(truth) > 1 else truth.mesh.vertices))
-    return heat.heat_frames(clip, measure, "mm", options.tile(5 / 6), track=options.track, **_look(options))
+    frames = np.asarray(truth.vertices if len(truth) > 1 else truth.mesh.vertices[None])
+    return heat.heat_frames(clip, frames, options.tile(5 / 6), track=options.track, **_look(options))
 
 
 def _truth(path: Path, cut: FrameRange, fps: float | None = None) -> Clip:
