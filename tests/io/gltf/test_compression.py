@@ -8,13 +8,13 @@ import pytest
 from compressed_files import DRACO, MESHOPT, draco_glb, meshopt_glb, require
 from gltf_reference import binary_of, json_of
 from gltf_samples import pack_glb
+from rigs import read_skin
 
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.io.gltf.check import list_primitives
 from mimesh.io.gltf.document import open_document, read_accessor
 from mimesh.io.gltf.draft import AccessorCopier
-from mimesh.io.gltf.skin_file import read_skin
 
 pytestmark = pytest.mark.usefixtures("in_process")
 
