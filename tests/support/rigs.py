@@ -16,7 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import sample_shape
+from mimesh.bodies.skinned_character import SkinnedCharacter
+from mimesh.io import load_mesh
 from mimesh.io.gltf.draft import Draft
+from mimesh.io.gltf.edit import GltfSource
+from mimesh.io.gltf.read import rig_on_nodes, skin_joints
 
 ARMATURE = np.array([[100.0, 0, 0, 0], [0, 0, 100.0, 0], [0, -100.0, 0, 0], [0, 0, 0, 1]])
 """T_world_armature of a z-up armature in hundredths of a unit."""
@@ -32,6 +36,14 @@ MOVING = (
 def kept(faces: int = 300) -> np.ndarray:
     """List the vertices of the body that a character of so many faces has, in its order."""
     return decimation(faces)[0]
+
+
+def read_skin(path: Path) -> SkinnedCharacter:
+    """Read a character as its file has it, with the joints of all skins that its scene shows."""
+    mesh = load_mesh(path)
+    assert isinstance(mesh.source, GltfSource)
+    document, rest = mesh.source.document, mesh.source.rest
+    return rig_on_nodes(mesh, document, rest, skin_joints(document, rest))[0]
 
 
 @dataclass(frozen=True, eq=False)

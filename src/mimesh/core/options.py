@@ -344,7 +344,7 @@ class RenderOptions:
 
     sheet: bool = declared(False, "Each file once, in rows.", name="--sheet")
     strip: bool = declared(False, "Frames of each clip side by side.", name="--strip")
-    turntable: bool = declared(False, "One mesh from all sides.", name="--turntable")
+    turntable: bool = declared(False, "A movie of one mesh from all sides.", name="--turntable")
     truth: Path | None = declared(None, "Heat map of the distance to this mesh or clip, in mm if files are in metres.")
     track: bool = declared(False, "In movies, the camera goes along.", name="--track")
     view: str = declared("three-quarter", "three-quarter, front, side, left, right, back or top.")
