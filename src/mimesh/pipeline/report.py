@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ..bodies.joint_names import finger_joints
 from ..core.errors import option
 from ..core.frame_buffer import LazyFrames, evenly_spread
-from ..core.geometry import edges, face_vectors
-from ..core.mesh import Clip, Mesh, merged_mesh
+from ..core.geometry import edges
+from ..core.mesh import Mesh, merged_mesh
 from ..core.normalization import Normalization
 
 MOST_FRAMES, MOST_POINTS = 32, 250_000
@@ -102,15 +102,6 @@ class CaptureReport(MeshReport):
     one after the last. Absent of fewer than three frames, and where no foot was found."""
 
 
-class Accelerations(TypedDict):
-    """Mean acceleration of vertices, in extents of the first frame a second squared."""
-
-    result: float
-    """Of the result; one much larger than the driving's jitters. In extents a second squared."""
-    driving: float
-    """Of the driving clip, in extents a second squared."""
-
-
 class MatchReport(TypedDict):
     """How the rigs of two creatures were matched with each other."""
 
@@ -156,10 +147,6 @@ class TransferReport(TypedDict):
     """The same of 99 % of the edges: a factor."""
     torn_share: NotRequired[float]
     """Share of the surface whose edges became more than three times as long, in the worst frame."""
-    flipped_share: NotRequired[float]
-    """Share of the triangles that face against their neighbours and did not before."""
-    acceleration: NotRequired[Accelerations]
-    """Of clips of three frames or more."""
     body: NotRequired[str]
     """Shipped body that both were taken for: "human" or "quadruped"."""
     rig: NotRequired[Literal["own"]]
@@ -218,27 +205,21 @@ def saved_clip(path: str | Path, *deviations: Deviations) -> SavedClip:
 
 
 def quality(identity: Mesh, moved: LazyFrames) -> dict[str, float]:
-    """Measure edge stretch, and shares of torn surface and flipped triangles, in the worst frame of all.
-
-    Empty for a point cloud.
-    """
+    """Measure edge stretch and the share of torn surface in the worst frame of all; empty for a point cloud."""
     if len(identity.faces) == 0:
         return {}
     identity, moved = merged_mesh(identity, moved.group), moved.distinct
     pairs = edges(identity.faces)
     lengths = edge_lengths(identity.vertices, pairs)
-    before = against_neighbours(identity.faces, identity.vertices)
-    stretches, torn, flips = [], [], []
+    stretches, torn = [], []
     # Frame by frame: the edges of a large mesh in all frames would take gigabytes.
     most = max(2, min(MOST_FRAMES, MOST_POINTS // len(identity.vertices)))
     for vertices in moved.at(evenly_spread(len(moved), most)):
         posed = edge_lengths(vertices, pairs)
         stretches.append(_largest_stretches(edge_stretch(lengths, posed)))
         torn.append(torn_share(lengths, posed))
-        flips.append(flipped_share(identity.faces, before, vertices))
     largest, p99 = np.max(stretches, axis=0)
-    stretch = {"edge_stretch_max": float(largest), "edge_stretch_p99": float(p99)}
-    return stretch | {"torn_share": max(torn), "flipped_share": max(flips)}
+    return {"edge_stretch_max": float(largest), "edge_stretch_p99": float(p99), "torn_share": max(torn)}
 
 
 def edge_lengths(vertices: Float[np.ndarray, "V 3"], pairs: Int[np.ndarray, "E 2"]) -> Float[np.ndarray, " E"]:
@@ -300,13 +281,6 @@ def torn_note(report: Mapping[str, Any], name: str, found: bool) -> tuple[str, .
     )
 
 
-def flipped_share(
-    faces: Int[np.ndarray, "F 3"], before: Bool[np.ndarray, " F"], after: Float[np.ndarray, "V 3"]
-) -> float:
-    """Return the share of triangles that face against their neighbours and did not before (`against_neighbours`)."""
-    return float((against_neighbours(faces, after) & ~before).mean())
-
-
 def fingered_hands(joints: Collection[str]) -> list[Literal["left", "right"]]:
     """Return the hands whose fingers are among some joints."""
     hands: dict[str, Literal["left", "right"]] = {"Left": "left", "Right": "right"}
@@ -341,37 +315,3 @@ def facing_note(norm: Normalization, name: str, front: str) -> tuple[str, ...]:
         f"the facing of {name} is uncertain (taken: up {norm.up}, front {norm.front}); "
         f"give {option(front, ...)} if it faces elsewhere",
     )
-
-
-def accelerations(driving: Clip, moved: LazyFrames) -> dict[str, dict[str, float]]:
-    """Measure the mean acceleration (extents a second squared) of result and driving; empty below three frames.
-
-    A result with a much larger acceleration than its driving jitters.
-    """
-    if len(moved) < 3:
-        return {}
-    clips = {"result": moved.distinct, "driving": LazyFrames.stored(driving.vertices)}
-    return {"acceleration": {name: acceleration(frames, driving.fps) for name, frames in clips.items()}}
-
-
-def acceleration(frames: LazyFrames, fps: float) -> float:
-    """Return the mean acceleration of vertices: second differences times fps^2, in extents of the first frame."""
-    chosen = np.linspace(1, len(frames) - 2, min(MOST_FRAMES, len(frames) - 2)).round().astype(int)
-    needed, around, means = np.unique(chosen[:, None] + [-1, 0, 1]), {}, []
-    for t, points in zip(needed.tolist(), frames.at(needed), strict=True):
-        around = {k: kept for k, kept in around.items() if k >= t - 2} | {t: points}
-        if t - 1 in chosen:
-            second = around[t - 2].astype(np.float64) - 2.0 * around[t - 1] + points
-            means.append(np.linalg.norm(second, axis=-1).mean())
-    return float(np.mean(means) * fps**2 / np.ptp(next(frames.at([0])), axis=0).max())
-
-
-def against_neighbours(faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]) -> Bool[np.ndarray, " F"]:
-    """Whether each face's normal points against the summed vectors of the faces at its corners."""
-    along, corners = np.zeros(len(faces)), faces.ravel()
-    for vectors in np.ascontiguousarray(face_vectors(np.asarray(vertices, np.float64), faces).T):  # x, y and z
-        at_vertex = np.bincount(corners, np.repeat(vectors, 3), minlength=len(vertices))
-        first, second, third = at_vertex[faces.T]
-        # The face itself is in the sum at each of its corners.
-        along += (first + second + third - 3 * vectors) * vectors
-    return along < 0
