@@ -38,7 +38,7 @@ STRIDE = 24.0
 
 
 def rig_of(shape, size=1.0, shin=1.0, foot=1.0):
-    """Vertices and rig of a person; with `shin` the shins are longer and the thighs shorter, with `foot` feet longer."""
+    """Vertices and rig of a person; with `shin` shins are longer and thighs shorter, with `foot` feet are longer."""
     vertices, joints = (size * array for array in BODY.shaped(shape))
     ankles = [leg[2] for leg in LEGS]
     on_feet = BODY.weights[:, descendants(ankles, BODY.parents)].sum(axis=1) > 0.5

@@ -180,9 +180,9 @@ by more are not: the legs of one of the two meshes have not been recognised."""
 LARGEST_STEP = 0.15
 """Leg lengths: largest correction of one leg."""
 LONG_FOOT = 0.3
-"""Leg lengths from heel to toes of people's feet: 0.1 to 0.32, of 60 characters. Those of monsters with short legs, up to
-0.77, tilt as far through the floor as they are longer. So what they are off by in some frames may be as much larger; what
-they always are off by may not."""
+"""Leg lengths from heel to toes of people's feet: 0.1 to 0.32, of 60 characters. Those of monsters with short legs, up
+to 0.77, tilt as far through the floor as they are longer. So what they are off by in some frames may be as much larger;
+what they always are off by may not."""
 CYCLE_ERROR = 0.03
 """Leg lengths: in the first and last frame of a cyclic clip the joints are at the same places, relative to the root."""
 IN_PLACE = 0.1
