@@ -398,7 +398,8 @@ def _are_near(found, of_axes, left):
 def _without_yaw(measured):
     """Turn a measured rotation about the body's vertical until its left is nearest to an axis of the joint's frame.
 
-    Motion shows where soles are level, but not how far toes point outwards at rest.
+    Motion shows where soles are level, but not how far toes point outwards at rest. In a T-pose feet are parallel, and
+    a frame is along the world's axes or along the foot.
     """
     x, _, z = measured.T @ _axis(measured[:, 0])
     angle = np.arctan2(z, x)
