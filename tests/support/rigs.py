@@ -58,15 +58,15 @@ class Figure:
     vertices: np.ndarray
 
     def without(self, *names: str) -> Figure:
-        """Remove joints without children; their weights go to the parents."""
+        """Remove joints; their weights and children go to their parents."""
         figure = self
         for name in names:
             j = figure.names.index(name)
             weights = figure.weights.copy()
             weights[:, figure.parents[j]] += weights[:, j]
             keep = [k for k in range(len(figure.names)) if k != j]
-            parents = tuple(figure.parents[k] - (figure.parents[k] > j) for k in keep)
-            assert j not in figure.parents
+            above = [figure.parents[j] if figure.parents[k] == j else figure.parents[k] for k in keep]
+            parents = tuple(parent - (parent > j) for parent in above)
             figure = Figure(
                 tuple(figure.names[k] for k in keep), parents, figure.joints[keep], weights[:, keep], figure.vertices
             )
