@@ -50,7 +50,9 @@ def test_arms_of_blocks_have_shoulder_elbow_and_wrist_on_their_axis():
     left = points[:, 0] > 0.3
     assert found.weights[left & (points[:, 0] < 0.35)][:, CHAINS[0][0]].min() > 0.9
     assert found.weights[left & (points[:, 0] > 0.79)][:, CHAINS[0][2]].min() > 0.5
-    np.testing.assert_array_equal(found.weights[points[:, 0] < 0.2].argmax(axis=1) == 0, points[points[:, 0] < 0.2][:, 0] > -0.3)
+    np.testing.assert_array_equal(
+        found.weights[points[:, 0] < 0.2].argmax(axis=1) == 0, points[points[:, 0] < 0.2][:, 0] > -0.3
+    )
     assert np.abs(found.joints[NAMES.index("Head")] - rig.joints[NAMES.index("Head")]).max() < 1e-9
 
 
