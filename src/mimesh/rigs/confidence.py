@@ -23,8 +23,8 @@ MAX_SPREAD = 15.0
 MAX_ENTROPY = 0.81
 """Largest mean entropy (nats) of a whole person's skinning weights."""
 MIN_SHARE = {"head": 0.03, "left arm": 0.025, "right arm": 0.025, "left leg": 0.08, "right leg": 0.08}
-"""Smallest share of a whole person's surface for each limb; for arms and legs of the surface without the head. Stubby legs
-of figures that are read rightly have 0.09 to 0.11."""
+"""Smallest share of a whole person's surface for each limb; for arms and legs of the surface without the head. Stubby
+legs of figures that are read rightly have 0.09 to 0.11."""
 MIN_SYMMETRY = 0.45
 """Smallest share of a whole limb, in those of its counterpart on the other side."""
 MAX_UNMATCHED_LIMB, MAX_UNMATCHED_SURFACE = 0.025, 0.006
@@ -39,8 +39,8 @@ MISSING_LIMB = 0.4
 
 EXPECTED_ERROR = {"constant": -7.17, "spread": 0.45, "entropy": 1.64, "fit_distance": 1.38}
 """Logarithm of the mean error of a result (heights of the identity) whose worse mesh this is: constant, and
-coefficients of `Confidence.features`. Entropy and distance count as in OTHER_KIND, the spread as a third of that. Fitted
-by `research/fit_confidence.py` (docs/log/mime.md, "Warnings that can be trusted")."""
+coefficients of `Confidence.features`. Entropy and distance count as in OTHER_KIND. Fitted by
+`research/fit_confidence.py` (docs/log/mime.md, "Warnings that can be trusted")."""
 MAX_ERROR = 0.042
 """Largest expected error of a mesh without a note. Of 101 good results one has a note, of 41 bad ones 36 have."""
 ANIMAL_ERROR = {
