@@ -27,6 +27,7 @@ from ..core.surface_points import SurfacePoints, generator
 from ..rigs.character import Character, names_above
 from ..rigs.confidence import MAX_UNMATCHED_SURFACE, Confidence
 from ..rigs.retarget import Follow, JointMotion, Pose, SurfaceMotion
+from .block_arms import with_block_arms
 from .body_fit import (
     BodyFit,
     SurfaceSample,
@@ -316,7 +317,11 @@ class Mime:
         fitted, sure, fit = self._with_fit(rig, confidence, sample, predictions)
         found = lost_shin(sample, fit) if fit is not None and self.body == "human" else None
         # What is found is as uncertain as what was predicted: weights are not measured again.
-        return self._with_corrections(rig, confidence, sample, queries, found) if found else (fitted, sure, fit)
+        if found:
+            return self._with_corrections(rig, confidence, sample, queries, found)
+        if fit is not None and self.body == "human" and fit.distance > RELIABLE_MISMATCH:
+            fitted = with_block_arms(fitted, sample.points, queries.points, self.joints, self.parents)
+        return fitted, sure, fit
 
     def _with_fit(
         self, rig: Rig, confidence: Confidence, sample: SurfaceSample, predictions: Sequence[Rig]
