@@ -146,7 +146,8 @@ class JointRoute(Placed):
             report = surface_report(identity, moved, self.facings)
         report |= {"body": self.mime.body} | ({} if self.rigs.humanoid is None else {"rig": "own"})
         notes += report_confidence(retarget, report, self.names)
-        notes += torn_note(report, identity.name, self.rigs.humanoid is None) + self.all_notes(own is not None)
+        notes += torn_note(report, identity.name, self.rigs.humanoid is None, skeleton)
+        notes += self.all_notes(own is not None)
         report["fingers"] = fingered_hands(retarget.character.joints)  # elsewhere they follow the hand
         report |= self._skates(retarget, track, posed, across, options)
         if limited:

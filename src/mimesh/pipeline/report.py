@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies.joint_names import finger_joints
+from ..core.animated_rig import AnimatedRig
 from ..core.errors import option
 from ..core.frame_buffer import LazyFrames, evenly_spread
 from ..core.geometry import edges
@@ -147,6 +148,8 @@ class TransferReport(TypedDict):
     """The same of 99 % of the edges: a factor."""
     torn_share: NotRequired[float]
     """Share of the surface whose edges became more than three times as long, in the worst frame."""
+    torn_at: NotRequired[list[float]]
+    """Middle of the longest torn edge in that frame, on the mesh at rest; absent if little is torn."""
     body: NotRequired[str]
     """Shipped body that both were taken for: "human" or "quadruped"."""
     rig: NotRequired[Literal["own"]]
@@ -204,22 +207,27 @@ def saved_clip(path: str | Path, *deviations: Deviations) -> SavedClip:
     return saved
 
 
-def quality(identity: Mesh, moved: LazyFrames) -> dict[str, float]:
-    """Measure edge stretch and the share of torn surface in the worst frame of all; empty for a point cloud."""
+def quality(identity: Mesh, moved: LazyFrames) -> dict[str, Any]:
+    """Measure edge stretch and the share of torn surface in the worst frame of all.
+
+    Says where the surface is torn if much of it is. Empty for a point cloud.
+    """
     if len(identity.faces) == 0:
         return {}
     identity, moved = merged_mesh(identity, moved.group), moved.distinct
     pairs = edges(identity.faces)
     lengths = edge_lengths(identity.vertices, pairs)
-    stretches, torn = [], []
+    stretches, torn, most_torn = [], 0.0, lengths
     # Frame by frame: the edges of a large mesh in all frames would take gigabytes.
     most = max(2, min(MOST_FRAMES, MOST_POINTS // len(identity.vertices)))
     for vertices in moved.at(evenly_spread(len(moved), most)):
         posed = edge_lengths(vertices, pairs)
         stretches.append(_largest_stretches(edge_stretch(lengths, posed)))
-        torn.append(torn_share(lengths, posed))
+        if (share := torn_share(lengths, posed)) > torn:
+            torn, most_torn = share, posed
     largest, p99 = np.max(stretches, axis=0)
-    return {"edge_stretch_max": float(largest), "edge_stretch_p99": float(p99), "torn_share": max(torn)}
+    where = {"torn_at": torn_at(identity.vertices, pairs, most_torn)} if torn > MAX_TORN else {}
+    return {"edge_stretch_max": float(largest), "edge_stretch_p99": float(p99), "torn_share": torn} | where
 
 
 def edge_lengths(vertices: Float[np.ndarray, "V 3"], pairs: Int[np.ndarray, "E 2"]) -> Float[np.ndarray, " E"]:
@@ -256,28 +264,51 @@ def torn_share(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> fl
         new: the same after.
     """
     weights = np.square(old)
-    measured = weights > 0
-    if not measured.any():
-        return 0.0
-    ratio = new[measured] / old[measured]
-    return float(weights[measured][ratio > TORN * np.median(ratio)].sum() / weights.sum())
+    return float(weights[torn_edges(old, new)].sum() / max(weights.sum(), 1e-300))
 
 
-def torn_note(report: Mapping[str, Any], name: str, found: bool) -> tuple[str, ...]:
+def torn_edges(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> Bool[np.ndarray, " E"]:
+    """Mark the edges that are more than TORN times as long as before, over the median edge."""
+    measured = old > 0
+    ratio = np.divide(new, old, out=np.zeros_like(new), where=measured)
+    return ratio > TORN * (np.median(ratio[measured]) if measured.any() else 1.0)
+
+
+def torn_at(
+    vertices: Float[np.ndarray, "V 3"], pairs: Int[np.ndarray, "E 2"], new: Float[np.ndarray, " E"]
+) -> list[float]:
+    """Return the middle at rest of the longest torn edge.
+
+    Args:
+        vertices: at rest.
+        new: lengths of the edges in a frame with torn ones.
+    """
+    torn = torn_edges(edge_lengths(vertices, pairs), new)
+    return vertices[pairs[np.where(torn, new, 0.0).argmax()]].mean(axis=0).tolist()
+
+
+def torn_note(
+    report: Mapping[str, Any], name: str, found: bool, skeleton: AnimatedRig | None = None
+) -> tuple[str, ...]:
     """Return a note for the user if much of the result `name` is torn (`quality`).
 
     Args:
         report: of the result.
         name: of the identity.
         found: joints were found on its surface.
+        skeleton: of it; its joint that is nearest is named. None: none is known.
     """
-    share = report.get("torn_share", 0.0)
-    if share <= MAX_TORN:
+    if "torn_at" not in report:
         return ()
+    share, place = report["torn_share"], report["torn_at"]
+    where = f"the point {', '.join(f'{x:.3g}' for x in place)} of the mesh at rest"
+    if skeleton is not None:
+        nearest = np.linalg.norm(skeleton.rig.joints - place, axis=1).argmin()
+        where = f"{skeleton.names[nearest]} ({where})"
     helps = f": {option('joints', ...)} corrects joints, {option('body', ...)} says what the mesh is" if found else ""
     return (
-        f"{share:.0%} of the surface of {name} is torn, its edges more than {TORN:g} times as long as at rest, as "
-        f"where limbs are found wrongly; look at the result{helps}",
+        f"{share:.0%} of the surface of {name} is torn, its edges more than {TORN:g} times as long as at rest, most "
+        f"near {where}; limbs may be found wrongly, look at the result{helps}",
     )
 
 

@@ -67,6 +67,10 @@ PERSON_SPREAD, SPREAD_WEIGHT = 20.0, 10.0
 """Spread (degrees) of the predictions for a person above MAX_OTHER_KIND from which on a mesh is the less accepted, and
 the weight of its logarithm. Of such people at the joint limits the largest is 19.7, of a fist 36, of a snowman 26, of
 people who are misread 22 to 35. Below MAX_OTHER_KIND figures of blocks, which face both ways, have up to 139."""
+STRAIGHT, STRAIGHT_ENTROPY, STRAIGHT_MISFIT = 80.0, 1.1, 3.0
+"""Flexion (degrees) up to which a person stands with straight limbs, which are read with the least doubt: the largest
+entropy (nats) of its weights, and what is added to the misfit of a mesh with more, or with more than MAX_OTHER_KIND.
+The largest of such people is 1.09, a figure of blocks in a stride, at rest 0.89 (docs/log/mime.md, 2026-11-28)."""
 OTHER_KIND_ERROR = 0.15
 """Smallest expected error (heights of the identity) of a mesh above that, whose true error is not defined."""
 DOUBTFUL_ERROR = 0.08
@@ -116,6 +120,8 @@ class Standards:
     """As PERSON_DISTANCE."""
     spread: float = np.inf
     """As PERSON_SPREAD."""
+    straight: float = -np.inf
+    """As STRAIGHT."""
 
     @classmethod
     def of(cls, joints: tuple[str, ...]) -> Standards:
@@ -133,6 +139,7 @@ HUMAN_STANDARDS = Standards(
     doubtful_error=DOUBTFUL_ERROR,
     distance=PERSON_DISTANCE,
     spread=PERSON_SPREAD,
+    straight=STRAIGHT,
 )
 QUADRUPED_STANDARDS = Standards(
     kind="a four-legged animal",
@@ -226,11 +233,14 @@ class Confidence:
         """Measure by which a mesh is refused: `other_kind`, and more where the surface is away from the fitted body.
 
         People who sit are read upside down or folded by predictions that agree; the body then covers less of them.
-        What hardly looks like a person, and is predicted otherwise each time, is refused, too.
+        What hardly looks like a person, and is predicted otherwise each time, is refused, too, and so is what hardly
+        looks like one though its limbs are straight: hands, cats that sit, aeroplanes.
         """
         away = max(self.surface_distance / self.standards.distance, 1.0)
         apart = max(self.prediction_spread / self.standards.spread, 1.0) if self.is_other_kind else 1.0
-        return self.other_kind + DISTANCE_WEIGHT * float(np.log(away)) + SPREAD_WEIGHT * float(np.log(apart))
+        unlike = self.is_other_kind or self.weight_entropy > STRAIGHT_ENTROPY
+        odd = STRAIGHT_MISFIT if unlike and self.flexion <= self.standards.straight else 0.0
+        return self.other_kind + DISTANCE_WEIGHT * float(np.log(away)) + SPREAD_WEIGHT * float(np.log(apart)) + odd
 
     @property
     def is_other_kind(self) -> bool:
