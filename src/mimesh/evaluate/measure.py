@@ -361,7 +361,7 @@ def run_on_clip(
     if compared_as_shapes(network, refine):
         return Output(*placed_shapes(network, trial.identity, trial.clip, trial.truth_frames))
     # The truth has the driving's rotations, and its soles slide: a method is measured without planted feet.
-    options, motion = ModelOptions(refine=refine), MotionOptions(ground=False)
+    options, motion = ModelOptions(refine=refine), MotionOptions(ground=False, contacts=False)
     moved = animate(trial.identity, trial.clip, network, hints=_hints(network), options=options, motion=motion)
     return Output.of(moved)
 
