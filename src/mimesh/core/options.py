@@ -247,7 +247,7 @@ class MotionOptions:
             >>> mimesh.MotionOptions(ground=False).refuse_without_joints("npt")
         """
         for field in dataclasses.fields(self):
-            if field.name != "ground" and getattr(self, field.name) not in (field.default, None):
+            if field.name not in ("ground", "contacts") and getattr(self, field.name) not in (field.default, None):
                 raise needs_joints(field.name, model)
 
 

@@ -28,6 +28,7 @@ class Options:
     model: str = "mime"
     root: str = "scale"
     ground: bool = True
+    contacts: bool = True
     smooth: float = 0.0
     refine: bool | None = None
     body: str = "auto"
@@ -46,6 +47,7 @@ class Options:
         _check_choice(values, "model", models)
         _check_choice(values, "root", values_of(MotionOptions, "root"))
         _check_choice(values, "ground", (True, False))
+        _check_choice(values, "contacts", (True, False))
         _check_choice(values, "refine", (None, True, False))
         _check_choice(values, "body", values_of(Hints, "body"))
         _check_choice(values, "rig", values_of(Hints, "rig"))
@@ -62,7 +64,9 @@ class Options:
 
     def motion(self, model: Mime | Method) -> MotionOptions:
         """Return the motion options for a model: only one with joints has any."""
-        return MotionOptions(self.root, self.ground, self.smooth) if isinstance(model, Mime) else MotionOptions()
+        if not isinstance(model, Mime):
+            return MotionOptions()
+        return MotionOptions(self.root, self.ground, self.smooth, contacts=self.contacts)
 
     def kind(self, model: Mime | Method) -> tuple[str, str]:
         """Return rig and body for a model: one with joints has the rigs of files, one of several bodies has a body."""
