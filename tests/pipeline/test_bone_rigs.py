@@ -105,10 +105,11 @@ def test_the_body_of_a_driving_is_found_in_any_axes(driving):
     """Its points are found at rest, whose joints are in the axes of the clip."""
     clip, joints = joints_of(driving)
     grids = []
-    for drawn in (load_clip(driving), dataclasses.replace(clip, skeleton=joints)):
-        norm = Normalization.fit(drawn.mesh, *(("+y", "+z") if not grids else ("+z", "-y")))
-        mesh = dataclasses.replace(drawn.mesh, vertices=norm.apply(drawn.mesh.vertices))
-        grids.append(JointMotion.of_file(drawn.skeleton.person(), mesh, 30.0, norm, 0).grid)
+    for drawn, axes in ((load_clip(driving), ("+y", "+z")), (dataclasses.replace(clip, skeleton=joints), ("+z", "-y"))):
+        mesh = dataclasses.replace(drawn.mesh, vertices=np.asarray(drawn.vertices[0], float))
+        norm = Normalization.fit(mesh, *axes)
+        mesh = dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices))
+        grids.append(JointMotion.of_file(drawn.skeleton.person(), mesh, drawn.fps, norm, 0).grid)
     assert grids[0].parts == grids[1].parts
     np.testing.assert_allclose(grids[1].rest, grids[0].rest, atol=EXACT)
 
