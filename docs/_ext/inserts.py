@@ -198,6 +198,25 @@ def large() -> str:
     )
 
 
+def contacts() -> str:
+    """Return the table of hands that touch the own body, of held-out characters, from benchmarks/contacts.json."""
+    report = figures_of("benchmarks/contacts")
+    rows = []
+    for kind, label in (("everyday", "everyday contacts"), ("clips", "clips")):
+        for group, of in report["results"][f"val {kind}"].items():
+            row = [f"{label}, {group} ({of['characters']})"]
+            for metric, scale in (("contact", 1), ("penetration", 100)):
+                known = f"{metric} left" in of
+                row += [f"{scale * of[f'{metric} {key}']:.2f}" if known else "" for key in ("driving", "copied", "ours")]
+            rows.append(row)
+    head = ["motions, characters by girth", "contact: driving", "copied", "mimesh"]
+    table = markdown_table([*head, "penetration: driving", "copied", "mimesh"], rows)
+    return (
+        f"{table}\n\nContact error in cm of a person of 1.75 m, penetration in % of the surface of hands and forearms. "
+        f"{measured(report)}"
+    )
+
+
 def _growth(figures: dict) -> str:
     """Return a sentence on how time and memory grow in vertices or frames."""
     linear = "linear" if figures["linear"] else "more than linear"
@@ -483,6 +502,7 @@ def _text(text: str | None) -> str:
 
 INSERTS = {
     "batch": batch_figures,
+    "contacts": contacts,
     "plan": batch_plan,
     "large": large,
     "live": live,

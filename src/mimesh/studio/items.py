@@ -28,6 +28,7 @@ class Options:
     model: str = "mime"
     root: str = "scale"
     ground: bool = True
+    contacts: bool = True
     smooth: float = 0.0
     refine: bool | None = None
     body: str = "auto"
@@ -47,7 +48,7 @@ class Options:
             check_value(name, str(getattr(changed, name)), allowed)
         Hints(body=changed.body)
         ModelOptions(refine=changed.refine)
-        MotionOptions(changed.root, changed.ground, changed.smooth)
+        MotionOptions(changed.root, changed.ground, changed.smooth, contacts=changed.contacts)
         return changed
 
     @property
@@ -57,7 +58,9 @@ class Options:
 
     def motion(self, model: Mime | Method) -> MotionOptions:
         """Return the motion options for a model: only one with joints has any."""
-        return MotionOptions(self.root, self.ground, self.smooth) if isinstance(model, Mime) else MotionOptions()
+        if not isinstance(model, Mime):
+            return MotionOptions()
+        return MotionOptions(self.root, self.ground, self.smooth, contacts=self.contacts)
 
     def kind(self, model: Mime | Method) -> tuple[str, str]:
         """Return rig and body for a model: one with joints has the rigs of files, one of several bodies has a body."""
