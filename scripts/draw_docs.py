@@ -198,16 +198,16 @@ def posed_joints(motion: CapturedClip) -> Float[np.ndarray, "T J 3"]:
 
 
 def species() -> Image.Image:
-    """Draw poses of a horse and of a cat, and the same of a camel and of a lion without rigs."""
+    """Draw a horse and a cat at rest and in poses, and a camel and a lion without rigs that follow them."""
     tiles = []
     for driving, identity, gait in (("horse", "camel", "gallop"), ("cat", "lion", "trot")):
         clip = gait_clip(driving, gait, seconds=0.6)
         result = animate(animal(identity), clip).clip
-        frames = np.linspace(0, len(clip) - 1, 4).round().astype(int)
-        for moved, tint in ((clip, DRIVING_TINT), (result, None)):
-            poses = [_tile(moved.mesh.with_vertices(moved.vertices[frame]), moved.mesh.name, tint) for frame in frames]
-            tiles += [_tile(moved.mesh, "", tint), *poses]
-    return page(tiles, len(frames) + 1)
+        for name, moved, tint in ((driving, clip, DRIVING_TINT), (identity, result, None)):
+            tiles.append(_tile(animal(name), f"{name}, at rest", tint))
+            for frame in np.linspace(0, len(clip) - 1, 4).round().astype(int):
+                tiles.append(_tile(moved.mesh.with_vertices(moved.vertices[frame]), name, tint))
+    return page(tiles, 5)
 
 
 def _render(vertices: np.ndarray, faces: np.ndarray, camera: Camera, colors=None) -> Image.Image:
