@@ -50,7 +50,7 @@ POINTS = 320
 BONE_COLOUR = (58, 84, 122)
 MODELS = ("mime", "npt", "npt-maxpool", "aniformer", "copy")
 """Models in the picture of models."""
-CAPTURED = "turn"
+CAPTURED = "jump"
 """Shipped motion in the picture of a capture."""
 MAX_DISTANCE = 0.08
 """Distance to the truth (metres) of the last colour in the picture of models."""
@@ -174,7 +174,7 @@ def captured() -> Image.Image:
     """Draw frames of a clip without joints, the joints that are captured from it, and a character that they move."""
     clip = motion_clip(BODY, DRIVING_PERSON, load_motion(CAPTURED))
     motion = capture(clip)
-    moved = retarget(motion, rig(character("heavy"))).clip
+    moved = retarget(motion, rig(character("child"))).clip
     joints = posed_joints(motion)
     rows: list[list[Image.Image]] = [[], [], []]
     for frame in np.linspace(0, len(clip) - 1, 5).round().astype(int):
@@ -184,7 +184,7 @@ def captured() -> Image.Image:
         _draw_bones(bones, camera, joints[frame], motion.parents)
         rows[0].append(_tile(driving, "clip", DRIVING_TINT))
         rows[1].append(captioned(bones, "joints"))
-        rows[2].append(_tile(result, "heavy"))
+        rows[2].append(_tile(result, "child"))
     return page([tile for row in rows for tile in row], len(rows[0]))
 
 
