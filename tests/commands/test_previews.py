@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from pathlib import Path
 
@@ -48,3 +49,20 @@ def test_a_demo_without_pictures_has_its_result(tmp_path, model, monkeypatch):
         "preview.png was not written (ValueError: Target count must be less); the result is complete"
     ]
     assert (tmp_path / "result.glb").is_file()
+
+
+def test_drawing_and_reading_have_bars(files, call, monkeypatch):
+    """They can take longer than the rest."""
+    titles = []
+
+    @contextlib.contextmanager
+    def noted(what, quiet):
+        titles.append((what, quiet))
+        yield None
+
+    monkeypatch.setattr("mimesh.commands.move.progress", noted)
+    monkeypatch.setattr("mimesh.commands.show.progress", noted)
+    assert call("transfer hero.obj pose.obj -m copy").code == 0
+    assert call("look hero.obj pose.obj").code == 0
+    assert call("render hero.obj -o sheet.png --quiet").code == 0
+    assert titles[-4:] == [("preview", False), ("reading", False), ("reading", True), ("frames", True)]

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import zoo
+from networks import write_mime_network
 from people import person, walk
 
 import mimesh
@@ -279,6 +280,36 @@ def test_meshes_are_rigged_and_clips_captured_and_not_again(tmp_path, monkeypatc
         ("rig", ["meshes/p0.obj"], "p0"),
         ("capture", ["clips/walk.npz"], "walk"),
     ]
+
+
+def test_a_pattern_of_the_identity_alone_makes_one_file_of_all_clips(tmp_path, monkeypatch):
+    """As a game has its characters: one file, one animation for each motion."""
+    pytest.importorskip("onnx")
+    monkeypatch.chdir(tmp_path)
+    write_mime_network(Path("mime.onnx"))
+    save_mesh(person(0), "ids/a.glb")
+    save_mesh(person(1), "ids/b.glb")
+    save_clip(walk(frames=3, faces=600), "clips/walk.npz")
+    save_clip(walk(2, frames=5, faces=600), "clips/run.npz")
+    clips = ["clips/run.npz", "clips/walk.npz"]
+    jobs = read_jobs("ids", "clips", "out/{identity}.glb", {}, "animate")
+    assert [(job.output, job.files) for job in jobs] == [(f"out/{x}.glb", [f"ids/{x}.glb", *clips]) for x in "ab"]
+    assert len(read_jobs("ids", "clips", "out/{identity}-{number}.glb", {}, "animate")) == 4
+    row = {"identity": "ids/a.glb", "driving": clips, "output": "out/a.glb", "model": "mime.onnx"}
+    result = mimesh.batch([row], workers=1, sheet=False)
+    assert (result.counts["done"], result.outcomes[0]["frames"]) == (1, 8), result.outcomes
+    assert [len(load_clip("out/a.glb", animation=name)) for name in ("run", "walk")] == [5, 3]
+    assert summary_rows()[0]["driving"] == "clips/run.npz | clips/walk.npz"
+
+    def is_done() -> bool:
+        (job,) = read_jobs([row], None, None, {}, "animate")
+        return recorded(BatchTask(job, fingerprint(job), False)) is not None
+
+    assert is_done()
+    save_clip(walk(frames=4, faces=600), "clips/walk.npz")
+    assert not is_done()
+    with pytest.raises(mimesh.InputError, match="expected one driving for transfer, found 2"):
+        read_jobs([row], None, None, {}, "transfer")
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,9 @@ from mimesh.core.skinning import SkinnedMesh
 from mimesh.io import load_clip, load_mesh
 from mimesh.motions import Motion, load_motion, motion_clip, resample, window
 from mimesh.motions.bvh import load_bvh
-from mimesh.motions.motion import joint_tracks
+from mimesh.motions.motion import BONES, joint_tracks
 from mimesh.motions.on_body import is_motion_file, motion_of_file, on_body
-from mimesh.motions.retarget import BONES, rests_standing
+from mimesh.motions.retarget import rests_standing
 from mimesh.pipeline.read import driving_axes
 from mimesh.tools.inspect import inspect_file
 

@@ -35,6 +35,7 @@ from ..core.errors import InputError
 from ..core.geometry import rotation_between
 from ..core.mesh import Mesh
 from ..core.rig import local_rotations
+from ..io.gltf.character import NOT_STATED
 from ..motions.animal_rig import rest_directions
 from .character_folder import INDEX, read_character_folder
 from .pairs import Pair, human
@@ -240,7 +241,7 @@ def _make_pair(identity, driving, rest, transforms, labels, across: bool) -> Cha
 
 def character_label(meta: CharacterMeta) -> str:
     """Return maker, pack and file of a character, for reports."""
-    return f"{meta.maker}: {meta.pack}: {meta.file}"
+    return f"{meta.maker or NOT_STATED}: {meta.pack}: {meta.file}"
 
 
 def _mesh(posed: PosedCharacter, label: str) -> Mesh:

@@ -58,7 +58,12 @@ def batch(
     ] = None,
     output: Annotated[
         str | None,
-        typer.Option("--output", "-o", metavar="PATTERN", help="Outputs: 'out/{identity}/{driving}.glb'; {number}."),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="PATTERN",
+            help="Outputs: 'out/{identity}/{driving}.glb'; {number}; with {identity} alone one file of all clips.",
+        ),
     ] = None,
     model: Model = "mime",
     option: Annotated[

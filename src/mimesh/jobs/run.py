@@ -117,7 +117,8 @@ class BatchResult:
                 table = csv.DictWriter(file, COLUMNS, extrasaction="ignore", restval="")
                 table.writeheader()
                 for row in self.rows():
-                    cells = {**row, "notes": " | ".join(row.get("notes") or ())}
+                    joined = {"driving": (row["driving"], *row["more"]), "notes": row.get("notes") or ()}
+                    cells = row | {key: " | ".join(values) for key, values in joined.items()}
                     table.writerow({key: printable(x) if isinstance(x, str) else x for key, x in cells.items()})
             with writing(json_path), whole_file(json_path) as temporary:
                 temporary.write_text(json.dumps(self.facts(), indent=1) + "\n", encoding="utf-8", newline="\n")
@@ -146,7 +147,8 @@ def batch(
             (a CSV file, or dictionaries): identity, driving, output, command and options by their names (`root-bone`
             or `root_bone`). With "rig" and "capture" also a folder, a pattern or a file of meshes, or of clips; rows
             have an identity or a driving alone.
-        drivings: a folder, a pattern or a file of clips; each is combined with each identity.
+        drivings: a folder, a pattern or a file of clips; each is combined with each identity. Where `output` has
+            {identity} alone, all of them become animations of one file. In a row a list of clips does.
         output: where to write each result, with {identity}, {driving} and {number} for the names of its inputs and the
             number of the job. Rows of a table with an output of their own do not need it.
         command: "animate", "transfer", "rig" or "capture", for jobs whose row does not say.

@@ -20,7 +20,8 @@ from ..bodies.hands import body_with_fingers, hand_frames, has_hand
 from ..bodies.joint_names import ancestors
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.geometry import angles_between, nearest_rotation, rotation_between, unit_vectors
-from .retarget import HINGES, hinge_rotations, limb_alignments, nearest_axes, paired_axes
+from .rest_calibration import HINGES, hinge_rotations, nearest_axes, paired_axes
+from .retarget import limb_alignments
 
 TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Head")
 """Joints of the trunk, from the hips up."""

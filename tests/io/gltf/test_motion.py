@@ -23,9 +23,8 @@ from mimesh.io.gltf.motion import bind_poses, gltf_joints, read_skeleton
 from mimesh.io.gltf.scene import world_matrices
 from mimesh.io.gltf.skinned import write_gltf_skinned
 from mimesh.motions import load_motion, window
-from mimesh.motions.motion import joint_tracks
+from mimesh.motions.motion import BONES, joint_tracks
 from mimesh.motions.on_body import on_body
-from mimesh.motions.retarget import BONES
 from mimesh.tools.inspect import inspect_file
 
 ARMATURES = {
