@@ -70,7 +70,8 @@ people who are misread 22 to 35. Below MAX_OTHER_KIND figures of blocks, which f
 STRAIGHT, STRAIGHT_ENTROPY, STRAIGHT_MISFIT = 80.0, 1.1, 3.0
 """Flexion (degrees) up to which a person stands with straight limbs, which are read with the least doubt: the largest
 entropy (nats) of its weights, and what is added to the misfit of a mesh with more, or with more than MAX_OTHER_KIND.
-The largest of such people is 1.09, a figure of blocks in a stride, at rest 0.89 (docs/log/mime.md, 2026-11-28)."""
+At rest such people have 0.89 at most; figures of blocks 1.09 in a stride, 1.43 at the joint limits
+(docs/log/mime.md)."""
 OTHER_KIND_ERROR = 0.15
 """Smallest expected error (heights of the identity) of a mesh above that, whose true error is not defined."""
 DOUBTFUL_ERROR = 0.08
