@@ -169,8 +169,8 @@ def hand_frames(
 
     A hand is turned as its knuckles are, and each finger joint as its bone; the last of a finger follows the one
     before. Where all knuckles are at one place, the joints after them tell. With one knuckle or none it is taken for a
-    straight hand (`straight_hand`): the only knuckle of a mitten is where its maker put it, 5 to 25 degrees away. A
-    hand without a joint is on the forearm: its direction is that from the elbow to the knuckles.
+    straight hand (`straight_hand`): the one of a mitten is where its maker put it, 5 to 25 degrees away. A hand without
+    a joint is on the forearm: its direction is that from the elbow to the knuckles.
 
     Args:
         rest: positions of the forearm, the hand and its finger joints at rest.

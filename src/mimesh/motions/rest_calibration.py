@@ -18,7 +18,7 @@ from jaxtyping import Float
 from ..bodies import RiggedBody
 from ..bodies.joint_names import ancestors
 from ..core.geometry import angles_between, nearest_rotation, rotation_between, rotations_between, unit_vectors
-from ..core.normalization import ROTATIONS
+from ..core.normalization import ROTATIONS, turn
 from .motion import BONES, LEG, leg_length
 
 ON_FLOOR = 0.2
@@ -143,7 +143,7 @@ def _without_yaw(measured):
     Motion shows where soles are level, but not how far toes point outwards at rest. In a T-pose feet are parallel, and
     a frame is along the world's axes or along the foot.
     """
-    x, _, z = measured.T @ _axis(measured[:, 0])
+    x, _, z = measured.T @ nearest_axis(measured[:, 0])
     angle = np.arctan2(z, x)
     return measured if abs(angle) > np.radians(OBLIQUE_FRAME) else measured @ turn(-angle)
 
