@@ -290,7 +290,7 @@ def test_pools_count_what_they_refuse(tmp_path):
     pool = read_pool(tmp_path, "val")
     assert [character.meta.file for character in pool.characters] == ["a"]
     assert list(pool.refused) == ["c", "d"]
-    assert list(pool.refusals().values()) == [2]
+    assert pool.refusals() == {f"c, d: {pool.refused['c']}": 2}
     assert [character.meta.maker for character in read_pool(tmp_path, "test").characters] == ["we"]
 
 

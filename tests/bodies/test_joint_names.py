@@ -10,7 +10,8 @@ from mimesh.bodies.joint_names import named_joints, require_joints
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
-from mimesh.motions.retarget import BONES, NEEDED
+from mimesh.motions.motion import BONES
+from mimesh.motions.retarget import NEEDED
 
 OURS = load_body()
 

@@ -53,8 +53,12 @@ def test_a_table_leaves_out_rows_without_weights_and_says_how_to_make_them(files
     (note,) = [line for line in err.splitlines() if "weights" in line]
     assert "npt-concat1, npt-no-spadain, npt-no-edge, npt-equal by mimesh table npt-2 --train" in note
     assert "npt-full, npt-full-mixed by python scripts/train_on_gpu.py OUT" in note
+    assert "not here; call this in the root of a checkout, which has some of them, or make " in note
     shown = [line.split("`")[1] for line in out.splitlines() if line.startswith("| ") and "`" in line]
     assert (code, shown) == (0, ["copy"])
+    Path("ablations").mkdir()
+    ended = call(f"table npt-2 --pairs 1 -o table.json{others}")
+    assert "not here; make npt-concat1" in ended.err
     assert json.loads(call(f"table npt-2 --pairs 1 -o table.json{others} --json").out)["left_out"] == missing
 
 

@@ -40,7 +40,7 @@ def test_a_folder_of_files_and_a_pool_in_one(tmp_path):
     assert done[4] == (5, 5)
     assert sorted(found.refused.values()) == [1, 1, 1]
     told = found.described()
-    assert "1 refused: expected one of the split train, found the split test of the index" in told
+    assert "1 refused: kit/judge.glb: expected one of the split train, found the split test of the index" in told
     assert "expected a thigh and an upper arm" in told
     assert str(tmp_path) not in told
 

@@ -15,7 +15,7 @@ from mimesh.core.options import Hints, MotionOptions
 from mimesh.io import load_mesh
 from mimesh.io.gltf.draft import Draft
 from mimesh.motions import load_motion, window
-from mimesh.motions.retarget import BONES
+from mimesh.motions.motion import BONES
 from mimesh.pipeline import animate
 from mimesh.pipeline.gltf_rigs import rig_facts
 

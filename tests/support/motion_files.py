@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from mimesh.bodies import RiggedBody
 from mimesh.core.geometry import unit_vectors
 from mimesh.motions import Motion
-from mimesh.motions.motion import joint_tracks
-from mimesh.motions.retarget import BONES
+from mimesh.motions.motion import BONES, joint_tracks
 
 Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Rotation to the axes of a file with z up, in which a person faces -y."""

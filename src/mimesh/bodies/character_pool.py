@@ -13,7 +13,7 @@ import dataclasses
 import json
 import re
 import zipfile
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -26,6 +26,7 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Mesh, check_mesh
 from ..core.npz_archive import check_unpacked_size, open_archive, read_array
+from ..core.printable import listed
 from ..core.rig import homogeneous
 from .animal_limbs import name_animal_joints
 from .character_limbs import Limb, attach_feet, find_limbs, name_limb_joints
@@ -52,6 +53,8 @@ FACING = {"+z": 0.0, "-z": np.pi, "+x": -np.pi / 2, "-x": np.pi / 2, "": 0.0}
 """Rotation about y (radians) that turns a character of each facing to +z; a facing that is not known counts as +z."""
 CLASSES = {"human": "humanoid", "quadruped": "quadruped", "other": "other"}
 """Shipped body -> `class` of the characters that have its joints."""
+MOST_NAMED = 3
+"""Files that are named with the reason why they cannot be used."""
 FOOT_SAMPLES = 24
 """Number of poses of the clips, evenly spread, from which the shin of a foot is found."""
 
@@ -138,8 +141,11 @@ class Pool:
     """Reason why a file cannot be used, by the name of the file."""
 
     def refusals(self) -> dict[str, int]:
-        """Count the files of each reason."""
-        return dict(Counter(self.refused.values()))
+        """Count the files of each reason, which follows the first of their names."""
+        names = defaultdict[str, list[str]](list)
+        for name, reason in self.refused.items():
+            names[reason].append(name)
+        return {f"{listed(files, MOST_NAMED)}: {reason}": len(files) for reason, files in names.items()}
 
 
 def read_pool(folder: str | Path, split: str, progress: Progress | None = None, body: str = "human") -> Pool:

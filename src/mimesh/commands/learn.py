@@ -73,9 +73,10 @@ def export(
     Needs the [train] extra; writes a card (.json) beside it.
     """
     require("train", "torch", "onnx", "onnxscript")
-    from ..learn.export import export_command, test_set
+    with progress("exporting", json):
+        from ..learn.export import export_command, test_set
 
-    card = export_command(checkpoint, output, bits)
+        card = export_command(checkpoint, output, bits)
     if json:
         print_json({"output": str(output), "checkpoint": str(checkpoint), "bytes": output.stat().st_size})
     else:
@@ -98,9 +99,10 @@ def import_checkpoint(
     Needs the [train] extra; reads tensors only and runs nothing of the file; writes a card (.json) beside it.
     """
     require("train", "torch", "onnx", "onnxscript")
-    from ..learn.published_weights import import_command
+    with progress("importing", json):
+        from ..learn.published_weights import import_command
 
-    card = import_command(weights, output, maxpool, bits)
+        card = import_command(weights, output, maxpool, bits)
     kind = card["imported"]["kind"]
     if json:
         facts = {"kind": kind, "parameters": card["parameters"]}

@@ -91,7 +91,7 @@ def transfer(
     with together():
         result.save(target)
         save_joint_files(result, identity, driving, joints)
-    shown = _write_preview(result, target, output.preview, usual=suffix)
+    shown = _write_preview(result, target, output, usual=suffix)
     if output.open and shown["page"]:
         open_page(shown["page"])
     _log(result, model, hints.body)
@@ -188,9 +188,7 @@ def animate(
             saved = save_clips(results, target, names, as_joints, layout, advance)
         for result, chosen in zip(results, clips, strict=True):
             save_joint_files(result, identity, chosen.path, joints, taken.start)
-    shown = [
-        _write_preview(result, target, output.preview, title) for result, title in zip(results, titles, strict=True)
-    ]
+    shown = [_write_preview(result, target, output, title) for result, title in zip(results, titles, strict=True)]
     if output.open:
         for page in filter(None, (page["page"] for page in shown)):
             open_page(page)
@@ -270,20 +268,21 @@ def _log(result: Result | ClipResult, model: str, body: str) -> None:
 
 def _write_preview(
     result: Result | ClipResult,
-    output: Path,
-    preview: bool,
+    target: Path,
+    output: OutputOptions,
     clip: str | None = None,
     usual: str = ".glb",
 ) -> dict[str, Any]:
-    """Write the picture and the page beside the output with `preview`; return paths, and notes on what failed.
+    """Write the picture and the page beside a result where they are asked for; return paths, and notes on what failed.
 
     `clip` is the name of the result's animation where the output has several; `usual` is the default suffix of outputs.
     """
-    if not preview:
+    if not output.preview:
         return {"pictures": [], "page": None, "notes": ()}
     from ..tools.preview import write_preview
 
-    pictures, pages, notes = write_preview(result, output, clip, usual)
+    with progress(f"preview of {clip}" if clip else "preview", output.silent):
+        pictures, pages, notes = write_preview(result, target, clip, usual)
     return {"pictures": [*map(str, pictures)], "page": str(pages[0]) if pages else None, "notes": notes}
 
 

@@ -38,11 +38,14 @@ def look(files: Files, no_limits: NoLimits = False, json: Json = False) -> None:
     from ..tools.inspect import inspect_file
 
     facts, errors = {}, []
-    for path in files:
-        try:
-            facts[path] = inspect_file(path)
-        except InputError as error:
-            errors.append(error)
+    with progress("reading", json) as advance:
+        for done, path in enumerate(files, start=1):
+            try:
+                facts[path] = inspect_file(path)
+            except InputError as error:
+                errors.append(error)
+            if advance is not None:
+                advance(done, len(files))
     if json:
         if errors:
             raise errors[0]
@@ -67,7 +70,7 @@ def render(
     taken: Annotated[ClipOptions, Without("body_model")],
     printed: Annotated[OutputOptions, Without("output", "preview", "open")],
 ) -> None:
-    """Draw meshes and clips: sheet, strip, turntable, heat map, movie or a page to play with.
+    """Draw meshes and clips: sheet, strip, heat map, movie or a page to play with.
 
     By default meshes become a sheet, or a movie that turns; clips become strips, or a movie that plays.
     """
@@ -76,7 +79,8 @@ def render(
     check_options(options, output)
     refuse_existing(printed.no_clobber, output)
     refuse_inputs(output, *files, options.truth)
-    clips = _cut(files, single("--animation", taken.animation), taken)
+    with progress("reading", printed.silent):
+        clips = _cut(files, single("--animation", taken.animation), taken)
     names = [path.name for path in files]
     with progress("frames", printed.silent) as advance:
         kind = draw(options, names, clips, output, taken, advance)

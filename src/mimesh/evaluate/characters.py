@@ -35,6 +35,7 @@ from ..core.errors import InputError
 from ..core.geometry import rotation_between
 from ..core.mesh import Mesh
 from ..core.rig import local_rotations
+from ..io.gltf.character import NOT_STATED
 from ..motions.animal_rig import rest_directions
 from .character_folder import INDEX, read_character_folder
 from .pairs import Pair, human
@@ -240,7 +241,7 @@ def _make_pair(identity, driving, rest, transforms, labels, across: bool) -> Cha
 
 def character_label(meta: CharacterMeta) -> str:
     """Return maker, pack and file of a character, for reports."""
-    return f"{meta.maker}: {meta.pack}: {meta.file}"
+    return f"{meta.maker or NOT_STATED}: {meta.pack}: {meta.file}"
 
 
 def _mesh(posed: PosedCharacter, label: str) -> Mesh:
@@ -400,19 +401,7 @@ def as_body(
     # Influences of the fixed world count as the root joint.
     columns = rig.nearest_columns({j: body.joint(joint) for joint, j in index.items()}, other=0)
     weights = rig.summed_weights(columns, len(body.parents))
-    return shapeless(body, "", scale * rig.skinned(t_pose), rig.mesh.faces, joints, weights)
-
-
-def shapeless(
-    body: RiggedBody,
-    name: str,
-    vertices: Float[np.ndarray, "V 3"],
-    faces: Int[np.ndarray, "F 3"],
-    joints: Float[np.ndarray, "J 3"],
-    weights: Float[np.ndarray, "V J"],
-) -> RiggedBody:
-    """Return another body with the joint tree of a shipped one, and no shape coefficients."""
+    vertices = scale * rig.skinned(t_pose)
     no_shapes, no_joint_shapes = np.zeros((0, len(vertices), 3)), np.zeros((0, len(joints), 3))
-    return RiggedBody(
-        name, vertices, faces, no_shapes, joints, no_joint_shapes, weights, body.joint_names, body.parents
-    )
+    faces, names = rig.mesh.faces, body.joint_names
+    return RiggedBody("", vertices, faces, no_shapes, joints, no_joint_shapes, weights, names, body.parents)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.errors import InputError, did_you_mean
 from ..core.frame_buffer import Progress
-from ..methods.find import REDUCED_MODELS, check_weights, how_to_make, missing_weights
+from ..methods.find import ABLATIONS, REDUCED_MODELS, check_weights, how_to_make, missing_weights
 from .markdown import cell, markdown_table, with_interval
 from .run import evaluate_command
 
@@ -182,8 +182,10 @@ def rows_without_weights(
     missing = missing_weights(*(method for method in methods if REDUCED_MODELS.get(method, method) not in trained))
     if len(missing) == len(methods):
         check_weights(*missing)
-    note = f"{name}: leaves out rows whose weights are not here; make {how_to_make(missing, name)}" if missing else ""
-    return tuple(missing), note
+    # Elsewhere than in a checkout weights would be trained that it has.
+    elsewhere = "" if ABLATIONS.is_dir() else "call this in the root of a checkout, which has some of them, or "
+    note = f"{name}: leaves out rows whose weights are not here; {elsewhere}make {how_to_make(missing, name)}"
+    return tuple(missing), note if missing else ""
 
 
 def table_command(

@@ -11,6 +11,7 @@ import os
 import string
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from contextvars import copy_context
 from dataclasses import dataclass
 from functools import cache
@@ -27,7 +28,6 @@ from ..commands.rig import rig
 from ..commands.terminal import refuse_inputs
 from ..core.arguments import described
 from ..core.errors import InputError, did_you_mean, option
-from ..core.normalization import parse_axis
 from ..core.options import Hints, Layout, ModelOptions, MotionOptions
 from ..core.system import refuse_pipe
 from ..io import mesh_suffixes
@@ -50,7 +50,6 @@ TABLES = (".csv", ".tsv", ".txt")
 """Suffixes of tables of jobs, where a folder or a pattern of files could be meant, too."""
 FILE_OPTIONS = ("reference", "markers", "body_model", "joints", "driving_joints")
 """Options whose values are input files."""
-AXIS_OPTIONS = ("up", "front", "driving_up", "driving_front")
 NOT_FOR_JOBS = ("output", "open", "json", "quiet", "help")
 """Options that a batch gives each job itself."""
 SWITCHES = {**dict.fromkeys(("yes", "true", "1", "on"), True), **dict.fromkeys(("no", "false", "0", "off"), False)}
@@ -76,6 +75,8 @@ class BatchJob:
     output: str
     options: tuple[tuple[str, str], ...] = ()
     """Names of options without dashes, and their values; yes or no for switches."""
+    more: tuple[str, ...] = ()
+    """Further clips, whose animations go into the same file."""
 
     @property
     def name(self) -> str:
@@ -84,12 +85,13 @@ class BatchJob:
 
     @property
     def files(self) -> list[str]:
-        """Paths of the inputs: identity and driving, or the one that the command takes."""
-        return [path for path in (self.identity, self.driving) if path]
+        """Paths of the inputs: identity and driving, or the one that the command takes, and further clips."""
+        return [path for path in (self.identity, self.driving, *self.more) if path]
 
     def inputs(self) -> dict[str, Path]:
         """Return the files that it reads by what they are: identity, driving, and those that its options name."""
         files = {name: Path(getattr(self, name)) for name in INPUTS[self.command]}
+        files |= {f"driving {number}": Path(path) for number, path in enumerate(self.more, 2)}
         return files | {name: Path(path) for name, path in self.options if name.replace("-", "_") in FILE_OPTIONS}
 
     def outputs(self) -> list[Path]:
@@ -140,7 +142,7 @@ def read_jobs(
 
 
 def _all_pairs(identities: Any, drivings: str, output: str | Path | None, command: str) -> list[Row]:
-    """Return a row for each identity with each driving."""
+    """Return a row for each identity with each driving, or with all if `output` has the name of the identity alone."""
     if not isinstance(identities, (str, Path)):
         raise InputError("batch: expected no drivings beside rows of jobs, found both; put them in the rows")
     if output is None:
@@ -151,6 +153,8 @@ def _all_pairs(identities: Any, drivings: str, output: str | Path | None, comman
     moving = (*CLIP_READERS, *ANIMATED) if command == "animate" else mesh_suffixes()
     meshes = find_files(str(identities), mesh_suffixes(), "meshes")
     clips = find_files(drivings, moving, "driving files")
+    if command == "animate" and len(clips) > 1 and _names(str(output)) == {"identity"}:
+        return [(mesh, {"identity": mesh, "driving": clips}) for mesh in meshes]
     return [(f"{mesh} + {clip}", {"identity": mesh, "driving": clip}) for mesh in meshes for clip in clips]
 
 
@@ -200,17 +204,21 @@ def _job(
     """Return the job of a row."""
     if None in row:  # what csv.DictReader makes of values beyond the last column
         raise InputError(f"{where}: expected as many values as columns, found more; quote values that have commas")
-    values = _texts(row)
+    clips = row.get("driving")
+    first, *more = map(str, clips if isinstance(clips, (list, tuple)) and clips else [clips or ""])
+    values = _texts({**row, "driving": first})
     command = values.pop("command", command)
     if command not in COMMANDS:
         raise InputError(f"{where}: expected one of {', '.join(COMMANDS)}, found {command!r}; name one of them")
     for name in (*INPUTS[command], *(("output",) if pattern is None else ())):
         if name not in values:
             raise InputError(f"{where}: expected a value for {name}, found none; columns: {', '.join(map(str, row))}")
+    if more and command != "animate":
+        raise InputError(f"{where}: expected one driving for {command}, found {len(more) + 1}; leave the others out")
     inputs = {name: values.pop(name) for name in INPUTS[command]}
     output = values.pop("output", None) or filled(str(pattern), inputs, number)
     both = inputs.get("identity", ""), inputs.get("driving", "")
-    return BatchJob(where, command, *both, output, tuple({**options, **values}.items()))
+    return BatchJob(where, command, *both, output, tuple({**options, **values}.items()), tuple(more))
 
 
 def _texts(values: Mapping[Any, Any]) -> dict[str, str]:
@@ -259,15 +267,21 @@ def filled(pattern: str, inputs: Mapping[str, str], number: int) -> str:
         InputError: the pattern has other names in braces.
     """
     values = {name: file_stem(path) for name, path in inputs.items()} | {"number": number}
-    try:
-        names = {name for _, name, _, _ in string.Formatter().parse(pattern) if name is not None}
-        if names <= values.keys():
+    names = _names(pattern)
+    if names <= values.keys():
+        with suppress(ValueError):
             return pattern.format(**values)
-    except ValueError:
-        names = {"a brace without its other half"}
     known = ", ".join(f"{{{name}}}" for name in values)
     found = ", ".join(sorted(names - values.keys())) or "an invalid format"
     raise InputError(f"{pattern}: expected only {known} in the pattern of outputs, found {found}; rename them")
+
+
+def _names(pattern: str) -> set[str]:
+    """Return the names in braces of a pattern of outputs."""
+    try:
+        return {name for _, name, _, _ in string.Formatter().parse(pattern) if name is not None}
+    except ValueError:
+        return {"a brace without its other half"}
 
 
 @cache
@@ -325,8 +339,6 @@ def option_values(command: str, options: tuple[tuple[str, str], ...]) -> dict[st
             raise
         message = " ".join(format_message().split()).rstrip(".")
         raise InputError(f"{message}; see mimesh {command} --help") from error
-    for name in AXIS_OPTIONS:
-        parse_axis(values.get(name), f"--{name.replace('_', '-')}")
     options_of(Hints, values)
     given, motion = options_of(ModelOptions, values), options_of(MotionOptions, values)
     model = find_model(values["model"], ensemble=given.ensemble, seed=given.seed, pairing=given.pairing)
@@ -386,7 +398,7 @@ def _check_job(job: BatchJob) -> None:
         refuse_inputs(path, *job.inputs().values())
     if job.command == "animate":
         shapes, layout = options_of(ShapeOptions, values), options_of(Layout, values)
-        check_clip_output(output, 1, values["skinned"], shapes, layout)
+        check_clip_output(output, 1 + len(job.more), values["skinned"], shapes, layout)
     elif job.command in ("rig", "capture"):
         check_suffix(output, JOINTED if job.command == "rig" else JOINT_FILES)
     else:

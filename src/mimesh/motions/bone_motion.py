@@ -13,7 +13,7 @@ from ..bodies.engine_names import SCHEMES
 from ..bodies.hands import body_with_fingers
 from ..bodies.joint_names import ancestors
 from .humanoid_rig import rest_frames
-from .retarget import BONES
+from .motion import BONES
 
 BONE_OF_JOINT = SCHEMES["vrm"].bones
 """Bone of VRM 1.0 of each joint of the shipped body, or of a finger, parents first; other joints have none."""

@@ -34,8 +34,9 @@ from ..core.normalization import axis_name
 from ..core.normalization import turn as turned_about_y
 from ..core.person_motion import PersonMotion
 from ..core.rig import descendants
+from .motion import BONES
 from .posed_rest import action_frames, rests_in_action
-from .retarget import BONES, limb_alignments, rest_heading
+from .retarget import limb_alignments, rest_heading
 
 LEG = ("UpLeg", "Leg", "Foot")
 """Joints of a leg from hip to ankle, without their side."""

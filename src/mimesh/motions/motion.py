@@ -24,6 +24,9 @@ from ..core.frame_buffer import store_frames
 from ..core.geometry import MIRROR, mirrored_rotations, slerp
 from ..core.mesh import Clip, check_cut
 
+_SIDE_BONES = {"UpLeg": "Leg", "Leg": "Foot", "Arm": "ForeArm", "ForeArm": "Hand"}
+BONES = {f"{side}{bone}": f"{side}{tail}" for side in ("Left", "Right") for bone, tail in _SIDE_BONES.items()}
+"""Limb joints and the joint at the other end of their bone. Directions of these bones are kept exactly."""
 LEG = ("LeftUpLeg", "LeftLeg", "LeftFoot")
 """Joints of the leg whose length scales the root's path from one body to another."""
 _CHUNK = 64

@@ -20,7 +20,8 @@ from ..bodies.hands import body_with_fingers, hand_frames, has_hand
 from ..bodies.joint_names import ancestors
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.geometry import angles_between, nearest_rotation, rotation_between, unit_vectors
-from .retarget import HINGES, hinge_rotations, limb_alignments, nearest_axes, paired_axes
+from .rest_calibration import HINGES, hinge_rotations, nearest_axes, paired_axes
+from .retarget import limb_alignments
 
 TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Head")
 """Joints of the trunk, from the hips up."""
@@ -67,9 +68,10 @@ def rests_in_action(joints: Positions) -> bool:
 def on_all_fours(joints: Positions) -> bool:
     """Tell whether arms and legs are about parallel and across the trunk, as those of animals at rest."""
     limbs = []
-    for *names, _ in HINGES:
-        last = next(name for name in reversed(names) if all(side + name in joints for side in SIDES))
-        limbs.append((_pair(joints, last) - _pair(joints, names[0])).sum(axis=0))
+    for first, *names, _ in HINGES:
+        last = next(name for name in (*names[::-1], first) if any(side + name in joints for side in SIDES))
+        ends = [(side + first, side + last) for side in SIDES if side + last in joints]
+        limbs.append(np.sum([joints[end] - joints[start] for start, end in ends], axis=0))
     if not all(np.any(limb) for limb in limbs):  # limbs of one joint have no direction, and are an animal's rather
         return True
     return _angle(*limbs) < PARALLEL and all(ALONG < _angle(limb, _trunk(joints)) < 180 - ALONG for limb in limbs)

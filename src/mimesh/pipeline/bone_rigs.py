@@ -27,7 +27,8 @@ from ..motions.bvh import Bvh
 from ..motions.humanoid_rig import HumanoidRig, humanoid_rig
 from ..motions.motion import LEG, leg_length
 from ..motions.on_body import on_body
-from ..motions.retarget import axes_from_motion, axes_from_rest, rests_standing
+from ..motions.rest_calibration import axes_from_motion
+from ..motions.retarget import axes_from_rest, rests_standing
 
 FORWARD = {"+z": "-y", "-z": "+y"}
 """Where characters face by custom, for each up axis: in Blender the front view looks along +y. Others: +z."""

@@ -458,8 +458,6 @@ def not_kept(mesh: Mesh, path: Path, body: str | None = None) -> tuple[str, ...]
         "materials": any(part.material for part in mesh.parts),
         "materials besides one image": any(materials) and not is_image,
         "normals of hard edges": mesh.corner_normals is not None and smooth_normals(mesh) is None,
-        "colours of materials": any(part.material for part in mesh.parts),
-        "textures": any(part.material and part.material.texture for part in mesh.parts),
         "texture coordinates": mesh.corner_uv is not None,
         "normals": mesh.corner_normals is not None,
         "vertex colours": mesh.vertex_colors is not None,
