@@ -333,7 +333,8 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
             if known:
                 theirs, copied, ours = np.mean(known, axis=0)
                 found |= {key: round(float(v), 4) for key, v in zip(keys, (theirs, copied, ours), strict=True)}
-                found[f"{metric} left"] = round(float((ours - theirs) / (copied - theirs)), 2)
+                if copied > theirs:
+                    found[f"{metric} left"] = round(float((ours - theirs) / (copied - theirs)), 2)
         return found
 
     def group(row: dict[str, Any]) -> str:

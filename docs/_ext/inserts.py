@@ -229,12 +229,12 @@ def contacts() -> str:
         for group, of in report["results"][f"val {kind}"].items():
             row = [f"{label}, {group} ({of['characters']})"]
             for metric, scale in (("contact", 1), ("penetration", 100)):
-                known = f"{metric} left" in of
+                known = f"{metric} ours" in of
                 for key in ("driving", "copied", "ours"):
                     row.append(f"{scale * of[f'{metric} {key}']:.2f}" if known else "")
             rows.append(row)
-    head = ["motions, characters by girth", "contact: driving", "copied", "mimesh"]
-    table = markdown_table([*head, "penetration: driving", "copied", "mimesh"], rows)
+    head = ["motions, characters by girth", "contact: driving", "copied", "`--contacts`"]
+    table = markdown_table([*head, "penetration: driving", "copied", "`--contacts`"], rows)
     return (
         f"{table}\n\nContact error in cm of a person of 1.75 m, penetration in % of the surface of hands and forearms. "
         f"{measured(report)}"

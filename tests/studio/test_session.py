@@ -132,6 +132,7 @@ def test_invalid_options_are_refused(session):
         {"smooth": -1},
         {"smooth": float("nan")},
         {"ground": 1},
+        {"contacts": 1},
     ):
         with pytest.raises(InputError, match="expected"):
             session.set_options(options)
