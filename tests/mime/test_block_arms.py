@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
-from mimesh.core.rig import Rig
+from mimesh.core.rig import Rig, descendants
 from mimesh.mime.block_arms import with_block_arms
 
 BODY = load_body()
@@ -53,6 +53,9 @@ def test_arms_of_blocks_have_shoulder_elbow_and_wrist_on_their_axis():
     np.testing.assert_array_equal(
         found.weights[points[:, 0] < 0.2].argmax(axis=1) == 0, points[points[:, 0] < 0.2][:, 0] > -0.3
     )
+    fingers = descendants([CHAINS[0][2]], BODY.parents)
+    assert len(fingers) > 1
+    assert found.joints[fingers][:, 0].max() < 0.3 + LONG + 0.01
     assert np.abs(found.joints[NAMES.index("Head")] - rig.joints[NAMES.index("Head")]).max() < 1e-9
 
 

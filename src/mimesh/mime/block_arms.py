@@ -128,4 +128,8 @@ def with_block_arms(
         chains, arms = chains + chain, [*arms, arm]
     targets = JointTargets(chains, np.concatenate([arm.joints for arm in arms]))
     rotation, joints = targets.move(rig.rotation, rig.joints)
+    for arm, hand in zip(arms, chains[2::3], strict=True):  # fingers end in the block
+        fingers = descendants([hand], parents)
+        reach = (joints[fingers] - joints[hand]) @ arm.axis
+        joints[fingers] = joints[hand] + (joints[fingers] - joints[hand]) * min(1, HAND * arm.radius / reach.max())
     return dataclasses.replace(rig, rotation=rotation, joints=joints, weights=weights)
