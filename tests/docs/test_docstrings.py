@@ -22,7 +22,7 @@ UNITS = r"second|degree|[Ss]hare|height|factor|[Ff]rom 0 to 1|nats|metres|unit|t
 FIRST = ("transfer", "animate", "prepare", "rig", "capture")
 """Whose examples make what others use."""
 CLASSES = [value for name in mimesh.__all__ if isinstance(value := getattr(mimesh, name), type)]
-CLASSES += [report.TransferReport, report.MeshReport, report.Accelerations, report.MatchReport, report.ReferenceReport]
+CLASSES += [report.TransferReport, report.MeshReport, report.MatchReport, report.ReferenceReport]
 
 
 class Documented(NamedTuple):
