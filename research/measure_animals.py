@@ -22,7 +22,7 @@ from mimesh.bodies.character_pool import PoolCharacter
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
 from mimesh.core.rig import descendants
-from mimesh.evaluate.animals import read_animals
+from mimesh.evaluate.character_folder import read_character_folder
 from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
 from mimesh.rigs.confidence import limb_joints
@@ -45,7 +45,7 @@ def main() -> None:
     driving = Mesh(body.vertices, body.faces, name="quadruped", up="+y")
     rows = []
     for split in args.splits.split(","):
-        for animal in read_animals(args.folder, split).characters:
+        for animal in read_character_folder(args.folder, split, body="quadruped").characters:
             limbs = limb_surfaces(animal)
             for name, vertices in shown(animal, args.frames):
                 for up in ("+y", None):

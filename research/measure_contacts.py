@@ -1,6 +1,6 @@
 """Measure hands that touch the own body: contact error and penetration, as MeshRet does (Ye et al., NeurIPS 2024).
 
-    python research/measure_contacts.py POOL [-o benchmarks/contacts.json] [--characters 24] [--clips 4]
+    python research/measure_contacts.py POOL [-o benchmarks/contacts.json] [--characters 8] [--clips 2]
 
 POOL is a pool of rigged characters; those of its splits train and val follow everyday contacts of the shipped body
 (EVERYDAY) and clips of the pool of other makers, with contacts and without ("copied directions").
@@ -8,6 +8,9 @@ POOL is a pool of rigged characters; those of its splits train and val follow ev
 Contact error: of each hand of the driving some share is within 2 cm of another part; it is the mean distance from the
 same part of the identity, of as large a share of its hand. Penetration: share of the surface of hands and forearms that
 is inside trunk, head or legs. Lengths are in centimetres of a person whose arm has 53 cm, as it has at 1.75 m.
+
+Constants of the tool are chosen on the split train. Characters that the tool leaves as they are, as their arms have no
+wrists, are a group of their own.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import dataclasses
 import json
 import tempfile
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +62,15 @@ EVERYDAY: dict[str, list[tuple[float, float, float]]] = {
 lies on the part, at most 1.5 cm deep; least squares made them."""
 SEATED = {"UpLeg": (-1.4, 0.0, 0.0), "Leg": (1.5, 0.0, 0.0)}
 """Legs of those with their hands on their knees."""
-FRAMES = 2
-"""Frames of an everyday contact, which is held."""
-SAMPLES = 16000
-TOUCHES, SURFACE = 2.0, 0.5
-"""Centimetres: distance of a hand that touches; depth from which on a point is inside."""
+HELD = 13
+"""Frames for which each of them is held, six standard deviations of the filter over corrections and more."""
+SAMPLES, SEED = 8000, 0
+POOL_FRAMES = 4
+"""Frames of a clip of the pool, evenly spread, that are measured."""
+TOUCHES, SURFACE, STRAIGHT = 2.0, 0.5, 0.5
+"""Centimetres: distance of a hand that touches; depth from which on a point is inside. Least cosine between the normal
+of the nearest sample and the way there from a point inside: where arms are cut off a body its surface has an edge, and
+a point beyond that is not inside."""
 ARM_CM = 53.0
 BANK, SHAPES = 200, 3
 """People of the shipped body among which the thinnest and the fattest are chosen, and how many of each."""
@@ -91,7 +99,7 @@ class Person:
             names: joint of the shipped body that each joint is or is below.
             places: positions of the joints of the shipped body.
         """
-        surface = SurfacePoints.of(mesh, SAMPLES, generator(0, 0))
+        surface = SurfacePoints.of(mesh, SAMPLES, generator(SEED, 0))
         strongest = surface.barycentric.argmax(axis=1)
         of_joint = np.array([part_of_joint(name) for name in names])
         part = of_joint[joint[surface.corners[np.arange(SAMPLES), strongest]]].astype(object)
@@ -137,8 +145,55 @@ class Posed:
         arms = np.isin(part, [f"{side}{name}" for side in SIDES for name in ("ForeArm", "Hand")])
         body = np.flatnonzero([name.startswith(("Trunk", "Head")) or name.endswith("Leg") for name in part])
         nearest = body[KDTree(self.points[body]).query(self.points[arms])[1]]
-        depth = ((self.points[nearest] - self.points[arms]) * self.normals[nearest]).sum(axis=1)
-        return float((depth > SURFACE).mean())
+        way = self.points[nearest] - self.points[arms]
+        depth = (way * self.normals[nearest]).sum(axis=1)
+        return float(((depth > SURFACE) & (depth > STRAIGHT * np.linalg.norm(way, axis=1))).mean())
+
+
+@dataclass(frozen=True, eq=False)
+class Driving:
+    """A clip that is followed."""
+
+    maker: str
+    """Maker of its character; "everyday" for the everyday contacts."""
+    name: str
+    clip: Clip
+    person: Person
+    frames: list[int]
+    """Frames that are measured."""
+
+    @cached_property
+    def posed(self) -> list[Posed]:
+        """The person in these frames."""
+        return [self.person.posed(np.asarray(self.clip.vertices[t], float)) for t in self.frames]
+
+    @cached_property
+    def distances(self) -> list[dict[str, Float[np.ndarray, " M"]]]:
+        """Distances of both hands in each frame, as of `Posed.distances`."""
+        return [posed.distances(side) for posed in self.posed for side in SIDES]
+
+    @cached_property
+    def touched(self) -> list[dict[str, float]]:
+        """Share of each hand in each frame that is near each part that it touches."""
+        return [
+            {part: float((apart < TOUCHES).mean()) for part, apart in of.items() if apart[0] < TOUCHES}
+            for of in self.distances
+        ]
+
+    @cached_property
+    def penetration(self) -> float:
+        """Mean penetration."""
+        return float(np.mean([posed.penetration() for posed in self.posed]))
+
+    def contact(self, distances: list[dict[str, Float[np.ndarray, " M"]]]) -> float | None:
+        """Compute the contact error of hands with these distances; None where the driving touches nothing."""
+        apart = [
+            of[part][: max(1, round(share * len(of[part])))].mean()
+            for parts, of in zip(self.touched, distances, strict=True)
+            for part, share in parts.items()
+            if part in of
+        ]
+        return float(np.mean(apart)) if apart else None
 
 
 def main() -> None:
@@ -146,28 +201,33 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pool", type=Path)
     parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/contacts.json"))
-    parser.add_argument("--characters", type=int, default=18)
-    parser.add_argument("--clips", type=int, default=4)
+    parser.add_argument("--characters", type=int, default=8, help="of each split")
+    parser.add_argument("--clips", type=int, default=2, help="of the pool, for each character")
     args = parser.parse_args()
     pool = [character for split in ("train", "val") for character in read_pool(args.pool, split).characters]
     pool = [c for c in pool if {f"{s}{name}" for s in SIDES for name in ("Arm", "ForeArm", "Hand")} <= c.joints.keys()]
-    chosen, rows = choose_characters(tuple(pool), args.characters) + shaped_people(SHAPES), []
-    drivings: list[tuple[str, str, Clip, Person]] = [("everyday", *everyday) for everyday in everyday_clips()]
+    splits = [tuple(c for c in pool if c.meta.split == split) for split in ("train", "val")]
+    chosen = [c for split in splits for c in choose_characters(split, args.characters)] + shaped_people(SHAPES)
+    rows: list[dict[str, Any]] = []
+    drivings = everyday_contacts()
     with tempfile.TemporaryDirectory() as folder, progress("characters", quiet=False) as advance:
         players = choose_characters(tuple(c for c in pool if c.clips), 6)
         paths = write_pool([*{c.meta.file: c for c in (*chosen, *players)}.values()], Path(folder))
         for player in players:
             for clip in list(player.clips)[:: max(1, len(player.clips) // 2)][:2]:
                 loaded = load_clip(paths[player.meta.file], animation=clip)
-                drivings.append((player.meta.maker, f"{player.meta.file} {clip}", loaded, person_of(player)))
+                frames = np.linspace(0, len(loaded) - 1, POOL_FRAMES).round().astype(int).tolist()
+                name = f"{player.meta.file} {clip}"
+                drivings.append(Driving(player.meta.maker, name, loaded, person_of(player), frames))
         for k, character in enumerate(chosen):
-            others = [driving for driving in drivings if driving[0] not in ("everyday", character.meta.maker)]
-            used = [driving for driving in drivings if driving[0] == "everyday"] + others[k % 2 :: 2][: args.clips]
-            rows += [measure_pair(character, load_mesh(paths[character.meta.file]), *driving) for driving in used]
+            others = [driving for driving in drivings if driving.maker not in ("everyday", character.meta.maker)]
+            used = [driving for driving in drivings if driving.maker == "everyday"] + others[k % 2 :: 2][: args.clips]
+            mesh, mine = load_mesh(paths[character.meta.file]), person_of(character)
+            rows += measure_character(character, mesh, mine, used)
             if advance is not None:
                 advance(k + 1, len(chosen))
-    report = {"commit": commit(), "machine": machine(), "libraries": libraries(), "characters": len(chosen)}
-    report |= {"pairs": len(rows), "results": summary(rows)}
+    report = {"commit": commit(), "machine": machine(), "libraries": libraries(), "seed": SEED}
+    report |= {"characters": len(chosen), "clips": args.clips, "pairs": len(rows), "results": summary(rows)}
     with whole_file(args.output) as path:
         path.write_text(json.dumps(report | {"figures": rows}, indent=1) + "\n")
     print(json.dumps(report["results"], indent=1))
@@ -182,7 +242,7 @@ def shaped_people(count: int) -> list[PoolCharacter]:
         frames = rig.T_world_joint.copy()
         frames[:, :3, 3] = joints
         mesh, points = body.mesh(points), np.broadcast_to(points[:, None], rig.points.shape)
-        meta = CharacterMeta(f"body_{k}", "shipped body", "", "", "realistic", "humanoid", "train", "+z", "")
+        meta = CharacterMeta(f"body_{k}", "shipped body", "", "", "realistic", "humanoid", "", "+z", "")
         own = dataclasses.replace(rig, mesh=mesh, T_world_joint=frames, points=points)
         places = {name: j for j, name in enumerate(body.joint_names)}
         found.append(PoolCharacter(meta, own, places, {}, {}, body.parents, np.arange(len(body.parents))))
@@ -192,26 +252,29 @@ def shaped_people(count: int) -> list[PoolCharacter]:
         key=lambda c: np.ptp(c.rig.mesh.vertices[waist][:, [0, 2]], axis=0).sum() / np.ptp(c.rig.mesh.vertices[:, 1])
     )
     every = 4  # neighbours in this order are alike
-    return found[: every * count : every] + found[: -every * count - 1 : -every]
+    chosen = found[: every * count : every] + found[: -every * count - 1 : -every]
+    return [
+        dataclasses.replace(c, meta=dataclasses.replace(c.meta, split=("train", "val")[k % 2]))
+        for k, c in enumerate(chosen)
+    ]
 
 
-def everyday_clips() -> list[tuple[str, Clip, Person]]:
-    """Make the everyday contacts of the shipped body, at 30 frames a second."""
+def everyday_contacts() -> list[Driving]:
+    """Make the everyday contacts of the shipped body, one after the other in one clip of 30 frames a second."""
     body = load_body()
-    places = dict(zip(body.joint_names, body.joints, strict=True))
-    person = Person.of(body.mesh(), body.weights.argmax(axis=1), list(body.joint_names), places)
-    made = []
-    for name, vectors in EVERYDAY.items():
-        pose = np.zeros((len(body.joint_names), 3))
+    poses = np.zeros((len(EVERYDAY), len(body.joint_names), 3))
+    for pose, (name, vectors) in zip(poses, EVERYDAY.items(), strict=True):
         for side, sign in zip(SIDES, (1, -1), strict=True):
             for joint, vector in zip(ARM, vectors, strict=True):
                 pose[body.joint(f"{side}{joint}")] = np.array(vector) * (1, sign, sign)
             if name == "on knees":
                 for joint, vector in SEATED.items():
                     pose[body.joint(f"{side}{joint}")] = vector
-        rotation = np.repeat(rotvec_to_rotmat(pose)[None], FRAMES, axis=0)
-        made.append((name, played(Motion(name, body.joint_names, rotation, np.zeros((FRAMES, 3)), FPS), "+z"), person))
-    return made
+    rotation = np.repeat(rotvec_to_rotmat(poses), HELD, axis=0)
+    clip = played(Motion("everyday", body.joint_names, rotation, np.zeros((len(rotation), 3)), FPS), "+z")
+    places = dict(zip(body.joint_names, body.joints, strict=True))
+    person = Person.of(body.mesh(), body.weights.argmax(axis=1), list(body.joint_names), places)
+    return [Driving("everyday", name, clip, person, [HELD * k + HELD // 2]) for k, name in enumerate(EVERYDAY)]
 
 
 def person_of(character: PoolCharacter) -> Person:
@@ -233,54 +296,59 @@ def girth(character: PoolCharacter, person: Person) -> float:
     return float(np.pi * (width + depth) / np.ptp(points[:, 1]))
 
 
-def measure_pair(
-    character: PoolCharacter, mesh: Mesh, maker: str, name: str, clip: Clip, theirs: Person
-) -> dict[str, Any]:
-    """Measure one clip on one character: in its last frame; of clips of the pool in six frames."""
-    mine = person_of(character)
-    row: dict[str, Any] = {"identity": character.meta.file, "pack": character.meta.pack, "driving": name}
-    row |= {"everyday": maker == "everyday", "girth": round(girth(character, mine), 3)}
-    frames = [FRAMES - 1] if row["everyday"] else np.linspace(0, len(clip) - 1, 6).round().astype(int).tolist()
-    driving = [theirs.posed(np.asarray(clip.vertices[t], float)) for t in frames]
-    distances = [posed.distances(side) for posed in driving for side in SIDES]
-    touched = [{part: (apart < TOUCHES).mean() for part, apart in of.items() if apart[0] < TOUCHES} for of in distances]
-    row["touches"] = sum(map(len, touched))
-    near = [
-        of[part][: max(1, round(share * len(of[part])))].mean()
-        for parts, of in zip(touched, distances, strict=True)
-        for part, share in parts.items()
-    ]
-    row["contact driving"] = float(np.mean(near)) if near else None
-    row["penetration driving"] = float(np.mean([posed.penetration() for posed in driving]))
-    for label, contacts in (("copied", False), ("ours", True)):
-        moved = animate(mesh, clip, motion=MotionOptions(contacts=contacts))
-        posed = [mine.posed(np.asarray(moved.clip.vertices[t], float)) for t in frames]
-        found = [of.distances(side) for of in posed for side in SIDES]
-        apart = [
-            of[part][: max(1, round(share * len(of[part])))].mean()
-            for parts, of in zip(touched, found, strict=True)
-            for part, share in parts.items()
-            if part in of
-        ]
-        row[f"contact {label}"] = float(np.mean(apart)) if apart else None
-        row[f"penetration {label}"] = float(np.mean([of.penetration() for of in posed]))
-    return row
+def measure_character(
+    character: PoolCharacter, mesh: Mesh, mine: Person, drivings: list[Driving]
+) -> list[dict[str, Any]]:
+    """Measure clips on one character, with their directions copied and with contacts; feet are not planted."""
+    rows, moved = [], {}
+    about = {"identity": character.meta.file, "pack": character.meta.pack, "split": character.meta.split}
+    about["girth"] = round(girth(character, mine), 3)
+    for driving in drivings:
+        row: dict[str, Any] = about | {"driving": driving.name, "everyday": driving.maker == "everyday"}
+        row |= {"touches": sum(map(len, driving.touched)), "contact driving": driving.contact(driving.distances)}
+        row["penetration driving"] = driving.penetration
+        found = {}
+        for label, contacts in (("copied", False), ("ours", True)):
+            key = id(driving.clip), contacts
+            if key not in moved:
+                moved[key] = animate(mesh, driving.clip, motion=MotionOptions(ground=False, contacts=contacts)).clip
+            found[label] = [np.asarray(moved[key].vertices[t], float) for t in driving.frames]
+            posed = [mine.posed(vertices) for vertices in found[label]]
+            row[f"contact {label}"] = driving.contact([of.distances(side) for of in posed for side in SIDES])
+            row[f"penetration {label}"] = float(np.mean([of.penetration() for of in posed]))
+        row["moved"] = not np.array_equal(found["copied"], found["ours"])
+        rows.append(row)
+    return rows
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Average the figures of each group of girths, and of each everyday contact."""
+    """Average the figures of each split and group of girths, and of each everyday contact on held-out characters."""
+    corrected = {row["identity"] for row in rows if row["moved"]}
 
     def means(some: list[dict[str, Any]]) -> dict[str, Any]:
-        keys = [key for key in rows[0] if key.startswith(("contact ", "penetration "))]
-        known = {key: [row[key] for row in some if row[key] is not None] for key in keys}
-        return {"pairs": len(some)} | {key: round(float(np.mean(v)), 4) if v else None for key, v in known.items()}
+        found: dict[str, Any] = {"characters": len({row["identity"] for row in some}), "pairs": len(some)}
+        for metric in ("contact", "penetration"):
+            keys = [f"{metric} {label}" for label in ("driving", "copied", "ours")]
+            known = [[row[key] for key in keys] for row in some if None not in (row[key] for key in keys)]
+            if known:
+                theirs, copied, ours = np.mean(known, axis=0)
+                found |= {key: round(float(v), 4) for key, v in zip(keys, (theirs, copied, ours), strict=True)}
+                found[f"{metric} left"] = round(float((ours - theirs) / (copied - theirs)), 2)
+        return found
+
+    def group(row: dict[str, Any]) -> str:
+        if row["identity"] not in corrected:
+            return "without wrists"
+        return next(name for name, (low, high) in GIRTHS.items() if low <= row["girth"] < high)
 
     table: dict[str, Any] = {}
-    for label, everyday in (("everyday", True), ("clips", False)):
-        some = [row for row in rows if row["everyday"] is everyday]
-        groups = {g: [r for r in some if low <= r["girth"] < high] for g, (low, high) in GIRTHS.items()}
-        table[label] = {group: means(of) for group, of in groups.items() if of}
-    table["contacts"] = {name: means([row for row in rows if row["driving"] == name]) for name in EVERYDAY}
+    for split in ("train", "val"):
+        for label, everyday in (("everyday", True), ("clips", False)):
+            some = [row for row in rows if row["split"] == split and row["everyday"] is everyday]
+            groups = {name: [row for row in some if group(row) == name] for name in (*GIRTHS, "without wrists")}
+            table[f"{split} {label}"] = {name: means(of) for name, of in groups.items() if of}
+    held = [row for row in rows if row["split"] == "val" and row["identity"] in corrected]
+    table["val contacts"] = {name: means([row for row in held if row["driving"] == name]) for name in EVERYDAY}
     return table
 
 

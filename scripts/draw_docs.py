@@ -1,4 +1,4 @@
-"""Make the pictures in docs/images that need more than one command of mimesh: first, models, inside, body_fit.
+"""Make the pictures in docs/images that need more than one command of mimesh.
 
     python scripts/draw_docs.py [NAME ...]
 
@@ -16,11 +16,14 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 
-from mimesh import Clip, Mesh, Result, animate, transfer
-from mimesh.bodies import load_body
+from mimesh import CapturedClip, Clip, Mesh, Result, animate, capture, retarget, rig, transfer
+from mimesh.bodies import character, load_body
+from mimesh.bodies.animals import animal
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.core.surface_points import SurfacePoints
 from mimesh.io.atomic import whole_file
+from mimesh.motions import load_motion, motion_clip
+from mimesh.motions.animal_clips import gait_clip
 from mimesh.tools.demo import DRIVING_SHAPE, IDENTITY_SHAPE
 from mimesh.view.camera import Camera, fit
 from mimesh.view.heat import heat_colors
@@ -47,6 +50,8 @@ POINTS = 320
 BONE_COLOUR = (58, 84, 122)
 MODELS = ("mime", "npt", "npt-maxpool", "aniformer", "copy")
 """Models in the picture of models."""
+CAPTURED = "jump"
+"""Shipped motion in the picture of a capture."""
 MAX_DISTANCE = 0.08
 """Distance to the truth (metres) of the last colour in the picture of models."""
 
@@ -56,7 +61,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME")
     selected = parser.parse_args().names
-    for draw in (first, models, inside, body_fit):
+    for draw in (first, models, inside, body_fit, rigs, captured, species):
         if not selected or draw.__name__ in selected:
             save(draw(), draw.__name__)
 
@@ -151,6 +156,58 @@ def inside() -> Image.Image:
         (_render(moved, identity.faces, fit(moved, SIZE), colors), "skinned to other rotations"),
     ]
     return page([captioned(*picture) for picture in pictures], len(pictures))
+
+
+def rigs() -> Image.Image:
+    """Draw the bones that are found on meshes without any."""
+    tiles = []
+    for mesh in (character("heavy"), character("dancer"), character("imp"), animal("camel")):
+        found = rig(mesh).skeleton
+        camera = fit(mesh.vertices, SIZE)
+        picture = Image.fromarray(render_mesh(mesh, SIZE, camera, clay=True))
+        _draw_bones(picture, camera, found.rig.joints, found.parents)
+        tiles.append(captioned(picture, f"{mesh.name}: {len(found.names)} joints"))
+    return page(tiles, len(tiles))
+
+
+def captured() -> Image.Image:
+    """Draw frames of a clip without joints, the joints that are captured from it, and a character that they move."""
+    clip = motion_clip(BODY, DRIVING_PERSON, load_motion(CAPTURED))
+    motion = capture(clip)
+    moved = retarget(motion, rig(character("child"))).clip
+    joints = posed_joints(motion)
+    rows: list[list[Image.Image]] = [[], [], []]
+    for frame in np.linspace(0, len(clip) - 1, 5).round().astype(int):
+        driving, result = (of.mesh.with_vertices(of.vertices[frame]) for of in (clip, moved))
+        camera = fit(driving.vertices, SIZE)
+        bones = Image.fromarray(render_mesh(driving, SIZE, camera))
+        _draw_bones(bones, camera, joints[frame], motion.parents)
+        rows[0].append(_tile(driving, "clip", DRIVING_TINT))
+        rows[1].append(captioned(bones, "joints"))
+        rows[2].append(_tile(result, "child"))
+    return page([tile for row in rows for tile in row], len(rows[0]))
+
+
+def posed_joints(motion: CapturedClip) -> Float[np.ndarray, "T J 3"]:
+    """Return the joints of a captured motion in its frames."""
+    places = np.repeat(motion.root[:, None], len(motion.names), axis=1)
+    for j, parent in enumerate(motion.parents):
+        if parent >= 0:
+            places[:, j] = places[:, parent] + motion.rotation[:, parent] @ (motion.rest[j] - motion.rest[parent])
+    return places
+
+
+def species() -> Image.Image:
+    """Draw a horse and a cat at rest and in poses, and a camel and a lion without rigs that follow them."""
+    tiles = []
+    for driving, identity, gait in (("horse", "camel", "gallop"), ("cat", "lion", "trot")):
+        clip = gait_clip(driving, gait, seconds=0.6)
+        result = animate(animal(identity), clip).clip
+        for name, moved, tint in ((driving, clip, DRIVING_TINT), (identity, result, None)):
+            tiles.append(_tile(animal(name), f"{name}, at rest", tint))
+            for frame in np.linspace(0, len(clip) - 1, 4).round().astype(int):
+                tiles.append(_tile(moved.mesh.with_vertices(moved.vertices[frame]), name, tint))
+    return page(tiles, 5)
 
 
 def _render(vertices: np.ndarray, faces: np.ndarray, camera: Camera, colors=None) -> Image.Image:

@@ -44,7 +44,6 @@ NOTES = {
     ("clips-aniformer", "unseen"): "later seconds of the takes of the training, by new people",
     ("clips-ordered", "seen"): "motions and driving people that the rows of the tables are trained on",
     ("clips-ordered", "unseen"): "later seconds of the takes of the training, by driving people of the training",
-    ("animals", "clips"): "five animals of one maker; their rigs were looked at when rigs were first read",
 }
 """Protocol and kind (empty: all kinds) of other sets of `test` with something that a reader must know."""
 INEXACT = {"contact": "poses are solved to a tolerance, so coordinates depend on the libraries: no checksum"}

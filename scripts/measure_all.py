@@ -34,9 +34,8 @@ def main() -> None:
     parser.add_argument("protocols", nargs="*", metavar="PROTOCOL", help=", ".join((*WITHOUT_FOLDER, *FOLDERS)))
     parser.add_argument("--characters", type=Path, help="pool of rigged characters, for characters")
     parser.add_argument("--people", type=Path, help="rigged characters, for cross-body")
-    parser.add_argument("--animals", type=Path, help="rigged four-legged animals, for animals")
     args = parser.parse_args()
-    folders = {"characters": args.characters, "cross-body": args.people, "animals": args.animals}
+    folders = {"characters": args.characters, "cross-body": args.people}
     for name in args.protocols or (*WITHOUT_FOLDER, *(name for name in FOLDERS if folders[name])):
         out = write_results.RESULTS / f"{name}.json"
         with progress(name, quiet=False) as advance:
@@ -48,7 +47,7 @@ def main() -> None:
 def methods(protocol: str) -> list[str]:
     """Return the methods to measure on a protocol: METHODS, and the rows of the papers' tables that use it."""
     rows = [row.method for table in TABLES.values() if table.protocol == protocol for row in table.rows]
-    if protocol in ("quadruped", "animals"):
+    if protocol == "quadruped":
         trained = [row for row in rows if weights_path(row).is_file()]  # these are not in the repository
         return list(dict.fromkeys([*ANIMAL_METHODS, *trained]))
     return list(dict.fromkeys([*METHODS, *rows]))

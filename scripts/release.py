@@ -25,7 +25,7 @@ from mimesh.core.errors import InputError
 
 ROOT = Path(__file__).parents[1]
 TOOLS = ("build==1.6.1", "twine==7.0.0", "cyclonedx-bom==7.5.0")
-LIMITS = {".whl": 25e6, ".tar.gz": 30e6}
+LIMITS = {".whl": 30e6, ".tar.gz": 30e6}
 """Largest wheel and source archive in bytes."""
 WEIGHTS = ("ablations", "training")
 """Folders with weights that are in no other archive."""

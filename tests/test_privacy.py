@@ -248,18 +248,23 @@ def test_a_trace_shows_connections_and_files(place):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("command", "driving"), [("transfer", "pose.obj"), ("animate", "walk.glb")])
-def test_a_command_connects_to_nothing_and_writes_its_output_alone(command, driving, inputs, place):
+@pytest.mark.parametrize(
+    ("command", "files", "more", "pictures"),
+    [
+        ("transfer", ("hero.obj", "pose.obj"), ("--no-preview",), ()),
+        ("animate", ("hero.obj", "walk.glb"), (), ("result.preview.png", "result.preview.html")),
+        ("rig", ("hero.obj",), (), ("result.preview.png",)),
+        ("capture", ("walk.glb",), (), ()),
+    ],
+)
+def test_a_command_connects_to_nothing_and_writes_its_output_alone(command, files, more, pictures, inputs, place):
     require_strace()
-    output = place.output / "result.glb"
-    paths = [str(path) for path in (inputs / "hero.obj", inputs / driving)]
-    more = ["--no-preview"] if command == "transfer" else []
-    trace = place.trace(sys.executable, "-m", "mimesh", command, *paths, "-o", str(output), *more)
+    paths = [str(inputs / name) for name in files]
+    trace = place.trace(sys.executable, "-m", "mimesh", command, *paths, "-o", str(place.output / "result.glb"), *more)
     assert trace.calls == []
     assert trace.outside(place.output, place.tmp) == []
     assert place.leftovers() == [place.home / "caches"]
-    previews = set() if more else {"result.preview.png", "result.preview.html"}
-    assert {path.name for path in place.output.iterdir()} == {"result.glb", *previews}
+    assert {path.name for path in place.output.iterdir()} == {"result.glb", *pictures}
 
 
 @pytest.mark.slow

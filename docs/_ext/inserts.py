@@ -18,7 +18,7 @@ from write_results import read_reports, rows_by_set
 from mimesh.__main__ import command_line
 from mimesh.commands.about import DESCRIPTIONS
 from mimesh.core import budgets
-from mimesh.evaluate.markdown import markdown_table
+from mimesh.evaluate.markdown import cell, markdown_table
 from mimesh.evaluate.tables import find_table, paper_table
 from mimesh.methods.find import MODELS, SHIPPED_NETWORKS
 from mimesh.methods.zoo import cards
@@ -81,6 +81,29 @@ def models() -> str:
             errors = [pmd, f"{_figure(row['mm'])} mm"]
         rows.append([f"[`{name}`](#{name})", " ".join(DESCRIPTIONS[name].split()), *errors])
     return markdown_table(["`-m`", "what it is", "PMD ×1e-4: mean (median)", "distance"], rows)
+
+
+def found_rigs() -> str:
+    """Return the row of the table of rigs in docs/comparison.md, whose head is there, from benchmarks/rigs.json."""
+    report = figures_of("benchmarks/rigs")
+    [row] = [row for row in report["results"] if row["method"] == "mime"]
+    split, origin = report["provenance"]["config"]["split"], report["provenance"]
+    makers = len({label.partition(": ")[0] for label in row["each"]["identity"]})
+    figures = [cell(row, name) for name in RIG_FIGURES]
+    figures[0] += " %"
+    cells = [
+        "`mimesh rig`",
+        f"our split `{split}`: {row['pairs']} people of {makers} makers, {row.get('failures', 0)} refused",
+        *figures,
+        f"{cell(row, 'seconds_per_frame')} s, CPU",
+        "22 joints, without fingers; trained on other people of two of the makers",
+        "[definitions](conventions.md#rigs)",
+    ]
+    return f"| {' | '.join(cells)} |\n\n{measured(origin)}"
+
+
+RIG_FIGURES = ("joints_pct", "j2j", "j2b", "b2b", "iou", "weights_l1", "deform_mm")
+"""Columns of that table, in its order."""
 
 
 def _report_row(name: str, kind: str, method: str = "") -> dict:
@@ -195,6 +218,26 @@ def large() -> str:
         f"{markdown_table(head, rows)}\n\nSeconds of processor time; memory and page in MiB. "
         f"Fitted exponents over the sizes above: {slopes}. {' '.join(map(_growth, report['growth'].values()))} "
         f"Measured at commit {' and '.join(commits)}."
+    )
+
+
+def contacts() -> str:
+    """Return the table of hands that touch the own body, of held-out characters, from benchmarks/contacts.json."""
+    report = figures_of("benchmarks/contacts")
+    rows = []
+    for kind, label in (("everyday", "everyday contacts"), ("clips", "clips")):
+        for group, of in report["results"][f"val {kind}"].items():
+            row = [f"{label}, {group} ({of['characters']})"]
+            for metric, scale in (("contact", 1), ("penetration", 100)):
+                known = f"{metric} left" in of
+                for key in ("driving", "copied", "ours"):
+                    row.append(f"{scale * of[f'{metric} {key}']:.2f}" if known else "")
+            rows.append(row)
+    head = ["motions, characters by girth", "contact: driving", "copied", "mimesh"]
+    table = markdown_table([*head, "penetration: driving", "copied", "mimesh"], rows)
+    return (
+        f"{table}\n\nContact error in cm of a person of 1.75 m, penetration in % of the surface of hands and forearms. "
+        f"{measured(report)}"
     )
 
 
@@ -483,6 +526,7 @@ def _text(text: str | None) -> str:
 
 INSERTS = {
     "batch": batch_figures,
+    "contacts": contacts,
     "plan": batch_plan,
     "large": large,
     "live": live,
@@ -496,5 +540,6 @@ INSERTS = {
     "ownclips": own_clips,
     "unnamed": unnamed_rigs,
     "commands": command_reference,
+    "foundrigs": found_rigs,
 }
 """WHAT of a mark -> function that returns its Markdown."""

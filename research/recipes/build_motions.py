@@ -17,7 +17,7 @@ from mimesh.bodies import load_body
 from mimesh.motions.bvh import load_bvh
 from mimesh.motions.clips import QUANTUM, TAKES
 from mimesh.motions.motion import resample, rotmat_to_rotvec
-from mimesh.motions.retarget import retarget
+from mimesh.motions.retarget import retarget_skeleton
 
 
 def main() -> None:
@@ -29,7 +29,9 @@ def main() -> None:
     body = load_body()
     arrays = {"joint_names": np.array(body.joint_names)}
     for take in TAKES:
-        motion = resample(retarget(load_bvh(args.folder / f"{take.removeprefix('cmu_')}.bvh"), body, take), 30.0)
+        motion = resample(
+            retarget_skeleton(load_bvh(args.folder / f"{take.removeprefix('cmu_')}.bvh"), body, take), 30.0
+        )
         arrays[f"{take}_rotvec"] = np.round(rotmat_to_rotvec(motion.rotmat) / QUANTUM).astype(np.int16)
         arrays[f"{take}_root"] = motion.root.astype(np.float32)
         print(f"{take}: {len(motion)} frames, {motion.seconds:.1f} s")

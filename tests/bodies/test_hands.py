@@ -11,6 +11,7 @@ from mimesh.bodies.hands import (
     finger_rotations,
     fingertips,
     gestures,
+    hand_frames,
     load_hands,
     straight_hand,
     within_limits,
@@ -178,4 +179,11 @@ def test_a_hand_below_an_arm_without_an_elbow_has_a_frame():
     for side, x in (("Left", 1.0), ("Right", -1.0)):
         joints |= {f"{side}UpLeg": [0.1 * x, 0.9, 0], f"{side}Arm": [0.2 * x, 1.4, 0], f"{side}Hand": [0.7 * x, 1.4, 0]}
     frames = rest_frames(np.array([*joints.values()], float), {name: j for j, name in enumerate(joints)}, {})
+    np.testing.assert_allclose(frames["LeftHand"], straight_hand("Left"), atol=1e-9)
+
+
+@pytest.mark.parametrize("finger", ["Index", "Middle"])
+def test_the_only_knuckle_of_a_mitten_does_not_turn_its_hand(finger):
+    rest = {"LeftForeArm": [0.5, 1.4, 0.0], "LeftHand": [0.7, 1.4, 0.0], f"LeftHand{finger}1": [0.75, 1.34, 0.0]}
+    frames = hand_frames({name: np.array(at) for name, at in rest.items()}, np.eye(3), "Left")
     np.testing.assert_allclose(frames["LeftHand"], straight_hand("Left"), atol=1e-9)

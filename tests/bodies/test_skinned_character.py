@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rigs
+from rigs import read_skin
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.io import load_mesh
-from mimesh.io.gltf.skin_file import read_skin
 
 
 @pytest.fixture(scope="module")

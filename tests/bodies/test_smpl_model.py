@@ -77,10 +77,12 @@ def test_pickles_of_python_2_with_chumpy_are_read_exactly(protocol):
     The template and the weights are chumpy's variables, the shape directions a part of one.
     """
     model = load_smpl_model(Path(__file__).with_name(f"python2_model_{protocol}.pkl"))
-    np.testing.assert_array_equal(model.template, ramp(5, 3))
-    np.testing.assert_array_equal(model.shape_directions, ramp(5, 3, 4)[..., :2])
+    template, directions = ramp(5, 3), ramp(5, 3, 4)[..., :2]
+    np.testing.assert_array_equal(model.vertices, template)
+    np.testing.assert_array_equal(model.components, np.moveaxis(directions, 2, 0))
     np.testing.assert_array_equal(model.pose_directions, ramp(5, 3, 9))
-    np.testing.assert_array_equal(model.joint_regressor, ramp(2, 5))
+    np.testing.assert_allclose(model.joints, ramp(2, 5) @ template, rtol=1e-12)
+    np.testing.assert_allclose(model.joint_components, np.einsum("jv,vck->kjc", ramp(2, 5), directions), rtol=1e-12)
     np.testing.assert_array_equal(model.weights, ramp(5, 2))
     assert model.parents == (-1, 0)
     assert model.faces.tolist() == [[0, 1, 2], [2, 3, 4]]

@@ -36,17 +36,6 @@ def test_the_result_is_there_with_one_note(command, model, files, call, monkeypa
         assert Path(report["page"]).is_file()
 
 
-def test_a_sheet_and_a_tile_that_fail_leave_the_summary(files, monkeypatch):
-    save_mesh(person(0), Path("a.obj"))
-    monkeypatch.setattr("mimesh.jobs.run.save_sheet", fails)
-    monkeypatch.setattr("mimesh.jobs.run.render_mesh", fails)
-    jobs = [{"identity": "a.obj", "driving": "a.obj", "output": "out/b.obj", "command": "transfer", "model": "copy"}]
-    done = mimesh.batch(jobs, workers=1)
-    assert (done.failed, sorted(done.files)) == (0, ["csv", "json"])
-    assert done.notes[0].startswith("batch.png was not written (ValueError")
-    assert json.loads(Path("out/batch.json").read_text())["notes"] == list(done.notes)
-
-
 def test_a_demo_without_pictures_has_its_result(tmp_path, model, monkeypatch):
     monkeypatch.setattr(demo, "animate", lambda *inputs, **_: mimesh.animate(person(0), walk(), model))
     monkeypatch.setattr(demo, "inputs", lambda body: (person(0), walk()))

@@ -90,9 +90,8 @@ def test_names_that_would_break_an_obj(name, tmp_path):
 
 def test_the_table_of_a_batch_has_escaped_text(tmp_path):
     job = BatchJob("jobs.csv:3", "transfer", f"{NAME}.obj", "b.obj", "out.obj")
-    BatchResult([job], [{"state": "failed", "error": NAME, "notes": [NAME]}], 1.0, 1).save(
-        tmp_path / "a.csv", tmp_path / "a.json"
-    )
+    files = {kind: tmp_path / f"a.{kind}" for kind in ("csv", "json")}
+    BatchResult([job], [{"state": "failed", "error": NAME, "notes": [NAME]}], 1.0, 1, files).save()
     text = (tmp_path / "a.csv").read_text(encoding="utf-8")
     assert not (BAD - {"\r"}) & set(text)
     [row] = csv.DictReader(text.splitlines())

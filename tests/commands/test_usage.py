@@ -91,7 +91,6 @@ def test_names_of_models_and_networks_are_completed(tmp_path, monkeypatch):
     [
         ("mimesh transfer a b -m np", ["npt", "npt-maxpool"]),
         ("mimesh animate a b --root k", ["keep"]),
-        ("mimesh transfer a b --log-level d", ["debug"]),
         ("mimesh tran", ["transfer"]),
     ],
 )
@@ -126,7 +125,7 @@ def test_verbose_tells_times_axes_and_method_on_stderr(files, call):
     assert any(line.startswith("info: identity: up ") for line in lines)
     assert any(line.startswith("info: driving: up ") for line in lines)
     assert "info: method: copy (given by -m)" in lines
-    assert call(COPIED).err == call(COPIED + "--log-level warning").err == ""
+    assert call(COPIED).err == ""
     assert logging.getLogger(common.LOGGER).handlers == []
 
 

@@ -37,9 +37,13 @@ STRIDE = 24.0
 """Degrees of the hip."""
 
 
-def rig_of(shape, size=1.0, shin=1.0):
-    """Vertices and rig of a person; with `shin` the shins are longer and the thighs shorter."""
+def rig_of(shape, size=1.0, shin=1.0, foot=1.0):
+    """Vertices and rig of a person; with `shin` shins are longer and thighs shorter, with `foot` feet are longer."""
     vertices, joints = (size * array for array in BODY.shaped(shape))
+    ankles = [leg[2] for leg in LEGS]
+    on_feet = BODY.weights[:, descendants(ankles, BODY.parents)].sum(axis=1) > 0.5
+    for array, part in ((vertices, on_feet), (joints, descendants(ankles, BODY.parents))):
+        array[part, 2] += (foot - 1) * (array[part, 2] - joints[ankles[0], 2])
     hip, knee, _ = joints[list(LEGS[0]), 1]
     for array in (vertices, joints):
         array[:, 1] = np.interp(array[:, 1], [-size, 0, knee, hip, 3 * size], [-size, 0, shin * knee, hip, 3 * size])
@@ -92,7 +96,7 @@ def walking(shin=1.0):
     return case(shin=shin)
 
 
-def case(motion=None, size=0.8, path=None, noise=0.0, driving_size=1.0, shin=1.0):
+def case(motion=None, size=0.8, path=None, noise=0.0, driving_size=1.0, shin=1.0, foot=1.0):
     motion = walk() if motion is None else motion
     if path is not None:
         motion = dataclasses.replace(motion, root=motion.root + path)
@@ -101,7 +105,7 @@ def case(motion=None, size=0.8, path=None, noise=0.0, driving_size=1.0, shin=1.0
     rotation, translation = BODY.skinning_transforms(BODY.joints, motion.rotmat, motion.root)
     positions = driving_size * ((rotation @ BODY.joints[..., None])[..., 0] + translation)
     rest, rig = rig_of(np.zeros(0), driving_size)
-    vertices, identity_rig = rig_of(sample_shape(BODY, 7, 3), size, shin)
+    vertices, identity_rig = rig_of(sample_shape(BODY, 7, 3), size, shin, foot)
     skinned = SkinnedMesh.of(vertices, identity_rig, BODY.parents)
     everyone = SurfacePoints.of_vertices(len(rest))
     leg, mine = leg_length(rig.joints, LEGS), find_soles(vertices, identity_rig, LEGS, BODY.parents)
@@ -193,6 +197,17 @@ def test_soles_do_not_sink_or_float_or_jump():
     assert spread[1] < min(0.03 * found.stride * found.feet.driving_leg, spread[0])
     assert largest[1] < 1.15 * largest[0]
     assert turns[1] < 1.5 * turns[0]
+
+
+def test_long_feet_do_not_swing_through_the_floor():
+    """Feet three times as long swing deeper by a quarter of a leg, more than legs of people are corrected by."""
+    whole = case(foot=3.0)
+    leg, theirs = whole.stride * whole.feet.driving_leg, whole.stride * whole.track.soles[..., 1].min(axis=(1, 2))
+    before, after = (
+        np.ptp(whole.soles(posed)[..., 1].min(axis=(1, 2)) - theirs) for posed in (whole.posed(), whole.planted())
+    )
+    assert before > 0.24 * leg
+    assert after < 0.08 * leg
 
 
 def test_bones_keep_their_lengths_and_feet_their_directions():

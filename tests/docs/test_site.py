@@ -1,5 +1,6 @@
 """The documentation is built without warnings, its links work, its marks are filled, and its commands exist."""
 
+import json
 import re
 import shlex
 import subprocess
@@ -82,6 +83,14 @@ def test_names_of_the_reference_exist():
 def test_every_table_of_the_papers_is_on_their_page():
     used = set(re.findall(r"<!-- insert: table (\S+) -->", (DOCS / "papers.md").read_text()))
     assert used == set(TABLES)
+
+
+def test_our_row_fits_the_table_of_found_rigs(inserts):
+    head = re.search(r"^\| method \| on \| joints .*$", (DOCS / "comparison.md").read_text(), re.MULTILINE)
+    row = inserts.found_rigs().splitlines()[0]
+    assert head
+    assert row.count(" | ") == head[0].count(" | ")
+    assert f"{json.loads((ROOT / 'benchmarks' / 'rigs.json').read_text())['results'][0]['pairs']} people" in row
 
 
 def test_every_model_has_a_section(inserts):

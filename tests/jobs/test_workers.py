@@ -35,7 +35,7 @@ def repeating(monkeypatch) -> None:
 
 def tasks(*drivings: str, identities: int = 1) -> dict[int, BatchTask]:
     jobs = [BatchJob("row", "transfer", str(k % identities), driving, "out") for k, driving in enumerate(drivings)]
-    return {k: BatchTask(job, "", draw=False) for k, job in enumerate(jobs)}
+    return {k: BatchTask(job, "") for k, job in enumerate(jobs)}
 
 
 def outcomes(given: dict[int, BatchTask], workers: int) -> list[dict[str, Any]]:

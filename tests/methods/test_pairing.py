@@ -1,21 +1,17 @@
-"""Networks that pair vertices by index or by the fitted body: permutations, the choice of a network, refused meshes."""
+"""Networks that pair vertices by index: permutations, the choice of a network, refused meshes."""
 
-import dataclasses
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from grouped_options import grouped
-from matrix import matrix
 from networks import write_network, write_sequence_network
-from people import boxes_person, person, split_everywhere, walk
+from people import person, split_everywhere, walk
 from zoo import point_cloud
 
-from mimesh.core.canonical_order import canonical_order
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
-from mimesh.core.normalization import Normalization
 from mimesh.core.options import ModelOptions
 from mimesh.methods import find
 from mimesh.methods.find import find_model
@@ -24,7 +20,6 @@ from mimesh.pipeline import animate, prepare, transfer
 pytest.importorskip("onnx")
 AXES = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z", "body": "human"}
 NOTE = "both meshes have the same triangles, so vertices are paired by index"
-BODY_NOTE = "the shipped body is fitted to both meshes, and vertices are paired by their place on it"
 
 
 @pytest.fixture(params=["npt", "aniformer"])
@@ -136,82 +131,10 @@ def test_order_without_ordered_weights_says_how_to_make_them(zoo):
 def test_networks_of_another_pairing_are_refused(ordered, tmp_path):
     random = str(write_network(tmp_path / "random.onnx"))
     wrong = [(random, "order"), (ordered, "random"), ("copy", "order"), ("mime", "order")]
-    for model, pairing in [*wrong, (random, "body"), ("copy", "body"), ("mime", "body")]:
-        trained = "random" if pairing == "random" else "order"
+    for model, pairing in wrong:
         with pytest.raises(
-            InputError, match=f"pairing.*{pairing}.*trained with data.pairing={trained}, found .*{Path(model).name}"
+            InputError, match=f"pairing.*{pairing}.*trained with data.pairing={pairing}, found .*{Path(model).name}"
         ):
             transfer(person(0), person(1, 0), model, options=ModelOptions(pairing=pairing))
-    with pytest.raises(InputError, match="expected one of auto, random, order, body"):
+    with pytest.raises(InputError, match="expected one of auto, random, order"):
         find_model("npt", pairing="index")
-
-
-@matrix("kind", ["faces", "points"], quick=["faces"])
-def test_body_pairs_are_near_the_true_places_on_meshes_of_other_faces_and_on_points(kind):
-    """The truth: the same driving person with the identity's vertices."""
-    identity, driving, true = (
-        dataclasses.replace(mesh, vertices=Normalization.fit(mesh, "+y", "+z").apply(mesh.vertices))
-        for mesh in (person(0), person(1, 0, faces=600), person(1, 0))
-    )
-    ranked = canonical_order(identity.vertices)
-    mesh = driving if kind == "faces" else Mesh(true.vertices[::-1], np.zeros((0, 3), int))
-    points = find_model("mime").body_pairs(identity, mesh).points(mesh.vertices)[ranked.group]
-    error = np.linalg.norm(points - true.vertices, axis=1)
-    assert error.mean() < 0.03  # of the radius; edges have 0.1
-    assert error.mean() < 0.1 * np.linalg.norm(points[::-1] - true.vertices, axis=1).mean()
-
-
-@pytest.fixture
-def by_body(tmp_path):
-    """A tiny network whose vertices are paired by the body; the code is that of all networks."""
-    return str(write_network(tmp_path / "tiny.onnx", pairing="order"))
-
-
-@pytest.mark.slow
-def test_body_pairs_do_not_depend_on_order_seams_and_axes(by_body):
-    identity, driving = person(0, faces=600), person(1, 0, faces=400)
-    expected = moved(identity, driving, by_body, pairing="body")
-    rng = np.random.default_rng(0)
-    order, driving_order = rng.permutation(len(identity.vertices)), rng.permutation(len(driving.vertices))
-    faces = rng.permutation(driving.faces)
-    shuffled = permute_vertices(dataclasses.replace(driving, faces=faces), driving_order)
-    result = moved(permute_vertices(identity, order), shuffled, by_body, pairing="body")
-    assert np.array_equal(result, expected[order])
-    z_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-    turned = dataclasses.replace(driving, vertices=driving.vertices @ z_up.T)
-    axes = AXES | {"driving_up": "+z", "driving_front": "-y"}
-    result = transfer(
-        split_everywhere(identity), split_everywhere(turned), by_body, **grouped(**axes, pairing="body")
-    ).vertices
-    assert np.allclose(result, expected[identity.faces.ravel()], atol=1e-4)
-
-
-@pytest.mark.slow
-def test_body_pairs_of_a_clip_are_those_of_its_first_frame(by_body):
-    clip, identity = walk(frames=3, faces=400), person(0, faces=600)
-    result = animate(identity, clip, by_body, **grouped(**AXES, pairing="body"))
-    assert BODY_NOTE in result.notes
-    first = moved(identity, dataclasses.replace(clip.mesh, vertices=clip.vertices[0]), by_body, pairing="body")
-    assert np.allclose(result.clip.vertices[0], first, atol=1e-4)
-    assert np.isfinite(result.clip.vertices).all()
-
-
-def test_body_pairs_are_for_shapes_that_the_body_can_have(by_body):
-    with pytest.raises(InputError, match=r"boxes: expected a shape that the shipped human.*pairing=.random."):
-        transfer(boxes_person(0.5), person(1, 0), by_body, **grouped(**AXES, pairing="body"))
-
-
-def test_body_pairs_take_the_ordered_weights_and_only_on_request(zoo):
-    identity, other = person(0), person(1, 0, faces=600)
-    with pytest.raises(InputError, match=r"pairing=.body.: expected weights in .*npt-ordered"):
-        transfer(identity, other, "npt", options=ModelOptions(pairing="body"))
-    shutil.copy(write_network(zoo.with_name("other.onnx"), pairing="order"), zoo)
-    assert BODY_NOTE in transfer(identity, other, "npt", **grouped(**AXES, pairing="body")).notes
-    assert BODY_NOTE not in transfer(identity, other, "npt", **grouped(**AXES)).notes
-
-
-def test_networks_of_one_mesh_are_not_paired_by_the_body(tmp_path):
-    card = {"pairing": "order", "vertices": 502}
-    network = str(write_sequence_network(tmp_path / "tiny.onnx", metadata=card))
-    with pytest.raises(InputError, match=r"pairing=\"body\".*expected a network for meshes of any vertices"):
-        find_model(network, pairing="body")

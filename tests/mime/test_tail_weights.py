@@ -60,6 +60,15 @@ def test_a_foot_that_is_held_by_both_legs_is_no_tail():
     assert whole(weights) is weights
 
 
+def test_a_separate_piece_that_both_legs_hold_is_no_tail():
+    """Nothing that it touches is known: the equations of its weights are singular."""
+    points = np.concatenate([0.01 * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), POINTS])
+    faces = np.concatenate([[[0, 1, 2], [1, 3, 2]], BODY.faces + 4])
+    held = np.eye(len(BODY.parents))[[BODY.joint(f"{side}Shin") for side in ("Left", "Right", "Left", "Right")]]
+    weights = np.concatenate([held, BODY.weights])
+    assert with_whole_tail(weights, points, faces, BODY.joint_names, BODY.parents) is weights
+
+
 def test_nothing_is_repaired_without_a_tail_without_triangles_and_on_people():
     weights = taken(part=np.isin(STRONGEST, TAIL))
     assert whole(weights) is weights

@@ -11,7 +11,7 @@ from mimesh.core.errors import InputError
 from mimesh.motions import Motion, load_motion
 from mimesh.motions.bvh import load_bvh
 from mimesh.motions.on_body import motion_of_file, on_body
-from mimesh.motions.retarget import retarget
+from mimesh.motions.retarget import retarget_skeleton
 
 SMALL = """HIERARCHY
 ROOT Hips
@@ -175,7 +175,7 @@ def test_a_file_of_the_body_gives_its_rotations(tmp_path):
     turns = np.random.default_rng(0).uniform(-0.5, 0.5, (4, len(body.parents), 3))
     motion = Motion("random", body.joint_names, rotvec_to_rotmat(turns), np.zeros((4, 3)))
     path = write_bvh(tmp_path / "a.bvh", body, motion, axes=Z_UP, scale=17.0)
-    found = retarget(load_bvh(path), body)
+    found = retarget_skeleton(load_bvh(path), body)
     for j, name in enumerate(body.joint_names):
         finger = any(word in name for word in ("Thumb", "Finger"))
         expected = np.tile(np.eye(3), (4, 1, 1)) if finger else motion.rotmat[:, j]
@@ -184,7 +184,7 @@ def test_a_file_of_the_body_gives_its_rotations(tmp_path):
 
 def test_a_skeleton_without_limbs_is_refused(tmp_path):
     with pytest.raises(InputError, match="LeftUpLeg"):
-        retarget(load_bvh(write(tmp_path, SMALL)), load_body())
+        retarget_skeleton(load_bvh(write(tmp_path, SMALL)), load_body())
 
 
 def with_positions(text: str, bones: dict[str, str], offsets: bool) -> str:
@@ -212,8 +212,8 @@ def test_positions_replace_the_offset_even_where_they_never_change(offsets, tmp_
 def test_a_rest_pose_between_the_axes_has_its_own_front(degrees, axes, tmp_path):
     body, walk = load_body(), load_motion("walk")
     heading = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
-    found = retarget(load_bvh(write_bvh(tmp_path / "a.bvh", body, walk, axes=axes @ heading)), body)
-    expected = retarget(load_bvh(write_bvh(tmp_path / "b.bvh", body, walk)), body)
+    found = retarget_skeleton(load_bvh(write_bvh(tmp_path / "a.bvh", body, walk, axes=axes @ heading)), body)
+    expected = retarget_skeleton(load_bvh(write_bvh(tmp_path / "b.bvh", body, walk)), body)
     np.testing.assert_allclose(found.rotmat, expected.rotmat, atol=1e-6)
     np.testing.assert_allclose(found.root, expected.root, atol=1e-5)
 

@@ -121,6 +121,19 @@ def test_frames_along_the_axes_of_a_t_pose_tell_how_sticks_lean_and_bend(body, t
         assert rotation_error(body, loaded, leaning, joint).max() < 1.5, joint
 
 
+def test_toes_of_sticks_along_the_axes_of_a_t_pose_point_ahead_in_it(body, tmp_path):
+    """Those of the shipped body point outwards by 6 degrees."""
+    feet, joints = {f"{side}Foot": f"{side}ToeBase" for side in SIDES}, body.joints.copy()
+    for foot, toes in feet.items():
+        joints[body.joint(toes), 0] = joints[body.joint(foot), 0]
+    ahead, motion = dataclasses.replace(body, joints=joints), window(load_motion("walk"), 0.0, 2.0)
+    loaded = motion_of_file(write_bvh(tmp_path / "a.bvh", ahead, motion, rest="axes", name=renamed("lafan1")))
+    for foot in feet:
+        expected, found = (joint_tracks(body, of)[0][:, body.joint(foot)] for of in (motion, loaded))
+        turn = Rotation.from_matrix(expected).inv() * Rotation.from_matrix(found)
+        assert abs(turn.mean().as_rotvec(degrees=True)[1]) < 1, foot
+
+
 def test_hips_and_feet_of_sticks_are_level_while_a_person_stands(body, tmp_path):
     """Not as steep as the trunk and the feet of the shipped body are: here toes are 5 cm lower."""
     joints = body.joints.copy()

@@ -46,7 +46,7 @@ def test_this_version_has_a_tag_message(script):
     assert [line for line in message.splitlines() if line.startswith("#")] == []
 
 
-@pytest.mark.parametrize(("name", "limit"), [("a.whl", 25_000_000), ("a.tar.gz", 30_000_000)])
+@pytest.mark.parametrize(("name", "limit"), [("a.whl", 30_000_000), ("a.tar.gz", 30_000_000)])
 def test_a_large_archive_is_refused(script, tmp_path, name, limit):
     path = tmp_path / name
     path.touch()

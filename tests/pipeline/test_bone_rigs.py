@@ -18,6 +18,7 @@ from mimesh.bodies import load_body
 from mimesh.bodies.joint_names import person_joints
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.normalization import Normalization
 from mimesh.core.options import FrameRange, Hints, MotionOptions
 from mimesh.core.person_motion import KnownJoints
 from mimesh.io import load_clip, load_mesh
@@ -27,6 +28,7 @@ from mimesh.motions import load_motion, window
 from mimesh.motions.bvh import load_bvh
 from mimesh.pipeline import animate
 from mimesh.pipeline.bone_rigs import Binding, BoneJoints, Bones, clip_of_bones, rig_of_bones
+from mimesh.rigs.retarget import JointMotion
 
 EXACT = 1e-5
 """Largest distance of a vertex, over the size of the mesh."""
@@ -97,6 +99,19 @@ def test_bones_of_a_driving_mesh_are_used(path, model, driving):
         )
         < EXACT
     )
+
+
+def test_the_body_of_a_driving_is_found_in_any_axes(driving):
+    """Its points are found at rest, whose joints are in the axes of the clip."""
+    clip, joints = joints_of(driving)
+    grids = []
+    for drawn, axes in ((load_clip(driving), ("+y", "+z")), (dataclasses.replace(clip, skeleton=joints), ("+z", "-y"))):
+        mesh = dataclasses.replace(drawn.mesh, vertices=np.asarray(drawn.vertices[0], float))
+        norm = Normalization.fit(mesh, *axes)
+        mesh = dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices))
+        grids.append(JointMotion.of_file(drawn.skeleton.person(), mesh, drawn.fps, norm, 0).grid)
+    assert grids[0].parts == grids[1].parts
+    np.testing.assert_allclose(grids[1].rest, grids[0].rest, atol=EXACT)
 
 
 def test_a_driving_whose_bones_are_unknown_is_read_on_its_surface(path, model, driving):

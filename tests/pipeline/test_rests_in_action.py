@@ -44,12 +44,13 @@ def clip(folder) -> mimesh.Clip:
     return mimesh.load_clip(path)
 
 
-def moved(folder, name: str, pose: dict[str, tuple[float, float, float]], frames: int | None = None, **options):
+def moved(folder, name: str, pose: dict[str, tuple[float, float, float]], without=(), frames=None, **options):
     """Move person 0, bound in a pose; returns the result, and its joints from the hips (T, J, 3) in metres."""
-    rest = np.tile(np.eye(3), (len(rigs.figure().names), 1, 1))
-    for joint, vector in pose.items():
-        rest[rigs.figure().names.index(joint)] = Rotation.from_rotvec(vector, degrees=True).as_matrix()
-    path = rigs.character(folder / f"{name}.glb", rest=rest, frames=frames, **options)
+    person = rigs.figure().without(*without)
+    rest = np.tile(np.eye(3), (len(person.names), 1, 1))
+    for joint in pose.keys() & set(person.names):
+        rest[person.names.index(joint)] = Rotation.from_rotvec(pose[joint], degrees=True).as_matrix()
+    path = rigs.character(folder / f"{name}.glb", person=person, rest=rest, frames=frames, **options)
     result = mimesh.animate(load_mesh(path), clip(folder))
     assert result.skeleton is not None
     joints = result.skeleton.joint_positions()
@@ -69,6 +70,37 @@ def test_a_rig_bound_in_an_action_moves_as_one_bound_in_a_t_pose(folder, name):
     for joint, path in found.items():
         # A foot is as its surface says: 1 cm at the toes of this body of 300 triangles.
         np.testing.assert_allclose(path, truth[joint], atol=0.01 if joint.endswith("ToeBase") else 1e-5)
+
+
+LIMBS = ("UpLeg", "Leg", "Foot", "ToeBase", "Shoulder", "Arm", "ForeArm", "Hand")
+TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
+
+
+@pytest.mark.parametrize("pose", [{}, ACTIONS["sitting"]], ids=["T-pose", "sitting"])
+@pytest.mark.parametrize(
+    "without",
+    [
+        pytest.param(joints, id=joints[-1], marks=[] if joints == ("LeftFoot",) else pytest.mark.slow)
+        for joints in [(name,) for name in TRUNK]
+        + [(f"Left{name}",) for name in LIMBS]
+        + [(f"Left{name}", f"Right{name}") for name in LIMBS]
+    ],
+)
+def test_a_rig_that_lacks_a_joint_is_used_or_said_not_to_be(folder, pose, without):
+    """Of a limb whose rig is used, the other limbs and the trunk move as with it."""
+    _, truth = moved(folder, "T", {})
+    result, found = moved(folder, "lacks", pose, without)
+    if result.report.get("rig") != "own":
+        assert any("the rig of lacks is not used" in note for note in result.notes)
+        assert without[0].endswith(("Leg", "Foot"))
+        return
+    assert all(np.isfinite(path).all() for path in found.values())
+    if without[0].startswith("Left") and without[0] != "LeftUpLeg":  # trunk and thighs tell where hips face
+        part = LIMBS[:4] if without[0][4:] in LIMBS[:4] else LIMBS[4:]
+        others = [n for n in found.keys() & truth.keys() if n.removeprefix("Left").removeprefix("Right") not in part]
+        for joint in others:
+            ends = joint.endswith(("ToeBase", "Thumb", "FingerBase", "HandFinger1"))
+            np.testing.assert_allclose(found[joint], truth[joint], atol=0.05 if ends else 1e-5, err_msg=joint)
 
 
 def test_it_stands_on_the_floor_that_it_lay_on(folder):

@@ -128,10 +128,10 @@ def test_tables_rings_and_figures_are_the_same_after_half_a_turn_and_bodies_are_
 
 
 def fit(body: str, misfit: float, spread: float = 5.0) -> Confidence:
-    """A fit of a body with a spread of the predictions, and the mismatch of a misfit."""
+    """A fit of a body with bent limbs, a spread of the predictions, and the mismatch of a misfit."""
     standards = Standards.of(load_body(body).joint_names)
     mismatch = np.expm1((misfit - OTHER_KIND["constant"] - 0.5 * OTHER_KIND["entropy"]) / OTHER_KIND["fit_distance"])
-    return Confidence(spread, 0.5, {}, fit_distance=1e-3 * mismatch, standards=standards)
+    return Confidence(spread, 0.5, {}, fit_distance=1e-3 * mismatch, flexion=100.0, standards=standards)
 
 
 DOUBT, REFUSED = REJECTION_THRESHOLD - 0.1, REJECTION_THRESHOLD + 0.1
@@ -171,6 +171,29 @@ def test_what_hardly_looks_like_a_person_is_refused_where_predictions_contradict
     """Figures of blocks, which face both ways, are not."""
     fits = {"human": fit("human", misfit, spread), "quadruped": fit("quadruped", 5.0)}
     assert fitting_body("human", fits, turned=False) == found
+
+
+@pytest.mark.parametrize(
+    ("misfit", "entropy", "flexion", "found"),
+    [
+        (-1.0, 1.05, 10.0, "human"),
+        (-1.0, 1.15, 10.0, None),
+        (-1.0, 1.15, 90.0, "human"),
+        (MAX_OTHER_KIND + 0.3, 0.6, 10.0, None),
+        (MAX_OTHER_KIND + 0.3, 0.6, 90.0, "human"),
+    ],
+)
+def test_what_has_straight_limbs_and_hardly_looks_like_a_person_is_refused(misfit, entropy, flexion, found):
+    """As hands, cats that sit and aeroplanes; people who sit or lie are harder to read."""
+    read = fit("human", misfit - OTHER_KIND["entropy"] * (entropy - 0.5))
+    fits = {"human": replace(read, weight_entropy=entropy, flexion=flexion), "quadruped": fit("quadruped", 5.0)}
+    assert fits["human"].other_kind == pytest.approx(misfit)
+    assert fitting_body("human", fits, turned=False) == found
+
+
+def test_animals_with_straight_limbs_are_no_less_accepted():
+    straight = replace(fit("quadruped", MAX_OTHER_KIND + 0.3), weight_entropy=1.0, flexion=10.0)
+    assert straight.misfit == straight.other_kind
 
 
 @pytest.mark.slow

@@ -80,11 +80,8 @@ def meshopt_glb(plain, path, name=MESHOPT, version=0):
     return path
 
 
-def draco_glb(plain, path, bits=16, change=lambda name, values: values):
-    """Compress the triangles of a file; positions, normals and the like are quantized, joints and weights are not.
-
-    `change` gives the values that an attribute has instead.
-    """
+def draco_glb(plain, path):
+    """Compress the triangles of a file; positions, normals and the like are quantized, joints and weights are not."""
     draco = pytest.importorskip("DracoPy")
     gltf, chunks = with_plain_views(plain)
     document = open_document(plain)
@@ -94,12 +91,12 @@ def draco_glb(plain, path, bits=16, change=lambda name, values: values):
             if primitive.get("mode", 4) != 4 or "indices" not in primitive:
                 continue
             attributes = primitive["attributes"]
-            arrays = {name: change(name, read_accessor(document, index)) for name, index in attributes.items()}
+            arrays = {name: read_accessor(document, index) for name, index in attributes.items()}
             ids = {name: number for number, name in enumerate(attributes) if name != "POSITION"}
             blob = draco.encode(
                 arrays["POSITION"],
                 read_accessor(document, primitive["indices"]).reshape(-1, 3).astype(np.uint32),
-                quantization_bits=bits,
+                quantization_bits=16,
                 preserve_order=True,
                 generic_attributes={100 + number: np.ascontiguousarray(arrays[name]) for name, number in ids.items()},
             )

@@ -16,7 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import sample_shape
+from mimesh.bodies.skinned_character import SkinnedCharacter
+from mimesh.io import load_mesh
 from mimesh.io.gltf.draft import Draft
+from mimesh.io.gltf.edit import GltfSource
+from mimesh.io.gltf.read import rig_on_nodes, skin_joints
 
 ARMATURE = np.array([[100.0, 0, 0, 0], [0, 0, 100.0, 0], [0, -100.0, 0, 0], [0, 0, 0, 1]])
 """T_world_armature of a z-up armature in hundredths of a unit."""
@@ -34,6 +38,14 @@ def kept(faces: int = 300) -> np.ndarray:
     return decimation(faces)[0]
 
 
+def read_skin(path: Path) -> SkinnedCharacter:
+    """Read a character as its file has it, with the joints of all skins that its scene shows."""
+    mesh = load_mesh(path)
+    assert isinstance(mesh.source, GltfSource)
+    document, rest = mesh.source.document, mesh.source.rest
+    return rig_on_nodes(mesh, document, rest, skin_joints(document, rest))[0]
+
+
 @dataclass(frozen=True, eq=False)
 class Figure:
     """A person in the T-pose with any joints."""
@@ -46,15 +58,15 @@ class Figure:
     vertices: np.ndarray
 
     def without(self, *names: str) -> Figure:
-        """Remove joints without children; their weights go to the parents."""
+        """Remove joints; their weights and children go to their parents."""
         figure = self
         for name in names:
             j = figure.names.index(name)
             weights = figure.weights.copy()
             weights[:, figure.parents[j]] += weights[:, j]
             keep = [k for k in range(len(figure.names)) if k != j]
-            parents = tuple(figure.parents[k] - (figure.parents[k] > j) for k in keep)
-            assert j not in figure.parents
+            above = [figure.parents[j] if figure.parents[k] == j else figure.parents[k] for k in keep]
+            parents = tuple(parent - (parent > j) for parent in above)
             figure = Figure(
                 tuple(figure.names[k] for k in keep), parents, figure.joints[keep], weights[:, keep], figure.vertices
             )

@@ -28,6 +28,7 @@ export class ModelForm {
     this.description = grid.appendChild(make("small", ""));
     this.root = field(grid, "Root motion", choice(Object.entries(ROOTS), send("root")), "How far the result goes over the ground");
     this.ground = field(grid, "Feet on the ground", checkbox(send("ground")), "Plant the soles where those of the driving mesh stand");
+    this.contacts = field(grid, "Hands in contact", checkbox(send("contacts")), "Keep hands where those of the driving mesh touch its body, and arms out of the own");
     this.smooth = this.addSmooth(grid, send("smooth", Number));
     const refine = [["", "automatic"], ["true", "yes"], ["false", "no"]];
     const sendRefine = send("refine", (value) => (value ? value === "true" : null));
@@ -56,9 +57,10 @@ export class ModelForm {
     this.description.textContent = DESCRIPTIONS[options.model] ?? "";
     this.description.hidden = !this.description.textContent;
     const joints = models.find(({ name }) => name === options.model)?.joints;
-    for (const control of [this.root, this.ground, this.smooth]) setEnabled(control, joints, JOINTS_ONLY);
+    for (const control of [this.root, this.ground, this.contacts, this.smooth]) setEnabled(control, joints, JOINTS_ONLY);
     showValue(this.root, options.root);
     showValue(this.ground, options.ground);
+    showValue(this.contacts, options.contacts);
     showValue(this.smooth, options.smooth);
     if (this.smooth !== document.activeElement) this.showSeconds(options.smooth);
     showValue(this.refine, options.refine === null ? "" : String(options.refine));

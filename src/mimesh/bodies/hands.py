@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.geometry import angles_between, rotate_between, rotation_between, unit_vectors
+from ..core.geometry import rotate_between, rotation_between, unit_vectors
 from .body_model import RiggedBody, load_body, unpacked_weights
 from .character_limbs import SIDES
 from .joint_names import FINGER_STUBS, FINGERS, finger_joints, with_finger_joints
@@ -150,9 +150,6 @@ def left_hand_body() -> RiggedBody:
 
 KNUCKLES = tuple(f"Hand{finger}1" for finger in FINGERS[1:])
 """First joints of the fingers without the thumb, without their side."""
-BESIDE_MIDDLE = 30.0
-"""Angle (degrees) from the direction of a straight hand up to which one knuckle does not turn it: that of a mitten is
-where its maker put it, 5 to 25 degrees away for stubs of the shipped body."""
 FEWEST_KNUCKLES = 2
 """Knuckles that show where a palm faces."""
 ONE_PLACE = 0.05
@@ -171,9 +168,9 @@ def hand_frames(
     """Compute the rotations of a hand and its finger joints from the shipped body's T-pose to another rest pose.
 
     A hand is turned as its knuckles are, and each finger joint as its bone; the last of a finger follows the one
-    before. Where all knuckles are at one place, the joints after them tell. With one knuckle only the direction of a
-    hand that is bent is known, without one nothing: it is taken for a straight hand (`straight_hand`). A hand without a
-    joint is on the forearm: its direction is that from the elbow to the knuckles.
+    before. Where all knuckles are at one place, the joints after them tell. With one knuckle or none it is taken for a
+    straight hand (`straight_hand`): the only knuckle of a mitten is where its maker put it, 5 to 25 degrees away. A
+    hand without a joint is on the forearm: its direction is that from the elbow to the knuckles.
 
     Args:
         rest: positions of the forearm, the hand and its finger joints at rest.
@@ -189,12 +186,7 @@ def hand_frames(
         knuckles = [after for name in knuckles if (after := f"{name[:-1]}2") in rest]
     if len(knuckles) < FEWEST_KNUCKLES:
         hand = hand @ straight_hand(side)
-    if len(knuckles) == 1 and knuckles != [f"{side}HandMiddle1"]:  # a mitten is as straight as its hand
-        along, old_along = (at[knuckles[0]] - at[wrist] for at in (rest, t_pose))
-        bend = rotation_between(hand @ old_along, along)
-        if angles_between(bend, np.eye(3)) > BESIDE_MIDDLE:
-            hand = bend @ hand
-    if len(knuckles) >= FEWEST_KNUCKLES:
+    else:
         hand = _palm(rest, wrist, knuckles) @ _palm(t_pose, wrist, knuckles).T
     frames = {wrist: hand}
     for finger in FINGERS:

@@ -15,10 +15,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.errors import InputError, option
-from ..core.mesh import Mesh
 from ..core.npz_archive import open_archive, read_array, read_array_header
 from ..core.pickled_arrays import read_object_array, read_pickled_arrays
-from ..core.skinning import skin_poses, skinning_transforms
+from ..core.skinning import skin_poses
 from .body_model import RiggedBody
 
 ARRAYS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f")
@@ -30,87 +29,11 @@ CHUNK = 32
 
 
 @dataclass(frozen=True, eq=False)
-class SmplModel:
-    """A body model with V vertices, J joints and K shape coefficients."""
-
-    name: str
-    template: Float[np.ndarray, "V 3"]
-    """Vertices of the mean shape at rest, T in the paper."""
-    faces: Int[np.ndarray, "F 3"]
-    shape_directions: Float[np.ndarray, "V 3 K"]
-    """Displacement of the vertices for each shape coefficient, S."""
-    pose_directions: Float[np.ndarray, "V 3 P"]
-    """Displacement of the vertices for each of the P = 9 (J - 1) numbers of the joints' rotations, P."""
-    joint_regressor: Float[np.ndarray, "J V"]
-    """Positions of the joints from the shaped vertices, script J."""
-    weights: Float[np.ndarray, "V J"]
-    """Skinning weights, script W."""
-    parents: tuple[int, ...]
-    """Index of each joint's parent, -1 for the root, which comes first; parents come before their children."""
-
-    def shaped(self, shape: Float[np.ndarray, " K"]) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 3"]]:
-        """Compute vertices (Eq. 8) and joints (Eq. 10) at rest; coefficients that are not given are zero."""
-        vertices = self.template + self.shape_directions[..., : len(shape)] @ shape
-        return vertices, self.joint_regressor @ vertices
-
-    def posed(
-        self,
-        shape: Float[np.ndarray, " K"],
-        rotmat: Float[np.ndarray, "T J 3 3"],
-        translation: Float[np.ndarray, "T 3"],
-    ) -> Float[np.ndarray, "T V 3"]:
-        """Compute the vertices of one person in T poses (Eq. 2 to 10).
-
-        Args:
-            shape: coefficients, at most K.
-            rotmat: rotation of each joint in its parent's frame; of the root in the world.
-            translation: added to all vertices.
-        """
-        vertices, joints = self.shaped(shape)
-        # Eq. 9: the displacements are linear in the rotations of all joints but the root, less those at rest.
-        features = (rotmat[:, 1:] - np.eye(3)).reshape(len(rotmat), -1)
-        corrected = vertices + np.tensordot(features, self.pose_directions, axes=(1, 2))
-        transforms = skinning_transforms(joints, rotmat, self.parents, translation)
-        return skin_poses(corrected, self.weights, *transforms)
-
-    def frames(
-        self,
-        shape: Float[np.ndarray, " K"],
-        rotmat: Float[np.ndarray, "T J 3 3"],
-        translation: Float[np.ndarray, "T 3"],
-    ) -> Iterator[Float[np.ndarray, "V 3"]]:
-        """Yield the vertices of `posed` frame by frame."""
-        for t in range(0, len(rotmat), CHUNK):
-            yield from self.posed(shape, rotmat[t : t + CHUNK], translation[t : t + CHUNK])
-
-    def mesh(self) -> Mesh:
-        """Make a mesh of the mean shape at rest."""
-        return Mesh(self.template, self.faces, name=self.name)
-
-
-@dataclass(frozen=True, eq=False)
-class SmplBody(RiggedBody):
-    """A body model as a rigged body, whose pose corrections are kept; joints are named by their numbers."""
+class SmplModel(RiggedBody):
+    """A body model whose poses correct the shape; its joints are named by their numbers."""
 
     pose_directions: Float[np.ndarray, "V 3 P"]
-    """As in `SmplModel`."""
-
-    @classmethod
-    def of(cls, model: SmplModel) -> SmplBody:
-        """Convert a model."""
-        components = np.moveaxis(model.shape_directions, 2, 0)
-        return cls(
-            name=model.name,
-            vertices=model.template,
-            faces=model.faces,
-            components=components,
-            joints=model.joint_regressor @ model.template,
-            joint_components=model.joint_regressor @ components,
-            weights=model.weights,
-            joint_names=tuple(map(str, range(len(model.parents)))),
-            parents=model.parents,
-            pose_directions=model.pose_directions,
-        )
+    """Displacement of the vertices for each of the P = 9 (J - 1) numbers of the joints' rotations."""
 
     def posed(
         self,
@@ -118,11 +41,19 @@ class SmplBody(RiggedBody):
         rotmat: Float[np.ndarray, "*#B J 3 3"],
         root: Float[np.ndarray, "*#B 3"] | None = None,
     ) -> Float[np.ndarray, "*C V 3"]:
-        """As `RiggedBody.posed`, with the corrections of `SmplModel.posed`."""
+        """As `RiggedBody.posed`, with the corrections (Eq. 2 to 10)."""
+        # Eq. 9: the displacements are linear in the rotations of all joints but the root, less those at rest.
         features = (rotmat[..., 1:, :, :] - np.eye(3)).reshape(*rotmat.shape[:-3], -1)
         vertices, joints = self.shaped(shape)
         corrected = vertices + np.tensordot(features, self.pose_directions, axes=(-1, 2))
         return skin_poses(corrected, self.weights, *self.skinning_transforms(joints, rotmat, root))
+
+    def frames(
+        self, shape: Float[np.ndarray, " K"], rotmat: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
+    ) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield the vertices of `posed` frame by frame."""
+        for t in range(0, len(rotmat), CHUNK):
+            yield from self.posed(shape, rotmat[t : t + CHUNK], root[t : t + CHUNK])
 
 
 def load_smpl_model(path: str | Path) -> SmplModel:
@@ -142,15 +73,18 @@ def load_smpl_model(path: str | Path) -> SmplModel:
     regressor = _numbers(arrays, "J_regressor", (None, count), path)
     joints = len(regressor)
     faces = _faces(arrays["f"], count, path)
+    components = np.moveaxis(_numbers(arrays, "shapedirs", (count, 3, None), path), 2, 0)
     return SmplModel(
         name=path.stem,
-        template=template,
+        vertices=template,
         faces=faces,
-        shape_directions=_numbers(arrays, "shapedirs", (count, 3, None), path),
-        pose_directions=_numbers(arrays, "posedirs", (count, 3, 9 * (joints - 1)), path),
-        joint_regressor=regressor,
+        components=components,
+        joints=regressor @ template,
+        joint_components=regressor @ components,  # Eq. 10 is linear in the shape
         weights=_numbers(arrays, "weights", (count, joints), path),
+        joint_names=tuple(map(str, range(joints))),
         parents=_parents(arrays["kintree_table"], joints, path),
+        pose_directions=_numbers(arrays, "posedirs", (count, 3, 9 * (joints - 1)), path),
     )
 
 

@@ -1,4 +1,4 @@
-"""Options that every command has: --verbose, --log-level and --threads."""
+"""Options that every command has: --verbose and --threads."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from typer.core import TyperCommand
 
 from ..core.printable import say
 
-LEVELS = ("debug", "info", "warning", "error")
-"""Values of --log-level."""
 LOGGER = "mimesh"
 """Name of the logger whose lines --verbose prints."""
 NETWORKS = "MIMESH_THREADS"
@@ -42,22 +40,9 @@ def _common_options() -> list[Any]:
 
 
 def _verbose(context: Any, _parameter: Any, wanted: bool) -> None:
-    if wanted:
-        _print_log("info", context.call_on_close)
-
-
-def _log_level(context: Any, _parameter: Any, level: str | None) -> None:
-    from ..core.errors import InputError
-
-    if level is None:
+    """Print lines of the log, until the command ends."""
+    if not wanted:
         return
-    if level.lower() not in LEVELS:
-        raise InputError(f"--log-level: expected {', '.join(LEVELS)}, found {level!r}; choose one of them")
-    _print_log(level.lower(), context.call_on_close)
-
-
-def _print_log(level: str, at_end: Callable[[Callable[[], object]], object]) -> None:
-    """Print lines of the log from a level on, until the command ends."""
     import logging
 
     class Lines(logging.Handler):
@@ -67,8 +52,8 @@ def _print_log(level: str, at_end: Callable[[Callable[[], object]], object]) -> 
     logger, lines = logging.getLogger(LOGGER), Lines()
     before = logger.level
     logger.addHandler(lines)
-    logger.setLevel(level.upper())
-    at_end(lambda: (logger.removeHandler(lines), logger.setLevel(before)))
+    logger.setLevel(logging.INFO)
+    context.call_on_close(lambda: (logger.removeHandler(lines), logger.setLevel(before)))
 
 
 def _threads(context: Any, _parameter: Any, count: int | None) -> None:
@@ -104,10 +89,6 @@ def _limit_loaded(count: int, at_end: Callable[[Callable[[], object]], object]) 
     at_end(restore)
 
 
-def _complete_level(incomplete: str) -> list[str]:
-    return [level for level in LEVELS if level.startswith(incomplete)]
-
-
 def _options(
     verbose: Annotated[
         bool,
@@ -119,16 +100,6 @@ def _options(
             help="Tell the times of the steps, and what was chosen and why, on stderr.",
         ),
     ] = False,
-    log_level: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LEVEL",
-            expose_value=False,
-            callback=_log_level,
-            help="Lines of the log on stderr: debug, info (as --verbose), warning or error.",
-            autocompletion=_complete_level,
-        ),
-    ] = None,
     threads: Annotated[
         int | None,
         typer.Option(

@@ -15,7 +15,7 @@ from .terminal import Json, Quiet, print_json, print_next, progress, require, sa
 
 PROTOCOLS = (
     "human-npt, human-wide, cross-topology, noise, contact, cross-body, characters, clips-aniformer, "
-    "clips-ordered, quadruped, animals or rigs"
+    "clips-ordered, quadruped or rigs"
 )
 """Names of the test sets, written out because importing these takes a second; a test compares them."""
 Protocol = Annotated[str, typer.Argument(metavar="PROTOCOL", help=f"{PROTOCOLS}.")]
@@ -35,7 +35,7 @@ Figures = Annotated[
 Data = Annotated[
     Path | None,
     typer.Option(
-        help="Folder: rigged characters for cross-body, a pool of them for characters and animals; with "
+        help="Folder: rigged characters for cross-body, a pool of them for characters; with "
         "--body-model motions for clips-aniformer.",
         metavar="DIR",
     ),
@@ -62,8 +62,8 @@ def evaluate(
     data: Annotated[
         Path | None,
         typer.Option(
-            help="Folder: rigged characters for cross-body and rigs, a pool of them for characters and "
-            "animals; of a list, where its files lie.",
+            help="Folder: rigged characters for cross-body and rigs, a pool of them for characters; "
+            "of a list, where its files lie.",
             metavar="DIR",
         ),
     ] = None,

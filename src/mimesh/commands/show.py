@@ -70,7 +70,7 @@ def render(
     taken: Annotated[ClipOptions, Without("body_model")],
     printed: Annotated[OutputOptions, Without("output", "preview", "open")],
 ) -> None:
-    """Draw meshes and clips: sheet, strip, turntable, heat map, movie or a page to play with.
+    """Draw meshes and clips: sheet, strip, heat map, movie or a page to play with.
 
     By default meshes become a sheet, or a movie that turns; clips become strips, or a movie that plays.
     """

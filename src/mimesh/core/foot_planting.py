@@ -179,6 +179,10 @@ MISREAD_SPEED, MISREAD_HEIGHT = (1.5, 3.0), (0.2, 0.4)
 by more are not: the legs of one of the two meshes have not been recognised."""
 LARGEST_STEP = 0.15
 """Leg lengths: largest correction of one leg."""
+LONG_FOOT = 0.3
+"""Leg lengths from heel to toes of people's feet: 0.1 to 0.32, of 60 characters. Those of monsters with short legs, up
+to 0.77, tilt as far through the floor as they are longer. So what they are off by in some frames may be as much larger;
+what they always are off by may not."""
 CYCLE_ERROR = 0.03
 """Leg lengths: in the first and last frame of a cyclic clip the joints are at the same places, relative to the root."""
 IN_PLACE = 0.1
@@ -277,7 +281,9 @@ def plant_feet(
     heights = soles[..., 1].min(axis=2)
     resting = _resting(track, floor(contacts.height), feet.driving_leg) if feet.body is not None else None
     raised = 0.0 if resting is None else resting.sunk
-    weight, error, apart = _heights(heights, contacts, raised, scale[1], track.fps, leg, blocks)
+    feet_long = np.linalg.norm(soles[..., -1, :] - soles[..., 0, :], axis=-1).max(axis=0)
+    reach = np.maximum(leg, feet_long / LONG_FOOT)
+    weight, error, apart = _heights(heights, contacts, raised, scale[1], track.fps, leg, reach, blocks)
     if resting is not None:  # one more foot, on a leg that stays as it is
         lift = scale[1] * resting.height - apart - feet.identity_lowest(posed.rotation, posed.root, with_soles=blocks)
         feet_too = np.arange(weight.shape[1]) < weight.shape[1] - feet.hands
@@ -289,7 +295,7 @@ def plant_feet(
     stiffness = replace(HEIGHTS, root_bend=BLOCKS_BEND) if blocks else HEIGHTS
     found[..., 1] = _solve(weight, error, len(soles), track.fps, stiffness, (cyclic, cyclic), stiff)[: len(found)]
     root, steps = found[0], found[1:]
-    steps *= np.minimum(1, LARGEST_STEP * leg / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-9))
+    steps *= np.minimum(1, LARGEST_STEP * reach[:, None] / np.maximum(np.linalg.norm(steps, axis=-1), 1e-9))[..., None]
     positions = skinned.joint_positions(posed.rotation, posed.root)
     bends = [1.0] * (len(steps) - feet.hands) + [-1.0] * feet.hands  # knees to the front, elbows to the back
     legs = [limb for limb in zip(feet.legs, steps, bends, strict=True) if len(limb[0]) == 3]
@@ -386,6 +392,7 @@ def _heights(
     scale: float,
     fps: float,
     leg: float,
+    reach: Float[np.ndarray, " F"],
     lowest: bool,
 ) -> tuple[Float[np.ndarray, "T F"], Float[np.ndarray, "T F"], float]:
     """Compute the weight of each foot in each frame, and how far it has to be lifted to be as high as the driving's.
@@ -394,6 +401,7 @@ def _heights(
 
     Args:
         raised: how far the driving is lifted.
+        reach: length of a leg, or more of one with a long foot (LONG_FOOT).
         lowest: compare the lowest soles of each frame: stiff legs swing through the ground, where the driving's bend.
     """
     standing, theirs = contacts.near, (contacts.soles[..., 1].min(axis=2).T + raised).T
@@ -406,8 +414,11 @@ def _heights(
     part = slice(legs) if near[:, :legs].any() else slice(legs, None)  # feet tell it where any is on the ground
     apart = float(np.median(error[:, part][near[:, part]])) if near.any() else 0.0
     error = error - apart
+    off = np.abs(error)
+    always = np.where(near, off, off.max()).min(axis=0)
+    weight = standing * falling(always / leg + np.maximum(off - always, 0) / reach, MISREAD_HEIGHT)
     # Divided by the frame rate, as slides are, so that the rate has no influence on the balance with the penalties.
-    weight = standing * falling(np.abs(error) / leg, MISREAD_HEIGHT) / (HEIGHT_SECONDS * fps) ** 2
+    weight = weight / (HEIGHT_SECONDS * fps) ** 2
     return weight, np.sign(error) * np.maximum(np.abs(error) - EVEN * leg, 0), apart
 
 

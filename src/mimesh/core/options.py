@@ -216,7 +216,7 @@ class MotionOptions:
     """Weights a vertex of joints that were found, in files: 4, which all readers of glTF support, or 8, of which four
     are in a second set of attributes. A file's own rig keeps its weights."""
     contacts: bool = declared(
-        False,
+        True,
         "Keep hands where DRIVING's touch its body, and arms out of the own (mime).",
         name="--contacts/--no-contacts",
     )
@@ -247,7 +247,7 @@ class MotionOptions:
             >>> mimesh.MotionOptions(ground=False).refuse_without_joints("npt")
         """
         for field in dataclasses.fields(self):
-            if field.name != "ground" and getattr(self, field.name) not in (field.default, None):
+            if field.name not in ("ground", "contacts") and getattr(self, field.name) not in (field.default, None):
                 raise needs_joints(field.name, model)
 
 
@@ -269,21 +269,20 @@ class ModelOptions:
     """Options of a model that is given by a name or a path; those of `npt` and others that move vertices but `seed`.
 
     Example:
-        >>> mimesh.ModelOptions(pairing="body").pairing
-        'body'
+        >>> mimesh.ModelOptions(pairing="order").pairing
+        'order'
     """
 
     ensemble: int = declared(1, "Average over this many random pairings (npt, aniformer).")
     """Average over this many random pairings (index-paired networks only)."""
     pairing: str = declared(
         "auto",
-        "Pair vertices at random, by order (two shapes of one mesh), by the body that is fitted to both, or auto: by "
-        "order where both have the same triangles (npt, aniformer).",
-        ("auto", "random", "order", "body"),
+        "Pair vertices at random, by order (two shapes of one mesh), or auto: by order "
+        "where both have the same triangles (npt, aniformer).",
+        ("auto", "random", "order"),
     )
     """Driving vertex of each of the identity's (npt and aniformer only): "random"; "order", that of its own index, of
-    two shapes of one mesh; "body", that of the same place on the shipped body, which is fitted to both; or "auto", by
-    index where both have the same triangles and there is a network for it."""
+    two shapes of one mesh; or "auto", by index where both have the same triangles and there is a network for it."""
     refine: bool | None = declared(
         None, "Smooth the result along IDENTITY's surface; by default npt, aniformer.", name="--refine/--no-refine"
     )
@@ -344,7 +343,7 @@ class RenderOptions:
 
     sheet: bool = declared(False, "Each file once, in rows.", name="--sheet")
     strip: bool = declared(False, "Frames of each clip side by side.", name="--strip")
-    turntable: bool = declared(False, "One mesh from all sides.", name="--turntable")
+    turntable: bool = declared(False, "A movie of one mesh from all sides.", name="--turntable")
     truth: Path | None = declared(None, "Heat map of the distance to this mesh or clip, in mm if files are in metres.")
     track: bool = declared(False, "In movies, the camera goes along.", name="--track")
     view: str = declared("three-quarter", "three-quarter, front, side, left, right, back or top.")

@@ -29,7 +29,7 @@ class PersonMotion:
     up: str = "+y"
     """Axis away from the ground."""
     rest: tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]] | None = None
-    """Rotations and positions at rest, y up, +z front; None: not known."""
+    """Rotations since the T-pose and positions at rest; None: not known."""
     heading: float = 0.0
     """Angle of the front at rest from `front` (radians about `up`), where that is between the axes."""
 

@@ -401,19 +401,7 @@ def as_body(
     # Influences of the fixed world count as the root joint.
     columns = rig.nearest_columns({j: body.joint(joint) for joint, j in index.items()}, other=0)
     weights = rig.summed_weights(columns, len(body.parents))
-    return shapeless(body, "", scale * rig.skinned(t_pose), rig.mesh.faces, joints, weights)
-
-
-def shapeless(
-    body: RiggedBody,
-    name: str,
-    vertices: Float[np.ndarray, "V 3"],
-    faces: Int[np.ndarray, "F 3"],
-    joints: Float[np.ndarray, "J 3"],
-    weights: Float[np.ndarray, "V J"],
-) -> RiggedBody:
-    """Return another body with the joint tree of a shipped one, and no shape coefficients."""
+    vertices = scale * rig.skinned(t_pose)
     no_shapes, no_joint_shapes = np.zeros((0, len(vertices), 3)), np.zeros((0, len(joints), 3))
-    return RiggedBody(
-        name, vertices, faces, no_shapes, joints, no_joint_shapes, weights, body.joint_names, body.parents
-    )
+    faces, names = rig.mesh.faces, body.joint_names
+    return RiggedBody("", vertices, faces, no_shapes, joints, no_joint_shapes, weights, names, body.parents)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from ..bodies.sampling import TABLE_6, rotvec_to_rotmat, sample_pose, sample_shape
-from ..bodies.smpl_model import SmplBody, SmplModel, load_smpl_model
+from ..bodies.smpl_model import SmplModel, load_smpl_model
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Clip, Mesh
@@ -160,7 +160,7 @@ class OnBodyModel(HumanNpt):
     def person(self, split: str, i: int) -> Person:
         """Return person, or animal, `i`."""
         shape = sample_shape(human(), self.seed(split), i, self.spread)[:COMPONENTS]
-        return Person(SmplBody.of(self.model), shape[: self.model.shape_directions.shape[-1]], str(i))
+        return Person(self.model, shape[: len(self.model.components)], str(i))
 
     def pose(self, split: str, i: int) -> Pose:
         """Return pose `i`: joints of Table 6 in its order, which is SMPL's, or the joints of an animal but the root."""

@@ -91,11 +91,6 @@ class Sections:
         """Unit direction of the axis at rest."""
         return unit_vectors(self.end - self.start)
 
-    @property
-    def radius(self) -> float:
-        """Mean distance of the points from the axis: half the limb's thickness."""
-        return float(self.weight @ _radial(self.rest, self.start, self.end))
-
     def motion(self, vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
         """Compute the rigid motion x -> rotation x + translation from rest to given vertices (weighted Kabsch).
 
@@ -142,11 +137,6 @@ class LimbedCharacter:
     def sections(self) -> dict[str, Sections]:
         """Cross-sections of each limb that can be measured, with the axis to be compared (see UPRIGHT)."""
         return {name: upright(sections) if name in UPRIGHT else sections for name, sections in self.cuts.items()}
-
-    @property
-    def left_out(self) -> list[str]:
-        """Names of limbs that have too little surface to be measured."""
-        return [name for name in self.limbs if name not in self.sections]
 
     def chain_length(self, upper: str) -> float | None:
         """Measure a whole arm or leg at rest along its axes (unit of the file); None if a part is left out."""
@@ -322,8 +312,7 @@ def limb_metrics(
     """Compute all figures of a result (in the identity's vertex order) against a posed driving mesh.
 
     `limb_deg`: mean of `limb_angles`, which follow as `limb_deg <limb>`. `end_effector`: see `end_effector_error`,
-    `sole_height` and `touching`: see `sole_errors`. `limbs_left_out`: number of limbs with too little surface to be
-    measured, of both characters.
+    `sole_height` and `touching`: see `sole_errors`. Limbs with too little surface to be measured are left out.
     """
     posed, target = PosedLimbs(identity, result), PosedLimbs(driving, driving_vertices)
     angles = limb_angles(posed, target)
@@ -334,7 +323,6 @@ def limb_metrics(
         "end_effector": end_effector_error(posed, target),
         "sole_height": sole_height,
         "touching": touching,
-        "limbs_left_out": float(len(identity.left_out) + len(driving.left_out)),
     }
 
 

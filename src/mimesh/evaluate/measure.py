@@ -360,8 +360,9 @@ def run_on_clip(
     network = open_network(method, ensemble, runtime)
     if compared_as_shapes(network, refine):
         return Output(*placed_shapes(network, trial.identity, trial.clip, trial.truth_frames))
-    # The truth has the driving's rotations, and its soles slide: a method is measured without planted feet.
-    options, motion = ModelOptions(refine=refine), MotionOptions(ground=False)
+    # The truth has the driving's rotations: its soles slide, its hands are in its body or off it. So a method is
+    # measured without planted feet and contacts, which have figures of their own (benchmarks/contacts.json).
+    options, motion = ModelOptions(refine=refine), MotionOptions(ground=False, contacts=False)
     moved = animate(trial.identity, trial.clip, network, hints=_hints(network), options=options, motion=motion)
     return Output.of(moved)
 

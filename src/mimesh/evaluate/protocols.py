@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import ClassVar, Literal, get_args
@@ -78,10 +77,6 @@ class Protocol:
     def left_out(self, split: str) -> dict[str, int]:
         """Count the files of a split that cannot be used, by reason; empty for protocols that read none."""
         return {}
-
-    def trials(self, split: str, kind: str, count: int = 0) -> Iterator[Pair]:
-        """Generate the first `count` pairs of a split and kind; 0 for the protocol's own number."""
-        return (self.pair(split, kind, i) for i in range(self.count(kind, count, split)))
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,6 @@ from ..methods.find import (
     is_table_model,
     weights_path,
 )
-from .animals import animals
 from .characters import Characters, characters, cross_body
 from .clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair, ClipsAniformer
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
@@ -63,7 +62,6 @@ WITHOUT_FOLDER: dict[str, Protocol] = {
 READ_A_FOLDER: dict[str, tuple[Callable[[Any], Protocol], str]] = {
     "cross-body": (cross_body, "a folder of rigged characters"),
     "characters": (characters, "the folder of a pool of rigged characters"),
-    "animals": (animals, "a folder of rigged animals"),
     "rigs": (rigs, "a folder of rigged people"),
 }
 """Name -> function that makes the protocol from its folder, and what the folder is."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import re
 from collections import Counter
@@ -15,11 +14,10 @@ from jaxtyping import Float
 from ..core.budgets import check_clip_size
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, each_frame, store_frames
-from ..core.mesh import Clip, Mesh, check_mesh
+from ..core.mesh import Clip, Mesh
 from .atomic import whole_folder
 from .formats import FORMATS
 from .obj import ObjSource, read_obj_points
-from .stl import read_stl_points
 
 OTHER_FRAMES = {".glb", *(suffix for suffix, format in FORMATS.items() if format.one_mesh)}
 """Formats whose numbered meshes would be mistaken for a second series beside the frames that are written."""
@@ -37,7 +35,7 @@ def read_sequence(
 
     Files of other kinds, hidden files and files without a number are ignored. Of several series (another suffix or
     another name around the number) the longest is read. Later OBJ frames that differ only in their points are read by a
-    fast path. STL frames are welded as the first frame (see `stl.read_stl_points`).
+    fast path. Vertices of an STL that touch in one frame alone give it another topology.
 
     Args:
         suffixes: mesh formats that `read` reads.
@@ -144,9 +142,6 @@ def read_frame(path: Path, first: Mesh, first_path: Path, read: Callable[[Path],
     Raises:
         InputError: the frame cannot be read, or its topology differs from that of the first frame.
     """
-    if first_path.suffix.lower() == path.suffix.lower() == ".stl":
-        points = read_stl_points(path, first)
-        return check_mesh(dataclasses.replace(first, vertices=points), path).vertices
     points = read_obj_points(path, first.source) if isinstance(first.source, ObjSource) else None
     if points is not None and np.isfinite(points).all():
         return points

@@ -20,8 +20,6 @@ from .text import decoded, read_numbers
 
 _RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 """One triangle of a binary file."""
-_ROUNDING = 1e-5
-"""Fraction of the largest coordinate: corners of one vertex may differ by this in later frames of a clip."""
 _HEADER_SIZE = 84
 """Bytes of a binary file before the triangles: 80 of any content and the triangle count."""
 
@@ -42,35 +40,6 @@ def read_stl(path: Path) -> Mesh:
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
     return Mesh(merged[order], rank[unique_index].reshape(-1, 3), name=path.stem, parts=parts)
-
-
-def read_stl_points(path: Path, like: Mesh) -> Float[np.ndarray, "V 3"]:
-    """Read the vertices of a later frame of a clip, welded as in the first frame `like`.
-
-    Which corners are one vertex is decided by the first frame alone, so vertices may come to touch later. The position
-    of a vertex is that of its first corner; the other corners must agree within `_ROUNDING`.
-
-    Raises:
-        InputError: another number of triangles, or corners of one vertex of the first frame have separated.
-    """
-    soup, _ = _read_soup(path)
-    corners = like.faces.reshape(-1)
-    if len(soup) != len(corners):
-        raise InputError(
-            f"{path}: expected {len(like.faces)} triangles as in the first frame, found {len(soup) // 3}; "
-            "export all frames from one mesh"
-        )
-    points = np.empty_like(like.vertices)
-    points[corners[::-1]] = soup[::-1]  # of repeated indices NumPy keeps the last: reversed, that is the first corner
-    is_separated = np.abs(soup - points[corners]).max(axis=1) > _ROUNDING * np.abs(soup).max()
-    if is_separated.any():
-        number = int(np.argmax(is_separated))
-        raise InputError(
-            f"{path}: expected triangles that meet in the first frame to stay together, found vertex {corners[number]} "
-            f"apart in triangle {number // 3}; begin with a frame in which nothing touches, or export .obj, "
-            "which says what belongs together"
-        )
-    return points
 
 
 def write_stl(mesh: Mesh, path: Path) -> None:

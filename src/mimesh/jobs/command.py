@@ -35,9 +35,8 @@ class BatchOptions:
     )
     again: bool = declared(False, "Do jobs again that are finished and unchanged.", name="--again")
     summary: Path | None = declared(
-        None, "Where batch.csv, .json and .png go; by default the folder that all outputs share.", metavar="DIR"
+        None, "Where batch.csv and .json go; by default the folder that all outputs share.", metavar="DIR"
     )
-    sheet: bool = declared(True, "Draw batch.png, a picture of each result.", name="--sheet/--no-sheet")
 
 
 @with_options
@@ -122,7 +121,6 @@ def batch(
             workers=running.workers,
             again=running.again,
             summary=running.summary,
-            sheet=running.sheet,
             report=None if silent else bar or print_lines(),
         )
     if printed.json:
@@ -163,7 +161,4 @@ def print_summary(result: BatchResult, quiet: bool) -> None:
     for line in failed:
         say(f"failed: {line}")
     if not quiet:
-        names = {"csv": "table", "json": "facts", "png": "picture"}
-        for kind, path in result.files.items():
-            say(f"{names[kind]}: {path}")
-        say(f"next: open {result.files.get('png') or result.files['csv']}")
+        say(f"table: {result.files['csv']}", f"facts: {result.files['json']}", f"next: open {result.files['csv']}")

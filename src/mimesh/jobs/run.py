@@ -1,6 +1,6 @@
 """`batch`: check all jobs, have worker processes do those that are not finished, and write a summary.
 
-The summary is a table of all jobs as CSV and as JSON, and a sheet with a picture of each result.
+The summary is a table of all jobs as CSV and as JSON.
 Beside an output lies a record of what it was made from, so that the same batch again does only what is left: that of
 `walk.glb` is `.walk.glb.job.json`. It is removed before a job starts and written after its output.
 """
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import io
 import json
 import os
 import signal
@@ -22,37 +21,25 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from ..core.arguments import public
 from ..core.errors import InputError, naming_options, option
 from ..core.printable import printable
 from ..core.system import ctrl_c_held, resident_memory, usable_cores
-from ..io import load_clip
 from ..io.atomic import together, whole_file, writing
 from ..io.child_process import VARIABLES as LIBRARY_THREADS
 from ..io.joint_file import side_file
 from ..methods.find import weights_path
 from ..methods.onnx_runtime import THREADS
 from ..mime.kept_results import keep_results
-from ..tools.convert import file_stem
-from ..tools.preview import save_picture, written_beside
-from ..view.camera import fit
-from ..view.raster import render_mesh
-from ..view.shading import BACKGROUND
-from ..view.sheet import captioned, page
 from .table import BatchJob, check_jobs, option_values, read_jobs, run_command
-
-if TYPE_CHECKING:
-    from PIL import Image
 
 STATES = DONE, DONE_BEFORE, FAILED, NOT_RUN = ("done", "done before", "failed", "not run")
 """Of a job, in the order of messages: done now, by an earlier batch, with an error, or stopped before its start."""
@@ -60,11 +47,6 @@ COLUMNS = (
     *("number", "command", "identity", "driving", "output"),
     *("state", "seconds", "frames", "vertices", "confidence", "notes", "error"),
 )
-TILE = (180, 220)
-"""Width and height of a picture in pixels."""
-MOST_TILES = 240
-"""Largest number of results on a sheet; of more, as many evenly spread."""
-MOST_COLUMNS = 16
 Report = Callable[[int, int, BatchJob | None, dict[str, Any]], None]
 """Gets the jobs finished, the jobs in all, and the job with its outcome; None for those that were finished before."""
 ONE_THREAD = {**LIBRARY_THREADS, THREADS: "1"}
@@ -83,8 +65,6 @@ class BatchTask:
     job: BatchJob
     made_from: str
     """Its fingerprint."""
-    draw: bool
-    """Whether a picture of the result is wanted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +78,8 @@ class BatchResult:
     seconds: float
     """Wall time of the whole batch."""
     workers: int
-    files: dict[str, str] = field(default_factory=dict)
-    """Paths of the summary (csv, json) and of the contact sheet, as far as they were written."""
-    notes: tuple[str, ...] = ()
-    """Why the contact sheet was not written, if it was not."""
+    files: Mapping[str, Path]
+    """Paths of the summary (csv, json)."""
 
     @property
     def counts(self) -> dict[str, int]:
@@ -117,7 +95,8 @@ class BatchResult:
     def facts(self) -> dict[str, Any]:
         """Return everything for JSON."""
         head = {"jobs": len(self.jobs), "seconds": round(self.seconds, 2), "workers": self.workers}
-        return {**head, "counts": self.counts, "files": self.files, "notes": list(self.notes), "each": self.rows()}
+        files = {kind: str(path) for kind, path in self.files.items()}
+        return {**head, "counts": self.counts, "files": files, "each": self.rows()}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for each job."""
@@ -126,8 +105,9 @@ class BatchResult:
             for number, (job, outcome) in enumerate(zip(self.jobs, self.outcomes, strict=True), 1)
         ]
 
-    def save(self, csv_path: Path, json_path: Path) -> None:
+    def save(self) -> None:
         """Write the summary in both formats."""
+        csv_path, json_path = self.files["csv"], self.files["json"]
         with together():
             with (
                 writing(csv_path),
@@ -155,7 +135,6 @@ def batch(
     workers: int | None = None,
     again: bool = False,
     summary: str | Path | None = None,
-    sheet: bool = True,
     report: Report | None = None,
 ) -> BatchResult:
     """Do many jobs of `mimesh animate`, `transfer`, `rig` or `capture`: of a table, of all pairs of files, or of each.
@@ -176,8 +155,7 @@ def batch(
         options: options of the command for all jobs ({"root": "keep", "ground": False}); rows replace them.
         workers: processes, with one thread each; None: one for each core that may be used.
         again: do finished jobs again.
-        summary: folder for batch.csv, batch.json and batch.png; None: the one that all outputs lie below.
-        sheet: draw the contact sheet, batch.png.
+        summary: folder for batch.csv and batch.json; None: the one that all outputs lie below.
         report: is called at the start and after each job.
 
     Returns:
@@ -189,7 +167,7 @@ def batch(
 
     Example:
         >>> jobs = [{"identity": "hero.glb", "driving": "walk.npz", "output": "walking.glb", "stop": 2}]
-        >>> done = mimesh.batch(jobs, summary="summary", sheet=False)  # doctest: +SKIP
+        >>> done = mimesh.batch(jobs, summary="summary")  # doctest: +SKIP
         >>> done.counts["done"], done.failed  # doctest: +SKIP
         (1, 0)
     """
@@ -198,34 +176,28 @@ def batch(
         raise InputError(f"{option('workers')}: expected 1 or more, found {workers}; leave it out for one a core")
     jobs = read_jobs(identities, drivings, output, options or {}, command)
     folder = Path(summary) if summary is not None else _common_folder(jobs)
-    files = {kind: folder / f"batch.{kind}" for kind in ("csv", "json", "png")}
+    files = {kind: folder / f"batch.{kind}" for kind in ("csv", "json")}
     table = [Path(identities)] if drivings is None and isinstance(identities, (str, Path)) else []
     check_jobs(jobs, table, tuple(files.values()))
     if again:
         for job in jobs:
             record_path(job).unlink(missing_ok=True)
-    shown = set(shown_jobs(len(jobs))) if sheet else set()
-    tasks = [BatchTask(job, fingerprint(job), k in shown) for k, job in enumerate(jobs)]
+    tasks = [BatchTask(job, fingerprint(job)) for job in jobs]
     outcomes = [recorded(task) or {"state": NOT_RUN} for task in tasks]
     workers = workers or usable_cores()
     count = min(workers, sum(outcome["state"] == NOT_RUN for outcome in outcomes))
 
-    def saved(*kinds: str, notes: tuple[str, ...] = ()) -> BatchResult:
-        paths = {kind: str(files[kind]) for kind in kinds}
-        result = BatchResult(jobs, outcomes, time.perf_counter() - begin, count, paths, notes)
-        result.save(files["csv"], files["json"])
+    def saved() -> BatchResult:
+        result = BatchResult(jobs, outcomes, time.perf_counter() - begin, count, files)
+        result.save()
         return result
 
     try:
-        tiles = _do_tasks(tasks, outcomes, workers, report)
+        _do_tasks(tasks, outcomes, workers, report)
     except KeyboardInterrupt:
-        saved("csv", "json")
+        saved()
         raise
-    result = saved("csv", "json")
-    if not sheet:
-        return result
-    drawn, notes = written_beside(files["png"], lambda: save_sheet(jobs, outcomes, tiles, files["png"]))
-    return saved(*(files if drawn else ("csv", "json")), notes=notes)
+    return saved()
 
 
 def _common_folder(jobs: Sequence[BatchJob]) -> Path:
@@ -241,28 +213,18 @@ def _common_folder(jobs: Sequence[BatchJob]) -> Path:
     return common.relative_to(here) if common.is_relative_to(here) else common
 
 
-def _do_tasks(
-    tasks: Sequence[BatchTask],
-    outcomes: list[dict[str, Any]],
-    workers: int,
-    report: Report | None,
-) -> dict[int, bytes | None]:
-    """Have the jobs done that are left, put their outcomes in place, and return pictures by the number of the job."""
-    left = [k for k, outcome in enumerate(outcomes) if outcome["state"] == NOT_RUN]
-    undrawn = [k for k, task in enumerate(tasks) if task.draw and outcomes[k]["state"] == DONE_BEFORE]
-    wanted, tiles, done = {k: tasks[k] for k in left + undrawn}, {}, len(tasks) - len(left)
+def _do_tasks(tasks: Sequence[BatchTask], outcomes: list[dict[str, Any]], workers: int, report: Report | None) -> None:
+    """Have the jobs done that are left, and put their outcomes in place."""
+    left = {k: task for k, task in enumerate(tasks) if outcomes[k]["state"] == NOT_RUN}
+    before = len(tasks) - len(left)
     if report is not None:
-        report(done, len(tasks), None, {"workers": min(workers, len(left))})
+        report(before, len(tasks), None, {"workers": min(workers, len(left))})
     # Closed at once if `report` raises an error, so that the workers end.
-    with closing(_do_with_workers(wanted, workers)) as finished:
-        for k, outcome in finished:
-            tiles[k] = outcome.pop("tile", None)
-            if outcomes[k]["state"] == DONE_BEFORE:  # its picture alone was wanted
-                continue
-            outcomes[k], done = outcome, done + 1
+    with closing(_do_with_workers(left, workers)) as finished:
+        for done, (k, outcome) in enumerate(finished, before + 1):
+            outcomes[k] = outcome
             if report is not None:
                 report(done, len(tasks), tasks[k].job, outcome)
-    return tiles
 
 
 def record_path(job: BatchJob) -> Path:
@@ -314,15 +276,11 @@ def recorded(task: BatchTask) -> dict[str, Any] | None:
 
 
 def do_task(task: BatchTask) -> dict[str, Any]:
-    """Do a job unless its record says that it is done; return its outcome, with a "tile" if a picture is wanted.
-
-    Errors are outcomes; a signal to stop is not caught.
-    """
+    """Do a job and return its outcome. Errors are outcomes; a signal to stop is not caught."""
     job, begin = task.job, time.perf_counter()
     failed: dict[str, Any] = {"state": FAILED}
     try:
-        outcome = recorded(task) or _do_job(task, begin)
-        return {**outcome, "tile": draw_tile(job)} if task.draw else outcome
+        return _do_job(task, begin)
     except InputError as error:
         failed["error"] = " ".join(str(error).split())
     except MemoryError:
@@ -484,55 +442,3 @@ def _do_or_exit(task: BatchTask) -> dict[str, Any]:
         return do_task(task)
     except SystemExit:
         os._exit(1)
-
-
-def shown_jobs(count: int) -> list[int]:
-    """Return the numbers of the jobs that a sheet shows."""
-    return np.unique(np.linspace(0, count - 1, min(count, MOST_TILES)).round().astype(int)).tolist()
-
-
-def draw_tile(job: BatchJob) -> bytes | None:
-    """Draw the middle frame of a result as a PNG; None where its format cannot be read or drawn, or drawing fails."""
-    try:
-        clip = load_clip(Path(job.output), fps=1.0 if Path(job.output).is_dir() else None)
-        mesh = clip.mesh.with_vertices(clip.vertices[len(clip) // 2].astype(np.float64))
-        picture = render_mesh(mesh, TILE, fit(mesh.vertices, TILE, "three-quarter"), background=BACKGROUND)
-    except Exception:  # a picture must not cost the result
-        return None
-    data = io.BytesIO()
-    captioned(picture, job.name).save(data, "PNG")
-    return data.getvalue()
-
-
-def save_sheet(
-    jobs: Sequence[BatchJob], outcomes: Sequence[dict[str, Any]], tiles: Mapping[int, bytes | None], path: Path
-) -> None:
-    """Write a sheet of `shown_jobs`: a row for each identity if all have as many jobs, else rows of one length.
-
-    Args:
-        jobs: all jobs of the batch.
-        outcomes: of all jobs; a job without a picture has its outcome as text.
-        tiles: pictures by the number of the job.
-        path: where to write the PNG.
-    """
-    from PIL import Image
-
-    def picture(k: int) -> Image.Image:
-        if tile := tiles.get(k):
-            return Image.open(io.BytesIO(tile))
-        color = (np.array(BACKGROUND) * 255).round().astype(np.uint8)
-        label = f"{jobs[k].name}: {outcomes[k].get('error') or outcomes[k]['state']}"
-        return captioned(np.broadcast_to(color, (TILE[1], TILE[0], 3)).copy(), label)
-
-    shown = shown_jobs(len(jobs))
-    save_picture(page([picture(k) for k in shown], _columns([file_stem(jobs[k].files[0]) for k in shown])), path)
-
-
-def _columns(identities: Sequence[str]) -> int:
-    """Return the number of pictures in a row."""
-    count = len(identities)
-    row = next((k for k, name in enumerate(identities) if name != identities[0]), count)
-    even = count % row == 0 and all(len(set(identities[k : k + row])) == 1 for k in range(0, count, row))
-    if even and row <= MOST_COLUMNS and count > row:
-        return row
-    return min(count, MOST_COLUMNS, int(np.ceil(np.sqrt(1.6 * count))))

@@ -28,7 +28,6 @@ from ..commands.rig import rig
 from ..commands.terminal import refuse_inputs
 from ..core.arguments import described
 from ..core.errors import InputError, did_you_mean, option
-from ..core.normalization import parse_axis
 from ..core.options import Hints, Layout, ModelOptions, MotionOptions
 from ..core.system import refuse_pipe
 from ..io import mesh_suffixes
@@ -51,7 +50,6 @@ TABLES = (".csv", ".tsv", ".txt")
 """Suffixes of tables of jobs, where a folder or a pattern of files could be meant, too."""
 FILE_OPTIONS = ("reference", "markers", "body_model", "joints", "driving_joints")
 """Options whose values are input files."""
-AXIS_OPTIONS = ("up", "front", "driving_up", "driving_front")
 NOT_FOR_JOBS = ("output", "open", "json", "quiet", "help")
 """Options that a batch gives each job itself."""
 SWITCHES = {**dict.fromkeys(("yes", "true", "1", "on"), True), **dict.fromkeys(("no", "false", "0", "off"), False)}
@@ -341,8 +339,6 @@ def option_values(command: str, options: tuple[tuple[str, str], ...]) -> dict[st
             raise
         message = " ".join(format_message().split()).rstrip(".")
         raise InputError(f"{message}; see mimesh {command} --help") from error
-    for name in AXIS_OPTIONS:
-        parse_axis(values.get(name), f"--{name.replace('_', '-')}")
     options_of(Hints, values)
     given, motion = options_of(ModelOptions, values), options_of(MotionOptions, values)
     model = find_model(values["model"], ensemble=given.ensemble, seed=given.seed, pairing=given.pairing)

@@ -23,7 +23,7 @@ from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
 from ..core.surface_points import batch_of_one, generator, padded_vertices
 from .base import Drive, Shapes
-from .npt import Corresponding, PointsAt, check_same_mesh, drive_of, driving_input
+from .npt import PointsAt, check_same_mesh, drive_of, driving_input
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -60,8 +60,6 @@ class AniFormerMethod:
     """As in `NPTMethod`."""
     pairing: str = "random"
     """As in `NPTMethod`."""
-    corresponding: Corresponding | None = None
-    """As in `NPTMethod`."""
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Rank both meshes and choose the driving points and their pairings, once for all frames.
@@ -96,11 +94,9 @@ class AniFormerMethod:
     def _paired(self, identity: Mesh, driving: Mesh) -> tuple[CanonicalOrder, PointsAt, list[Pairing]]:
         """Weld both meshes, and pair their points at random, or as they correspond: in the same random order."""
         ranked = canonical_order(identity.vertices)
-        if self.pairing in ("order", "body"):
+        if self.pairing == "order":
             orders = [self._pairing(k, len(ranked), len(ranked))[0] for k in range(self.ensemble)]
             pairings = [(order, order) for order in orders]
-            if self.corresponding is not None:
-                return ranked, self.corresponding(identity, driving).points, pairings
             check_same_mesh(self.name, identity, driving)
             return ranked, ranked.merge, pairings
         points = padded_vertices(driving, len(ranked), generator(self.seed, 0))

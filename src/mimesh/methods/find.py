@@ -226,7 +226,6 @@ def find_model(
         ensemble: average over this many random pairings of driving and identity vertices (index-paired networks only).
         seed: seed of those pairings, and of sampled points.
         pairing: "random" or "order": how the network must pair vertices, where INDEX_PAIRED have weights for both;
-            "body": one that pairs by order gets the points that the fitted body finds (`Mime.body_pairs`);
             "auto": as it does, at random where there are both.
         reference: the driving subject in the identity's pose, normalised like the driving mesh, whose vertices and
             faces it shares (deformation transfer only).
@@ -242,7 +241,7 @@ def find_model(
     if ensemble < 1:
         raise InputError(f"{option('ensemble')}: expected 1 or more pairings, found {ensemble}; give a positive number")
     check_value("pairing", pairing, values_of(ModelOptions, "pairing"))
-    if pairing in ("order", "body") and model in WITHOUT_NETWORK:
+    if pairing == "order" and model in WITHOUT_NETWORK:
         raise _other_pairing(pairing, model)
     if model == "copy":
         return CopyMethod()
@@ -252,7 +251,7 @@ def find_model(
         return DeformationTransfer(reference, markers)
     check_weights(model)
     path = weights_path(model)
-    if pairing in ("order", "body") and (ordered := ordered_weights(model)) is not None:
+    if pairing == "order" and (ordered := ordered_weights(model)) is not None:
         path = ordered
         if not path.is_file():
             raise InputError(
@@ -271,8 +270,6 @@ def find_model(
             fits=known not in WITHOUT_FIT,
             fingers=known not in (*REDUCED_MODELS, *TABLE_MODELS),
         )
-        if pairing == "body":
-            return _with_body_pairs(network, model, seed)
         if pairing not in ("auto", getattr(network, "pairing", "random")):
             raise _other_pairing(pairing, model)
         return _with_other_bodies(network, seed) if model == "mime" and isinstance(network, Mime) else network
@@ -282,32 +279,9 @@ def find_model(
     )
 
 
-def _with_body_pairs(network: Mime | Method, model: str, seed: int) -> Method:
-    """Return a network that was trained in one vertex order, with the pairs that the fitted body finds.
-
-    Raises:
-        InputError: it was trained otherwise, or for the vertices of one mesh.
-    """
-    from .aniformer import AniFormerMethod
-    from .npt import NPTMethod
-
-    if not isinstance(network, (NPTMethod, AniFormerMethod)) or network.pairing != "order":
-        raise _other_pairing("body", model)
-    if count := getattr(network, "vertices", 0):
-        raise InputError(
-            f"{option('pairing', 'body')}: expected a network for meshes of any vertices, found {model}, which is "
-            f"for {count} in "
-            f"the order of its training; leave {option('pairing')} out"
-        )
-    mime = find_mime(NETWORK_OF_BODY[network.body], seed)
-    return dataclasses.replace(network, pairing="body", corresponding=mime.body_pairs)
-
-
 def _other_pairing(pairing: str, model: str) -> InputError:
     """Return the error of a model that does not pair vertices as it must."""
-    trained = "order" if pairing == "body" else pairing
     return InputError(
         f"{option('pairing', pairing)}: expected a network of npt or aniformer that was trained with "
-        f"data.pairing={trained}, "
-        f"found {model}; leave {option('pairing')} out"
+        f"data.pairing={pairing}, found {model}; leave {option('pairing')} out"
     )

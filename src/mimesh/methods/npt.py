@@ -22,7 +22,7 @@ from ..core.errors import InputError, option
 from ..core.geometry import edges, spatial_order
 from ..core.mesh import Clip, Mesh, same_mesh
 from ..core.normalization import bbox_centre, radius
-from ..core.surface_points import SurfacePoints, batch_of_one, generator, padded_vertices
+from ..core.surface_points import batch_of_one, generator, padded_vertices
 from .base import Drive, ShapeMethod, Shapes, with_root_motion
 
 if TYPE_CHECKING:
@@ -36,8 +36,6 @@ METRES = "metres"
 """The `target_scale` of networks whose meshes are in metres."""
 RADII = (0.2, 2.5)
 """Metres. Radii of people's and animals' meshes: those of Table 6 have 0.6 to 1.3; other units give 30 or more."""
-Corresponding = Callable[[Mesh, Mesh], SurfacePoints]
-"""Finds the point of the driving for each distinct position of the identity, by rank (`canonical_order`)."""
 PointsAt = Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "P 3"]]
 """Computes the driving points in a frame."""
 
@@ -61,12 +59,9 @@ class NPTMethod:
     body: str = "human"
     """Name of the shipped body that it was trained on."""
     pairing: str = "random"
-    """Driving point of an identity vertex: "random"; "order", that of its own index, of the same mesh; or "body", that
-    which `corresponding` finds."""
+    """Driving point of an identity vertex: "random", or "order": that of its own index, of the same mesh."""
     sizes: tuple[float, float] | None = None
     """Metres. Radius of the identity and of the driving's first frame, for METRES; None: the network gets radius 1."""
-    corresponding: Corresponding | None = None
-    """For the pairing "body" of a network that was trained in one vertex order."""
 
     def with_sizes(self, identity: tuple[str, float], driving: tuple[str, float]) -> NPTMethod:
         """Return this method for two meshes, given by name and radius.
@@ -82,8 +77,7 @@ class NPTMethod:
         """Rank both meshes and choose the driving points and their pairings, once for all frames.
 
         Raises:
-            InputError: vertices are paired by index, and those of the two meshes do not correspond, or by the body,
-                and it does not fit.
+            InputError: vertices are paired by index, and those of the two meshes do not correspond.
         """
         return drive_of(self, identity, driving)
 
@@ -102,8 +96,6 @@ class NPTMethod:
         self, ranked: CanonicalOrder, identity: Mesh, driving: Mesh
     ) -> tuple[PointsAt, list[Int[np.ndarray, " N"]]]:
         """Choose the driving points, and their order for each run of the network."""
-        if self.corresponding is not None:
-            return self.corresponding(identity, driving).points, [np.arange(len(ranked))]
         # A pooled pose does not depend on the order of the driving points: there is no pairing to average over.
         pooled = self.pose_code == "global_max"
         if self.pairing == "order":

@@ -17,10 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies.anatomy import anatomy_of
-from ..bodies.sampled_body import PosedBody
 from ..core.canonical_order import CanonicalOrder, canonical_faces, canonical_order
-from ..core.errors import InputError, option
-from ..core.geometry import closest_on_mesh, vertex_normals
+from ..core.geometry import vertex_normals
 from ..core.mesh import Clip, Mesh
 from ..core.rig import Rig, leg_length
 from ..core.skinning import SkinnedMesh
@@ -29,15 +27,13 @@ from ..core.surface_points import SurfacePoints, generator
 from ..rigs.character import Character, names_above
 from ..rigs.confidence import MAX_UNMATCHED_SURFACE, Confidence
 from ..rigs.retarget import Follow, JointMotion, Pose, SurfaceMotion
+from .block_arms import with_block_arms
 from .body_fit import (
-    RELIABLE_MISMATCH,
     BodyFit,
     SurfaceSample,
     fit_body,
     fit_predictions,
-    nearest_shares,
     sampled_body,
-    whole_body,
 )
 from .hands import Bends, FingeredHand, HandFinder, WeightedMesh, follow_fingers, with_fingers
 from .joint_targets import JointTargets
@@ -321,7 +317,11 @@ class Mime:
         fitted, sure, fit = self._with_fit(rig, confidence, sample, predictions)
         found = lost_shin(sample, fit) if fit is not None and self.body == "human" else None
         # What is found is as uncertain as what was predicted: weights are not measured again.
-        return self._with_corrections(rig, confidence, sample, queries, found) if found else (fitted, sure, fit)
+        if found:
+            return self._with_corrections(rig, confidence, sample, queries, found)
+        if fit is not None and self.body == "human" and fit.distance > RELIABLE_MISMATCH:
+            fitted = with_block_arms(fitted, sample.points, queries.points, self.joints, self.parents)
+        return fitted, sure, fit
 
     def _with_fit(
         self, rig: Rig, confidence: Confidence, sample: SurfaceSample, predictions: Sequence[Rig]
@@ -409,45 +409,6 @@ class Mime:
         best = dataclasses.replace(best, consensus=rig, leg=leg, confidence=confidence, soles=soles, body=body)
         tracker = PartTracker.of(best.points, rig.weights, rig.joints, self.parents)
         return partial(_tracked_pose, tracker, tracked, rig.rotation), best
-
-    def body_pairs(self, identity: Mesh, driving: Mesh) -> SurfacePoints:
-        """Find the point of the driving for each distinct position of the identity, by rank (`canonical_order`).
-
-        The shipped body is fitted to both normalised meshes, whatever faces they have. A vertex of the identity lies
-        near some vertices of the body at its own fit; the same vertices at the driving's fit say where it belongs
-        there, and the nearest point of the driving is taken. The order of vertices and faces has no influence.
-
-        Raises:
-            InputError: the body does not have the shape of one of the meshes.
-        """
-        from scipy.spatial import KDTree
-
-        mine, theirs = self._fitted_body(identity), self._fitted_body(driving)
-        rest = canonical_order(identity.vertices).merge(identity.vertices)
-        _, share, index = nearest_shares(KDTree(mine.points), rest, mine.state.size)
-        targets = np.einsum("wn,wnc->wc", share, theirs.points[index])
-        ranked = canonical_order(driving.vertices)
-        points, vertex = ranked.merge(driving.vertices), ranked.order[ranked.start]
-        if len(driving.faces) == 0:
-            nearest = vertex[np.asarray(KDTree(points).query(targets)[1])]
-            return SurfacePoints(np.repeat(nearest[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(targets), 1)))
-        faces = ranked.group[canonical_faces(driving.faces, ranked.group)]
-        face, barycentric, _ = closest_on_mesh(targets, points, faces)
-        return SurfacePoints(vertex[faces[face]], barycentric)
-
-    def _fitted_body(self, mesh: Mesh) -> PosedBody:
-        """Fit the shipped body to a normalised mesh, and return it with all of its vertices."""
-        mesh = face_outward(mesh)
-        samples, denoised = self._sampled(mesh, canonical_order(mesh.vertices), ENSEMBLE)
-        rigs = [self.network.predict(samples, denoised, k) for k in range(ENSEMBLE)]
-        surface = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
-        fit = fit_predictions(surface, consensus(rigs), rigs, self.body)
-        if fit.distance > RELIABLE_MISMATCH:
-            raise InputError(
-                f"{mesh.name}: expected a shape that the shipped {self.body} can be fitted to, found one that differs "
-                f"by {1e3 * fit.distance:.1f} mm; give {option('pairing', 'random')}"
-            )
-        return PosedBody(whole_body(self.body), fit.posed.state)
 
 
 def _with_weights_of(character: Character, mesh: Mesh) -> WeightedMesh:

@@ -392,12 +392,13 @@ def with_whole_tail(
     length = np.linalg.norm(vertices[first] - vertices[second], axis=1)
     surface = coo_array((np.maximum(length, 1e-9), (first, second)), shape=within.shape).tocsr()
     from_tail = dijkstra(surface, directed=False, indices=np.flatnonzero(tail), min_only=True)
-    tip = int(np.where(both & np.isfinite(from_tail), from_tail, -1.0).argmax())
+    reached = both & np.isfinite(from_tail)  # a separate piece that two legs hold is no tail's
+    tip = int(np.where(reached, from_tail, -1.0).argmax())
     from_tip = dijkstra(surface, directed=False, indices=tip)
     found = from_tip < from_tip[tail].min()
     area = vertex_areas(vertices, faces)
     whole = min(area[of_leg & ~found].sum() for of_leg in (left, right)) > SMALLEST_LEG * area.sum()
-    if not (found.any() and both[tip] and whole and area[found].sum() < LARGEST_TAIL * area.sum()):
+    if not (found.any() and reached[tip] and whole and area[found].sum() < LARGEST_TAIL * area.sum()):
         return weights
     return inpainted(weights, found, pairs)
 

@@ -118,7 +118,7 @@ def is_amass(names: Collection[str]) -> bool:
 def load_amass(path: str | Path) -> Bvh:
     """Load an archive's motion as a skeleton of 22 joints, or 52 with fingers, y up (metres).
 
-    `retarget` transfers it to a body.
+    `retarget_skeleton` transfers it to a body.
 
     AMASS has z up; if the pelvis is upright along y most of the time, the file is taken to have y up, or down
     (`upright`).

@@ -33,7 +33,8 @@ def retarget_animal(source: Bvh) -> Motion | None:
     """Retarget the motion of an animal to the shipped quadruped, at its frame rate; None if none rests on four legs.
 
     The trunk is taken for level at rest. The root's path is scaled by the ratio of leg lengths and starts above the
-    origin; the floor is estimated from the result, as in `retarget`. Joints that the source lacks are not rotated.
+    origin; the floor is estimated from the result, as in `retarget_skeleton`. Joints that the source lacks are not
+    rotated.
     """
     for up in np.array(UPS):
         upright, figure = rotation_between(up, np.array(UPS[0])), _stick_figure(source, up)

@@ -1,6 +1,6 @@
 """Read and check BVH motion capture files with any hierarchy and channel order.
 
-Axes, unit and joint names are those of the file; `retarget` transfers the motion to a body.
+Axes, unit and joint names are those of the file; `retarget_skeleton` transfers the motion to a body.
 """
 
 from __future__ import annotations

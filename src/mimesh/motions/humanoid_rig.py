@@ -136,7 +136,7 @@ class HumanoidRig:
         moved = nearest_rotation(world[..., :3, :3] @ np.linalg.pinv(rest[:, :3, :3]))
         turns = np.stack([frames[name] for name in names])
         up, front = axis_name(self.turn[1]), axis_name(self.turn[2])
-        resting = self.turn @ turns, rest[:, :3, 3] @ self.turn.T
+        resting = turns, rest[:, :3, 3]
         surface = None if self.in_action else character.mesh.vertices
         positions = world[..., :3, 3]
         return PersonMotion(

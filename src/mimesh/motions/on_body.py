@@ -25,7 +25,7 @@ from .amass import is_amass, load_amass
 from .animal_skeleton import retarget_animal
 from .bvh import Bvh, load_bvh
 from .motion import Motion, cut_motion, joint_tracks, leg_length, resample
-from .retarget import NEEDED, rests_standing, retarget, righted
+from .retarget import NEEDED, rests_standing, retarget_skeleton, righted
 
 BVH = ".bvh"
 """Suffix of BVH files."""
@@ -58,7 +58,7 @@ class BodyMotion:
 
 
 def on_body(source: Bvh, path: str | Path) -> BodyMotion:
-    """Retarget a skeleton's motion to the shipped body, at its frame rate (see `retarget`); errors name `path`.
+    """Retarget a skeleton's motion to the shipped body, at its frame rate; errors name `path`.
 
     What does not stand as a person in its rest pose, and has four legs there, moves the shipped quadruped.
 
@@ -73,7 +73,7 @@ def on_body(source: Bvh, path: str | Path) -> BodyMotion:
     fingered = captured_fingers(source.joint_names, source.parents, known)
     body = body_with_fingers() if fingered else load_body()
     # The path of who stood upside down says nothing about the floor of the rest pose.
-    found = retarget(upright, body, str(path), hands=True, stands_at_rest=upright is source)
+    found = retarget_skeleton(upright, body, str(path), hands=True, stands_at_rest=upright is source)
     motion = dataclasses.replace(found, name=source.name)
     if person:
         return BodyMotion(motion, "+z", upright.notes)
@@ -85,13 +85,13 @@ def on_body(source: Bvh, path: str | Path) -> BodyMotion:
 
 
 def motion_of_file(path: str | Path) -> Motion:
-    """Load a motion file and retarget it to the shipped body without fingers, at the file's frame rate; see `retarget`.
+    """Load a motion file and retarget it to the shipped body without fingers, at the file's frame rate.
 
     Raises:
         InputError: a damaged file, or a skeleton in which the hips and limbs are not found by name.
     """
     source = righted(_load(path))
-    return dataclasses.replace(retarget(source, load_body(), str(path)), name=source.name)
+    return dataclasses.replace(retarget_skeleton(source, load_body(), str(path)), name=source.name)
 
 
 def _load(path: str | Path) -> Bvh:

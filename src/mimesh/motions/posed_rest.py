@@ -68,9 +68,10 @@ def rests_in_action(joints: Positions) -> bool:
 def on_all_fours(joints: Positions) -> bool:
     """Tell whether arms and legs are about parallel and across the trunk, as those of animals at rest."""
     limbs = []
-    for *names, _ in HINGES:
-        last = next(name for name in reversed(names) if all(side + name in joints for side in SIDES))
-        limbs.append((_pair(joints, last) - _pair(joints, names[0])).sum(axis=0))
+    for first, *names, _ in HINGES:
+        last = next(name for name in (*names[::-1], first) if any(side + name in joints for side in SIDES))
+        ends = [(side + first, side + last) for side in SIDES if side + last in joints]
+        limbs.append(np.sum([joints[end] - joints[start] for start, end in ends], axis=0))
     if not all(np.any(limb) for limb in limbs):  # limbs of one joint have no direction, and are an animal's rather
         return True
     return _angle(*limbs) < PARALLEL and all(ALONG < _angle(limb, _trunk(joints)) < 180 - ALONG for limb in limbs)

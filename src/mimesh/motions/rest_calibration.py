@@ -102,7 +102,7 @@ def calibrated_joints(
     left = unit_vectors(_back(rotation[:, index["Hips"]], hips[..., None]).sum(0)[:, 0])
     axial = _are_near(found, of_axes, left)
     if axial:
-        found = of_axes | {joint: m for joint, m in found.items() if joint.endswith(("Foot", "ToeBase"))}
+        found = of_axes | {n: _without_yaw(m) for n, m in found.items() if n.endswith(("Foot", "ToeBase"))}
     # All others are turned like one of these, in the mean.
     for joint in sorted(index.keys() - found.keys(), key=body.joint):
         above = [body.joint_names[k] for k in ancestors(body.parents, body.joint(joint))]
@@ -135,6 +135,17 @@ def _are_near(found, of_axes, left):
     hips = np.degrees(np.arccos(np.clip(left @ of_axes["Hips"][:, 0], -1, 1)))
     legs = [angles_between(found[joint], of_axes[joint]) for joint in BONES if "Leg" in joint]
     return hips < ALONG_AXES[0] and np.mean(legs) < ALONG_AXES[1]
+
+
+def _without_yaw(measured):
+    """Turn a measured rotation about the body's vertical until its left is nearest to an axis of the joint's frame.
+
+    Motion shows where soles are level, but not how far toes point outwards at rest. In a T-pose feet are parallel, and
+    a frame is along the world's axes or along the foot.
+    """
+    x, _, z = measured.T @ _axis(measured[:, 0])
+    angle = np.arctan2(z, x)
+    return measured if abs(angle) > np.radians(OBLIQUE_FRAME) else measured @ turn(-angle)
 
 
 def _turn_of_axes(turn):

@@ -49,7 +49,7 @@ SAME_FLOOR = 0.1
 """Leg lengths between this height and the soles of the rest pose up to which both are one floor."""
 
 
-def retarget(
+def retarget_skeleton(
     source: Bvh,
     body: RiggedBody,
     name: str | None = None,

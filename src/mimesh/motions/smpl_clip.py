@@ -77,7 +77,7 @@ def recorded_clip(
     if betas is not None:
         recording = dataclasses.replace(recording, betas=betas, gender="")
     rotvec, pose_notes = fitted_pose(recording.rotvec, len(model.parents))
-    shape = recording.betas[: model.shape_directions.shape[-1]]
+    shape = recording.betas[: len(model.components)]
     motion = Motion(
         path.stem, tuple(map(str, range(len(model.parents)))), rotvec_to_rotmat(rotvec), recording.trans, recording.fps
     )
@@ -89,8 +89,8 @@ def recorded_clip(
         rate = motion.fps * (count - 1) / (len(motion) - 1) if count > 1 else motion.fps
         motion = dataclasses.replace(motion, rotmat=motion.rotmat[chosen], root=motion.root[chosen], fps=rate)
     frames = (vertices @ axes.T for vertices in model.frames(shape, motion.rotmat, motion.root))
-    check_clip_size(len(motion), len(model.template), path)
-    vertices = store_frames(frames, len(motion), len(model.template), np.float32, progress)
+    check_clip_size(len(motion), len(model.vertices), path)
+    vertices = store_frames(frames, len(motion), len(model.vertices), np.float32, progress)
     mesh = Mesh(np.asarray(vertices[0], np.float64), model.faces, path.stem, up="+y" if is_archive else None)
     headings = (axes @ motion.rotmat[:, 0])[:, :, 2] if is_archive else None
     notes = (*recording.notes, *pose_notes, *_shape_notes(recording, len(shape), model))

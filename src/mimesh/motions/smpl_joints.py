@@ -17,7 +17,6 @@ from ..core.errors import InputError
 from ..core.mesh import Mesh
 from ..core.person_motion import PersonMotion
 from ..core.rig import homogeneous
-from ..core.skinning import skinning_transforms
 from .amass import FACE, FINGERS, JOINTS
 from .humanoid_rig import HumanoidRig, humanoid_rig
 
@@ -82,7 +81,7 @@ class RecordedJoints:
         """
         rig = smpl_rig(self.model, self.shape)
         joints = self.model.shaped(self.shape)[1]
-        rotation, translation = skinning_transforms(joints, self.rotmat, self.model.parents, self.root)
+        rotation, translation = self.model.skinning_transforms(joints, self.rotmat, self.root)
         positions = (rotation @ joints[..., None])[..., 0] + translation
         world = homogeneous(self.axes @ rotation, positions @ self.axes.T)
         place = {name: j for j, name in enumerate(NAMES[len(joints)])}

@@ -166,7 +166,7 @@ def prepare(
     looked at, as by `animate`, which finds joints more exactly and tells whether fingers move (docs/api.md has the
     figures): record some seconds with various poses where you can.
 
-    A session makes the frames of `animate` with `ground=False` and `smooth=0`: all need later
+    A session makes the frames of `animate` with `ground=False`, `contacts=False` and `smooth=0`: all look at other
     frames. Joints in the driving's file are not used, because frames of a stream are vertices only; the rig of the
     identity's file is.
 
@@ -196,7 +196,7 @@ def prepare(
     identity = read_mesh(identity, "identity")
     shown = Clip.still(read_mesh(driving, "driving")) if isinstance(driving, Mesh) else driving
     clip = dataclasses.replace(read_clip(shown, None, None), skeleton=None)
-    motion = MotionOptions(root, ground=False)
+    motion = MotionOptions(root, ground=False, contacts=False)
     with limited_threads(threads)():
         chosen = _model(model, (identity, clip.mesh), options)
         known = _known(hints, chosen, clip)

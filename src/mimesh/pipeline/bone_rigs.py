@@ -193,7 +193,9 @@ def _scaled(clip: Clip, motion: PersonMotion, scale: float) -> tuple[Clip, Perso
     for frame in clip.vertices:  # may be on disk
         frame *= scale
     at_rest = None if motion.rest_vertices is None else scale * motion.rest_vertices
-    motion = replace(motion, positions=scale * motion.positions, leg=scale * motion.leg, rest_vertices=at_rest)
+    rest = None if motion.rest is None else (motion.rest[0], scale * motion.rest[1])
+    positions, leg = scale * motion.positions, scale * motion.leg
+    motion = replace(motion, positions=positions, leg=leg, rest_vertices=at_rest, rest=rest)
     return replace(clip, mesh=mesh, skeleton=KnownJoints(motion)), motion
 
 

@@ -143,10 +143,11 @@ class JointRoute(Placed):
             moved = route.made_frames(posed, shift, own, np.dtype(dtype))
             if len(clip) == 1:
                 moved = moved.kept()
-            report = surface_report(identity, clip, moved, self.facings)
+            report = surface_report(identity, moved, self.facings)
         report |= {"body": self.mime.body} | ({} if self.rigs.humanoid is None else {"rig": "own"})
         notes += report_confidence(retarget, report, self.names)
-        notes += torn_note(report, identity.name, self.rigs.humanoid is None) + self.all_notes(own is not None)
+        notes += torn_note(report, identity.name, self.rigs.humanoid is None, skeleton)
+        notes += self.all_notes(own is not None)
         report["fingers"] = fingered_hands(retarget.character.joints)  # elsewhere they follow the hand
         report |= self._skates(retarget, track, posed, across, options)
         if limited:

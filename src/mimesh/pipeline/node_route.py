@@ -63,7 +63,7 @@ class NodeRoute:
                 progress(len(clip), len(clip))
             moved = LazyFrames((own.frames, len(identity.vertices)), own.vertices, np.dtype(dtype))
             norms = Normalization.fit(identity, *self.axes[:2]), Normalization.fit(first_frame(clip), *self.axes[2:])
-            report = surface_report(identity, clip, moved, (facing(norms[0]), facing(norms[1])))
+            report = surface_report(identity, moved, (facing(norms[0]), facing(norms[1])))
         facts = {"copied": True} if self.matched is None else {"copied": False, "match": self.matched.facts()}
         report |= {"rig": "own", **facts, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
         notes = () if self.matched is None else self.matched.notes

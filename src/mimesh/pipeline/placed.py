@@ -15,11 +15,10 @@ from ..core.frame_buffer import LazyFrames, evenly_spread
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, bbox_centre, turn
 from ..core.surface_points import SurfacePoints
-from ..core.threads import both
 from ..io.beside import missing_images, missing_images_notes
 from .file_rigs import NO_RIGS, Rigs
 from .refine import Refinement
-from .report import MeshReport, TransferReport, accelerations, facing, facing_note, quality
+from .report import MeshReport, TransferReport, facing, facing_note, quality
 from .result import ClipResult, Timer
 
 if TYPE_CHECKING:
@@ -166,14 +165,9 @@ class Placed:
         return self.notes + notes + self.rigs.notes + of_file + missing
 
 
-def surface_report(
-    identity: Mesh, clip: Clip, moved: LazyFrames, facings: tuple[MeshReport, MeshReport]
-) -> dict[str, Any]:
+def surface_report(identity: Mesh, moved: LazyFrames, facings: tuple[MeshReport, MeshReport]) -> dict[str, Any]:
     """Return the part of the report that all results have."""
-    axes = {"identity": facings[0], "driving": facings[1]}
-    # The two need different frames.
-    accelerated, shaped = both(lambda: accelerations(clip, moved), lambda: quality(identity, moved))
-    return {**shaped, **accelerated, **axes}
+    return {**quality(identity, moved), "identity": facings[0], "driving": facings[1]}
 
 
 def with_up(identity: Mesh, norm: Normalization) -> Mesh:

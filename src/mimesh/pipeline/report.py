@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ..bodies.joint_names import finger_joints
+from ..core.animated_rig import AnimatedRig
 from ..core.errors import option
 from ..core.frame_buffer import LazyFrames, evenly_spread
-from ..core.geometry import edges, face_vectors
-from ..core.mesh import Clip, Mesh, merged_mesh
+from ..core.geometry import edges
+from ..core.mesh import Mesh, merged_mesh
 from ..core.normalization import Normalization
 
 MOST_FRAMES, MOST_POINTS = 32, 250_000
@@ -102,15 +103,6 @@ class CaptureReport(MeshReport):
     one after the last. Absent of fewer than three frames, and where no foot was found."""
 
 
-class Accelerations(TypedDict):
-    """Mean acceleration of vertices, in extents of the first frame a second squared."""
-
-    result: float
-    """Of the result; one much larger than the driving's jitters. In extents a second squared."""
-    driving: float
-    """Of the driving clip, in extents a second squared."""
-
-
 class MatchReport(TypedDict):
     """How the rigs of two creatures were matched with each other."""
 
@@ -156,10 +148,8 @@ class TransferReport(TypedDict):
     """The same of 99 % of the edges: a factor."""
     torn_share: NotRequired[float]
     """Share of the surface whose edges became more than three times as long, in the worst frame."""
-    flipped_share: NotRequired[float]
-    """Share of the triangles that face against their neighbours and did not before."""
-    acceleration: NotRequired[Accelerations]
-    """Of clips of three frames or more."""
+    torn_at: NotRequired[list[float]]
+    """Middle of the longest torn edge in that frame, on the mesh at rest; absent if little is torn."""
     body: NotRequired[str]
     """Shipped body that both were taken for: "human" or "quadruped"."""
     rig: NotRequired[Literal["own"]]
@@ -217,28 +207,27 @@ def saved_clip(path: str | Path, *deviations: Deviations) -> SavedClip:
     return saved
 
 
-def quality(identity: Mesh, moved: LazyFrames) -> dict[str, float]:
-    """Measure edge stretch, and shares of torn surface and flipped triangles, in the worst frame of all.
+def quality(identity: Mesh, moved: LazyFrames) -> dict[str, Any]:
+    """Measure edge stretch and the share of torn surface in the worst frame of all.
 
-    Empty for a point cloud.
+    Says where the surface is torn if much of it is. Empty for a point cloud.
     """
     if len(identity.faces) == 0:
         return {}
     identity, moved = merged_mesh(identity, moved.group), moved.distinct
     pairs = edges(identity.faces)
     lengths = edge_lengths(identity.vertices, pairs)
-    before = against_neighbours(identity.faces, identity.vertices)
-    stretches, torn, flips = [], [], []
+    stretches, torn, most_torn = [], 0.0, lengths
     # Frame by frame: the edges of a large mesh in all frames would take gigabytes.
     most = max(2, min(MOST_FRAMES, MOST_POINTS // len(identity.vertices)))
     for vertices in moved.at(evenly_spread(len(moved), most)):
         posed = edge_lengths(vertices, pairs)
         stretches.append(_largest_stretches(edge_stretch(lengths, posed)))
-        torn.append(torn_share(lengths, posed))
-        flips.append(flipped_share(identity.faces, before, vertices))
+        if (share := torn_share(lengths, posed)) > torn:
+            torn, most_torn = share, posed
     largest, p99 = np.max(stretches, axis=0)
-    stretch = {"edge_stretch_max": float(largest), "edge_stretch_p99": float(p99)}
-    return stretch | {"torn_share": max(torn), "flipped_share": max(flips)}
+    where = {"torn_at": torn_at(identity.vertices, pairs, most_torn)} if torn > MAX_TORN else {}
+    return {"edge_stretch_max": float(largest), "edge_stretch_p99": float(p99), "torn_share": torn} | where
 
 
 def edge_lengths(vertices: Float[np.ndarray, "V 3"], pairs: Int[np.ndarray, "E 2"]) -> Float[np.ndarray, " E"]:
@@ -275,36 +264,52 @@ def torn_share(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> fl
         new: the same after.
     """
     weights = np.square(old)
-    measured = weights > 0
-    if not measured.any():
-        return 0.0
-    ratio = new[measured] / old[measured]
-    return float(weights[measured][ratio > TORN * np.median(ratio)].sum() / weights.sum())
+    return float(weights[torn_edges(old, new)].sum() / max(weights.sum(), 1e-300))
 
 
-def torn_note(report: Mapping[str, Any], name: str, found: bool) -> tuple[str, ...]:
+def torn_edges(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> Bool[np.ndarray, " E"]:
+    """Mark the edges that are more than TORN times as long as before, over the median edge."""
+    measured = old > 0
+    ratio = np.divide(new, old, out=np.zeros_like(new), where=measured)
+    return ratio > TORN * (np.median(ratio[measured]) if measured.any() else 1.0)
+
+
+def torn_at(
+    vertices: Float[np.ndarray, "V 3"], pairs: Int[np.ndarray, "E 2"], new: Float[np.ndarray, " E"]
+) -> list[float]:
+    """Return the middle at rest of the longest torn edge.
+
+    Args:
+        vertices: at rest.
+        new: lengths of the edges in a frame with torn ones.
+    """
+    torn = torn_edges(edge_lengths(vertices, pairs), new)
+    return vertices[pairs[np.where(torn, new, 0.0).argmax()]].mean(axis=0).tolist()
+
+
+def torn_note(
+    report: Mapping[str, Any], name: str, found: bool, skeleton: AnimatedRig | None = None
+) -> tuple[str, ...]:
     """Return a note for the user if much of the result `name` is torn (`quality`).
 
     Args:
         report: of the result.
         name: of the identity.
         found: joints were found on its surface.
+        skeleton: of it; its joint that is nearest is named. None: none is known.
     """
-    share = report.get("torn_share", 0.0)
-    if share <= MAX_TORN:
+    if "torn_at" not in report:
         return ()
+    share, place = report["torn_share"], report["torn_at"]
+    where = f"the point {', '.join(f'{x:.3g}' for x in place)} of the mesh at rest"
+    if skeleton is not None:
+        nearest = np.linalg.norm(skeleton.rig.joints - place, axis=1).argmin()
+        where = f"{skeleton.names[nearest]} ({where})"
     helps = f": {option('joints', ...)} corrects joints, {option('body', ...)} says what the mesh is" if found else ""
     return (
-        f"{share:.0%} of the surface of {name} is torn, its edges more than {TORN:g} times as long as at rest, as "
-        f"where limbs are found wrongly; look at the result{helps}",
+        f"{share:.0%} of the surface of {name} is torn, its edges more than {TORN:g} times as long as at rest, most "
+        f"near {where}; limbs may be found wrongly, look at the result{helps}",
     )
-
-
-def flipped_share(
-    faces: Int[np.ndarray, "F 3"], before: Bool[np.ndarray, " F"], after: Float[np.ndarray, "V 3"]
-) -> float:
-    """Return the share of triangles that face against their neighbours and did not before (`against_neighbours`)."""
-    return float((against_neighbours(faces, after) & ~before).mean())
 
 
 def fingered_hands(joints: Collection[str]) -> list[Literal["left", "right"]]:
@@ -341,37 +346,3 @@ def facing_note(norm: Normalization, name: str, front: str) -> tuple[str, ...]:
         f"the facing of {name} is uncertain (taken: up {norm.up}, front {norm.front}); "
         f"give {option(front, ...)} if it faces elsewhere",
     )
-
-
-def accelerations(driving: Clip, moved: LazyFrames) -> dict[str, dict[str, float]]:
-    """Measure the mean acceleration (extents a second squared) of result and driving; empty below three frames.
-
-    A result with a much larger acceleration than its driving jitters.
-    """
-    if len(moved) < 3:
-        return {}
-    clips = {"result": moved.distinct, "driving": LazyFrames.stored(driving.vertices)}
-    return {"acceleration": {name: acceleration(frames, driving.fps) for name, frames in clips.items()}}
-
-
-def acceleration(frames: LazyFrames, fps: float) -> float:
-    """Return the mean acceleration of vertices: second differences times fps^2, in extents of the first frame."""
-    chosen = np.linspace(1, len(frames) - 2, min(MOST_FRAMES, len(frames) - 2)).round().astype(int)
-    needed, around, means = np.unique(chosen[:, None] + [-1, 0, 1]), {}, []
-    for t, points in zip(needed.tolist(), frames.at(needed), strict=True):
-        around = {k: kept for k, kept in around.items() if k >= t - 2} | {t: points}
-        if t - 1 in chosen:
-            second = around[t - 2].astype(np.float64) - 2.0 * around[t - 1] + points
-            means.append(np.linalg.norm(second, axis=-1).mean())
-    return float(np.mean(means) * fps**2 / np.ptp(next(frames.at([0])), axis=0).max())
-
-
-def against_neighbours(faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]) -> Bool[np.ndarray, " F"]:
-    """Whether each face's normal points against the summed vectors of the faces at its corners."""
-    along, corners = np.zeros(len(faces)), faces.ravel()
-    for vectors in np.ascontiguousarray(face_vectors(np.asarray(vertices, np.float64), faces).T):  # x, y and z
-        at_vertex = np.bincount(corners, np.repeat(vectors, 3), minlength=len(vertices))
-        first, second, third = at_vertex[faces.T]
-        # The face itself is in the sum at each of its corners.
-        along += (first + second + third - 3 * vectors) * vectors
-    return along < 0

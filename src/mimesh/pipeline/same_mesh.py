@@ -69,11 +69,8 @@ def same_triangles(identity: Mesh, driving: Mesh) -> bool:
 
 
 def paired_note(method: Method, identity: Mesh, driving: Mesh) -> tuple[str, ...]:
-    """Tell that a network pairs the vertices of the two meshes by index or by the shipped body, if it does."""
-    pairing = getattr(method, "pairing", "random")
-    if pairing == "body":
-        return ("the shipped body is fitted to both meshes, and vertices are paired by their place on it",)
-    paired = pairing == "order" and same_triangles(identity, driving)
+    """Tell that a network pairs the vertices of the two meshes by index, if it does."""
+    paired = getattr(method, "pairing", "random") == "order" and same_triangles(identity, driving)
     return ("both meshes have the same triangles, so vertices are paired by index",) if paired else ()
 
 

@@ -101,7 +101,7 @@ class VertexRoute(Placed):
             frames = self._placed(driving, timer)
             stored = store_frames(frames, len(clip), len(identity.vertices), np.dtype(dtype), progress)
             moved = LazyFrames.stored(stored)
-            report = surface_report(identity, clip, moved, self.facings)
+            report = surface_report(identity, moved, self.facings)
         report |= {} if self.reference is None else {"reference": self.reference.facts()}
         notes = torn_note(report, identity.name, found=False) + self.all_notes(False)
         return Moved(moved, None, None, cast(TransferReport, report), notes)

@@ -22,8 +22,9 @@ MAX_SPREAD = 15.0
 """Largest spread (degrees) of the predictions for a whole person."""
 MAX_ENTROPY = 0.81
 """Largest mean entropy (nats) of a whole person's skinning weights."""
-MIN_SHARE = {"head": 0.03, "left arm": 0.025, "right arm": 0.025, "left leg": 0.12, "right leg": 0.12}
-"""Smallest share of a whole person's surface for each limb; for arms and legs of the surface without the head."""
+MIN_SHARE = {"head": 0.03, "left arm": 0.025, "right arm": 0.025, "left leg": 0.08, "right leg": 0.08}
+"""Smallest share of a whole person's surface for each limb; for arms and legs of the surface without the head. Stubby
+legs of figures that are read rightly have 0.09 to 0.11."""
 MIN_SYMMETRY = 0.45
 """Smallest share of a whole limb, in those of its counterpart on the other side."""
 MAX_UNMATCHED_LIMB, MAX_UNMATCHED_SURFACE = 0.025, 0.006
@@ -36,7 +37,13 @@ off in the middle are often taken for folded ones: 6 % of bad results have one, 
 MISSING_LIMB = 0.4
 """A limb is missing if more than this share of it is far from the surface, whatever the rest. One-sided scans: 0.3."""
 
-EXPECTED_ERROR = {
+EXPECTED_ERROR = {"constant": -7.17, "spread": 0.45, "entropy": 1.64, "fit_distance": 1.38}
+"""Logarithm of the mean error of a result (heights of the identity) whose worse mesh this is: constant, and
+coefficients of `Confidence.features`. Entropy and distance count as in OTHER_KIND. Fitted by
+`research/fit_confidence.py` (docs/log/mime.md, "Warnings that can be trusted")."""
+MAX_ERROR = 0.042
+"""Largest expected error of a mesh without a note. Of 101 good results one has a note, of 41 bad ones 36 have."""
+ANIMAL_ERROR = {
     "constant": -9.5464,
     "spread": 0.4036,
     "entropy": 0.2241,
@@ -44,10 +51,7 @@ EXPECTED_ERROR = {
     "fit_angle": 1.3674,
     "incomplete": 1.5916,
 }
-"""Logarithm of what a mesh adds to the mean error of a result (heights of the identity): constant, and coefficients of
-`Confidence.features`. Fitted by `research/fit_confidence.py` (docs/log/mime.md, "Confidence")."""
-MAX_ERROR = 0.015
-"""Largest expected error of a mesh without a note: about 2 % of good results have one (docs/log/mime.md)."""
+"""The same for animals: of what a mesh adds to the error of a result (docs/log/mime.md, "Confidence, fitted again")."""
 OTHER_KIND = {"constant": -8.3, "entropy": 3.64, "fit_distance": 3.07}
 """Logarithm of the odds that a mesh shows something else than the body that was fitted to it, where both are as likely
 beforehand: constant, and coefficients of `Confidence.features`. Fitted by `research/measure_wrong_kind.py`, which also
@@ -63,10 +67,13 @@ PERSON_SPREAD, SPREAD_WEIGHT = 20.0, 10.0
 """Spread (degrees) of the predictions for a person above MAX_OTHER_KIND from which on a mesh is the less accepted, and
 the weight of its logarithm. Of such people at the joint limits the largest is 19.7, of a fist 36, of a snowman 26, of
 people who are misread 22 to 35. Below MAX_OTHER_KIND figures of blocks, which face both ways, have up to 139."""
+STRAIGHT, STRAIGHT_ENTROPY, STRAIGHT_MISFIT = 80.0, 1.1, 3.0
+"""Flexion (degrees) up to which a person stands with straight limbs, which are read with the least doubt: the largest
+entropy (nats) of its weights, and what is added to the misfit of a mesh with more, or with more than MAX_OTHER_KIND.
+The largest of such people is 1.09, a figure of blocks in a stride, at rest 0.89 (docs/log/mime.md, 2026-11-28)."""
 OTHER_KIND_ERROR = 0.15
-"""Smallest expected error (heights of the identity) of a mesh above that: what animals and things were given in the fit
-of EXPECTED_ERROR. Their true error is not defined."""
-DOUBTFUL_ERROR = 0.04
+"""Smallest expected error (heights of the identity) of a mesh above that, whose true error is not defined."""
+DOUBTFUL_ERROR = 0.08
 """Expected error (heights of the identity) from which on a note says that the mesh may be something else."""
 MOST_LACKING = 3
 """Limbs without a surface from which on a note says so, too: a chair taken for an animal lacks a head and two legs."""
@@ -105,12 +112,16 @@ class Standards:
     """As EXPECTED_ERROR."""
     max_error: float
     """As MAX_ERROR."""
+    doubtful_error: float
+    """As DOUBTFUL_ERROR."""
     folded: float = FOLDED
     """As FOLDED."""
     distance: float = np.inf
     """As PERSON_DISTANCE."""
     spread: float = np.inf
     """As PERSON_SPREAD."""
+    straight: float = -np.inf
+    """As STRAIGHT."""
 
     @classmethod
     def of(cls, joints: tuple[str, ...]) -> Standards:
@@ -125,16 +136,19 @@ HUMAN_STANDARDS = Standards(
     min_share=MIN_SHARE,
     expected_error=EXPECTED_ERROR,
     max_error=MAX_ERROR,
+    doubtful_error=DOUBTFUL_ERROR,
     distance=PERSON_DISTANCE,
     spread=PERSON_SPREAD,
+    straight=STRAIGHT,
 )
 QUADRUPED_STANDARDS = Standards(
     kind="a four-legged animal",
     anatomy=QUADRUPED,
     max_entropy=MAX_ENTROPY,
     min_share={"head": 0.04, **dict.fromkeys([limb for limb in QUADRUPED.regions if limb != "head"], 0.012)},
-    expected_error=EXPECTED_ERROR,
+    expected_error=ANIMAL_ERROR,
     max_error=0.025,  # of 63 meshes of other makers the least of those whose limbs are found wrongly and look whole
+    doubtful_error=0.04,
     folded=172.0,  # animals that lie fold their legs by up to 164
 )
 
@@ -219,11 +233,14 @@ class Confidence:
         """Measure by which a mesh is refused: `other_kind`, and more where the surface is away from the fitted body.
 
         People who sit are read upside down or folded by predictions that agree; the body then covers less of them.
-        What hardly looks like a person, and is predicted otherwise each time, is refused, too.
+        What hardly looks like a person, and is predicted otherwise each time, is refused, too, and so is what hardly
+        looks like one though its limbs are straight: hands, cats that sit, aeroplanes.
         """
         away = max(self.surface_distance / self.standards.distance, 1.0)
         apart = max(self.prediction_spread / self.standards.spread, 1.0) if self.is_other_kind else 1.0
-        return self.other_kind + DISTANCE_WEIGHT * float(np.log(away)) + SPREAD_WEIGHT * float(np.log(apart))
+        unlike = self.is_other_kind or self.weight_entropy > STRAIGHT_ENTROPY
+        odd = STRAIGHT_MISFIT if unlike and self.flexion <= self.standards.straight else 0.0
+        return self.other_kind + DISTANCE_WEIGHT * float(np.log(away)) + SPREAD_WEIGHT * float(np.log(apart)) + odd
 
     @property
     def is_other_kind(self) -> bool:
@@ -232,10 +249,9 @@ class Confidence:
 
     @property
     def expected_error(self) -> float:
-        """Predict what this mesh adds to the mean error of a result, in heights of the identity; needs a fit."""
-        coefficients = self.standards.expected_error
-        logarithm = sum(coefficients[name] * value for name, value in self.features().items())
-        error = float(np.exp(coefficients["constant"] + logarithm))
+        """Predict the mean error of a result whose worse mesh this is, in heights of the identity; needs a fit."""
+        figures = {"constant": 1.0} | self.features()
+        error = float(np.exp(sum(value * figures[name] for name, value in self.standards.expected_error.items())))
         return max(error, OTHER_KIND_ERROR) if self.is_other_kind else error
 
     @property
@@ -297,7 +313,9 @@ class Confidence:
         large = self.fitted and self.expected_error > self.standards.max_error
         error = f" (about {self.expected_error:.0%} of the height)" if large else ""
         feet = ", and feet are not planted" if self.lacks_leg else ""
-        other = (large and self.expected_error > DOUBTFUL_ERROR) or len(self._without_surface()) >= MOST_LACKING
+        other = (large and self.expected_error > self.standards.doubtful_error) or len(
+            self._without_surface()
+        ) >= MOST_LACKING
         advice = f". It may not be {self.standards.kind}: {if_it_is(alone)}" if other else ""
         note = (
             f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}{advice}"

@@ -37,13 +37,13 @@ BETWEEN = 4 * CENTIMETRE
 """How far a surface may be from its nearest points."""
 TOLERANCE = 0.5 * CENTIMETRE
 """How much deeper in the body points may be than the driving's."""
-PUSH = 5.0
+PUSH = 10.0
 """Weight of points that are too deep; that of all points that touch is 1."""
 STIFFNESS = 0.02
 """Weight of the square of a correction (arm lengths)."""
 SECONDS = 0.05
 """Standard deviation of the Gaussian filter over corrections."""
-ROUNDS = 3
+ROUNDS = 2
 """Times that points that are too deep are looked for."""
 FPS = 30
 """Frames a second for which corrections are found, about; others are interpolated: corrections are smooth."""

@@ -91,6 +91,7 @@ class JointMotion:
         positions = norm.apply(motion.positions.reshape(-1, 3)).reshape(motion.positions.shape)
         track = JointTrack(norm.rotation @ motion.rotation, positions, fps)
         vertices = SurfacePoints.of_vertices(len(mesh.vertices))  # as of a character: a sole stands on its lowest ones
+        rest = None if motion.rest is None else (norm.rotation @ motion.rest[0], norm.apply(motion.rest[1]))
         soles: Soles = ()
         skin = None
         ankles: tuple[str, ...] = ()
@@ -111,14 +112,13 @@ class JointMotion:
             if at_rest is not None and has_path(motion.positions[:, 0], motion.leg):
                 floor = sole_height(at_rest, soles, len(legs))
             posed = mesh.vertices
-            if motion.rest is not None and at_rest is not None:  # taking back a pose bends joints
-                turned, places = motion.rest
-                posed, rig = at_rest, Rig(norm.rotation @ turned, norm.apply(places), motion.weights)
+            if rest is not None and at_rest is not None:  # taking back a pose bends joints
+                posed, rig = at_rest, Rig(*rest, motion.weights)
             surface = SurfacePoints.of(mesh, GRID_SAMPLES, generator(seed, 1))
             weights = interpolate(motion.weights, surface.corners, surface.barycentric)
             skin = surface.points(posed), replace(rig, weights=weights)
         leg = motion.leg / norm.radius
-        return cls(motion.joints, None, leg, vertices, soles, ankles, track, body, motion.rest, floor, skin)
+        return cls(motion.joints, None, leg, vertices, soles, ankles, track, body, rest, floor, skin)
 
     @property
     def grid(self) -> BodyGrid | None:

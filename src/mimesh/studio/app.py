@@ -304,9 +304,6 @@ async def _store_body(session: Session, upload: Upload, path: Path, request: Req
     """Write the body of a request to a file and return its size; deleted if it is too large or incomplete."""
     size, complete = 0, False
     try:
-        # The header may be missing or wrong: it only saves sending a file that is refused anyway.
-        announced = request.headers.get("content-length", "")
-        session.uploads.check(path, int(announced) if announced.isdigit() else 0)
         with path.open("xb") as file:
             async for chunk in request.stream():
                 session.uploads.count(upload, path, size, len(chunk))

@@ -11,7 +11,7 @@ from typing import Any
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
-from ..core.options import Hints, MotionOptions, values_of
+from ..core.options import Hints, ModelOptions, MotionOptions, check_value, values_of
 from ..methods.base import Method
 from ..mime.model import Mime
 from ..pipeline.node_route import NodeRoute
@@ -28,6 +28,7 @@ class Options:
     model: str = "mime"
     root: str = "scale"
     ground: bool = True
+    contacts: bool = True
     smooth: float = 0.0
     refine: bool | None = None
     body: str = "auto"
@@ -39,21 +40,16 @@ class Options:
         Raises:
             InputError: an unknown option, or a value that is not possible.
         """
-        values: dict[str, Any] = dataclasses.asdict(self) | changes
         unknown = changes.keys() - {field.name for field in dataclasses.fields(self)}
         if unknown:
             raise InputError(f"{min(unknown)}: expected the name of an option, found this; leave it out")
-        _check_choice(values, "model", models)
-        _check_choice(values, "root", values_of(MotionOptions, "root"))
-        _check_choice(values, "ground", (True, False))
-        _check_choice(values, "refine", (None, True, False))
-        _check_choice(values, "body", values_of(Hints, "body"))
-        _check_choice(values, "rig", values_of(Hints, "rig"))
-        smooth = values["smooth"]
-        if isinstance(smooth, bool) or not isinstance(smooth, int | float) or not 0 <= smooth <= 10:
-            raise InputError(f"smooth: expected seconds, 0 to 10, found {smooth!r}; try 0.05")
-        values["smooth"] = float(smooth)
-        return Options(**values)
+        changed = dataclasses.replace(self, **changes)
+        for name, allowed in (("model", models), ("rig", values_of(Hints, "rig"))):
+            check_value(name, str(getattr(changed, name)), allowed)
+        Hints(body=changed.body)
+        ModelOptions(refine=changed.refine)
+        MotionOptions(changed.root, changed.ground, changed.smooth, contacts=changed.contacts)
+        return changed
 
     @property
     def motion_changes(self) -> tuple[bool, bool]:
@@ -62,7 +58,9 @@ class Options:
 
     def motion(self, model: Mime | Method) -> MotionOptions:
         """Return the motion options for a model: only one with joints has any."""
-        return MotionOptions(self.root, self.ground, self.smooth) if isinstance(model, Mime) else MotionOptions()
+        if not isinstance(model, Mime):
+            return MotionOptions()
+        return MotionOptions(self.root, self.ground, self.smooth, contacts=self.contacts)
 
     def kind(self, model: Mime | Method) -> tuple[str, str]:
         """Return rig and body for a model: one with joints has the rigs of files, one of several bodies has a body."""
@@ -82,15 +80,6 @@ def parse_rate(value: Any) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
         raise InputError(f"frame rate: expected a positive number, found {value!r}; leave it empty for the file's own")
     return float(value)
-
-
-def _check_choice(values: dict[str, Any], name: str, choices: tuple) -> None:
-    """Raise InputError unless a value is one of the choices; 1 is not True."""
-    found = values[name]
-    if not any(found is choice or (isinstance(found, str) and found == choice) for choice in choices):
-        raise InputError(
-            f"{name}: expected one of {', '.join(map(str, choices))}, found {str(found)[:60]!r}; choose one"
-        )
 
 
 @dataclass(eq=False)

@@ -93,18 +93,6 @@ class UploadFolder:
         upload.files.append(path)
         return path
 
-    def check(self, path: Path, size: int) -> None:
-        """Refuse a file by its announced size, before it is sent; `count` enforces the limits.
-
-        Raises:
-            TooLarge: see `count`.
-        """
-        if size > self.limit:
-            raise TooLarge(
-                f"{path.name}: expected {self.limit / 2**20:,.0f} MiB or less, found {size / 2**20:,.0f}; start mimesh "
-                "studio with a larger --limit, or give the file on its command line"
-            )
-
     def count(self, upload: Upload, path: Path, size: int, more: int) -> None:
         """Count `more` bytes of a file that has `size` bytes so far.
 

@@ -35,7 +35,7 @@ BACKGROUNDS = {"paper": BACKGROUND, "white": (1.0, 1.0, 1.0), "dark": (0.12, 0.1
 
 
 def kind_of(options: RenderOptions, output: Path, clips: Sequence[Clip]) -> str:
-    """Return what to draw: contact sheet, strip, turntable, heat map, movie, turning movie, heat movie or page."""
+    """Return what to draw: contact sheet, strip, heat map, movie, turning movie, heat movie or page."""
     if output.suffix.lower() == PAGE:
         return "page"
     moving = any(len(clip) > 1 for clip in clips)
@@ -43,8 +43,7 @@ def kind_of(options: RenderOptions, output: Path, clips: Sequence[Clip]) -> str:
         kinds = {"--turntable": "turning movie", "--truth": "heat movie"}
         default = "movie" if moving else "turning movie"
     else:
-        kinds = {"--sheet": "contact sheet", "--strip": "strip", "--turntable": "turntable"}
-        kinds["--truth"] = "heat map"
+        kinds = {"--sheet": "contact sheet", "--strip": "strip", "--truth": "heat map"}
         default = "strip" if moving else "contact sheet"
     return next((kinds[flag] for flag in _flags(options)), default)
 
@@ -65,8 +64,11 @@ def check_options(options: RenderOptions, output: Path) -> None:
     if options.track and (suffix not in MOVIES or options.turntable):
         found = f"'{suffix}'" if suffix not in MOVIES else "--turntable"
         raise InputError(f"{output}: expected a movie of a clip with --track, found {found}; leave it out")
-    pictures_only = {PAGE: ("--sheet", "--strip", "--turntable")}.get(suffix, ("--sheet", "--strip"))
-    if suffix not in PICTURES and kinds and kinds[0] in pictures_only:
+    if options.turntable and suffix not in MOVIES:
+        raise InputError(
+            f"{output}: expected a movie ({' '.join(MOVIES)}) for --turntable, found '{suffix}'; rename it"
+        )
+    if (options.sheet or options.strip) and suffix not in PICTURES:
         raise InputError(f"{output}: expected a picture (.png or .jpg) for {kinds[0]}, found '{suffix}'; rename it")
     if suffix == PAGE:
         _check_page(options, output)
@@ -177,8 +179,6 @@ def _picture(kind, options, names, clips, cut) -> Image.Image:
     look = {**_look(options), "clay": options.clay}
     if kind == "strip":
         return sheet.stack([sheet.strip(clip, 8, options.tile(0.75), **look) for clip in clips])
-    if kind == "turntable":
-        return sheet.turntable(_first_frame(_single(names, clips)), 8, options.tile(1.0), **look)
     if kind == "heat map":
         return next(_heat(options, _single(names, clips), cut))
     items = [(name, _first_frame(clip)) for name, clip in zip(names, clips, strict=True)]
@@ -189,8 +189,8 @@ def _heat(options: RenderOptions, clip: Clip, cut: FrameRange) -> Iterator[Image
     """Draw heat maps of the frames: distance to the truth (mm)."""
     assert options.truth is not None
     truth = _truth(options.truth, cut)
-    measure = heat.distance_to(clip, np.asarray(truth.vertices if len(truth) > 1 else truth.mesh.vertices))
-    return heat.heat_frames(clip, measure, "mm", options.tile(5 / 6), track=options.track, **_look(options))
+    frames = np.asarray(truth.vertices if len(truth) > 1 else truth.mesh.vertices[None])
+    return heat.heat_frames(clip, frames, options.tile(5 / 6), track=options.track, **_look(options))
 
 
 def _truth(path: Path, cut: FrameRange, fps: float | None = None) -> Clip:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,9 +28,6 @@ SAMPLED = 24
 MILLIMETRES = 1000.0
 """In a metre, the unit of meshes."""
 
-Measure = Callable[[int, np.ndarray], np.ndarray]
-"""A function of a frame's index and its vertices (V, 3); returns a value for every vertex (V,), in the unit shown."""
-
 
 def heat_map(
     result: Mesh,
@@ -46,15 +43,14 @@ def heat_map(
     Raises:
         InputError: result and truth have different numbers of vertices.
     """
-    measure = distance_to(Clip.still(result), truth if isinstance(truth, np.ndarray) else truth.vertices)
+    points = truth if isinstance(truth, np.ndarray) else truth.vertices
     shown_limit = None if limit is None else limit * MILLIMETRES
-    return next(heat_frames(Clip.still(result), measure, "mm", tile, limit=shown_limit))
+    return next(heat_frames(Clip.still(result), points[None], tile, limit=shown_limit))
 
 
 def heat_frames(
     clip: Clip,
-    measure: Measure,
-    unit: str,
+    truth: Float[np.ndarray, "T V 3"],
     tile: tuple[int, int] = TILE,
     *,
     limit: float | None = None,
@@ -65,45 +61,38 @@ def heat_frames(
     labels: bool = True,
     background: Color = BACKGROUND,
 ) -> Iterator[Image.Image]:
-    """Yield a clip's pictures coloured by a value per vertex, with one scale for all of them.
+    """Yield a clip's pictures coloured by each vertex's distance (mm) to the truth, with one scale for all of them.
 
     Args:
-        limit: value at the last colour; by default the 99th percentile over SAMPLED frames.
+        truth: as many frames as the clip has, or one for all.
+        limit: distance at the last colour; by default the 99th percentile over SAMPLED frames.
         track: the camera follows the subject along the floor.
+
+    Raises:
+        InputError: clip and truth have different numbers of vertices or frames.
     """
     from PIL import Image
 
-    limit = limit or _limit(clip, measure)
+    _check_shapes(clip, truth)
+    limit = limit or _limit(clip, truth)
     cameras = clip_cameras(clip, tile, view, track, up, front)
     bar, pose_mesh = None, mesh_poser(clip.mesh)
     for t, (points, camera) in enumerate(zip(each_frame(clip.vertices), cameras, strict=True)):
-        mesh, values = pose_mesh(points), measure(t, points)
+        mesh, values = pose_mesh(points), _distances(points, truth, t)
         colors = heat_colors(values / limit)
         picture = render(
             points, mesh.faces, camera, tile, colors, corner_normals=mesh.corner_normals, background=background
         )
         if bar is None:
             # A later frame of a clip may exceed the limit: its bar always says so.
-            bar = color_bar(picture, limit, unit, clipped=bool(values.max() > limit * 1.0001) or len(clip) > 1)
+            bar = color_bar(picture, limit, "mm", clipped=bool(values.max() > limit * 1.0001) or len(clip) > 1)
         picture = np.concatenate([picture, bar], axis=1)
-        label = f"mean {values.mean():.3g} {unit}, largest {values.max():.3g} {unit}"
+        label = f"mean {values.mean():.3g} mm, largest {values.max():.3g} mm"
         yield captioned(picture, label) if labels else Image.fromarray(picture)
 
 
-def distance_to(clip: Clip, truth: Float[np.ndarray, "... V 3"]) -> Measure:
-    """Return the measure of every vertex's distance (mm) to the same vertex of the truth (a mesh, or a clip as long).
-
-    Raises:
-        InputError: clip and truth have different numbers of vertices or frames.
-    """
-    _same_vertices(clip, truth.shape[-2], "the truth")
-    if truth.ndim == 3 and len(truth) not in (1, len(clip)):
-        raise InputError(
-            f"{clip.mesh.name}: expected the truth to have {len(clip)} frames, found {len(truth)}; "
-            "compare clips of one length"
-        )
-    frames = truth.reshape(-1, *truth.shape[-2:])
-    return lambda t, points: np.linalg.norm(points - frames[t % len(frames)], axis=1) * MILLIMETRES
+def _distances(points: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "T V 3"], t: int) -> Float[np.ndarray, " V"]:
+    return np.linalg.norm(points - truth[t % len(truth)], axis=1) * MILLIMETRES
 
 
 def heat_colors(share: Float[np.ndarray, " V"]) -> Float[np.ndarray, "V 3"]:
@@ -133,18 +122,23 @@ def color_bar(picture: np.ndarray, limit: float, unit: str, clipped: bool) -> np
     return np.asarray(image)
 
 
-def _limit(clip: Clip, measure: Measure) -> float:
-    """Return the 99th percentile of a measure over SAMPLED frames; 1 if it is zero."""
+def _limit(clip: Clip, truth: Float[np.ndarray, "T V 3"]) -> float:
+    """Return the 99th percentile of the distances over SAMPLED frames; 1 if it is zero."""
     # A percentile, since the maximum is often one broken vertex that would leave the rest without colour.
     chosen = np.unique(np.linspace(0, len(clip) - 1, SAMPLED).round().astype(int)).tolist()
-    values = [measure(t, np.asarray(clip.vertices[t], np.float64)) for t in chosen]
+    values = [_distances(np.asarray(clip.vertices[t], np.float64), truth, t) for t in chosen]
     return float(np.percentile(values, 99)) or 1.0
 
 
-def _same_vertices(clip: Clip, count: int, what: str) -> None:
-    expected = clip.vertices.shape[1]
-    if count != expected:
+def _check_shapes(clip: Clip, truth: Float[np.ndarray, "T V 3"]) -> None:
+    expected, found = clip.vertices.shape[1], truth.shape[1]
+    if found != expected:
         raise InputError(
-            f"{clip.mesh.name}: expected {what} to have {expected} vertices, found {count}; "
+            f"{clip.mesh.name}: expected the truth to have {expected} vertices, found {found}; "
             "compare meshes of one topology"
+        )
+    if len(truth) not in (1, len(clip)):
+        raise InputError(
+            f"{clip.mesh.name}: expected the truth to have {len(clip)} frames, found {len(truth)}; "
+            "compare clips of one length"
         )

@@ -1,4 +1,4 @@
-"""Sheets of captioned pictures as Pillow images: contact sheet, transfer, strip and turntable."""
+"""Sheets of captioned pictures as Pillow images: contact sheet, transfer and strip."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 
 from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
-from .camera import fit, follow, orbit
+from .camera import fit, follow
 from .raster import render_mesh
 from .shading import BACKGROUND
 
@@ -113,27 +113,6 @@ def strip(
         picture = render_mesh(mesh, tile, camera, clay=clay, tint=tint, background=background)
         tiles.append(captioned(picture, f"{k / clip.fps if times is None else times[k]:.2f} s" if labels else None))
     return page(tiles, len(tiles))
-
-
-def turntable(
-    mesh: Mesh,
-    count: int = 8,
-    tile: tuple[int, int] = (340, 320),
-    *,
-    view: str | tuple[float, float] = "three-quarter",
-    clay: bool = False,
-    up: str = "y",
-    front: str | None = None,
-    labels: bool = True,
-    background: Color = BACKGROUND,
-) -> Image.Image:
-    """Draw the mesh from evenly spaced sides at one distance, in two rows."""
-    cameras = orbit(mesh.vertices, tile, count, view, up=up, front=front)
-    tiles = []
-    for k, camera in enumerate(cameras):
-        picture = render_mesh(mesh, tile, camera, clay=clay, background=background)
-        tiles.append(captioned(picture, f"{round(360 * k / count)}°" if labels else None))
-    return page(tiles, max(1, (count + 1) // 2))
 
 
 def captioned(picture: UInt8[np.ndarray, "h w C"], label: str | None) -> Image.Image:

@@ -6,13 +6,13 @@ import fbx_samples as samples
 import numpy as np
 import pytest
 from PIL import Image
+from rigs import read_skin
 
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.beside import confined
 from mimesh.io.gltf.animation import animation_names, read_channels
 from mimesh.io.gltf.document import open_document, read_floats
-from mimesh.io.gltf.skin_file import read_skin
 
 pytestmark = pytest.mark.usefixtures("in_process")
 

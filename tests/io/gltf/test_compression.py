@@ -8,13 +8,13 @@ import pytest
 from compressed_files import DRACO, MESHOPT, draco_glb, meshopt_glb, require
 from gltf_reference import binary_of, json_of
 from gltf_samples import pack_glb
+from rigs import read_skin
 
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.io.gltf.check import list_primitives
 from mimesh.io.gltf.document import open_document, read_accessor
 from mimesh.io.gltf.draft import AccessorCopier
-from mimesh.io.gltf.skin_file import read_skin
 
 pytestmark = pytest.mark.usefixtures("in_process")
 
@@ -237,44 +237,13 @@ def test_contradictory_draco_is_refused(fault, by_draco, tmp_path):
     assert str(caught.value).startswith(f"{path}: ")
 
 
-def quantized(name, values):
-    """Change values as another encoder's quantization does."""
-    if name.startswith("WEIGHTS"):
-        return (values * np.float32(1.0003)).astype(np.float32)
-    if name == "TANGENT":
-        return np.concatenate([values[:, :3], values[:, 3:] * np.float32(0.9999)], axis=1)
-    return values
-
-
-def test_draco_results_keep_the_rules_that_quantization_breaks(tmp_path):
+def test_elements_of_draco_start_at_multiples_of_four_bytes(tmp_path):
     sample = samples.hero()
     for primitive in list_primitives(sample.gltf):
-        attributes = primitive["attributes"]
-        count = sample.gltf["accessors"][attributes["POSITION"]]["count"]
-        attributes["TANGENT"] = sample.accessor(np.tile([1.0, 0.0, 0.0, -1.0], (count, 1)))
-        if "WEIGHTS_0" in attributes:
-            attributes["WEIGHTS_0"] = sample.accessor(np.tile([0.7, 0.2, 0.1, 0.0], (count, 1)))
-        attributes["COLOR_0"] = sample.accessor(np.full((count, 3), 200), "u1", normalized=True)
-    plain = sample.glb(tmp_path / "plain.glb")
-    document = open_document(draco_glb(plain, tmp_path / "small.glb", 8, quantized))
+        count = sample.gltf["accessors"][primitive["attributes"]["POSITION"]]["count"]
+        primitive["attributes"]["COLOR_0"] = sample.accessor(np.full((count, 3), 200), "u1", normalized=True)
+    document = open_document(draco_glb(sample.glb(tmp_path / "plain.glb"), tmp_path / "small.glb"))
     accessors, views = document.gltf["accessors"], document.gltf["bufferViews"]
-    found = set()
-    for old, primitive in zip(*(list_primitives(d.gltf) for d in (open_document(plain), document)), strict=True):
-        attributes = primitive["attributes"]
-        if attributes == old["attributes"]:
-            continue  # not compressed
-        values = {name: read_accessor(document, index) for name, index in attributes.items()}
-        if "WEIGHTS_0" in values:
-            np.testing.assert_allclose(values["WEIGHTS_0"].sum(axis=1), 1.0, atol=1e-6)
-        assert set(np.abs(values["TANGENT"][:, 3])) == {1.0}
-        for name, index in attributes.items():
-            bounds = accessors[index]
-            for key in {"min", "max"} & bounds.keys():
-                assert bounds[key] == getattr(values[name], key)(axis=0).tolist()
-                found.add(name)
-            view = views[bounds["bufferView"]]
-            assert view["target"] == 34962
-            assert view.get("byteStride", 4) % 4 == 0
-            assert (view.get("byteStride") == 4) == (name == "COLOR_0")
-        assert views[accessors[primitive["indices"]]["bufferView"]]["target"] == 34963
-    assert {"POSITION", "COLOR_0", "WEIGHTS_0"} <= found
+    colors = [primitive["attributes"]["COLOR_0"] for primitive in list_primitives(document.gltf)]
+    assert 4 in {views[accessors[k]["bufferView"]].get("byteStride") for k in colors}  # strips are not compressed
+    assert {tuple(row) for k in colors for row in read_accessor(document, k).tolist()} == {(200, 200, 200)}

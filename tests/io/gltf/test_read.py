@@ -185,7 +185,7 @@ def test_notes_list_what_a_written_file_lacks(tmp_path):
     assert isinstance(source, GltfSource)
     assert source.missing_images == ("not here/lost.png",)
     assert source.notes == (
-        "dropped the skin and 3 animations that the file had",
+        "dropped the skin and 3 animations and the blend shapes that the file had",
         "kept the data of extension ACME_fur as it is: it does not follow the new shape",
     )
     assert read_gltf(samples.props().glb(tmp_path / "a.glb")).source.notes == (

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import gltf_samples as samples
 import numpy as np
-import pytest
-import zoo
 from gltf_reference import ReferenceReader
+from rigs import read_skin
 
-from mimesh.core.errors import InputError
-from mimesh.io import load_mesh, save_mesh
-from mimesh.io.gltf.skin_file import read_skin
+from mimesh.io import load_mesh
 
 FACE, BODY = slice(0, 12), slice(12, 36)
 """Vertices of the hero's meshes."""
@@ -91,18 +88,3 @@ def test_nodes_between_joints_are_skipped(tmp_path):
     del sample.gltf["nodes"][2]["name"]
     skin = read_skin(sample.glb(tmp_path / "a.glb"))
     assert (skin.joint_names, skin.parents) == (("armature", "node2"), (-1, 0))
-
-
-def test_files_without_a_skin_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"a\.glb: expected a mesh with a skin, found none; "):
-        read_skin(samples.props().glb(tmp_path / "a.glb"))
-    sample = samples.hero()
-    for primitive in body_of(sample):
-        kept = {k: v for k, v in primitive["attributes"].items() if k[:6] not in ("JOINTS", "WEIGHT")}
-        primitive["attributes"] = kept
-    with pytest.raises(InputError, match="expected a mesh with a skin"):
-        read_skin(sample.glb(tmp_path / "a.glb"))
-    save_mesh(zoo.cube(), tmp_path / "a.obj")
-    formats = r"a\.obj: expected a rigged mesh in a \.glb, \.gltf, \.vrm or \.fbx, found none in this \.obj; "
-    with pytest.raises(InputError, match=formats):
-        read_skin(tmp_path / "a.obj")

@@ -28,7 +28,7 @@ from ...motions.on_body import first_frame, on_body
 from ..timing import DEFAULT_FPS
 from .animation import frame_rate, frame_times, posed_vertices, sample_nodes, select_channels, unposed_vertices
 from .build import build_document
-from .check import is_supported
+from .check import is_supported, list_primitives
 from .clip import add_morph_animation
 from .document import Document, open_document
 from .edit import GltfSource, edit_document, with_normals
@@ -141,7 +141,7 @@ def write_gltf_clip(clip: Clip, path: Path, progress: Progress | None = None) ->
     mesh = with_normals(clip.mesh)
     base = mesh.with_vertices(np.asarray(clip.vertices[0], np.float64))
     if isinstance(mesh.source, GltfSource):
-        draft, groups = edit_document(mesh.source, base, keep_targets=False)
+        draft, groups = edit_document(mesh.source, base)
     else:
         draft, groups = build_document(mesh, base)
     if len(clip) > 1:
@@ -153,10 +153,10 @@ def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
     """List what is lost or changed when the file is written again, one line each."""
     gltf = document.gltf
     notes = []
-    skins, animations = len(gltf.get("skins", [])), len(gltf.get("animations", []))
-    if skins or animations:
-        dropped = [_count_text(skins, "skin"), _count_text(animations, "animation")]
-        notes.append(f"dropped {' and '.join(text for text in dropped if text)} that the file had")
+    dropped = [_count_text(len(gltf.get(f"{name}s", [])), name) for name in ("skin", "animation")]
+    dropped.append("the blend shapes" * any("targets" in primitive for primitive in list_primitives(gltf)))
+    if any(dropped):
+        notes.append(f"dropped {' and '.join(filter(None, dropped))} that the file had")
     # Instances of one mesh get copies when written, because each is deformed on its own.
     nodes = list(dict.fromkeys(span.node for span in rest.vertex_ranges))
     meshes = {gltf["nodes"][node]["mesh"] for node in nodes}

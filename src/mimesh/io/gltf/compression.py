@@ -4,9 +4,8 @@ Draco compresses the attributes and indices of a primitive, meshopt the contents
 libraries (the extra `compressed`), in a child process. The decoded data is appended to the document's buffer, so that
 the document is then one without compression. Where a file has its data uncompressed too, that is read instead.
 
-Lossy compression breaks rules of glTF that the compressed file kept: quantized weights no longer add up to 1,
-handedness is no longer 1 or -1, and positions leave the bounds that the JSON states. Only values that break a rule are
-corrected.
+Decoded values stay as they are: after lossy compression weights may add up to 0.999, and positions leave the bounds
+that the JSON states. Readers of glTF take that, and so does this one; a validator tells of it in what is written.
 """
 
 from __future__ import annotations
@@ -18,32 +17,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Shaped
 
 from ...core.budgets import UNPACKED
 from ...core.errors import InputError
 from ..atomic import scratch_folder
 from ..child_process import Limits, child_result
-from .check import (
-    ARRAY_BUFFER,
-    COMPONENT_COUNTS,
-    COMPONENT_TYPES,
-    DRACO,
-    ELEMENT_ARRAY_BUFFER,
-    MESHOPT,
-    attribute_accessors,
-    damaged,
-    element_size,
-    list_primitives,
-)
+from .check import COMPONENT_COUNTS, COMPONENT_TYPES, DRACO, MESHOPT, damaged, element_size, list_primitives
 
 DECODER = "mimesh.io.gltf.compression:decode"
 PACKAGES = {"draco": ("DracoPy", "Draco"), "meshopt": ("meshopt", "meshopt compression")}
 """Module that decodes each codec, and the codec's name in messages."""
 FILTERS = ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR")
 """Values of `filter` of both meshopt extensions."""
-WEIGHT_TOLERANCE = 2e-7
-"""Deviation of the sum of weights from 1 that the Khronos validator allows for each weight that is not 0."""
 
 
 @dataclass(eq=False)
@@ -119,9 +104,7 @@ def decompress(
     if not (work.jobs or dead or any(_is_meshopt(view) for view in gltf["bufferViews"])):
         return gltf, binary
     UNPACKED.check(work.size, path, sum(map(len, work.blobs)))
-    decoded = bytearray(_decode(work, path) if work.jobs else b"")
-    new = {id(view) for view in work.views}
-    correct_decoded(gltf, decoded, {k for k, view in enumerate(gltf["bufferViews"]) if id(view) in new})
+    decoded = _decode(work, path) if work.jobs else b""
     kept = _keep_used(gltf, dead, work.views, binary)
     start = sum(len(part) for part in kept)
     for view in work.views:
@@ -295,91 +278,3 @@ def _decode_draco(job: dict[str, Any], blob: bytes, source: Path) -> list[bytes]
         rows = np.ascontiguousarray(found.astype(output["dtype"])).view(np.uint8).reshape(len(found), -1)
         results.append(np.pad(rows, ((0, 0), (0, output["padding"]))).tobytes())
     return results
-
-
-def correct_decoded(gltf: dict[str, Any], decoded: bytearray, views: set[int]) -> None:
-    """Correct weights, tangents, bounds and buffer view targets, in the JSON and in the decoded data.
-
-    Args:
-        gltf: its lists of accessors and buffer views are its own; entries of the lists are replaced.
-        decoded: the decoded data, which is changed.
-        views: the buffer views of it, with offsets in it.
-    """
-    arrays = _Arrays(gltf, decoded, views)
-    for primitive in list_primitives(gltf):
-        _correct_weights(arrays, primitive["attributes"])
-        tangents = arrays.floats(primitive["attributes"].get("TANGENT"), 4)
-        if tangents is not None:
-            tangents[:, 3] = np.where(tangents[:, 3] < 0, -1.0, 1.0)
-    for index, accessor in enumerate(gltf["accessors"]):
-        values = arrays.get(index)
-        if values is not None and ("min" in accessor or "max" in accessor):
-            bounds = {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
-            gltf["accessors"][index] = {**accessor, **{key: bounds[key] for key in bounds if key in accessor}}
-    for view, target in _targets(gltf).items():
-        if view in views:
-            gltf["bufferViews"][view].setdefault("target", target)
-
-
-class _Arrays:
-    """Gives writable arrays of the accessors of decoded data."""
-
-    def __init__(self, gltf: dict[str, Any], decoded: bytearray, views: set[int]) -> None:
-        self.gltf = gltf
-        self.decoded = decoded
-        self.views = views
-
-    def get(self, index: int) -> Shaped[np.ndarray, "N C"] | None:
-        """Return the elements of an accessor; None if it is not decoded data, sparse, of matrices, or out of range."""
-        accessor = self.gltf["accessors"][index]
-        if accessor.get("bufferView") not in self.views or "sparse" in accessor or accessor["type"].startswith("MAT"):
-            return None
-        if accessor["componentType"] not in COMPONENT_TYPES or accessor["type"] not in COMPONENT_COUNTS:
-            return None  # reported when the accessor is read, as a wrong range is
-        view = self.gltf["bufferViews"][accessor["bufferView"]]
-        dtype, columns = np.dtype(COMPONENT_TYPES[accessor["componentType"]]), COMPONENT_COUNTS[accessor["type"]]
-        offset, stride = accessor.get("byteOffset", 0), view.get("byteStride") or columns * dtype.itemsize
-        end = offset + (accessor["count"] - 1) * stride + columns * dtype.itemsize
-        if end > view["byteLength"] or accessor["count"] < 1:
-            return None
-        start = view["byteOffset"] + offset
-        shape, strides = (accessor["count"], columns), (stride, dtype.itemsize)
-        return np.ndarray(shape, dtype, self.decoded, start, strides)
-
-    def floats(self, index: int | None, columns: int) -> Float[np.ndarray, "N C"] | None:
-        """Return the elements of an accessor of so many floats; None if it is none."""
-        values = None if index is None else self.get(index)
-        return values if values is not None and values.dtype == np.float32 and values.shape[1] == columns else None
-
-
-def _correct_weights(arrays: _Arrays, attributes: dict[str, int]) -> None:
-    """Divide the weights of each vertex by their sum where that is not 1; the joints of weights of 0 become 0.
-
-    Weights that are integers are coded without loss.
-    """
-    count = sum(name.startswith("WEIGHTS_") for name in attributes)
-    found = (arrays.floats(attributes.get(f"WEIGHTS_{number}"), 4) for number in range(count))
-    sets = [weights for weights in found if weights is not None]
-    if not sets or len(sets) < count or len({len(weights) for weights in sets}) > 1:
-        return
-    weights = np.maximum(np.concatenate(sets, axis=1).astype(np.float64), 0.0)
-    total = weights.sum(axis=1, keepdims=True)
-    wrong = np.abs(total - 1.0) > WEIGHT_TOLERANCE * (weights > 0).sum(axis=1, keepdims=True)
-    weights = np.where(wrong & (total > 0), weights / np.where(total > 0, total, 1.0), weights)
-    for number, stored in enumerate(sets):
-        stored[:] = weights[:, 4 * number : 4 * number + 4]
-        joints = arrays.get(attributes[f"JOINTS_{number}"]) if f"JOINTS_{number}" in attributes else None
-        if joints is not None and joints.shape == stored.shape:
-            joints[stored == 0] = 0
-
-
-def _targets(gltf: dict[str, Any]) -> dict[int, int]:
-    """Return the target of each buffer view that only vertex attributes, or only indices, lie in."""
-    found: dict[int, set[int]] = {}
-    for primitive in list_primitives(gltf):
-        used = [(index, ARRAY_BUFFER) for index in attribute_accessors(primitive)]
-        used += [(primitive["indices"], ELEMENT_ARRAY_BUFFER)] if "indices" in primitive else []
-        for index, target in used:
-            if "bufferView" in gltf["accessors"][index]:
-                found.setdefault(gltf["accessors"][index]["bufferView"], set()).add(target)
-    return {view: targets.pop() for view, targets in found.items() if len(targets) == 1}

@@ -1,12 +1,12 @@
 """Writes the glTF file that a Mesh was read from again, with other vertices and nothing else changed.
 
 Kept: nodes, names, materials, textures, images, samplers, UV sets, colours, extras, extensions, cameras, lights,
-primitives, index accessors, vertex order and count. Changed: positions, normals, tangents and morph targets of what the
-scene shows. Dropped: skins, JOINTS/WEIGHTS and animations. The new positions are final: a skin would pose them once
-more, and an animation would move them away.
+primitives, index accessors, vertex order and count. Changed: positions and normals of what the scene shows. Dropped:
+skins, JOINTS/WEIGHTS, morph targets, animations, and tangents, which readers compute where there are none (glTF 2.0,
+3.7.2.1). The new positions are final: a skin would pose them once more, and an animation would move them away.
 
 From the file down to its numbers: `edit_document` gives each node a mesh of its own, `_edit_primitives` the primitives
-of a mesh, `_deformed_attributes` the attributes of a primitive.
+of a mesh, `_add_attributes` the attributes of a primitive.
 """
 
 from __future__ import annotations
@@ -20,31 +20,21 @@ from urllib.parse import unquote
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...core.geometry import face_vectors, unit_vectors, vertex_normals, weld
+from ...core.geometry import unit_vectors, vertex_normals, weld
 from ...core.mesh import Mesh
 from .animation import animation_names, document_details, fbx_facts
 from .check import ANIMATION_POINTER, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
 from .document import Document, uri_file_name, without_extensions
 from .draft import AccessorCopier, Draft
 from .read import TRIANGLES, RestScene, VertexRange, get_primitive, read_rest_normals, read_rest_positions
-from .scene import (
-    normal_matrices,
-    read_morph_delta,
-    read_morph_weights,
-    read_morphed_attribute,
-    scene_nodes,
-    transform_vectors,
-    vertex_matrices,
-)
+from .scene import scene_nodes
 
 LOCAL_TOLERANCE = 1e-6
 """Largest allowed rounding error of positions stored as float32 in a node's frame, relative to the mesh's extent."""
 MAX_CONDITION = 1e12
 """Condition number of a node's matrix from which on it counts as singular."""
-SKINNING = ("JOINTS_", "WEIGHTS_")
-"""First characters of the names of skinning attributes."""
-AttributeArrays = dict[str, Float[np.ndarray, "V C"]]
-"""Values of vertex attributes (or their morph deltas, C = 3) by attribute name."""
+DROPPED = ("JOINTS_", "WEIGHTS_", "TANGENT")
+"""First characters of the names of attributes that what has moved does not keep."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,18 +97,12 @@ class _Edit:
     rest: RestScene
     mesh: Mesh
     """The new vertices, with corner normals if any primitive of the file has normals."""
-    rotations: Float[np.ndarray, "M 3 3"]
-    """Rotation of the surface since rest at each vertex of the Mesh (M = V), or one for all (M = 1)."""
     copier: AccessorCopier
-    keep_targets: bool
-    """Whether morph targets of the source are written."""
     skinned: bool
     """Whether the mesh gets a skin, with which its node moves nothing."""
 
 
-def edit_document(
-    source: GltfSource, mesh: Mesh, keep_targets: bool = True, skinned: bool = False
-) -> tuple[Draft, list[PrimitiveGroup]]:
+def edit_document(source: GltfSource, mesh: Mesh, skinned: bool = False) -> tuple[Draft, list[PrimitiveGroup]]:
     """Return the source's document with the vertices of `mesh`, and the primitives that show them.
 
     A mesh that several nodes show becomes one for each, because their vertices may now differ. The vertices are written
@@ -143,14 +127,13 @@ def edit_document(
         if index not in edited:
             meshes[index] = {**entry, "primitives": [_copy_primitive(copier, p) for p in entry["primitives"]]}
     copier.draft.gltf["meshes"] = meshes
-    rotations = _surface_rotations(source, mesh, mesh_of_node)
-    edit = _Edit(source.document, source.rest, with_normals(mesh), rotations, copier, keep_targets, skinned)
+    edit = _Edit(source.document, source.rest, with_normals(mesh), copier, skinned)
     groups = []
     for node, mesh_index in mesh_of_node.items():
         T_world_local = _choose_transform(edit, node, vertex_ranges[node])
         new_node = _attach_mesh(edit, node, mesh_index, T_world_local)
         primitives, node_groups = _edit_primitives(edit, node, vertex_ranges[node], T_world_local)
-        meshes[mesh_index] = _replace_primitives(old["meshes"][old["nodes"][node]["mesh"]], primitives, keep_targets)
+        meshes[mesh_index] = _replace_primitives(old["meshes"][old["nodes"][node]["mesh"]], primitives)
         groups += [dataclasses.replace(group, node=new_node) for group in node_groups]
     _drop_skins_and_animations(copier)
     return copier.draft, groups
@@ -197,16 +180,6 @@ def _assign_meshes(gltf: dict[str, Any], edited: list[int]) -> dict[int, int]:
     return mesh_of_node
 
 
-def _surface_rotations(source: GltfSource, mesh: Mesh, mesh_of_node: dict[int, int]) -> Float[np.ndarray, "M 3 3"]:
-    """Return the surface rotation at each vertex since rest, or one identity where no primitive needs rotations."""
-    gltf = source.document.gltf
-    primitives = [p for node in mesh_of_node for p in gltf["meshes"][gltf["nodes"][node]["mesh"]]["primitives"]]
-    # Tangents and morph targets turn with the surface.
-    if not any("TANGENT" in primitive["attributes"] or primitive.get("targets") for primitive in primitives):
-        return np.eye(3)[None]
-    return _fit_rotations(source.vertices, mesh.vertices, mesh.faces)
-
-
 def _choose_transform(edit: _Edit, node: int, vertex_ranges: list[VertexRange]) -> Float[np.ndarray, "4 4"]:
     """Choose the world transform of the node that shows the new mesh: the old one if float32 allows, else the root's.
 
@@ -239,27 +212,22 @@ def _attach_mesh(edit: _Edit, node: int, mesh_index: int, T_world_local: Float[n
     """Show a mesh at `T_world_local`: by the node itself, or by a new node at the root. Returns the node's index."""
     gltf = edit.copier.draft.gltf
     entry = gltf["nodes"][node]
-    entry.pop("skin", None)
-    shown = {"mesh": mesh_index} | ({"weights": entry["weights"]} if "weights" in entry and edit.keep_targets else {})
-    for key in ("mesh", "weights"):
+    for key in ("skin", "mesh", "weights"):
         entry.pop(key, None)
     if np.array_equal(T_world_local, edit.rest.T_world_node[node]):
-        entry |= shown
+        entry["mesh"] = mesh_index
         return node
     # The old node keeps its name, children and extensions; the new one gets the name, and a mirroring scale if needed.
     scale = {"scale": np.diag(T_world_local)[:3].tolist()} if T_world_local[0, 0] < 0 else {}
-    gltf["nodes"].append({**{key: entry[key] for key in ("name",) if key in entry}, **scale, **shown})
+    gltf["nodes"].append({**{key: entry[key] for key in ("name",) if key in entry}, **scale, "mesh": mesh_index})
     if gltf.get("scenes"):
         gltf["scenes"][gltf.get("scene", 0)].setdefault("nodes", []).append(len(gltf["nodes"]) - 1)
     return len(gltf["nodes"]) - 1
 
 
-def _replace_primitives(mesh: dict[str, Any], primitives: list[dict[str, Any]], keep_targets: bool) -> dict[str, Any]:
-    """Return a mesh with other primitives; without morph targets, their weights and names are dropped too."""
-    mesh = {**mesh, "primitives": primitives}
-    if keep_targets:
-        return mesh
-    mesh.pop("weights", None)
+def _replace_primitives(mesh: dict[str, Any], primitives: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return a mesh with other primitives, without the weights and names of its morph targets."""
+    mesh = {key: value for key, value in mesh.items() if key != "weights"} | {"primitives": primitives}
     if isinstance(mesh.get("extras"), dict):
         mesh["extras"] = {key: value for key, value in mesh["extras"].items() if key != "targetNames"}
     return mesh
@@ -293,13 +261,13 @@ def _edit_primitives(
     new: dict[int, dict[str, Any]] = {}
     groups = []
     for span in vertex_ranges:
-        positions = None  # accessor index, shared by all primitives of the range
-        for members in _group_by_attributes(old, span.primitives):
+        points, shared = edit.mesh.vertices[span.start : span.stop], {}  # positions are shared by the whole range
+        for members in _group_by_normals(old, span.primitives):
             corner_of = _corner_of_elements(edit, span, members)
-            deformed = _deformed_vertices(edit, span, members[0], corner_of)
-            attributes, targets = _add_attributes(edit, node, old[members[0]], T_world_local, deformed, positions)
-            positions = attributes["POSITION"]
-            new |= {p: _replace_attributes(edit.copier, old[p], attributes, targets) for p in members}
+            normals = _new_normals(edit, span, members[0], corner_of)
+            attributes = shared | _add_attributes(edit, T_world_local, None if shared else points, normals)
+            shared = {"POSITION": attributes["POSITION"]}
+            new |= {p: _replace_attributes(edit.copier, old[p], attributes) for p in members}
             if np.linalg.det(T_world_local) * np.linalg.det(edit.rest.T_world_node[node]) < 0:
                 new |= {p: _outward(edit, span, p, new[p]) for p in members}
             vertex_of, entries = np.arange(span.start, span.stop), [new[p] for p in members]
@@ -319,34 +287,22 @@ def _outward(edit: _Edit, span: VertexRange, index: int, primitive: dict[str, An
     return {**primitive, "indices": indices, "mode": TRIANGLES}
 
 
-def _copy_primitive(copier: AccessorCopier, primitive: dict[str, Any]) -> dict[str, Any]:
-    """Copy a primitive and its accessors into the draft, unchanged."""
-    targets = [_copy_attributes(copier, target, {}) for target in primitive.get("targets", [])]
-    return _assemble(copier, primitive, _copy_attributes(copier, primitive["attributes"], {}), targets)
-
-
 def _rewrite_in_place(edit: _Edit, node: int, index: int, T_world_local: Float[np.ndarray, "4 4"]) -> dict[str, Any]:
     """Rewrite a primitive so that its world positions stay, although skin, node or morph targets are removed."""
     primitive, T_world_node = get_primitive(edit.document, (node, index)), edit.rest.T_world_node
-    # New positions are needed where the skin or another node moves the primitive, or its morph weights are dropped.
     moved = "skin" in edit.document.gltf["nodes"][node] or (T_world_local != T_world_node[node]).any()
-    if "POSITION" not in primitive["attributes"] or not (moved or (primitive.get("targets") and not edit.keep_targets)):
+    if "POSITION" not in primitive["attributes"] or not (moved or primitive.get("targets")):
         return _copy_primitive(edit.copier, primitive)
-    positions = read_rest_positions(edit.document, node, index, T_world_node)
-    deformed = _DeformedVertices(
-        positions, read_rest_normals(edit.document, node, index, T_world_node), np.eye(3)[None]
-    )
-    attributes, targets = _add_attributes(edit, node, primitive, T_world_local, deformed, None)
-    return _replace_attributes(edit.copier, primitive, attributes, targets)
+    points = read_rest_positions(edit.document, node, index, T_world_node)
+    normals = read_rest_normals(edit.document, node, index, T_world_node)
+    return _replace_attributes(edit.copier, primitive, _add_attributes(edit, T_world_local, points, normals))
 
 
-def _group_by_attributes(primitives: list[dict[str, Any]], members: tuple[int, ...]) -> list[list[int]]:
-    """Group primitives of one vertex range by their normals, tangents and morph targets, which they then share."""
-    groups: dict[str, list[int]] = {}
+def _group_by_normals(primitives: list[dict[str, Any]], members: tuple[int, ...]) -> list[list[int]]:
+    """Group primitives of one vertex range by their normals, which they then share."""
+    groups: dict[int | None, list[int]] = {}
     for index in members:
-        attributes = primitives[index]["attributes"]
-        key = repr((attributes.get("NORMAL"), attributes.get("TANGENT"), primitives[index].get("targets")))
-        groups.setdefault(key, []).append(index)
+        groups.setdefault(primitives[index]["attributes"].get("NORMAL"), []).append(index)
     return list(groups.values())
 
 
@@ -359,201 +315,58 @@ def _corner_of_elements(edit: _Edit, span: VertexRange, members: list[int]) -> I
     return corner_of
 
 
-def _deformed_vertices(
+def _new_normals(
     edit: _Edit, span: VertexRange, primitive: int, corner_of: Int[np.ndarray, " N"]
-) -> _DeformedVertices:
-    """Return the new vertices of a range; elements that no face uses keep the normals they had at rest."""
+) -> Float[np.ndarray, "N 3"] | None:
+    """Return the normals of a range's elements in world coordinates; None where the file has none.
+
+    Elements that no face uses keep those they had at rest.
+    """
     normals = read_rest_normals(edit.document, span.node, primitive, edit.rest.T_world_node)
     if normals is not None and edit.mesh.corner_normals is not None:
         used = corner_of >= 0
         normals[used] = edit.mesh.corner_normals.reshape(-1, 3)[corner_of[used]]
-    rotations = edit.rotations if len(edit.rotations) == 1 else edit.rotations[span.start : span.stop]
-    return _DeformedVertices(edit.mesh.vertices[span.start : span.stop], normals, rotations)
+    return normals
 
 
 def _add_attributes(
     edit: _Edit,
-    node: int,
-    primitive: dict[str, Any],
     T_world_local: Float[np.ndarray, "4 4"],
-    deformed: _DeformedVertices,
-    positions: int | None,
-) -> tuple[dict[str, int], list[dict[str, int]]]:
-    """Add accessors for a primitive's new attributes and morph targets; returns their indices by attribute name.
+    points: Float[np.ndarray, "N 3"] | None,
+    normals: Float[np.ndarray, "N 3"] | None,
+) -> dict[str, int]:
+    """Add accessors, in the frame of a node, for positions and normals in world coordinates, as far as there are any.
 
-    `positions` is the POSITION accessor where another primitive of the range has added it.
+    Returns their indices by attribute name.
     """
-    base, deltas = _deformed_attributes(edit, node, primitive, T_world_local, deformed)
-
-    def add(arrays: AttributeArrays) -> dict[str, int]:
-        draft = edit.copier.draft
-        return {name: draft.add_floats(row, ARRAY_BUFFER, bounds=name == "POSITION") for name, row in arrays.items()}
-
-    shared = {} if positions is None else {"POSITION": positions}
-    attributes = shared | add({name: values for name, values in base.items() if name not in shared})
-    # Attributes of a target that are not recomputed (texture coordinates, colours) are copied.
-    old_targets = primitive.get("targets", []) if edit.keep_targets else []
-    pairs = zip(old_targets, deltas, strict=True)
-    return attributes, [_copy_attributes(edit.copier, old, add(new)) for old, new in pairs]
+    draft, linear, attributes = edit.copier.draft, T_world_local[:3, :3], {}
+    if points is not None:
+        local = (points - T_world_local[:3, 3]) @ np.linalg.inv(linear).T
+        attributes["POSITION"] = draft.add_floats(local, ARRAY_BUFFER, bounds=True)
+    if normals is not None:
+        # Normals transform by inverse transposes: from the world to the node's frame that is the transpose of `linear`.
+        attributes["NORMAL"] = draft.add_floats(unit_vectors(normals @ linear), ARRAY_BUFFER)
+    return attributes
 
 
-def _copy_attributes(copier: AccessorCopier, attributes: dict[str, int], new: dict[str, int]) -> dict[str, int]:
-    """Return new accessors of some attributes, and copies of the others."""
-    return {name: new[name] if name in new else copier.copy_accessor(index) for name, index in attributes.items()}
+def _copy_primitive(copier: AccessorCopier, primitive: dict[str, Any]) -> dict[str, Any]:
+    """Copy a primitive and its accessors into the draft, unchanged."""
+    copied = _replace_attributes(copier, primitive, {}, dropped=())
+    owners = primitive.get("targets", [])
+    targets = [{name: copier.copy_accessor(index) for name, index in owner.items()} for owner in owners]
+    return copied | ({"targets": targets} if targets else {})
 
 
 def _replace_attributes(
-    copier: AccessorCopier, primitive: dict[str, Any], attributes: dict[str, int], targets: list[dict[str, int]]
+    copier: AccessorCopier,
+    primitive: dict[str, Any],
+    new: dict[str, int],
+    dropped: tuple[str, ...] = DROPPED,
 ) -> dict[str, Any]:
-    """Return the JSON of a primitive with new attributes and targets; other attributes are copied, skinning is not."""
-    kept = {name: index for name, index in primitive["attributes"].items() if not name.startswith(SKINNING)}
-    return _assemble(copier, primitive, _copy_attributes(copier, kept, attributes), targets)
-
-
-def _assemble(
-    copier: AccessorCopier, primitive: dict[str, Any], attributes: dict[str, int], targets: list[dict[str, int]]
-) -> dict[str, Any]:
-    """Return the JSON of a primitive with new attributes and targets, and with its indices copied into the draft."""
-    entry = {**primitive, "attributes": attributes}
+    """Return the JSON of a primitive with new attributes, copies of those that are kept, and no morph targets."""
+    kept = {name: index for name, index in primitive["attributes"].items() if not name.startswith(dropped)}
+    copied = {name: new[name] if name in new else copier.copy_accessor(index) for name, index in kept.items()}
+    entry = {key: value for key, value in primitive.items() if key != "targets"} | {"attributes": copied}
     if "indices" in primitive:
         entry["indices"] = copier.copy_accessor(primitive["indices"], ELEMENT_ARRAY_BUFFER)
-    entry.pop("targets", None)
-    return {**entry, "targets": targets} if targets else entry
-
-
-@dataclass(frozen=True, eq=False)
-class _DeformedVertices:
-    """New positions, normals and surface rotations of a primitive's vertices, in world coordinates."""
-
-    positions: Float[np.ndarray, "V 3"]
-    normals: Float[np.ndarray, "V 3"] | None
-    """None where the primitive shall have no normals."""
-    rotations: Float[np.ndarray, "M 3 3"]
-    """Rotation of the surface since rest at each vertex (M = V), or one for all (M = 1)."""
-
-
-def _deformed_attributes(
-    edit: _Edit,
-    node: int,
-    primitive: dict[str, Any],
-    T_world_local: Float[np.ndarray, "4 4"],
-    deformed: _DeformedVertices,
-) -> tuple[AttributeArrays, list[AttributeArrays]]:
-    """Return POSITION, NORMAL and TANGENT of a primitive, and the deltas of its morph targets, in a node's frame.
-
-    A morph delta is taken to the world by the skin or the node at rest, rotated with the surface and taken to the
-    frame of the node that will show the primitive (`T_world_local`). With the morph weights at rest, vertices are then
-    exactly at `deformed.positions`. A tangent is rotated with the surface and made perpendicular to its new normal; its
-    w (handedness) stays.
-    """
-    document = edit.document
-    matrices = vertex_matrices(document, node, primitive, edit.rest.T_world_node)
-    weights = read_morph_weights(document, node)
-    linear, inverse = T_world_local[:3, :3], np.linalg.inv(T_world_local[:3, :3])
-    vector_matrices = inverse @ deformed.rotations @ matrices[:, :, :3]
-    # Normals transform by inverse transposes: from the world to the node's frame that is the transpose of `linear`.
-    normals_to_local = linear.T @ deformed.rotations @ normal_matrices(matrices[:, :, :3])
-    base: AttributeArrays = {"POSITION": (deformed.positions - T_world_local[:3, 3]) @ inverse.T}
-    # Directions are scaled to unit length after the transform, and their deltas by the same factor.
-    scale = {"POSITION": np.ones((1, 1))}
-    rest_normals = read_morphed_attribute(document, primitive, "NORMAL", weights)
-    if rest_normals is not None and deformed.normals is not None:
-        base["NORMAL"] = unit_vectors(deformed.normals @ linear)
-        scale["NORMAL"] = _inverse_length(transform_vectors(normals_to_local, rest_normals))
-    tangents = read_morphed_attribute(document, primitive, "TANGENT", weights)
-    if tangents is not None:
-        local_tangents = transform_vectors(vector_matrices, tangents[:, :3])
-        scale["TANGENT"] = _inverse_length(local_tangents)
-        base["TANGENT"] = np.concatenate([_orthogonalize(local_tangents, base.get("NORMAL")), tangents[:, 3:]], axis=1)
-    if not edit.keep_targets:
-        return base, []
-    delta_matrices = {"POSITION": vector_matrices, "NORMAL": normals_to_local, "TANGENT": vector_matrices}
-    targets = [
-        {
-            name: scale[name] * transform_vectors(delta_matrices[name], delta)
-            for name in scale
-            if (delta := read_morph_delta(document, primitive, number, name)) is not None
-        }
-        for number in range(len(primitive.get("targets", [])))
-    ]
-    return _subtract_morphs(base, targets, weights), targets
-
-
-def _subtract_morphs(base: AttributeArrays, targets: list[AttributeArrays], weights: list[float]) -> AttributeArrays:
-    """Return the attributes that become `base` when the weighted targets are added.
-
-    Positions are exact; the sums for normals and tangents are parallel to those of `base`, but not of unit length.
-    """
-    result = dict(base)
-    for name in base if any(weights) else ():
-        added = sum(weight * target[name] for weight, target in zip(weights, targets, strict=False) if name in target)
-        vectors = base[name][:, :3]
-        length = 1.0 if name == "POSITION" else _length_for_unit(vectors, added)
-        result[name] = np.concatenate([vectors * length - added, base[name][:, 3:]], axis=1)
-    return result
-
-
-def _length_for_unit(directions: Float[np.ndarray, "V 3"], added: Float[np.ndarray, "V 3"] | int) -> np.ndarray:
-    """Solve |s n - d| = 1 for s, with unit `directions` n and `added` d: s n - d then is a unit vector to store."""
-    along = (directions * added).sum(-1, keepdims=True)
-    square = 1.0 + along**2 - np.square(np.broadcast_to(added, directions.shape)).sum(-1, keepdims=True)
-    return along + np.sqrt(np.maximum(square, 0.0))
-
-
-def _orthogonalize(
-    tangents: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "V 3"] | None
-) -> Float[np.ndarray, "V 3"]:
-    """Return unit tangents, perpendicular to the normals where there are any (Gram-Schmidt)."""
-    if normals is None:
-        return unit_vectors(tangents)
-    return unit_vectors(tangents - normals * (tangents * normals).sum(-1, keepdims=True))
-
-
-def _inverse_length(vectors: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 1"]:
-    """Return 1 / length of each vector, 1 for zero vectors."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return 1.0 / np.where(length > 0, length, 1.0)
-
-
-def _fit_rotations(
-    vertices: Float[np.ndarray, "V 3"], moved: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> Float[np.ndarray, "V 3 3"]:
-    """Fit the rotation of the surface around each vertex from `vertices` to `moved`.
-
-    Kabsch's algorithm on the edges and face normals around the vertex: the local step of as-rigid-as-possible
-    deformation (Sorkine and Alexa 2007). Vertices at one rest position get one rotation, so that split seams stay
-    closed; a vertex without faces gets the identity.
-    """
-    _, index = weld(vertices)
-    covariance = np.zeros((index.max(initial=-1) + 1, 3, 3))
-    welded_faces = index[faces]
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        before, after = (points[faces[:, j]] - points[faces[:, i]] for points in (vertices, moved))
-        _add_to_rows(covariance, welded_faces[:, [i, j]], after[:, :, None] * before[:, None])
-    # The edges around a vertex of a flat surface span two directions; face normals add the third one.
-    normals, moved_normals = (_scaled_face_normals(face_vectors(points, faces)) for points in (vertices, moved))
-    _add_to_rows(covariance, welded_faces, moved_normals[:, :, None] * normals[:, None])
-    u, _, vt = np.linalg.svd(covariance)
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]  # a rotation, not a reflection
-    rotations = u @ vt
-    rotations[~covariance.any(axis=(1, 2))] = np.eye(3)
-    return rotations[index]
-
-
-def _scaled_face_normals(vectors: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "F 3"]:
-    """Scale face vectors (of length twice the area) to the root of their length, comparable to edge lengths."""
-    return vectors * np.sqrt(_inverse_length(vectors))
-
-
-def _add_to_rows(
-    total: Float[np.ndarray, "W 3 3"], rows: Int[np.ndarray, "F K"], values: Float[np.ndarray, "F 3 3"]
-) -> None:
-    """Add the matrix of each face to all of its K rows of `total`, in place.
-
-    One `np.bincount` for each matrix entry, because `np.add.at` is ten times slower.
-    """
-    index = rows.ravel()
-    for i in range(3):
-        for j in range(3):
-            spread = np.repeat(values[:, i, j], rows.shape[1])
-            total[:, i, j] += np.bincount(index, spread, minlength=len(total))
+    return entry

@@ -24,6 +24,7 @@ from ...core.geometry import MIRROR, nearest_rotation, rotation_between
 from ...core.normalization import ORIENTATIONS, ROTATIONS, axis_name
 from ...core.rig import local_rotations
 from ...motions.bvh import Bvh
+from ...motions.retarget import nearest_axes
 from ..timing import DEFAULT_FPS
 from .animation import AnimationChannel, animated_nodes, frame_rate, frame_times, sample_nodes, select_channels
 from .check import damaged
@@ -194,7 +195,7 @@ def front_before_placing(document: Document, T_rest_node: Float[np.ndarray, "N 4
         return front
     T_joint_bind = joint_matrices(document, largest, T_rest_node)
     T_rest_bind = nearest_rotation(_mirror(T_joint_bind) @ T_joint_bind[:, :3, :3]).sum(axis=0)
-    orientation = _nearest_axis_rotation(nearest_rotation(T_rest_bind))
+    orientation = nearest_axes(nearest_rotation(T_rest_bind))
     up = orientation.T @ [0.0, 1.0, 0.0]
     if up[1] < 0:  # upside down: which way it was turned cannot be told
         return front
@@ -217,16 +218,11 @@ def _bind_orientations(
     """
     rotations = nearest_rotation(T_world_bind)
     mean = nearest_rotation(rotations.sum(axis=0))
-    candidates = [_nearest_axis_rotation(nearest_rotation(T_world_above)), np.eye(3)]
+    candidates = [nearest_axes(nearest_rotation(T_world_above)), np.eye(3)]
     posed = np.einsum("jkl,kl->j", rotations, mean).min() < 1 + 2 * SAME_ROTATION_COSINE  # the trace of a rotation
     likely = [candidate for candidate in candidates if posed and (mean @ candidate.T)[1, 1] > SAME_UP_COSINE]
-    first = (likely or [_nearest_axis_rotation(mean)])[0]
+    first = (likely or [nearest_axes(mean)])[0]
     return [first, *(candidate for candidate in candidates if not np.array_equal(candidate, first))]
-
-
-def _nearest_axis_rotation(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """Return the axis-aligned rotation with the smallest angle to a rotation, which has the largest trace(R^T A)."""
-    return ROTATIONS[np.einsum("rkl,kl->r", ROTATIONS, rotation).argmax()]
 
 
 def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:

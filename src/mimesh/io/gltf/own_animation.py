@@ -28,6 +28,7 @@ from ...core.animated_rig import frames_around
 from ...core.frame_buffer import spread_exactly
 from ...core.geometry import nearest_rotation
 from ...core.mesh import check_cut
+from ...motions.bone_motion import TRUNK
 from ..timing import DEFAULT_FPS, frame_count
 from .animation import (
     PATH_WIDTHS,
@@ -64,7 +65,7 @@ from .scene import (
     target_count,
     unbound_joints,
 )
-from .vrm import TRUNK, json_object, vrm_version
+from .vrm import json_object, vrm_version
 
 ROOT_NAME = re.compile(r"(.*[:|])?root", re.IGNORECASE)
 """Names of a joint that may be a root bone already, with or without a namespace."""

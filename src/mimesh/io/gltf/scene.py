@@ -139,14 +139,6 @@ def read_indices(document: Document, primitive: dict[str, Any]) -> np.ndarray:
     return values.astype(np.int64)
 
 
-def read_morph_delta(
-    document: Document, primitive: dict[str, Any], target: int, name: str
-) -> Float[np.ndarray, "V 3"] | None:
-    """Read what morph target `target` adds to an attribute at weight 1; None where it does not change it."""
-    index = primitive["targets"][target].get(name)
-    return None if index is None else read_floats(document, index)
-
-
 def read_morphed_attribute(
     document: Document, primitive: dict[str, Any], name: str, weights: list[float]
 ) -> Float[np.ndarray, "V C"] | None:
@@ -155,10 +147,9 @@ def read_morphed_attribute(
     The w component of a tangent is its handedness and has no delta.
     """
     values = read_attribute(document, primitive, name)
-    for target, weight in enumerate(weights[: len(primitive.get("targets", []))]):
-        delta = read_morph_delta(document, primitive, target, name) if weight and values is not None else None
-        if delta is not None and values is not None:
-            values[:, :3] += weight * delta
+    for target, weight in zip(primitive.get("targets", []), weights, strict=False):
+        if weight and name in target and values is not None:
+            values[:, :3] += weight * read_floats(document, target[name])
     return values
 
 

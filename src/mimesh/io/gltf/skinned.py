@@ -85,7 +85,7 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path, animated:
     skeleton = animations[0].skeleton
     mesh = with_normals(skeleton.mesh)
     if isinstance(mesh.source, GltfSource):
-        draft, groups = edit_document(mesh.source, mesh, keep_targets=False, skinned=True)
+        draft, groups = edit_document(mesh.source, mesh, skinned=True)
     else:
         draft, groups = build_document(mesh, mesh)
     if not draft.gltf.get("scenes"):  # readers show all roots then, but no longer once there is a scene

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...bodies.engine_names import SCHEMES
-from ...motions.bone_motion import BoneMotion
+from ...motions.bone_motion import TRUNK, BoneMotion
 from .document import Document, open_document
 from .draft import AccessorCopier
 from .joints import joint_animation, joints_draft
@@ -39,8 +39,6 @@ VRM_OPTIONAL = {"Neck", *(f"{side}{part}" for side in ("Left", "Right") for part
 """Joints, besides those of trunk and fingers, that a VRM file need not name."""
 VRM_TRUNK = ("spine", "chest", "upperChest")
 """Bones of the trunk from the hips up. The last ones of a shorter trunk are the shipped body's last ones."""
-TRUNK = ("LowerBack", "Spine", "Spine1")
-"""Our joints between hips and neck."""
 REQUIRED = {joint for joint in VRM_BONES.values() if "Hand" not in joint.removesuffix("Hand")} - VRM_OPTIONAL - {*TRUNK}
 """Joints without which the bones of a file are not used."""
 PRESETS = {

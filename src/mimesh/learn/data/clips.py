@@ -31,7 +31,7 @@ from ...io.gltf.vrm import read_origin
 from ...motions import Motion, mirror, resample
 from ...motions.motion import rotmat_to_rotvec, turned_to_front
 from ...motions.on_body import is_motion_file, motion_of_file
-from ...motions.retarget import retarget
+from ...motions.retarget import retarget_skeleton
 
 FPS = 15.0
 """Frames a second of which poses are taken."""
@@ -137,7 +137,7 @@ def _motions(path: Path, body: RiggedBody) -> Iterator[tuple[str, Motion | Input
         document = open_document(path)
         for name in animation_names(document):
             try:
-                yield name, retarget(read_skeleton(document, FPS, name), body, name, grounded=False)
+                yield name, retarget_skeleton(read_skeleton(document, FPS, name), body, name, grounded=False)
             except InputError as error:
                 yield name, error
 
