@@ -303,7 +303,7 @@ def test_a_pattern_of_the_identity_alone_makes_one_file_of_all_clips(tmp_path, m
 
     def is_done() -> bool:
         (job,) = read_jobs([row], None, None, {}, "animate")
-        return recorded(BatchTask(job, fingerprint(job), False)) is not None
+        return recorded(BatchTask(job, fingerprint(job))) is not None
 
     assert is_done()
     save_clip(walk(frames=4, faces=600), "clips/walk.npz")
