@@ -296,14 +296,14 @@ def test_a_pattern_of_the_identity_alone_makes_one_file_of_all_clips(tmp_path, m
     assert [(job.output, job.files) for job in jobs] == [(f"out/{x}.glb", [f"ids/{x}.glb", *clips]) for x in "ab"]
     assert len(read_jobs("ids", "clips", "out/{identity}-{number}.glb", {}, "animate")) == 4
     row = {"identity": "ids/a.glb", "driving": clips, "output": "out/a.glb", "model": "mime.onnx"}
-    result = mimesh.batch([row], workers=1, sheet=False)
+    result = mimesh.batch([row], workers=1)
     assert (result.counts["done"], result.outcomes[0]["frames"]) == (1, 8), result.outcomes
     assert [len(load_clip("out/a.glb", animation=name)) for name in ("run", "walk")] == [5, 3]
     assert summary_rows()[0]["driving"] == "clips/run.npz | clips/walk.npz"
 
     def is_done() -> bool:
         (job,) = read_jobs([row], None, None, {}, "animate")
-        return recorded(BatchTask(job, fingerprint(job), False)) is not None
+        return recorded(BatchTask(job, fingerprint(job))) is not None
 
     assert is_done()
     save_clip(walk(frames=4, faces=600), "clips/walk.npz")

@@ -24,7 +24,7 @@ from ...core.geometry import MIRROR, nearest_rotation, rotation_between
 from ...core.normalization import ORIENTATIONS, ROTATIONS, axis_name
 from ...core.rig import local_rotations
 from ...motions.bvh import Bvh
-from ...motions.retarget import nearest_axes
+from ...motions.rest_calibration import nearest_axes
 from ..timing import DEFAULT_FPS
 from .animation import AnimationChannel, animated_nodes, frame_rate, frame_times, sample_nodes, select_channels
 from .check import damaged
