@@ -56,6 +56,7 @@ class BlockArm:
         Args:
             towards: roughly the direction of the hand.
         """
+        centre, axis = points.mean(axis=0), unit_vectors(towards)
         for _ in range(ROUNDS):
             centre = points.mean(axis=0)
             axis = np.linalg.svd(points - centre, full_matrices=False)[2][0]

@@ -29,6 +29,7 @@ from ..rigs.confidence import MAX_UNMATCHED_SURFACE, Confidence
 from ..rigs.retarget import Follow, JointMotion, Pose, SurfaceMotion
 from .block_arms import with_block_arms
 from .body_fit import (
+    RELIABLE_MISMATCH,
     BodyFit,
     SurfaceSample,
     fit_body,
