@@ -71,7 +71,7 @@ def test_far_names_are_not_suggested():
 def test_values_that_shells_complete_are_those_that_are_checked():
     assert set(terminal.MODELS) == set(MODELS) == set(about.DESCRIPTIONS)
     assert set(values_of(Layout, "names")) == set(SCHEMES)
-    assert set(values_of(ModelOptions, "pairing")) == {"auto", "body", *PAIRINGS}
+    assert set(values_of(ModelOptions, "pairing")) == {"auto", *PAIRINGS}
     assert set(values_of(Hints, "body")) == {"auto", "other", *NETWORK_OF_BODY}
 
 

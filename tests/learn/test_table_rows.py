@@ -96,7 +96,7 @@ def test_what_is_trained_is_told_and_rows_without_weights_are_left_out_with_a_no
     assert said[0] == "4 trainings: 0 CPU minutes, and those that end after a number of pairs"
     words = ["--without", "npt-no-edge", "--without", "npt-equal", "--pairs", "1"]
     assert main_run(["table", "npt-2", "--train", "--minutes", "0.001", *words]) == 0
-    note = "leaves out rows whose weights are not here; make npt-full by python scripts/train_on_gpu.py"
+    note = "or make npt-full by python scripts/train_on_gpu.py"
     assert note in "".join(capsys.readouterr())
     assert len(trained) == 4
 

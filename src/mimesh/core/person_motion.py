@@ -30,6 +30,8 @@ class PersonMotion:
     """Axis away from the ground."""
     rest: tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]] | None = None
     """Rotations since the T-pose and positions at rest; None: not known."""
+    upright: Float[np.ndarray, "3 3"] | None = None
+    """Rotation that turns the person at rest to y up, +z front; None: not known."""
     heading: float = 0.0
     """Angle of the front at rest from `front` (radians about `up`), where that is between the axes."""
 

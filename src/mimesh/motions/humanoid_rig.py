@@ -140,7 +140,7 @@ class HumanoidRig:
         surface = None if self.in_action else character.mesh.vertices
         positions = world[..., :3, 3]
         return PersonMotion(
-            names, moved @ turns, positions, self.leg, weights, surface, front, up, resting, self.heading
+            names, moved @ turns, positions, self.leg, weights, surface, front, up, resting, self.turn, self.heading
         )
 
     def tree(self) -> tuple[list[int], tuple[int, ...]]:

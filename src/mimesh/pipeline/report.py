@@ -149,7 +149,7 @@ class TransferReport(TypedDict):
     torn_share: NotRequired[float]
     """Share of the surface whose edges became more than three times as long, in the worst frame."""
     torn_at: NotRequired[list[float]]
-    """Middle of the longest torn edge in that frame, on the mesh at rest; absent if little is torn."""
+    """Middle of the longest torn edge in that frame, on the mesh at rest, in its unit; absent if little is torn."""
     body: NotRequired[str]
     """Shipped body that both were taken for: "human" or "quadruped"."""
     rig: NotRequired[Literal["own"]]

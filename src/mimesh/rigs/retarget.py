@@ -76,7 +76,7 @@ class JointMotion:
     body: Int[np.ndarray, " B"] | None = None
     """Outermost points of the rest of the body, as indices of the same; None: not known."""
     rest: RestPose | None = None
-    """The joints at rest, where the file has them."""
+    """The joints at rest, y up, +z front, where the file has them."""
     rest_floor: float | None = None
     """Height of the soles at rest, where the file has a rig whose hips move."""
     skin: tuple[Float[np.ndarray, "S 3"], Rig] | None = None
@@ -91,7 +91,9 @@ class JointMotion:
         positions = norm.apply(motion.positions.reshape(-1, 3)).reshape(motion.positions.shape)
         track = JointTrack(norm.rotation @ motion.rotation, positions, fps)
         vertices = SurfacePoints.of_vertices(len(mesh.vertices))  # as of a character: a sole stands on its lowest ones
-        rest = None if motion.rest is None else (norm.rotation @ motion.rest[0], norm.apply(motion.rest[1]))
+        rest = None
+        if motion.rest is not None and motion.upright is not None:
+            rest = (motion.upright @ motion.rest[0], motion.rest[1] @ motion.upright.T)
         soles: Soles = ()
         skin = None
         ankles: tuple[str, ...] = ()
@@ -112,8 +114,9 @@ class JointMotion:
             if at_rest is not None and has_path(motion.positions[:, 0], motion.leg):
                 floor = sole_height(at_rest, soles, len(legs))
             posed = mesh.vertices
-            if rest is not None and at_rest is not None:  # taking back a pose bends joints
-                posed, rig = at_rest, Rig(*rest, motion.weights)
+            if motion.rest is not None and at_rest is not None:  # taking back a pose bends joints
+                turned, places = motion.rest
+                posed, rig = at_rest, Rig(norm.rotation @ turned, norm.apply(places), motion.weights)
             surface = SurfacePoints.of(mesh, GRID_SAMPLES, generator(seed, 1))
             weights = interpolate(motion.weights, surface.corners, surface.barycentric)
             skin = surface.points(posed), replace(rig, weights=weights)

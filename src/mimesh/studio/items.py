@@ -43,13 +43,15 @@ class Options:
         unknown = changes.keys() - {field.name for field in dataclasses.fields(self)}
         if unknown:
             raise InputError(f"{min(unknown)}: expected the name of an option, found this; leave it out")
-        changed = dataclasses.replace(self, **changes)
+        values = dataclasses.asdict(self) | changes
         for name, allowed in (("model", models), ("rig", values_of(Hints, "rig"))):
-            check_value(name, str(getattr(changed, name)), allowed)
-        Hints(body=changed.body)
-        ModelOptions(refine=changed.refine)
-        MotionOptions(changed.root, changed.ground, changed.smooth, contacts=changed.contacts)
-        return changed
+            check_value(name, str(values[name]), allowed)
+        if type(values["smooth"]) is int:  # JSON's 0
+            values["smooth"] = float(values["smooth"])
+        Hints(body=values["body"])
+        ModelOptions(refine=values["refine"])
+        MotionOptions(**{name: values[name] for name in ("root", "ground", "smooth", "contacts")})
+        return Options(**values)
 
     @property
     def motion_changes(self) -> tuple[bool, bool]:
