@@ -193,7 +193,7 @@ def test_animals_are_found_and_refused_with_people(fresh, files, tmp_path):
     save_mesh(animal("cat"), tmp_path / "cat.glb")
     save_mesh(dog.mesh.with_vertices(dog.vertices[0]), tmp_path / "dog.ply")
     page = fresh.page
-    body, smoothing = page.get_by_label("Both meshes are"), page.locator("#model input[type=checkbox]")
+    body, smoothing = page.get_by_label("Both meshes are"), page.locator("#model").get_by_label("Feet on the ground")
     assert body.is_disabled(), "only mime has several bodies"
     assert smoothing.is_disabled()
     page.select_option("#model select", "mime")

@@ -67,10 +67,11 @@ PERSON_SPREAD, SPREAD_WEIGHT = 20.0, 10.0
 """Spread (degrees) of the predictions for a person above MAX_OTHER_KIND from which on a mesh is the less accepted, and
 the weight of its logarithm. Of such people at the joint limits the largest is 19.7, of a fist 36, of a snowman 26, of
 people who are misread 22 to 35. Below MAX_OTHER_KIND figures of blocks, which face both ways, have up to 139."""
-STRAIGHT, STRAIGHT_ENTROPY, STRAIGHT_MISFIT = 80.0, 1.1, 3.0
+STRAIGHT, STRAIGHT_ENTROPY, STRAIGHT_OTHER_KIND, STRAIGHT_MISFIT = 80.0, 1.1, -0.3, 3.0
 """Flexion (degrees) up to which a person stands with straight limbs, which are read with the least doubt: the largest
-entropy (nats) of its weights, and what is added to the misfit of a mesh with more, or with more than MAX_OTHER_KIND.
-At rest such people have 0.89 at most; figures of blocks 1.09 in a stride, 1.43 at the joint limits
+entropy (nats) of its weights and `other_kind` together, and what is added to the misfit of a mesh with more of both, or
+with more than MAX_OTHER_KIND. At rest such people have an entropy of 0.89 at most; figures of blocks 1.09 in a stride,
+1.43 at the joint limits; a person of 600 faces with 1 cm of noise 1.32, but an `other_kind` of -0.5
 (docs/log/mime.md)."""
 OTHER_KIND_ERROR = 0.15
 """Smallest expected error (heights of the identity) of a mesh above that, whose true error is not defined."""
@@ -239,7 +240,8 @@ class Confidence:
         """
         away = max(self.surface_distance / self.standards.distance, 1.0)
         apart = max(self.prediction_spread / self.standards.spread, 1.0) if self.is_other_kind else 1.0
-        unlike = self.is_other_kind or self.weight_entropy > STRAIGHT_ENTROPY
+        undecided = self.weight_entropy > STRAIGHT_ENTROPY and self.other_kind > STRAIGHT_OTHER_KIND
+        unlike = self.is_other_kind or undecided
         odd = STRAIGHT_MISFIT if unlike and self.flexion <= self.standards.straight else 0.0
         return self.other_kind + DISTANCE_WEIGHT * float(np.log(away)) + SPREAD_WEIGHT * float(np.log(apart)) + odd
 
