@@ -221,6 +221,18 @@ def large() -> str:
     )
 
 
+def files() -> str:
+    """Return the table of files that others have made, from benchmarks/files.json (research/measure_files.py)."""
+    verdicts: dict[str, list[str]] = {}
+    for file in figures_of("benchmarks/files")["files"]:
+        verdicts.setdefault(file["maker"], []).append(file["verdict"])
+    verdicts["all"] = [verdict for of in verdicts.values() for verdict in of]
+    columns = ("right", "refused", "wrong")
+    counts = {maker: [len(of), *(of.count(verdict) for verdict in columns)] for maker, of in verdicts.items()}
+    rows = [[maker, *(str(count or "") for count in of)] for maker, of in counts.items()]
+    return markdown_table(["made by", "files", *columns], rows)
+
+
 def contacts() -> str:
     """Return the table of hands that touch the own body, of held-out characters, from benchmarks/contacts.json."""
     report = figures_of("benchmarks/contacts")
@@ -540,6 +552,7 @@ INSERTS = {
     "ownclips": own_clips,
     "unnamed": unnamed_rigs,
     "commands": command_reference,
+    "files": files,
     "foundrigs": found_rigs,
 }
 """WHAT of a mark -> function that returns its Markdown."""
