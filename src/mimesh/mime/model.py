@@ -316,11 +316,12 @@ class Mime:
             rig, confidence, fit = self._with_corrections(rig, confidence, sample, queries, targets)
             return rig, self._with_weights(confidence, rig.weights[measured]), fit
         fitted, sure, fit = self._with_fit(rig, confidence, sample, predictions)
-        found = lost_shin(sample, fit) if fit is not None and self.body == "human" else None
+        if fit is None or self.body != "human":
+            return fitted, sure, fit
         # What is found is as uncertain as what was predicted: weights are not measured again.
-        if found:
+        if found := lost_shin(sample, fit):
             return self._with_corrections(rig, confidence, sample, queries, found)
-        if fit is not None and self.body == "human" and fit.distance > RELIABLE_MISMATCH:
+        if fit.distance > RELIABLE_MISMATCH:
             fitted = with_block_arms(fitted, sample.points, queries.points, self.joints, self.parents)
         return fitted, sure, fit
 

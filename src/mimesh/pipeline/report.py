@@ -226,7 +226,7 @@ def quality(identity: Mesh, moved: LazyFrames) -> dict[str, Any]:
         if (share := torn_share(lengths, posed)) > torn:
             torn, most_torn = share, posed
     largest, p99 = np.max(stretches, axis=0)
-    where = {"torn_at": torn_at(identity.vertices, pairs, most_torn)} if torn > MAX_TORN else {}
+    where = {"torn_at": torn_at(identity.vertices, pairs, lengths, most_torn)} if torn > MAX_TORN else {}
     return {"edge_stretch_max": float(largest), "edge_stretch_p99": float(p99), "torn_share": torn} | where
 
 
@@ -275,16 +275,20 @@ def torn_edges(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> Bo
 
 
 def torn_at(
-    vertices: Float[np.ndarray, "V 3"], pairs: Int[np.ndarray, "E 2"], new: Float[np.ndarray, " E"]
+    vertices: Float[np.ndarray, "V 3"],
+    pairs: Int[np.ndarray, "E 2"],
+    old: Float[np.ndarray, " E"],
+    new: Float[np.ndarray, " E"],
 ) -> list[float]:
     """Return the middle at rest of the longest torn edge.
 
     Args:
         vertices: at rest.
-        new: lengths of the edges in a frame with torn ones.
+        pairs: vertices of each edge.
+        old: lengths of the edges at rest.
+        new: the same in a frame with torn ones.
     """
-    torn = torn_edges(edge_lengths(vertices, pairs), new)
-    return vertices[pairs[np.where(torn, new, 0.0).argmax()]].mean(axis=0).tolist()
+    return vertices[pairs[np.where(torn_edges(old, new), new, 0.0).argmax()]].mean(axis=0).tolist()
 
 
 def torn_note(

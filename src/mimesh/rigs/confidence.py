@@ -68,9 +68,9 @@ PERSON_SPREAD, SPREAD_WEIGHT = 20.0, 10.0
 the weight of its logarithm. Of such people at the joint limits the largest is 19.7, of a fist 36, of a snowman 26, of
 people who are misread 22 to 35. Below MAX_OTHER_KIND figures of blocks, which face both ways, have up to 139."""
 STRAIGHT, STRAIGHT_ENTROPY, STRAIGHT_OTHER_KIND, STRAIGHT_MISFIT = 80.0, 1.1, -0.3, 3.0
-"""Flexion (degrees) up to which a person stands with straight limbs, which are read with the least doubt: the largest
-entropy (nats) of its weights and `other_kind` together, and what is added to the misfit of a mesh with more of both, or
-with more than MAX_OTHER_KIND. At rest such people have an entropy of 0.89 at most; figures of blocks 1.09 in a stride,
+"""Flexion (degrees) up to which the limbs of a person are straight, and most certain to be found: the largest entropy
+(nats) of its weights and `other_kind` together, and what is added to the misfit of a mesh with more of both, or with
+more than MAX_OTHER_KIND. At rest such people have an entropy of 0.89 at most; figures of blocks 1.09 in a stride,
 1.43 at the joint limits; a person of 600 faces with 1 cm of noise 1.32, but an `other_kind` of -0.5
 (docs/log/mime.md)."""
 OTHER_KIND_ERROR = 0.15
@@ -240,8 +240,8 @@ class Confidence:
         """
         away = max(self.surface_distance / self.standards.distance, 1.0)
         apart = max(self.prediction_spread / self.standards.spread, 1.0) if self.is_other_kind else 1.0
-        undecided = self.weight_entropy > STRAIGHT_ENTROPY and self.other_kind > STRAIGHT_OTHER_KIND
-        unlike = self.is_other_kind or undecided
+        uncertain = self.weight_entropy > STRAIGHT_ENTROPY and self.other_kind > STRAIGHT_OTHER_KIND
+        unlike = self.is_other_kind or uncertain
         odd = STRAIGHT_MISFIT if unlike and self.flexion <= self.standards.straight else 0.0
         return self.other_kind + DISTANCE_WEIGHT * float(np.log(away)) + SPREAD_WEIGHT * float(np.log(apart)) + odd
 
@@ -316,10 +316,9 @@ class Confidence:
         large = self.fitted and self.expected_error > self.standards.max_error
         error = f" (about {self.expected_error:.0%} of the height)" if large else ""
         feet = ", and feet are not planted" if self.lacks_leg else ""
-        other = (large and self.expected_error > self.standards.doubtful_error) or len(
-            self._without_surface()
-        ) >= MOST_LACKING
-        advice = f". It may not be {self.standards.kind}: {if_it_is(alone)}" if other else ""
+        doubtful = large and self.expected_error > self.standards.doubtful_error
+        lacking = len(self._without_surface()) >= MOST_LACKING
+        advice = f". It may not be {self.standards.kind}: {if_it_is(alone)}" if doubtful or lacking else ""
         note = (
             f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}{advice}"
         )
