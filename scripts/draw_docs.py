@@ -16,10 +16,11 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 
-from mimesh import CapturedClip, Clip, Mesh, Result, animate, capture, retarget, rig, transfer
+from mimesh import Clip, Mesh, Result, animate, capture, retarget, rig, transfer
 from mimesh.bodies import character, load_body
 from mimesh.bodies.animals import animal
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
+from mimesh.core.skinning import place_joints
 from mimesh.core.surface_points import SurfacePoints
 from mimesh.io.atomic import whole_file
 from mimesh.motions import load_motion, motion_clip
@@ -175,26 +176,18 @@ def captured() -> Image.Image:
     clip = motion_clip(BODY, DRIVING_PERSON, load_motion(CAPTURED))
     motion = capture(clip)
     moved = retarget(motion, rig(character("child"))).clip
-    joints = posed_joints(motion)
+    bones = motion.rest[1:] - motion.rest[list(motion.parents[1:])]
+    joints = place_joints(motion.root, bones, motion.rotation, motion.parents)
     rows: list[list[Image.Image]] = [[], [], []]
     for frame in np.linspace(0, len(clip) - 1, 5).round().astype(int):
         driving, result = (of.mesh.with_vertices(of.vertices[frame]) for of in (clip, moved))
         camera = fit(driving.vertices, SIZE)
-        bones = Image.fromarray(render_mesh(driving, SIZE, camera))
-        _draw_bones(bones, camera, joints[frame], motion.parents)
+        drawn = Image.fromarray(render_mesh(driving, SIZE, camera))
+        _draw_bones(drawn, camera, joints[frame], motion.parents)
         rows[0].append(_tile(driving, "clip", DRIVING_TINT))
-        rows[1].append(captioned(bones, "joints"))
+        rows[1].append(captioned(drawn, "joints"))
         rows[2].append(_tile(result, "child"))
     return page([tile for row in rows for tile in row], len(rows[0]))
-
-
-def posed_joints(motion: CapturedClip) -> Float[np.ndarray, "T J 3"]:
-    """Return the joints of a captured motion in its frames."""
-    places = np.repeat(motion.root[:, None], len(motion.names), axis=1)
-    for j, parent in enumerate(motion.parents):
-        if parent >= 0:
-            places[:, j] = places[:, parent] + motion.rotation[:, parent] @ (motion.rest[j] - motion.rest[parent])
-    return places
 
 
 def species() -> Image.Image:

@@ -83,11 +83,16 @@ def models() -> str:
     return markdown_table(["`-m`", "what it is", "PMD ×1e-4: mean (median)", "distance"], rows)
 
 
+RIG_FIGURES = ("joints_pct", "j2j", "j2b", "b2b", "iou", "weights_l1", "deform_mm")
+"""Columns of the table of rigs in docs/comparison.md, in its order."""
+
+
 def found_rigs() -> str:
     """Return the row of the table of rigs in docs/comparison.md, whose head is there, from benchmarks/rigs.json."""
     report = figures_of("benchmarks/rigs")
     [row] = [row for row in report["results"] if row["method"] == "mime"]
-    split, origin = report["provenance"]["config"]["split"], report["provenance"]
+    origin = report["provenance"]
+    split = origin["config"]["split"]
     makers = len({label.partition(": ")[0] for label in row["each"]["identity"]})
     figures = [cell(row, name) for name in RIG_FIGURES]
     figures[0] += " %"
@@ -100,10 +105,6 @@ def found_rigs() -> str:
         "[definitions](conventions.md#rigs)",
     ]
     return f"| {' | '.join(cells)} |\n\n{measured(origin)}"
-
-
-RIG_FIGURES = ("joints_pct", "j2j", "j2b", "b2b", "iou", "weights_l1", "deform_mm")
-"""Columns of that table, in its order."""
 
 
 def _report_row(name: str, kind: str, method: str = "") -> dict:
