@@ -192,6 +192,16 @@ def test_what_has_straight_limbs_and_hardly_looks_like_a_person_is_refused(misfi
     assert fitting_body("human", fits, turned=False) == found
 
 
+@pytest.mark.parametrize(
+    ("misfit", "enclosed", "found"),
+    [(-1.0, 0.875, "human"), (-1.0, 0.75, None), (-3.0, 0.75, "human"), (-3.0, 0.5, None)],
+)
+def test_a_person_whose_joints_lie_outside_of_the_surface_is_refused(misfit, enclosed, found):
+    """As creatures that fly or lack legs. Clothes without a body, which miss neck and hands, fit a person well."""
+    fits = {"human": replace(fit("human", misfit), enclosed=enclosed), "quadruped": fit("quadruped", 5.0)}
+    assert fitting_body("human", fits, turned=False) == found
+
+
 def test_animals_with_straight_limbs_are_no_less_accepted():
     straight = replace(fit("quadruped", MAX_OTHER_KIND + 0.3), weight_entropy=1.0, flexion=10.0)
     assert straight.misfit == straight.other_kind

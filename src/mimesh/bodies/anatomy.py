@@ -25,6 +25,8 @@ class Anatomy:
     """Hands and feet, or forefeet and hind feet: the joints of each kind, on both sides."""
     regions: dict[str, str]
     """Head and limbs as messages name them -> the first joint of each."""
+    inner: tuple[str, ...]
+    """Joints that are well inside of the surface; empty where legs are so thin that this tells nothing."""
     optional_trunk: tuple[str, ...]
     """Joints of the trunk that many rigs lack, so that one joint moves all of it."""
     props: dict[str, float]
@@ -56,6 +58,10 @@ HUMAN = Anatomy(
         **{f"{side.lower()} arm": f"{side}Arm" for side in SIDES},
         **{f"{side.lower()} leg": f"{side}UpLeg" for side in SIDES},
     },
+    inner=(
+        *("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1"),
+        *_both("Shoulder", "Arm", "ForeArm", "UpLeg", "Leg"),
+    ),
     optional_trunk=(),
     props={
         "Head": 0.3,
@@ -82,6 +88,7 @@ QUADRUPED = Anatomy(
         **{f"{side.lower()} foreleg": f"{side}UpperArm" for side in SIDES},
         **{f"{side.lower()} hind leg": f"{side}Thigh" for side in SIDES},
     },
+    inner=(),
     optional_trunk=tuple(TRUNK),
     props={"Head": 0.3, "Chest": 0.2, "Spine3": 0.2, "Hips": 0.15, "Neck2": 0.15},
 )

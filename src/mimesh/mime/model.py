@@ -36,6 +36,7 @@ from .body_fit import (
     fit_predictions,
     sampled_body,
 )
+from .enclosed import share_enclosed
 from .hands import Bends, FingeredHand, HandFinder, WeightedMesh, follow_fingers, with_fingers
 from .joint_targets import JointTargets
 from .kept_results import kept
@@ -335,7 +336,11 @@ class Mime:
         if not self.fits_body:
             return rig, confidence, None
         fit = fit_predictions(sample, rig, predictions, self.body)
-        return dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints), _with_measures(confidence, fit), fit
+        return (
+            dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints),
+            self._measured(confidence, fit, sample),
+            fit,
+        )
 
     def _cost(self, reading: KeyframePrediction, frames: list[np.ndarray], denoised: list[np.ndarray]) -> float:
         """Measure how badly the body fits a reading of a driving; without a fit, how far its predictions disagree."""
@@ -359,7 +364,20 @@ class Mime:
         fit = fit_body(sample, *targets.move(rig.rotation, rig.joints), targets, self.body)
         displacement = fit.joints - rig.joints
         weights = corrected_weights(rig.weights, queries.points, queries.normals, displacement, fit.posed)
-        return Rig(fit.rotation, fit.joints, weights), _with_measures(confidence, fit), fit
+        return Rig(fit.rotation, fit.joints, weights), self._measured(confidence, fit, sample), fit
+
+    def _measured(self, confidence: Confidence, fit: BodyFit, sample: SurfaceSample) -> Confidence:
+        """Add how well a fitted body covers the surface, and how many of its joints are inside."""
+        inner = [self.joints.index(name) for name in anatomy_of(self.body).inner]
+        return dataclasses.replace(
+            confidence,
+            unmatched_body=fit.unmatched_body,
+            unmatched_surface=fit.unmatched_surface,
+            surface_distance=fit.surface_distance,
+            fit_distance=fit.distance,
+            fit_angle=fit.angle,
+            enclosed=share_enclosed(fit.joints[inner], sample.points, sample.normals),
+        )
 
     def _with_weights(self, confidence: Confidence, weights: Float[np.ndarray, "N J"]) -> Confidence:
         """Measure a corrected rig again: predictions may differ where the corrected body covers the surface."""
@@ -453,16 +471,4 @@ def _nearest_weights(points: Float[np.ndarray, "N 3"], known: Float[np.ndarray, 
 
 def _without_shares(confidence: Confidence, mesh: Mesh) -> Confidence:
     """Remove the shares of limbs if the mesh is a point cloud: its points may be denser on one limb than on another."""
-    return confidence if len(mesh.faces) else dataclasses.replace(confidence, limbs={}, unmatched_body={})
-
-
-def _with_measures(confidence: Confidence, fit: BodyFit) -> Confidence:
-    """Add how well a fitted body covers the surface."""
-    return dataclasses.replace(
-        confidence,
-        unmatched_body=fit.unmatched_body,
-        unmatched_surface=fit.unmatched_surface,
-        surface_distance=fit.surface_distance,
-        fit_distance=fit.distance,
-        fit_angle=fit.angle,
-    )
+    return confidence if len(mesh.faces) else dataclasses.replace(confidence, limbs={}, unmatched_body={}, enclosed=1.0)

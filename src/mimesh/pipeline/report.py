@@ -66,6 +66,8 @@ class MeshReport(TypedDict):
     """Mean angle between fitted and predicted joint rotations, in degrees."""
     flexion: NotRequired[float]
     """Angle of the elbow or knee that is bent most, in degrees."""
+    enclosed: NotRequired[float]
+    """Share of the inner joints of a person that the surface encloses; 1 of animals and open surfaces."""
     limbs: NotRequired[dict[str, float]]
     """Share of the surface that each limb has."""
     unmatched_body: NotRequired[dict[str, float]]

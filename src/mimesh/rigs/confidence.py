@@ -73,6 +73,10 @@ STRAIGHT, STRAIGHT_ENTROPY, STRAIGHT_OTHER_KIND, STRAIGHT_MISFIT = 80.0, 1.1, -0
 more than MAX_OTHER_KIND. At rest such people have an entropy of 0.89 at most; figures of blocks 1.09 in a stride,
 1.43 at the joint limits; a person of 600 faces with 1 cm of noise 1.32, but an `other_kind` of -0.5
 (docs/log/mime.md)."""
+LEAST_ENCLOSED, OUTSIDE_WEIGHT = 0.9, 25.0
+"""Share of a person's inner joints that the surface encloses, from which down on a mesh is the less accepted, and the
+weight of what lacks. Of people at rest and in clips 0.94 is the least, of creatures that were moved as people 0.12 to 1
+(docs/log/mime.md, "Joints outside of the surface")."""
 OTHER_KIND_ERROR = 0.15
 """Smallest expected error (heights of the identity) of a mesh above that, whose true error is not defined."""
 DOUBTFUL_ERROR = 0.08
@@ -173,6 +177,8 @@ class Confidence:
     """Mean distance of the surface from the fitted body (metres of the body)."""
     fit_distance: float | None = None
     """Mismatch of the shapes of fitted body and surface (metres of the body); None without a fit."""
+    enclosed: float = 1.0
+    """Share of the body's inner joints that the surface encloses; 1 without a fit, and of an open surface."""
     fit_angle: float = 0.0
     """Mean angle (degrees) between the fitted joint rotations and the predicted ones."""
     flexion: float = 0.0
@@ -236,13 +242,14 @@ class Confidence:
 
         People who sit are read upside down or folded by predictions that agree; the body then covers less of them.
         What hardly looks like a person, and is predicted otherwise each time, is refused, too, and so is what hardly
-        looks like one though its limbs are straight: hands, cats that sit, aeroplanes.
+        looks like one though its limbs are straight: hands, cats that sit, aeroplanes. So is what has joints outside.
         """
         away = max(self.surface_distance / self.standards.distance, 1.0)
         apart = max(self.prediction_spread / self.standards.spread, 1.0) if self.is_other_kind else 1.0
         uncertain = self.weight_entropy > STRAIGHT_ENTROPY and self.other_kind > STRAIGHT_OTHER_KIND
         unlike = self.is_other_kind or uncertain
         odd = STRAIGHT_MISFIT if unlike and self.flexion <= self.standards.straight else 0.0
+        odd += OUTSIDE_WEIGHT * max(LEAST_ENCLOSED - self.enclosed, 0.0)
         return self.other_kind + DISTANCE_WEIGHT * float(np.log(away)) + SPREAD_WEIGHT * float(np.log(apart)) + odd
 
     @property
@@ -298,6 +305,7 @@ class Confidence:
             "fit_distance": round(self.fit_distance, 5),
             "fit_angle": round(self.fit_angle, 2),
             "flexion": round(self.flexion, 1),
+            "enclosed": round(self.enclosed, 3),
         }
         return facts | {"unmatched_body": unmatched, "unmatched_surface": round(self.unmatched_surface, 4)}
 
