@@ -81,8 +81,11 @@ def rest_copy(source: bpy.types.Object) -> bpy.types.Object:
         # Removing shape keys would apply their current mix: the basis is read before and written back.
         points = np.empty(3 * len(copy.data.vertices), np.float32)
         keys.reference_key.data.foreach_get("co", points)
+        name = keys.name
         copy.shape_key_clear()
-        bpy.data.batch_remove([keys])
+        # Blender 4.5 and 5.0 keep the unused data block, 5.3 frees it: `keys` may be invalid from here on.
+        if (unused := bpy.data.shape_keys.get((name, None))) is not None:
+            bpy.data.batch_remove([unused])
         copy.data.vertices.foreach_set("co", points)
     for modifier in [modifier for modifier in copy.modifiers if modifier.type in POSE_MODIFIERS]:
         copy.modifiers.remove(modifier)

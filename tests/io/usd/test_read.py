@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import usd_stages as stages
 import zoo
-from pxr import Gf, UsdGeom, UsdShade
+from pxr import Gf, Usd, UsdGeom, UsdShade
 
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import face_normals
@@ -124,8 +124,9 @@ def test_geom_subsets_become_parts_with_materials(tmp_path):
     assert {frozenset(mesh.faces[f].tolist() + mesh.faces[f + 1].tolist()) for f in (8, 10)} == lid
 
 
+@pytest.mark.parametrize("sample", [None, 0.0], ids=["indices", "indices as a time sample"])
 @pytest.mark.parametrize("interpolation", ["vertex", "faceVarying"])
-def test_uv_primvar_is_the_one_the_texture_reads(interpolation, tmp_path):
+def test_uv_primvar_is_the_one_the_texture_reads(interpolation, sample, tmp_path):
     (tmp_path / "skin.png").write_bytes(b"\x89PNG and so on")
     stage = stages.new_stage(tmp_path / "a.usda")
     cube = stages.add_cube(stage)
@@ -137,7 +138,8 @@ def test_uv_primvar_is_the_one_the_texture_reads(interpolation, tmp_path):
     values = np.random.default_rng(0).random((5, 2)).astype(np.float32)
     index = np.random.default_rng(1).integers(0, 5, count)
     primvar.Set(stages.Vt.Vec2fArray.FromNumpy(values))
-    primvar.SetIndices(stages.Vt.IntArray.FromNumpy(index.astype(np.int32)))
+    time = Usd.TimeCode.Default() if sample is None else sample
+    primvar.SetIndices(stages.Vt.IntArray.FromNumpy(index.astype(np.int32)), time)
     stage.Save()
     mesh = load_mesh(tmp_path / "a.usda")
     expected = values[index]

@@ -470,8 +470,10 @@ def _primvar_values(prim: Usd.Prim, name: str, width: int) -> tuple[Float[np.nda
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
         return None
-    time = DEFAULT_TIME if primvar.Get(DEFAULT_TIME) is not None else Usd.TimeCode.EarliestTime()
-    values = np.array(primvar.ComputeFlattened(time), np.float64)
+    # Blender 5.3 writes values without a time, and their indices as a time sample.
+    attributes = [primvar.GetAttr(), *([primvar.GetIndicesAttr()] if primvar.IsIndexed() else [])]
+    at_default = all(attribute.Get(DEFAULT_TIME) is not None for attribute in attributes)
+    values = np.array(primvar.ComputeFlattened(DEFAULT_TIME if at_default else Usd.TimeCode.EarliestTime()), np.float64)
     return (values, primvar.GetInterpolation()) if values.ndim == 2 and values.shape[1] == width else None
 
 
