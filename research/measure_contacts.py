@@ -1,6 +1,7 @@
 """Measure hands that touch the own body: contact error and penetration, as MeshRet does (Ye et al., NeurIPS 2024).
 
     python research/measure_contacts.py POOL [-o benchmarks/contacts.json] [--characters 8] [--clips 2]
+    python research/measure_contacts.py --picture docs/gallery/contacts.webp
 
 POOL is a pool of rigged characters; those of its splits train and val follow everyday contacts of the shipped body
 (EVERYDAY) and clips of the pool of other makers, with contacts and without ("copied directions").
@@ -29,6 +30,7 @@ from jaxtyping import Float
 from retargets import FPS, body_limbs, choose_characters, write_pool
 from scipy.spatial import KDTree
 
+from mimesh.bodies import character as shipped_character
 from mimesh.bodies import load_body
 from mimesh.bodies.character_limbs import SIDES
 from mimesh.bodies.character_pool import CharacterMeta, PoolCharacter, read_pool
@@ -45,6 +47,8 @@ from mimesh.motions.motion import Motion
 from mimesh.motions.on_body import played
 from mimesh.pipeline import animate
 from mimesh.rigs.body_grid import part_of_joint
+from mimesh.view.movie import clip_frames
+from mimesh.view.sheet import DRIVING_TINT, page
 
 ARM = ("Shoulder", "Arm", "ForeArm", "Hand")
 EVERYDAY: dict[str, list[tuple[float, float, float]]] = {
@@ -62,6 +66,8 @@ EVERYDAY: dict[str, list[tuple[float, float, float]]] = {
 lies on the part, at most 1.5 cm deep; least squares made them."""
 SEATED = {"UpLeg": (-1.4, 0.0, 0.0), "Leg": (1.5, 0.0, 0.0)}
 """Legs of those with their hands on their knees."""
+DRAWN, TILE = ("hands on hips", "on belly", "on chest", "on cheeks", "on thighs"), (240, 320)
+"""Contacts in the picture, and the size of each in pixels."""
 HELD = 13
 """Frames for which each of them is held, six standard deviations of the filter over corrections and more."""
 SAMPLES, SEED = 8000, 0
@@ -199,11 +205,17 @@ class Driving:
 def main() -> None:
     """Measure all pairs and write the report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("pool", type=Path)
+    parser.add_argument("pool", type=Path, nargs="?")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="only draw some contacts on a shipped character")
     parser.add_argument("-o", "--output", type=Path, default=Path("benchmarks/contacts.json"))
     parser.add_argument("--characters", type=int, default=8, help="of each split")
     parser.add_argument("--clips", type=int, default=2, help="of the pool, for each character")
     args = parser.parse_args()
+    if args.picture:
+        draw(args.picture)
+        return
+    if args.pool is None:
+        parser.error("expected POOL or --picture FILE")
     pool = [character for split in ("train", "val") for character in read_pool(args.pool, split).characters]
     pool = [c for c in pool if {f"{s}{name}" for s in SIDES for name in ("Arm", "ForeArm", "Hand")} <= c.joints.keys()]
     splits = [tuple(c for c in pool if c.meta.split == split) for split in ("train", "val")]
@@ -231,6 +243,22 @@ def main() -> None:
     with whole_file(args.output) as path:
         path.write_text(json.dumps(report | {"figures": rows}, indent=1) + "\n")
     print(json.dumps(report["results"], indent=1))
+
+
+def draw(path: Path) -> None:
+    """Draw contacts of the shipped body, and a heavy character that follows them without and with contacts."""
+    driving, heavy = everyday_contacts()[0].clip, shipped_character("heavy")
+    rows = [driving]
+    rows += [animate(heavy, driving, motion=MotionOptions(contacts=contacts)).clip for contacts in (False, True)]
+    tiles = []
+    for clip, tint in zip(rows, (DRIVING_TINT, None, None), strict=True):
+        for name in DRAWN:
+            still = clip.mesh.with_vertices(clip.vertices[HELD * list(EVERYDAY).index(name) + HELD // 2])
+            shot = next(clip_frames([("", Clip.still(still))], TILE, tints=[tint]))
+            tiles.append(shot.crop((0, 0, *TILE)))
+    with whole_file(path) as temporary:
+        page(tiles, len(DRAWN)).save(temporary, format="WEBP", quality=82, method=6)
+    print(f"{path}: {path.stat().st_size / 1024:.0f} KiB")
 
 
 def shaped_people(count: int) -> list[PoolCharacter]:

@@ -12,6 +12,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zoo
 from networks import write_mime_network
@@ -310,6 +311,85 @@ def test_a_pattern_of_the_identity_alone_makes_one_file_of_all_clips(tmp_path, m
     assert not is_done()
     with pytest.raises(mimesh.InputError, match="expected one driving for transfer, found 2"):
         read_jobs([row], None, None, {}, "transfer")
+
+
+def test_a_job_is_done_again_when_a_file_changes_that_its_input_names(files):
+    """Materials, buffers, layers, and the mesh of a point cache, whatever they are called."""
+    mesh = zoo.cube()
+    Path("shared.mtl").write_text("newmtl red\nKd 1 0 0\n")
+    Path("coloured.obj").write_text("mtllib shared.mtl\nusemtl red\n" + Path("ids/a.obj").read_text())
+    save_mesh(mesh, "hero.gltf")
+    document = json.loads(Path("hero.gltf").read_text())
+    (buffer,) = document["buffers"]
+    Path("data").mkdir()
+    content = Path(buffer["uri"]).read_bytes() if not buffer["uri"].startswith("data:") else b"none"
+    Path("data/other name.bin").write_bytes(content)
+    buffer["uri"] = "data/other%20name.bin"
+    Path("hero.gltf").write_text(json.dumps(document))
+    save_clip(load_clip("clips/walk"), "cache.pc2")
+    for name in ("scene.usda", "geometry.usda"):
+        Path(name).write_text("#usda 1.0\n")
+    for path, named in {
+        "coloured.obj": "shared.mtl",
+        "hero.gltf": "data/other name.bin",
+        "cache.pc2": "cache.obj",
+        "scene.usda": "geometry.usda",
+    }.items():
+        (job,) = read_jobs([{"identity": "ids/a.obj", "driving": path, "output": "x.obj"}], None, None, {}, "transfer")
+        before = fingerprint(job)
+        assert fingerprint(job) == before, path
+        with Path(named).open("ab") as file:
+            file.write(b"\n# more\n")
+        assert fingerprint(job) != before, path
+
+
+@pytest.mark.parametrize("change", ["emptied", "removed", "replaced"])
+def test_a_job_is_done_again_when_its_output_is_not_what_it_wrote(files, change):
+    assert run([*POSES, "1", "-q"]) == 0
+    output, other = Path("out/a/p0.obj"), Path("out/a/p1.obj")
+    kept = output.read_bytes()
+    if change == "removed":
+        output.unlink()
+    else:
+        output.write_bytes(b"" if change == "emptied" else other.read_bytes())
+    assert left() == 1
+    assert run([*POSES, "1", "-q"]) == 0
+    assert (output.read_bytes(), left()) == (kept, 0)
+
+
+def test_without_clobbering_only_what_others_made_is_kept(files, capfd):
+    words = [*POSES, "1", "-q", "-O", "no-clobber=yes"]
+    assert run(words) == 0
+    assert left(**{"no-clobber": "yes"}) == left() == 0  # it changes no result
+    save_mesh(zoo.cube().with_vertices(zoo.cube().vertices * 3), "ids/a.obj")
+    Path("out/b/p0.obj").write_text("v 0 0 0\n")  # of someone else
+    assert run(words) == 3
+    assert Path("out/b/p0.obj").read_text() == "v 0 0 0\n"
+    assert np.ptp(load_mesh("out/a/p0.obj").vertices) > 1.5 * np.ptp(load_mesh("out/b/p1.obj").vertices)
+    assert [row["state"] for row in summary_rows()] == ["done", "done", "failed", "done before"]
+
+
+@pytest.mark.parametrize("output", ["ids", ".", "out/"])
+def test_an_output_is_no_folder_that_is_there(files, capfd, output):
+    """The command would put a file into it, which may be an input."""
+    Path("out").mkdir()
+    before = everything()
+    assert run(["batch", table(f"ids/a.obj,clips/run,{output},copy", "ids/b.obj,clips/run,new.glb,copy")]) == 2
+    assert "expected the path of a file, found a folder" in capfd.readouterr().err
+    assert everything() == before | {"jobs.csv"}
+
+
+def test_jobs_may_not_write_the_same_joints(files, capfd):
+    rows = [f"ids/{name}.obj,,{name}.glb,all.joints.json" for name in "ab"]
+    assert run(["batch", table(*rows, header="identity,driving,output,save-joints"), "--rig"]) == 2
+    assert "expected an output of its own, found all.joints.json" in capfd.readouterr().err
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="may read everything")
+def test_an_unreadable_input_fails_its_jobs_alone(files):
+    Path("ids/b.obj").chmod(0)
+    assert run([*POSES, "1", "-q"]) == 3
+    assert [row["state"] for row in summary_rows()] == ["done", "done", "failed", "failed"]
 
 
 @pytest.mark.parametrize(

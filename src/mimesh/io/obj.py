@@ -201,7 +201,7 @@ def _read_source(path: Path) -> ObjSource:
         raise InputError(
             f"{path}: expected vertex indices from 1, found 0 in line {line_number(lines, bad)}; export again"
         )
-    libraries = _library_names(lines, line_index[b"mtllib"], path.parent)
+    libraries = library_names(lines, line_index[b"mtllib"], path.parent)
     materials, companions, missing = mtl.read_libraries(path.parent, libraries)
     return ObjSource(
         path=path,
@@ -384,7 +384,7 @@ def _read_parts(source: ObjSource, polygon: Int[np.ndarray, " F"], path: Path) -
     return () if parts == [Part("", 0, len(polygon))] else tuple(parts)
 
 
-def _library_names(lines: Sequence[bytes], index: Sequence[int], folder: Path) -> list[str]:
+def library_names(lines: Sequence[bytes], index: Sequence[int], folder: Path) -> list[str]:
     """Return the file names after `mtllib`: one name with spaces if such a file exists, else one per word."""
     names: list[str] = []
     for number in index:

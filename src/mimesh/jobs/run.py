@@ -21,7 +21,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
@@ -34,9 +34,11 @@ from ..core.errors import InputError, naming_options, option
 from ..core.printable import printable
 from ..core.system import ctrl_c_held, resident_memory, usable_cores
 from ..io.atomic import together, whole_file, writing
+from ..io.beside import parts_beside
 from ..io.child_process import VARIABLES as LIBRARY_THREADS
 from ..io.joint_file import side_file
 from ..methods.find import weights_path
+from ..methods.onnx_models import hands_path
 from ..methods.onnx_runtime import THREADS
 from ..mime.kept_results import keep_results
 from .table import BatchJob, check_jobs, option_values, read_jobs, run_command
@@ -51,10 +53,10 @@ Report = Callable[[int, int, BatchJob | None, dict[str, Any]], None]
 """Gets the jobs finished, the jobs in all, and the job with its outcome; None for those that were finished before."""
 ONE_THREAD = {**LIBRARY_THREADS, THREADS: "1"}
 """Environment variables of a worker: its libraries and networks have one thread."""
-FORMAT, VERSION = "mimesh job", 1
+FORMAT, VERSION = "mimesh job", 2
 """Of a record."""
-COMPANIONS = {".obj": (".mtl",), ".gltf": (".bin",)}
-"""Suffix -> those of files beside it, with the same name, that belong to its contents."""
+WITHOUT_EFFECT = ("threads", "verbose", "no-clobber")
+"""Options that do not change what is written."""
 TRACEBACK_LINES = 6
 
 
@@ -235,25 +237,44 @@ def record_path(job: BatchJob) -> Path:
 
 def fingerprint(job: BatchJob) -> str:
     """Return a digest of everything that the output of a job depends on, but not of where it is written."""
-    facts: dict[str, Any] = {"command": job.command, "options": sorted(job.options)}
+    options = sorted((name, value) for name, value in job.options if name not in WITHOUT_EFFECT)
+    facts: dict[str, Any] = {"command": job.command, "options": options}
     facts["inputs"] = {name: _contents(path) for name, path in job.inputs().items()}
     facts["joints"] = [_contents(side_file(Path(path))) for path in job.files]
-    facts["weights"] = _contents(weights_path(option_values(job.command, job.options)["model"]))
+    model = weights_path(option_values(job.command, job.options)["model"])
+    facts["weights"] = [_contents(model), _contents(hands_path().parent)]
     return hashlib.blake2b(json.dumps(facts).encode(), digest_size=16).hexdigest()
 
 
 def _contents(path: Path) -> list[str]:
-    """Return digests of a file and of its companions, or of all files of a folder; empty if there is none."""
-    if path.is_dir():
-        files = sorted(path.iterdir())
-    else:
-        files = [path, *(path.with_suffix(suffix) for suffix in COMPANIONS.get(path.suffix.lower(), ()))]
-    facts = [(file.resolve(), file.stat()) for file in files if file.is_file()]
-    return [_digest(file, stat.st_mtime_ns, stat.st_size) for file, stat in facts]
+    """Return digests of a file and of the files that it consists of, or of all files of a folder but hidden ones.
+
+    There are none of what does not exist or may not be read; the latter's job says so when it is done.
+    """
+    try:
+        if path.is_dir():
+            files = [file for file in sorted(path.iterdir()) if not file.name.startswith(".")]
+        else:
+            files = [path, *_parts(*_state(path))] if path.is_file() else []
+        return [_digest(*_state(file)) for file in files if file.is_file()]
+    except OSError:
+        return []
+
+
+def _state(path: Path) -> tuple[Path, int, int, int]:
+    """Return what tells whether a file has changed."""
+    facts = path.stat()
+    return path.resolve(), facts.st_mtime_ns, facts.st_ctime_ns, facts.st_size
 
 
 @lru_cache(maxsize=2**16)
-def _digest(path: Path, modified: int, size: int) -> str:
+def _parts(path: Path, *_: int) -> list[Path]:
+    """List the files beside a file that belong to it; it is read once while it does not change."""
+    return parts_beside(path)
+
+
+@lru_cache(maxsize=2**16)
+def _digest(path: Path, *_: int) -> str:
     """Return a digest of the name and contents of a file, which is read once while it does not change."""
     digest = hashlib.blake2b(path.name.encode("utf-8", "surrogateescape"), digest_size=16)
     with path.open("rb") as file:
@@ -262,17 +283,29 @@ def _digest(path: Path, modified: int, size: int) -> str:
     return digest.hexdigest()
 
 
-def recorded(task: BatchTask) -> dict[str, Any] | None:
-    """Return the recorded outcome of a job whose output exists and was made from the same, else None."""
+def _written(job: BatchJob) -> dict[str, list[str]]:
+    """Return digests of all that a job has written."""
+    return {str(path): _contents(path) for path in job.outputs()}
+
+
+def _record(job: BatchJob) -> dict[str, Any]:
+    """Return the record of a job whose outputs are those that it wrote, else nothing."""
     try:
-        record = json.loads(record_path(task.job).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    expected = {"format": FORMAT, "version": VERSION, "made_from": task.made_from}
-    if not isinstance(record, dict) or not expected.items() <= record.items() or not Path(task.job.output).exists():
-        return None
+        record = json.loads(record_path(job).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    head = {"format": FORMAT, "version": VERSION}
+    if not isinstance(record, dict) or not head.items() <= record.items() or record.get("outputs") != _written(job):
+        return {}
+    return record
+
+
+def recorded(task: BatchTask) -> dict[str, Any] | None:
+    """Return the recorded outcome of a job whose outputs are as it wrote them, made from the same, else None."""
+    record = _record(task.job)
     outcome = record.get("outcome")
-    return {**outcome, "state": DONE_BEFORE} if isinstance(outcome, dict) else None
+    same = record.get("made_from") == task.made_from and isinstance(outcome, dict)
+    return {**outcome, "state": DONE_BEFORE} if same else None
 
 
 def do_task(task: BatchTask) -> dict[str, Any]:
@@ -294,10 +327,12 @@ def do_task(task: BatchTask) -> dict[str, Any]:
 
 def _do_job(task: BatchTask, begin: float) -> dict[str, Any]:
     """Do a job, write its record, and return its outcome."""
-    path = record_path(task.job)
+    path, job = record_path(task.job), task.job
+    if _record(job):  # what this batch has made may be replaced
+        job = replace(job, options=tuple(option for option in job.options if option[0] != "no-clobber"))
     path.unlink(missing_ok=True)
     with naming_options():
-        facts = run_command(task.job)
+        facts = run_command(job)
     reports = [clip["report"] for clip in facts.get("clips", ())] or [facts["report"]]
     about = [report.get(which, report) for report in reports for which in ("identity", "driving")]
     found = [mesh.get("confidence") for mesh in about]
@@ -311,7 +346,8 @@ def _do_job(task: BatchTask, begin: float) -> dict[str, Any]:
         "notes": facts["report"]["notes"],
         "error": None,
     }
-    record = {"format": FORMAT, "version": VERSION, "made_from": task.made_from, "outcome": outcome}
+    head = {"format": FORMAT, "version": VERSION, "made_from": task.made_from}
+    record = {**head, "outputs": _written(job), "outcome": outcome}
     with writing(path), whole_file(path) as temporary:
         temporary.write_text(json.dumps(record) + "\n", encoding="utf-8", newline="\n")
     return {**outcome, "memory_mib": resident_memory()}

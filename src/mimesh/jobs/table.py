@@ -25,7 +25,7 @@ from ..commands.capture import capture
 from ..commands.clips import check_clip_output, check_suffix
 from ..commands.options import ShapeOptions, options_of
 from ..commands.rig import rig
-from ..commands.terminal import refuse_inputs
+from ..commands.terminal import SEPARATORS, output_path, refuse_inputs
 from ..core.arguments import described
 from ..core.errors import InputError, did_you_mean, option
 from ..core.options import Hints, Layout, ModelOptions, MotionOptions
@@ -95,13 +95,16 @@ class BatchJob:
         return files | {name: Path(path) for name, path in self.options if name.replace("-", "_") in FILE_OPTIONS}
 
     def outputs(self) -> list[Path]:
-        """Return the files that it writes: the output, and its preview if one is wanted."""
-        if not option_values(self.command, self.options).get("preview"):
-            return [Path(self.output)]
+        """Return the files that it writes: the output, joints, and its preview if one is wanted."""
+        values = option_values(self.command, self.options)
+        joints = (values.get("save_joints"), values.get("save_driving_joints"))
+        written = [Path(path) for path in (self.output, *joints) if path is not None]
+        if not values.get("preview"):
+            return written
         if self.command == "rig":
-            return [Path(self.output), names_beside(Path(self.output))[0]]
+            return [*written, names_beside(Path(self.output))[0]]
         usual = ".glb" if self.command == "animate" else move.usual_suffix(Path(self.identity))
-        return [Path(self.output), *names_beside(Path(self.output), usual=usual)]
+        return [*written, *names_beside(Path(self.output), usual=usual)]
 
 
 def read_jobs(
@@ -394,6 +397,11 @@ def _check_job(job: BatchJob) -> None:
         if not path.exists():
             raise InputError(f"{path}: expected a file, found nothing of that name; check the path")
     values, output = option_values(job.command, job.options), Path(job.output)
+    if (
+        job.output.endswith(SEPARATORS)
+        or output_path(job.output, lambda: output / "x", job.command == "animate") != output
+    ):
+        raise InputError(f"{job.output}: expected the path of a file, found a folder; name a file in it")
     for path in job.outputs():
         refuse_inputs(path, *job.inputs().values())
     if job.command == "animate":

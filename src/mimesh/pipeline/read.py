@@ -15,7 +15,8 @@ from ..io import load_driving, load_mesh
 def read_mesh(mesh: Mesh | str | Path, role: str) -> Mesh:
     """Read a mesh, or check one in memory; see `_named`."""
     if isinstance(mesh, Mesh):
-        mesh = _named(mesh, role)
+        # A result is saved later: what the caller does with the array until then must not change it.
+        mesh = _named(mesh.with_vertices(mesh.vertices.copy()), role)
         return check_mesh(mesh, mesh.name)
     return load_mesh(Path(mesh))
 

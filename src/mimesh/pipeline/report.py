@@ -201,6 +201,10 @@ class SavedClip(type(Path())):
     deviations: tuple[Deviations, ...] = ()
     """For each result how far the file is from its frames."""
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Keep them in copies, and on the way from another process."""
+        return saved_clip, (str(self), *self.deviations)
+
 
 def saved_clip(path: str | Path, *deviations: Deviations) -> SavedClip:
     """Return the path of a written clip with its deviations."""
