@@ -13,7 +13,7 @@ from matrix import matrix
 from people import person, walk
 from waiting import finished, wait_until
 
-from mimesh import Hints, InputError, Mesh, animate, save_clip, save_mesh, transfer
+from mimesh import Hints, InputError, Mesh, animate, capture, save_clip, save_mesh, transfer
 from mimesh.bodies.animals import animal
 from mimesh.core.mesh import Part
 from mimesh.motions.animal_clips import gait_clip
@@ -47,6 +47,23 @@ def mime_session(files, model):
     session = make_session([files / "hero.obj", files / "walk.npz"], 2**20, model)
     yield session
     session.close()
+
+
+def test_animations_of_joints_without_a_mesh_can_be_chosen(files, tmp_path):
+    """A library of motions, as game packs have them, with two animations."""
+    path = tmp_path / "motions.gltf"
+    capture(files / "walk.npz").save(path)
+    document = json.loads(path.read_text())
+    walking = document["animations"][0]
+    document["animations"] = [{**walking, "name": "Walk"}, {**walking, "name": "Again"}]
+    path.write_text(json.dumps(document))
+    session = make_session([files / "hero.obj", path], 2**20, "copy")
+    try:
+        finished(session)
+        assert session.driving.animations == ("Walk", "Again")
+        assert describe(session)["driving"]["animations"] == ("Walk", "Again")
+    finally:
+        session.close()
 
 
 def only_item(session):
