@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import rigs
@@ -50,6 +52,20 @@ def test_a_limb_of_one_joint_is_the_upper_one():
     found = matched(rigs.changed(rigs.figure(), "one joint a limb"))
     assert all(found[f"{side}{part}"] == f"{side}{part}" for side in ("Left", "Right") for part in ("Arm", "UpLeg"))
     assert not any(name.endswith(("ForeArm", "Leg", "Foot")) for name in found if not name.endswith("UpLeg"))
+
+
+@pytest.mark.parametrize("inwards", [(0.0, 0.0), (0.12, 0.06), (0.12, 0.18)])
+def test_three_joints_are_an_arm_though_they_lie_too_near_to_the_trunk(inwards):
+    """As those of CesiumMan, whose shoulders and elbows lie where others have collar bones and upper arms."""
+    person = rigs.figure().without("LeftShoulder", "RightShoulder")
+    joints = person.joints.copy()
+    for sign, side in ((1, "Left"), (-1, "Right")):
+        for part, metres in zip(("Arm", "ForeArm"), inwards, strict=True):
+            joints[person.names.index(side + part), 0] -= sign * metres
+    found = matched(dataclasses.replace(person, joints=joints))
+    arms = [f"{side}{part}" for side in ("Left", "Right") for part in ("Arm", "ForeArm", "Hand")]
+    assert {name: found.get(name) for name in arms} == {name: name for name in arms}
+    assert "LeftShoulder" not in found
 
 
 def test_a_foot_on_a_root_of_its_own_is_found():

@@ -295,6 +295,8 @@ LIMBS = tuple(
 """Limbs of the shipped body that are chains of joints."""
 FEET = (("UpLeg", "Leg"), ("Foot", "ToeBase"))
 """Parts of a leg that may be chains of their own."""
+COLLAR = 0.5
+"""Length of a collar bone over that of an arm of one piece, from which on they are an upper arm and a forearm."""
 UPPER = {"ForeArm": "Arm", "Leg": "UpLeg"}
 """A lower limb without an upper one is the whole arm or leg: figures of blocks."""
 PELVIS = ("Hips", "LHipJoint", "RHipJoint")
@@ -417,6 +419,11 @@ def _match_limbs(overlap: Float[np.ndarray, "B J"], rig: SkinnedCharacter, body:
         for lower, upper in UPPER.items():
             if side + upper not in found and side + lower in found:
                 found[side + upper] = found.pop(side + lower)
+        arm = [found.get(side + part) for part in ("Shoulder", "Arm", "Hand")]
+        if None not in arm and f"{side}ForeArm" not in found:
+            bones = np.linalg.norm(np.diff(rig.joints[arm], axis=0), axis=1)
+            if bones[0] > COLLAR * bones[1]:
+                found[f"{side}Arm"], found[f"{side}ForeArm"] = found.pop(f"{side}Shoulder"), found[f"{side}Arm"]
     return found
 
 
