@@ -148,6 +148,18 @@ def test_nodes_that_move_and_are_no_joints_get_a_skin(tmp_path):
     assert np.array_equal(before, after)
 
 
+def test_bones_that_move_no_vertex_stay_bones(tmp_path):
+    """Those of faces, and places for props, in packs whose meshes do not use them all; props stay what they are."""
+    sample = samples.hero()
+    nodes, (joint, *_) = sample.gltf["nodes"], sample.gltf["skins"][0]["joints"]
+    nodes[joint].setdefault("children", []).extend([len(nodes), len(nodes) + 2])
+    nodes += [{"name": "jaw", "children": [len(nodes) + 1]}, {"name": "chin"}, {"name": "hat", "mesh": 0}]
+    draft, _ = joined_animations(open_document(sample.glb(tmp_path / "hero.glb")))
+    bones = {draft.gltf["nodes"][bone].get("name") for bone in draft.gltf["skins"][-1]["joints"]}
+    assert {"jaw", "chin"} <= bones
+    assert "hat" not in bones
+
+
 def test_file_without_animations_has_no_parts(tmp_path):
     path = samples.hero().glb(tmp_path / "hero.glb")
     document = open_document(path)

@@ -42,6 +42,18 @@ def test_skinned_frames_equal_the_frames_of_the_result(model, tmp_path, suffix):
         result.save_skinned(tmp_path / "hero.obj")
 
 
+def test_a_mesh_in_other_axes_leaves_no_empty_node(model, tmp_path):
+    mesh = person(0)
+    turned = mesh.with_vertices(mesh.vertices @ Rotation.from_euler("x", 90, degrees=True).as_matrix().T)
+    save_mesh(turned, tmp_path / "zup.stl")
+    result = animate(tmp_path / "zup.stl", walk(faces=600), model)
+    document = open_document(result.save_skinned(tmp_path / "moved.glb"))
+    nodes, joints = document.gltf["nodes"], document.gltf["skins"][0]["joints"]
+    assert [node["name"] for node in nodes if "mesh" in node] == ["zup"]
+    assert all("mesh" in node or k in joints or node["name"] == "axes" for k, node in enumerate(nodes))
+    assert np.ptp(load_mesh(tmp_path / "moved.glb").vertices, axis=0).argmax() == 1  # stands
+
+
 def swinging(frames, fps, joints=6):
     """A chain of joints of which some hold still, some turn evenly, and one swings for a while."""
     mesh = person(0)

@@ -178,6 +178,7 @@ def joined_animations(document: Document) -> tuple[Draft, dict[str, Any]]:
         samples.append((len(taken), {(c.node, c.path): c.sample(taken) for c in of_one}))
         first += len(taken) - 1 + GAP
     draft.gltf["animations"] = []
+    moving: set[int] = set()
     if clips:
         moved = dict.fromkeys(key for _, values in samples for key in values)
         still = {key: node_value(document.gltf["nodes"][key[0]], key, document) for key in moved}
@@ -186,17 +187,18 @@ def joined_animations(document: Document) -> tuple[Draft, dict[str, Any]]:
             values = np.concatenate([of_one.get(key, np.repeat(still[key], count, 0)) for count, of_one in samples])
             joined.append(AnimationChannel(key[0], key[1], np.concatenate(times), values))
         draft.gltf["animations"] = [add_animation(draft, "all", joined)]
-        _make_joints(draft, document, {node for node, path in moved if path != "weights"})
+        moving |= {node for node, path in moved if path != "weights"}
+    _make_joints(draft, document, moving | _below_joints(document))
     return draft, {"fps": fps, "clips": clips}
 
 
-def _make_joints(draft: Draft, document: Document, moved: set[int]) -> None:
-    """Add a skin that no mesh uses, of the nodes that move and are no joints, and of a joint of each other skin.
+def _make_joints(draft: Draft, document: Document, bones: set[int]) -> None:
+    """Add a skin that no mesh uses, of the nodes that move or are below joints, and of a joint of each other skin.
 
     Blender makes the joints of a skin, and what is between them, bones of the armature at their common ancestor.
     """
     skins = draft.gltf.get("skins", [])
-    extra = sorted(moved - {joint for skin in skins for joint in skin["joints"]})
+    extra = sorted(bones - {joint for skin in skins for joint in skin["joints"]})
     if not extra and len(skins) < 2:
         return
     inverse_bind: dict[int, np.ndarray] = {}
@@ -215,6 +217,14 @@ def _make_joints(draft: Draft, document: Document, moved: set[int]) -> None:
     inverse = draft.add_matrices(np.stack([inverse_bind[joint] for joint in joints]))
     skin = {"name": "Armature", "joints": joints, "inverseBindMatrices": inverse}
     draft.gltf["skins"] = [*skins, skin]
+
+
+def _below_joints(document: Document) -> set[int]:
+    """List the nodes below joints that show nothing: bones that move no vertex, and places for props."""
+    nodes, parents = document.gltf.get("nodes", []), tuple(node_parents(document))
+    joints = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
+    bare = [k for k, node in enumerate(nodes) if not {"mesh", "camera", "extensions"} & node.keys()]
+    return {node for node in bare if joints.intersection(ancestors(parents, node))}
 
 
 def _nearest_joints(document: Document, nodes: list[int], joints: set[int]) -> dict[int, int | None]:

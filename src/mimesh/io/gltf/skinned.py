@@ -165,14 +165,16 @@ def _add_skin(
 def _attach_skinned_mesh(draft: Draft, node: int, skin: int, groups: list[PrimitiveGroup]) -> None:
     """Move the skinned primitives of a node to a new node at the root of the scene; lines and points stay with it.
 
-    A node that is there already, with nothing else, gets the skin itself.
+    A node that is there already, with nothing else, gets the skin itself, and loses its own place: skins ignore it.
     """
     old = draft.gltf["nodes"][node]
     mesh = draft.gltf["meshes"][old["mesh"]]
     skinned = [primitive for group in groups for primitive in group.primitives]
     others = [primitive for primitive in mesh["primitives"] if not any(primitive is other for other in skinned)]
     roots = _default_scene(draft).setdefault("nodes", [])
-    if node in roots and not others and not {"matrix", *DEFAULT_TRS}.intersection(old):
+    if node in roots and not others and not old.get("children"):
+        for key in ("matrix", *DEFAULT_TRS):
+            old.pop(key, None)
         old["skin"] = skin
         return
     new = {"name": old.get("name", "mesh"), "skin": skin, "mesh": old["mesh"]}
