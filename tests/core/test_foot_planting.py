@@ -253,6 +253,18 @@ def test_a_cycle_in_place_does_not_drift():
     assert after < max(1.3 * driving, 0.7 * before)
 
 
+def test_in_place_everyone_makes_the_steps_of_the_own_legs():
+    """The ground moves as the own soles do: with the driving's, scaled, feet that are shorter would have to lunge."""
+    motion = walk(1.0)
+    here = case(motion, path=-np.linspace(0, 1, len(motion.root))[:, None] * (motion.root[-1] - motion.root[0]))
+    posed, steps = here.posed(), []
+    for longer in (1.0, 1.5):  # steps of the driving over those of the same directions
+        scale = (longer * here.stride, here.stride)
+        steps.append(np.ptp(here.soles(plant_feet(posed, here.track, here.skinned, here.feet, scale))[..., 2]))
+    assert steps[1] == pytest.approx(steps[0], rel=0.02)
+    assert steps[0] == pytest.approx(np.ptp(here.soles(posed)[..., 2]), rel=0.05)
+
+
 def test_nothing_changes_without_contacts():
     """Swimming: the hips are as low as the feet; flying: the feet move with the body."""
     motion = walk()

@@ -342,7 +342,7 @@ def foot_skate(
     if feet is None or contacts is None or not contacts.planted.any():
         return None
     soles = feet.identity_soles(posed.rotation, posed.root)
-    mine, driving = _steps(soles, contacts, scale[0]), scale[0] * _steps(contacts.soles, contacts, 1.0)
+    mine, driving = _steps(soles, contacts), scale[0] * _steps(contacts.soles, contacts)
     speeds = [float(np.linalg.norm(s, axis=-1)[contacts.planted].mean() * track.fps) for s in (mine, driving)]
     return speeds[0], speeds[1]
 
@@ -365,9 +365,18 @@ def _ground_axes(displacement: Float[np.ndarray, " 3"], leg: float) -> list[tupl
     return [(np.array([x, 0, z]), far <= IN_PLACE * leg), (np.array([z, 0, -x]), True)]
 
 
-def _steps(soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts, scale: float) -> Float[np.ndarray, "S F C 3"]:
-    """Return the displacement of soles over the ground in each interval; the ground itself may move."""
-    return (np.diff(soles, axis=0) - scale * contacts.ground_step) * [1, 0, 1]
+def _steps(soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts) -> Float[np.ndarray, "S F C 3"]:
+    """Return the displacement of soles over the ground in each interval.
+
+    The ground of who walks in place moves as these soles do while they stand: feet that are long for their legs roll
+    half a step, which those of others could only make by lunging.
+    """
+    steps = np.diff(soles, axis=0) * [1, 0, 1]
+    if contacts.ground_step.any():
+        steps = steps - np.average(
+            steps, axis=(0, 1, 2), weights=np.broadcast_to(contacts.standing[..., None], steps.shape)
+        )
+    return steps
 
 
 def _slides(
@@ -377,8 +386,8 @@ def _slides(
 
     A sole may slide as far as the driving's does, scaled, in any direction: less is not made more.
     """
-    mine = _steps(soles, contacts, scale)
-    size, allowed = (np.linalg.norm(steps, axis=-1) for steps in (mine, scale * _steps(contacts.soles, contacts, 1.0)))
+    mine = _steps(soles, contacts)
+    size, allowed = (np.linalg.norm(steps, axis=-1) for steps in (mine, scale * _steps(contacts.soles, contacts)))
     weight = contacts.standing * falling(size * fps / leg, MISREAD_SPEED)
     excess = 1 - np.minimum(1, allowed / np.maximum(size, 1e-9))
     error = -((weight * excess)[..., None] * mine).sum(axis=2) / np.maximum(weight.sum(axis=2), 1e-9)[..., None]
