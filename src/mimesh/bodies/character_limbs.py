@@ -419,8 +419,8 @@ def _match_limbs(overlap: Float[np.ndarray, "B J"], rig: SkinnedCharacter, body:
         for lower, upper in UPPER.items():
             if side + upper not in found and side + lower in found:
                 found[side + upper] = found.pop(side + lower)
-        arm = [found.get(side + part) for part in ("Shoulder", "Arm", "Hand")]
-        if None not in arm and f"{side}ForeArm" not in found:
+        arm = [found[side + part] for part in ("Shoulder", "Arm", "Hand") if side + part in found]
+        if len(arm) == 3 and f"{side}ForeArm" not in found:
             bones = np.linalg.norm(np.diff(rig.joints[arm], axis=0), axis=1)
             if bones[0] > COLLAR * bones[1]:
                 found[f"{side}Arm"], found[f"{side}ForeArm"] = found.pop(f"{side}Shoulder"), found[f"{side}Arm"]

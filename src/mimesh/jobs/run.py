@@ -304,8 +304,9 @@ def recorded(task: BatchTask) -> dict[str, Any] | None:
     """Return the recorded outcome of a job whose outputs are as it wrote them, made from the same, else None."""
     record = _record(task.job)
     outcome = record.get("outcome")
-    same = record.get("made_from") == task.made_from and isinstance(outcome, dict)
-    return {**outcome, "state": DONE_BEFORE} if same else None
+    if not isinstance(outcome, dict) or record.get("made_from") != task.made_from:
+        return None
+    return {**outcome, "state": DONE_BEFORE}
 
 
 def do_task(task: BatchTask) -> dict[str, Any]:
