@@ -16,6 +16,7 @@ from ..bodies.joint_names import finger_joints
 from ..core.animated_rig import CHECKED_FRAMES, AnimatedRig, RigAnimation
 from ..core.arguments import described, public
 from ..core.errors import InputError, option
+from ..core.frame_buffer import evenly_spread
 from ..core.options import Layout, needs_joints
 from ..core.printable import file_name
 from ..core.rig import Rig, descendants
@@ -29,7 +30,6 @@ from .vrma import save_bone_motions
 if TYPE_CHECKING:
     from ..io.gltf.animation import AnimatedValues
     from ..io.gltf.document import Document
-    from ..io.gltf.own_animation import PlayedAnimation
     from ..io.gltf.own_rig import OwnRig
     from .result import ClipResult
 
@@ -50,9 +50,8 @@ def save_skinned(
     """Write results of one identity as one .glb, .gltf or .vrma: its mesh at rest with joints, an animation for each.
 
     An identity that moved on its own bones keeps its file, to which the animations are added. Otherwise joints have as
-    many weights a vertex as `MotionOptions.influences` says, and their rotations as keys, thinned where interpolation
-    gives the others. A .vrma has the motion alone: the humanoid bones of VRM in a T-pose, their rotations and the path
-    of the hips.
+    many weights a vertex as `MotionOptions.influences` says. A .vrma has the motion alone: the humanoid bones of VRM in
+    a T-pose, their rotations and the path of the hips.
 
     Args:
         results: of `animate` with one identity and the same options of the identity. Fingers that only some of them
@@ -106,14 +105,11 @@ def _save_on_found_rig(
             for name, skeleton, result in zip(names, moved, results, strict=True)
         ]
         with joints_file(path) as temporary:
-            written = write_gltf_skinned(motions, temporary)
-    for k, (result, animation, thinned) in enumerate(zip(results, motions, written, strict=True)):
-        # Frames at another rate have no counterpart: the thinned keys are then left out of the deviation.
-        checked = thinned if layout.fps is None else moved[k]
-        deviation = checked.deviation(result.frames)
+            write_gltf_skinned(motions, temporary)
+    for k, result in enumerate(results):
+        deviation = moved[k].deviation(result.frames)
         yield {
             "skinned_deviation": deviation,
-            "keys_deviation": thinned.motion_deviation(animation.skeleton),
             "deviation_cause": _deviation_cause(result, deviation, skeletons[k], common[k], layout),
         }
 
@@ -222,33 +218,21 @@ def _save_on_own_rig(
         own = laid_out(dataclasses.replace(result.own, name=name), layout)
         animations.append(own if layout.fps is None else own.resampled(layout.fps))
     with results[0].seconds.step("write"), joints_file(path) as temporary:
-        written = write_own_animations(animations, temporary)
-    for result, animation, played in zip(results, animations, written, strict=True):
-        yield _own_deviations(result, animation, played)
+        write_own_animations(animations, temporary)
+    for result in results:
+        yield {"skinned_deviation": _own_deviation(result)}
 
 
-def _own_deviations(result: ClipResult, animation: OwnAnimation, played: PlayedAnimation) -> Deviations:
-    """Measure the largest distances of a vertex, over the mesh's size, between a written animation and its result.
+def _own_deviation(result: ClipResult) -> float:
+    """Measure the largest distance of a vertex, over the mesh's size, between an animation of nodes and its result.
 
-    Only CHECKED_FRAMES frames are compared. Frames at another rate have no counterpart in the result: the keys are then
-    left out of the deviation from it.
+    Only CHECKED_FRAMES frames are compared.
     """
-    assert result.own is not None
-    size = np.ptp(animation.source.vertices, axis=0).max()
-    same_rate = animation.frames == len(result.frames) and animation.fps == result.fps
-    chosen = np.unique(np.linspace(0, animation.frames - 1, CHECKED_FRAMES).round().astype(int))
-    skinned = keys = 0.0
-    moved = result.frames.at(chosen) if same_rate else [None] * len(chosen)
-    files = played.vertices(chosen / animation.fps)
-    for file, sampled, vertices in zip(files, animation.vertices(chosen), moved, strict=True):
-        keys = max(keys, np.linalg.norm(file - sampled, axis=1).max())
-        if vertices is not None:
-            skinned = max(skinned, np.linalg.norm(file - vertices, axis=1).max())
-    if not same_rate:
-        chosen = np.unique(np.linspace(0, len(result.frames) - 1, CHECKED_FRAMES).round().astype(int))
-        for sampled, vertices in zip(result.own.vertices(chosen), result.frames.at(chosen), strict=True):
-            skinned = max(skinned, np.linalg.norm(sampled - vertices, axis=1).max())
-    return {"skinned_deviation": float(skinned / size), "keys_deviation": float(keys / size)}
+    own, chosen = result.own, evenly_spread(len(result.frames), CHECKED_FRAMES)
+    assert own is not None
+    pairs = zip(own.vertices(chosen), result.frames.at(chosen), strict=True)
+    distance = max(np.linalg.norm(posed - vertices, axis=1).max() for posed, vertices in pairs)
+    return float(distance / np.ptp(own.source.vertices, axis=0).max())
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:

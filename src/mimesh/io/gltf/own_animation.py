@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ...bodies.joint_names import ancestors
 from ...core.animated_rig import frames_around
@@ -43,7 +43,6 @@ from .animation import (
     pose_nodes,
     posed_vertices,
     read_channels,
-    sample_nodes,
     select_channels,
     slerp,
     unposed_vertices,
@@ -51,8 +50,7 @@ from .animation import (
 from .document import Document
 from .draft import AccessorCopier, Draft
 from .edit import GltfSource
-from .keys import KEY_LIMIT, Tracks, node_keys, rounding
-from .read import RestScene, get_primitive
+from .read import get_primitive
 from .scene import (
     DEFAULT_TRS,
     joint_matrices,
@@ -79,6 +77,12 @@ SIMILAR = 1e-4
 of the world, which nodes cannot have (glTF 2.0, 3.5.3 Transformations)."""
 UNTURNED = 1e-9
 """Largest deviation of a rotation from none with which quaternions stay as they are, to the last bit."""
+ROUNDING, SCALE_ROUNDING = 1e-7, 5e-6
+"""Changes that count as none: of a value, over itself or over the mesh's size, because float32 stores values no better;
+of a scale, relative, because scales that are computed from matrices in float32 change as much where bones keep their
+lengths (measured on a file of Kenney's)."""
+Tracks = Mapping[tuple[int, str], Float[np.ndarray, "_ _"]]
+"""Values by (node, target path): in every frame, or in one of what does not move."""
 BARE = {"name", "children", "matrix", *DEFAULT_TRS, "extras"}
 """Properties of nodes that show nothing."""
 
@@ -97,8 +101,6 @@ class OwnAnimation:
     """Node of each joint that is known to be a person's, by our name."""
     renamed: dict[int, str] = field(default_factory=dict)
     """New names of nodes."""
-    key_limit: float = KEY_LIMIT
-    """Distance, over the mesh's size, by which thinned keys may move a vertex."""
     root_bone: str | None = None
     """Name of a bone on the floor above all joints; None: the file has those that it has."""
     root_moves: bool = False
@@ -162,22 +164,7 @@ class OwnAnimation:
         return unposed_vertices(self.source.document, self.source.rest, self.tracks)
 
 
-@dataclass(frozen=True, eq=False)
-class PlayedAnimation:
-    """An animation of a written file as programs play it."""
-
-    document: Document
-    """The nodes of the written file, with the meshes of the one that it was made of."""
-    rest: RestScene
-    channels: list[AnimationChannel]
-
-    def vertices(self, times: Float[np.ndarray, " T"]) -> Iterator[Float[np.ndarray, "V 3"]]:
-        """Yield the vertices of the Mesh at times in seconds."""
-        parts = unposed_vertices(self.document, self.rest, [(channel.node, channel.path) for channel in self.channels])
-        return posed_vertices(self.document, parts, sample_nodes(self.document, self.channels, times))
-
-
-def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> list[PlayedAnimation]:
+def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None:
     """Write the file of an identity with new animations, before those that it has.
 
     What only some of all animations move, old and new, has one key in the other new ones, with the value of the file:
@@ -185,23 +172,15 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> list
 
     Args:
         animations: of one file, with the same layout.
-
-    Returns:
-        The animations as clients of the file play them.
     """
     root = _find_root_bone(animations)
     draft = _copied_file(animations, root)
     moved = [animation.tracks if root is None else _with_root_bone(animation, root, draft) for animation in animations]
-    played = _new_channels(animations, moved, draft)
-    entries = _entries(animations, played, draft)
+    entries = _entries(animations, _new_channels(animations, moved, draft), draft)
     old = copy.deepcopy(draft.gltf.get("animations", []))
     if entries or old:
         draft.gltf["animations"] = [*entries, *old]
     draft.save(path)
-    # Meshes and skins move as before; what is new in them is in the written file alone.
-    source = animations[0].source
-    written = dataclasses.replace(source.document, gltf={**source.document.gltf, "nodes": draft.gltf["nodes"]})
-    return [PlayedAnimation(written, source.rest, channels) for channels in played]
 
 
 def cut_animation(
@@ -268,7 +247,7 @@ def _new_channels(
     chosen = []
     for animation, values, keys in zip(animations, tracks, exact, strict=True):
         complete = {key: values.get(key, still[key]) for key in used}
-        chosen.append([channel.stored() for channel in _channels(animation, complete, keys)] if complete else [])
+        chosen.append(_channels(animation, complete, keys) if complete else [])
     return chosen
 
 
@@ -372,7 +351,7 @@ def _channels(
 
     Unless copied keys show the rate, one track at least has a key in every frame.
     """
-    frames = node_keys(animation.source, tracks, animation.key_limit)
+    frames = {key: key_frames(animation.source, key, track) for key, track in tracks.items()}
     start = min((keys.times[0] for keys in exact.values()), default=0.0)
     shown = any(len(is_key) == animation.frames and is_key.all() for key, is_key in frames.items() if key not in exact)
     copied = bool(exact) and (frame_rate(list(exact.values())) or DEFAULT_FPS) == animation.fps
@@ -388,6 +367,24 @@ def _channels(
         times = times if len(times) > 1 else times + start
         channels.append(exact[key] if key in exact else AnimationChannel(*key, times, track[frames[key]]))
     return channels
+
+
+def key_frames(source: GltfSource, key: tuple[int, str], values: Float[np.ndarray, "T C"]) -> Bool[np.ndarray, " T"]:
+    """Mark the frames of animated values that become keys: all of them, or the first where nothing changes."""
+    moves = np.abs(values - values[0]).max() > rounding(source, key, values)
+    return np.full(len(values), moves) | (np.arange(len(values)) == 0)
+
+
+def rounding(source: GltfSource, key: tuple[int, str], values: Float[np.ndarray, "T C"]) -> float:
+    """Return the change of animated values that is no more than rounding, in their unit."""
+    node, path = key
+    if path == "scale":
+        return SCALE_ROUNDING * float(np.abs(values).max())
+    unit = {"rotation": 1.0, "weights": 1.0}.get(path, 0.0)
+    if path == "translation" and node < len(source.rest.T_world_node):
+        above = _world(source, node_parents(source.document)[node])[:3, :3]
+        unit = float(np.ptp(source.vertices, axis=0).max() / max(np.linalg.norm(above, axis=0).max(), 1e-12))
+    return ROUNDING * max(float(np.abs(values).max()), unit)
 
 
 def _animated_values(document: Document) -> list[tuple[int, str]]:

@@ -215,8 +215,7 @@ def write_vrma(motions: Sequence[BoneMotion], path: Path) -> None:
         "extensionsUsed": [ANIMATION],
         "extensions": {ANIMATION: {"specVersion": "1.0", "humanoid": {"humanBones": bones}}},
         "animations": [
-            joint_animation(draft, each.name, each.parents, each.rest, each.rotation, each.hips, each.fps)
-            for each in motions
+            joint_animation(draft, each.name, each.parents, each.rotation, each.hips, each.fps) for each in motions
         ],
     }
     draft.save(path)
