@@ -252,11 +252,7 @@ def check_writable(path: Path) -> None:
 
 
 def _mesh_path_of_cache(clip: Clip, path: Path) -> Path | None:
-    """Return where to write the mesh of a point cache; None where a mesh of its topology exists there already.
-
-    Raises:
-        InputError: another mesh has that name.
-    """
+    """Return where to write the mesh of a point cache; None where a mesh of its topology exists there already."""
     source_suffix = clip.mesh.source.suffix if clip.mesh.source else ""
     mesh_path = path.with_suffix(source_suffix if source_suffix in FRAME_SUFFIXES else FRAME_SUFFIXES[0])
     if not mesh_path.exists():

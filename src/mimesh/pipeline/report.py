@@ -184,7 +184,7 @@ class Deviations(TypedDict):
     skinned_deviation: NotRequired[float]
     """Of joints: largest distance of a vertex from its frame, as a share of the mesh's size."""
     deviation_cause: NotRequired[str]
-    """Which step adds most to it for joints found on the surface: "weights", "fingers" or "rest"."""
+    """What it is due to, of joints found on the surface: few "weights", "fingers" of other clips, or another "rest"."""
 
 
 class SavedClip(type(Path())):

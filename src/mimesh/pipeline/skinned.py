@@ -106,12 +106,9 @@ def _save_on_found_rig(
         ]
         with joints_file(path) as temporary:
             write_gltf_skinned(motions, temporary)
-    for k, result in enumerate(results):
-        deviation = moved[k].deviation(result.frames)
-        yield {
-            "skinned_deviation": deviation,
-            "deviation_cause": _deviation_cause(result, deviation, skeletons[k], common[k], layout),
-        }
+    for result, skeleton, own, shared in zip(results, moved, skeletons, common, strict=True):
+        cause = "rest" if layout.rest != "file" else "weights" if shared.names == own.names else "fingers"
+        yield {"skinned_deviation": skeleton.deviation(result.frames), "deviation_cause": cause}
 
 
 def _check_results(results: Sequence[ClipResult], path: str | Path, names: Sequence[str] | None) -> None:
@@ -126,30 +123,6 @@ def _check_results(results: Sequence[ClipResult], path: str | Path, names: Seque
     if names is not None and (isinstance(names, str) or len(names) != len(results)):
         found = described(names) if isinstance(names, str) else len(names)
         raise InputError(f"{path}: expected a name for each of {len(results)} results, found {found}")
-
-
-def _deviation_cause(
-    result: ClipResult, deviation: float, skeleton: AnimatedRig, common: AnimatedRig, layout: Layout
-) -> str:
-    """Tell which step adds most to the deviation of a skinned file from the frames of its result.
-
-    Args:
-        result: the result.
-        deviation: that of the file.
-        skeleton: the rig of the result, with all weights.
-        common: the same motion on the rig that all results share.
-        layout: names and arrangement of the bones.
-
-    Returns:
-        "weights", four of them a vertex; "fingers", which only other results move; or "rest", another rest pose.
-    """
-    steps = {"weights": skeleton} | ({"fingers": common} if common.names != skeleton.names else {})
-    after = [rig.deviation(result.frames) for rig in steps.values()] if len(steps) > 1 else []
-    if layout.rest != "file":
-        after = after or [skeleton.deviation(result.frames)]
-        steps["rest"], after = common, [*after, deviation]
-    added = np.diff(after, prepend=0.0)
-    return list(steps)[int(added.argmax())] if len(added) else "weights"
 
 
 def check_own_layout(person: Mapping[str, int], layout: Layout, name: str) -> None:

@@ -25,7 +25,6 @@ from jaxtyping import Bool, Float, Int
 
 from ...bodies.joint_names import ancestors
 from ...core.animated_rig import frames_around
-from ...core.frame_buffer import spread_exactly
 from ...core.geometry import nearest_rotation
 from ...core.mesh import check_cut
 from ...motions.bone_motion import TRUNK
@@ -183,16 +182,13 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
     draft.save(path)
 
 
-def cut_animation(
-    source: GltfSource, animation: str | None, fps: float | None, frames: slice, count: int | None
-) -> OwnAnimation:
+def cut_animation(source: GltfSource, animation: str | None, fps: float | None, frames: slice) -> OwnAnimation:
     """Sample an animation of a file in some of its frames; the animation is the only one of what it is written to.
 
     Args:
         animation: its name or number; None: the first, with those that complement it.
         fps: frames a second; None: the rate that its keys lie on.
         frames: those that are taken.
-        count: so many of these, evenly spread; None: all.
 
     Raises:
         InputError: no such animation, or no frame is left.
@@ -203,9 +199,6 @@ def cut_animation(
     times = frame_times(document, channels, fps)
     check_cut(document.path.name, len(times), frames)
     times, rate = times[frames], fps / (frames.step or 1)
-    if count is not None:
-        rate = rate * (count - 1) / (len(times) - 1) if count > 1 else rate
-        times = times[spread_exactly(len(times), count, document.path.name)]
     tracks = {(channel.node, channel.path): channel.sample(times) for channel in channels}
     bare = {key: value for key, value in document.gltf.items() if key != "animations"}
     alone = dataclasses.replace(source, document=dataclasses.replace(document, gltf=bare))
