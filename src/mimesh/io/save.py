@@ -70,13 +70,7 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
 
 
 @public
-def save_clip(
-    clip: Clip,
-    path: str | Path,
-    *,
-    suffix: str | None = None,
-    progress: Progress | None = None,
-) -> None:
+def save_clip(clip: Clip, path: str | Path, *, suffix: str | None = None, progress: Progress | None = None) -> None:
     """Write a clip as one file or, for a path without a suffix, as a folder of numbered meshes.
 
     Args:

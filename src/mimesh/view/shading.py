@@ -32,9 +32,7 @@ CODES = 1 << 13
 
 
 def shade(
-    albedo: Float[np.ndarray, "N 3"],
-    normals: Float[np.ndarray, "N 3"],
-    camera: Camera,
+    albedo: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], camera: Camera
 ) -> Float[np.ndarray, "N 3"]:
     """Compute the linear colour of surface points under the studio lights; nothing casts a shadow on the subject.
 

@@ -32,13 +32,7 @@ from ...bodies.character_limbs import (
     name_limb_joints,
     name_sided_joints,
 )
-from ...bodies.character_pool import (
-    CharacterClip,
-    CharacterMeta,
-    PoolCharacter,
-    facing_rotation,
-    sampled_poses,
-)
+from ...bodies.character_pool import CharacterClip, CharacterMeta, PoolCharacter, facing_rotation, sampled_poses
 from ...bodies.joint_names import ancestors, without_fingers
 from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
@@ -121,10 +115,7 @@ def _meta(document: Document, pack: str, licence: str, body_class: str, facing: 
 
 
 def read_clips(
-    document: Document,
-    T_world_rest: Float[np.ndarray, "J 4 4"],
-    nodes: list[int],
-    parents: Iterable[int],
+    document: Document, T_world_rest: Float[np.ndarray, "J 4 4"], nodes: list[int], parents: Iterable[int]
 ) -> dict[str, CharacterClip]:
     """Read the animations of a file as frames of joints relative to their parents; scales are dropped."""
     from scipy.spatial.transform import Rotation

@@ -336,9 +336,7 @@ def _exact_keys(animation: OwnAnimation, tracks: Tracks) -> dict[tuple[int, str]
 
 
 def _channels(
-    animation: OwnAnimation,
-    tracks: Tracks,
-    exact: Mapping[tuple[int, str], AnimationChannel],
+    animation: OwnAnimation, tracks: Tracks, exact: Mapping[tuple[int, str], AnimationChannel]
 ) -> list[AnimationChannel]:
     """Choose the keys of an animation, from which readers know its rate.
 
