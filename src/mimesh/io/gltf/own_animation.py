@@ -175,7 +175,7 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
     root = _find_root_bone(animations)
     draft = _copied_file(animations, root)
     moved = [animation.tracks if root is None else _with_root_bone(animation, root, draft) for animation in animations]
-    entries = _entries(animations, _new_channels(animations, moved, draft), draft)
+    entries = _new_entries(animations, moved, draft)
     old = copy.deepcopy(draft.gltf.get("animations", []))
     if entries or old:
         draft.gltf["animations"] = [*entries, *old]
@@ -224,32 +224,22 @@ def write_own_pose(animation: OwnAnimation, path: Path) -> None:
     if old and vrm_version(animation.source.document) is None:
         pose = {key: values[:1] for key, values in animation.tracks.items()}
         first = [dataclasses.replace(animation, frames=1)]
-        draft.gltf["animations"] = [*_entries(first, _new_channels(first, [pose], draft), draft), *old]
+        draft.gltf["animations"] = [*_new_entries(first, [pose], draft), *old]
     draft.save(path)
 
 
-def _new_channels(
-    animations: Sequence[OwnAnimation], tracks: Sequence[Tracks], draft: Draft
-) -> list[list[AnimationChannel]]:
-    """Choose the keys of new animations: those of each for all that any of them moves, old and new."""
+def _new_entries(animations: Sequence[OwnAnimation], tracks: Sequence[Tracks], draft: Draft) -> list[dict[str, Any]]:
+    """Add new animations to the copy of a file: the keys of each for all that any of them moves, old and new."""
     document = animations[0].source.document
     exact = [_exact_keys(animation, values) for animation, values in zip(animations, tracks, strict=True)]
     used = dict.fromkeys(key for values in (*tracks, *exact) for key in values)
     used |= dict.fromkeys(_animated_values(document))
     still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
-    chosen = []
-    for animation, values, keys in zip(animations, tracks, exact, strict=True):
+    entries = []
+    for animation, values, keys in zip(animations, tracks, exact, strict=True) if used else ():
         complete = {key: values.get(key, still[key]) for key in used}
-        chosen.append(_channels(animation, complete, keys) if complete else [])
-    return chosen
-
-
-def _entries(
-    animations: Sequence[OwnAnimation], chosen: Sequence[list[AnimationChannel]], draft: Draft
-) -> list[dict[str, Any]]:
-    """Add new animations to the copy of a file."""
-    pairs = zip(animations, chosen, strict=True)
-    return [add_animation(draft, animation.name, channels) for animation, channels in pairs if channels]
+        entries.append(add_animation(draft, animation.name, _channels(animation, complete, keys)))
+    return entries
 
 
 def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) -> Float[np.ndarray, "1 C"]:
