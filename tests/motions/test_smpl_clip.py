@@ -14,11 +14,9 @@ from smpl_files import Ch, chumpy_modules, loop_vertices, small_arrays, smpl_arr
 
 from mimesh.__main__ import run
 from mimesh.core.errors import InputError
-from mimesh.core.options import ConvertOptions
-from mimesh.io import load_clip, load_mesh, load_recorded_clip, load_recorded_mesh, save_clip
+from mimesh.io import load_clip, load_mesh, load_recorded_clip, load_recorded_mesh
 from mimesh.motions.amass import parse_betas
 from mimesh.motions.smpl_clip import fitted_pose
-from mimesh.tools.convert import convert
 
 FRAMES, FACES = 3, 600
 
@@ -344,17 +342,12 @@ def test_betas_that_are_none_are_refused(betas, message, tmp_path, monkeypatch):
         parse_betas(betas)
 
 
-def test_evenly_spread_frames_of_a_take_and_of_any_clip(small, tmp_path):
-    """The first and the last are among them; the duration stays; a take's other frames are never posed."""
+def test_evenly_spread_frames_of_a_take(small, tmp_path):
+    """The first and the last are among them, and the duration stays."""
     path = write_take(tmp_path / "take.npz", **recording(24, frames=11))
     whole, _ = load_recorded_clip(path, small)
-    for source, options in ((path, {"body_model": small}), (tmp_path / "whole.npz", {})):
-        if not options:
-            save_clip(whole, source)
-        written = convert(source, tmp_path / "few.npz", ConvertOptions(frames=6, **options))
-        assert (written.frames, written.fps) == (6, 60.0)
-        np.testing.assert_array_equal(load_clip(tmp_path / "few.npz").vertices, whole.vertices[::2])
+    few, _ = load_recorded_clip(path, small, count=6)
+    assert few.fps == 60.0
+    np.testing.assert_array_equal(few.vertices, whole.vertices[::2])
     with pytest.raises(InputError, match="expected 12 frames or more, found 11"):
-        convert(path, tmp_path / "few.npz", ConvertOptions(frames=12, body_model=small))
-    with pytest.raises(InputError, match="expected no --step"):
-        convert(path, tmp_path / "few.npz", ConvertOptions(frames=3, step=2, body_model=small))
+        load_recorded_clip(path, small, count=12)

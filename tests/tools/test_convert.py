@@ -318,9 +318,6 @@ def test_chosen_frames_stay_on_the_bones(walker, tmp_path):
     assert len(open_document(tmp_path / "c.glb").gltf["skins"]) == 1
     cut = load_clip(tmp_path / "c.glb", fps=written.fps)
     np.testing.assert_allclose(cut.vertices, whole.vertices[1::2], atol=1e-4)
-    written = convert(walker, tmp_path / "d.glb", ConvertOptions(animation="run", frames=2))
-    cut = load_clip(tmp_path / "d.glb", fps=written.fps)
-    np.testing.assert_allclose(cut.vertices, whole.vertices[[0, -1]], atol=1e-4)
 
 
 def test_what_another_format_leaves_out_is_said(walker, tmp_path):
@@ -349,8 +346,6 @@ def test_a_capture_becomes_the_body_with_its_bones(tmp_path):
     assert not any("targets" in primitive for mesh in gltf["meshes"] for primitive in mesh["primitives"])
     difference = load_clip(tmp_path / "a.glb").vertices - np.asarray(load_clip(path).vertices)
     assert np.linalg.norm(difference, axis=-1).mean() < 1e-3  # four weights a vertex
-    written = convert(path, tmp_path / "b.glb", ConvertOptions(frames=3))
-    assert (written.frames, written.fps) == (3, pytest.approx(2 * load_clip(path).fps / (len(difference) - 1)))
+    written = convert(path, tmp_path / "b.glb", ConvertOptions(step=3))
+    assert written.fps == load_clip(path).fps / 3
     assert len(open_document(tmp_path / "b.glb").gltf["skins"]) == 1
-    spread, whole = (load_clip(tmp_path / name).vertices for name in ("b.glb", "a.glb"))
-    np.testing.assert_allclose(spread[[0, -1]], whole[[0, -1]], atol=1e-5)

@@ -10,6 +10,7 @@ from PIL import Image
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Material, Mesh, Part, permute_vertices
+from mimesh.io.colors import to_linear, to_srgb
 from mimesh.view import shading, textures
 from mimesh.view.camera import VIEWS, extreme_points, fit, follow, orbit, rotate_camera
 from mimesh.view.raster import render, render_mesh
@@ -28,7 +29,7 @@ def assert_same_picture(a, b):
 
 
 def foreground(picture):
-    return (picture != shading.to_pixels(np.sqrt(shading.to_linear(np.array([[shading.BACKGROUND]]))))).any(axis=2)
+    return (picture != shading.to_pixels(np.sqrt(to_linear(np.array([[shading.BACKGROUND]]))))).any(axis=2)
 
 
 @pytest.mark.parametrize("make", zoo.ZOO)
@@ -69,7 +70,7 @@ def test_edges_are_smoothed_by_the_share_of_the_pixel_they_cover(supersample):
     picture = render(vertices, np.array([[0, 1, 2]]), camera, SIZE, black, **options)
     x, y, _ = camera.project(vertices, SIZE).T
     area = abs((x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])) / 2
-    root = np.sqrt(shading.to_linear(picture[..., 0] / 255.0))
+    root = np.sqrt(to_linear(picture[..., 0] / 255.0))
     covered = (1 - root).sum() / (1 - root.min())
     assert covered == pytest.approx(area, rel=0.03 / supersample)
     assert len(np.unique(picture[..., 0])) <= supersample**2 + 1
@@ -82,7 +83,7 @@ def test_vertex_colours_are_mixed_in_perspective():
     camera = fit(vertices, SIZE, (0.0, 30.0))
     rows = camera.project(np.array([[0.0, 0, 0], [0, 0, -4], [0, 0, -8]]), SIZE)[:, 1]
     colors = np.array([[0.0, 0, 0], [0, 0, 0], [1, 1, 1], [1, 1, 1]]) * 0.5
-    picture = shading.to_linear(render(vertices, faces, camera, SIZE, colors, shadows=False) / 255.0)[..., 0]
+    picture = to_linear(render(vertices, faces, camera, SIZE, colors, shadows=False) / 255.0)[..., 0]
     near, middle, far = (picture[round(row), SIZE[0] // 2] for row in rows + [-2, 0, 2])
     assert middle == pytest.approx((near + far) / 2, rel=0.1)
 
@@ -275,4 +276,4 @@ def test_unknown_views_and_axes_are_refused(options, message):
 
 def test_srgb_and_linear_undo_each_other():
     values = np.linspace(0, 1, 50).reshape(-1, 1)
-    np.testing.assert_allclose(shading.to_srgb(shading.to_linear(values)), values, atol=1e-9)
+    np.testing.assert_allclose(to_srgb(to_linear(values)), values, atol=1e-9)

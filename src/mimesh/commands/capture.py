@@ -11,16 +11,7 @@ from ..core.options import FrameRange, Hints, MotionOptions
 from .joint_facts import joint_facts, print_joint_facts
 from .move import with_joint_files
 from .options import ClipOptions, JointOptions, OutputOptions, Without, with_options
-from .terminal import (
-    Model,
-    Seed,
-    given_path,
-    output_path,
-    progress,
-    refuse_existing,
-    refuse_inputs,
-    single,
-)
+from .terminal import Model, Seed, given_path, output_path, progress, refuse_existing, refuse_inputs, single
 
 
 @with_options

@@ -43,15 +43,7 @@ def train(
         from ..learn.start import train_command
 
     folder = train_command(
-        model,
-        config,
-        output,
-        resume,
-        max_minutes,
-        change or [],
-        weights,
-        brought,
-        lambda title: progress(title, json),
+        model, config, output, resume, max_minutes, change or [], weights, brought, lambda title: progress(title, json)
     )
     last, best = folder / "last.safetensors", folder / "best.safetensors"
     validated = best.exists()  # not where the time was over before the first validation

@@ -22,8 +22,7 @@ Protocol = Annotated[str, typer.Argument(metavar="PROTOCOL", help=f"{PROTOCOLS}.
 TestSet = Annotated[
     str,
     typer.Argument(
-        metavar="PROTOCOL",
-        help=f"{PROTOCOLS}; or the path of a list of your own files, or of a folder of lists.",
+        metavar="PROTOCOL", help=f"{PROTOCOLS}; or the path of a list of your own files, or of a folder of lists."
     ),
 ]
 Split = Annotated[str, typer.Option(help="test for figures to quote; val to choose by.")]

@@ -12,14 +12,7 @@ import typer
 
 from ..core.options import FrameRange, Hints, Layout, ModelOptions, MotionOptions
 from ..core.printable import say
-from .clips import (
-    check_clip_output,
-    check_rig_layout,
-    check_single,
-    check_suffix,
-    clip_output,
-    save_clips,
-)
+from .clips import check_clip_output, check_rig_layout, check_single, check_suffix, clip_output, save_clips
 from .common import LOGGER
 from .options import ClipOptions, JointOptions, OutputOptions, ShapeOptions, Without, with_options
 from .terminal import (
@@ -267,11 +260,7 @@ def _log(result: Result | ClipResult, model: str, body: str) -> None:
 
 
 def _write_preview(
-    result: Result | ClipResult,
-    target: Path,
-    output: OutputOptions,
-    clip: str | None = None,
-    usual: str = ".glb",
+    result: Result | ClipResult, target: Path, output: OutputOptions, clip: str | None = None, usual: str = ".glb"
 ) -> dict[str, Any]:
     """Write the picture and the page beside a result where they are asked for; return paths, and notes on what failed.
 

@@ -95,9 +95,7 @@ class OutputOptions:
         metavar="PATH",
     )
     preview: bool = declared(
-        True,
-        "Write a picture beside the output, and a page that plays it.",
-        name="--preview/--no-preview",
+        True, "Write a picture beside the output, and a page that plays it.", name="--preview/--no-preview"
     )
     open: bool = declared(False, "Open the page in the browser.", name="--open")
     no_clobber: bool = declared(False, "Stop before the work if an output exists.", name=("--no-clobber", "-n"))
@@ -121,9 +119,7 @@ class ClipOptions(RecordedRange):
     """Which clip of a file is read, and which of its frames."""
 
     animation: list[str] | None = declared(
-        None,
-        "Animation of a GLB: its name or number; animate takes several, or all.",
-        metavar="NAME",
+        None, "Animation of a GLB: its name or number; animate takes several, or all.", metavar="NAME"
     )
 
 

@@ -13,15 +13,7 @@ from ..core.options import Hints, Layout, MotionOptions, declared
 from .joint_facts import joint_facts, print_joint_facts
 from .move import check_joint_outputs, save_found, with_joint_files
 from .options import JointOptions, OutputOptions, Without, with_options
-from .terminal import (
-    Model,
-    Seed,
-    given_path,
-    output_path,
-    progress,
-    refuse_existing,
-    refuse_inputs,
-)
+from .terminal import Model, Seed, given_path, output_path, progress, refuse_existing, refuse_inputs
 
 if TYPE_CHECKING:
     from ..io.gltf.own_rig import OwnRig

@@ -19,10 +19,6 @@ INFLUENCES = 4
 engines support no more."""
 CHECKED_FRAMES = 16
 """Frames, evenly spread, in which the reduced weights are compared with the full ones."""
-CHECKED_VERTICES = 1000
-"""Vertices, evenly spread over their indices, in which two motions are compared in every frame."""
-FRAMES_AT_ONCE = 64
-"""Frames in which two motions are compared at once; bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,23 +126,6 @@ class AnimatedRig:
         posed = map(skinned.posed_at, part.rotation, part.joint_positions())
         differences = (points - of_frame[kept] for points, of_frame in zip(posed, frames.at(chosen), strict=True))
         return float(max(np.linalg.norm(difference, axis=-1).max() for difference in differences) / self.size)
-
-    def motion_deviation(self, other: AnimatedRig) -> float:
-        """Measure the largest distance of a vertex between this motion and another one of this rig, over the size.
-
-        All frames are compared, and about CHECKED_VERTICES vertices.
-        """
-        every = max(1, len(self.points) // CHECKED_VERTICES)
-        rig = replace(self.rig, weights=self.rig.weights[::every])
-        skinned = SkinnedMesh.of(self.points[::every], rig, self.parents)
-        # Vertices are linear in rotations and positions of the joints: those of the differences are the differences.
-        turns = self.rotation - other.rotation
-        moves = self.joint_positions() - other.joint_positions()
-        blocks = (slice(start, start + FRAMES_AT_ONCE) for start in range(0, len(turns), FRAMES_AT_ONCE))
-        largest = [
-            np.square(skinned.posed_frames_at(turns[block], moves[block])).sum(axis=-1).max() for block in blocks
-        ]
-        return float(np.sqrt(max(largest)) / self.size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from .arguments import as_faces, as_floats, as_frames, as_vertices, check_kind
 from .budgets import FACES, VERTICES, check_clip_size
 from .errors import InputError, option
-from .frame_buffer import Frames, PosedFrames, Progress, each_frame, spread_exactly, store_frames
+from .frame_buffer import Frames, PosedFrames, Progress, each_frame, store_frames
 from .geometry import face_areas, first_of_each, turn_normals
 from .person_motion import JointSource
 
@@ -382,18 +382,6 @@ def stored_clip(clip: Clip, progress: Progress | None = None) -> Clip:
     count, vertices, _ = clip.vertices.shape
     stored = store_frames(clip.vertices, count, vertices, clip.vertices.dtype, progress)
     return dataclasses.replace(clip, vertices=stored)
-
-
-def spread_clip(clip: Clip, count: int) -> Clip:
-    """Select `count` frames, evenly spread from the first to the last; the duration stays, the file's joints do not.
-
-    Raises:
-        InputError: there are fewer.
-    """
-    chosen = spread_exactly(len(clip), count, clip.mesh.name)
-    headings = None if clip.headings is None else clip.headings[chosen]
-    fps = clip.fps * (count - 1) / (len(clip) - 1) if count > 1 else clip.fps
-    return dataclasses.replace(clip, vertices=clip.vertices[chosen], fps=fps, headings=headings, skeleton=None)
 
 
 def merged_mesh(mesh: Mesh, group: Int[np.ndarray, " V"] | None) -> Mesh:

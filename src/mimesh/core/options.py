@@ -377,7 +377,6 @@ class ConvertOptions(RecordedRange):
 
     animation: str | None = declared(None, "Which animation of a GLB: its name or number.")
     frame: int | None = declared(None, "This frame alone, counted from 0.")
-    frames: int | None = declared(None, "So many frames, evenly spread from first to last.", min=1)
     frames_as: str | None = declared(None, "In a folder: obj or ply.", metavar="SUFFIX")
     morphs: bool = declared(False, "Write a morph target a frame, not bones (.glb, .gltf).", name="--morphs")
     """Write a .glb or .gltf with a morph target for each frame, where IN has bones, which are kept by default."""

@@ -237,11 +237,7 @@ def _run(call: dict[str, Any], folder: Path, limits: Limits, name: Path, progres
 
 
 def _wait(process: subprocess.Popen[bytes], counts: Path, limits: Limits, name: Path, progress: Progress | None) -> int:
-    """Wait for the child, passing on its progress, and return its exit code.
-
-    Raises:
-        InputError: it takes longer than the limit.
-    """
+    """Wait for the child, passing on its progress, and return its exit code."""
     check, seen, since, code = _CHECK.get(), None, time.monotonic(), None
     while code is None:
         with contextlib.suppress(subprocess.TimeoutExpired):

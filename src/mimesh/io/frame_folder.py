@@ -25,11 +25,7 @@ _NUMBER = re.compile(r"\d+")
 
 
 def read_sequence(
-    folder: Path,
-    fps: float,
-    suffixes: Collection[str],
-    read: Callable[[Path], Mesh],
-    progress: Progress | None = None,
+    folder: Path, fps: float, suffixes: Collection[str], read: Callable[[Path], Mesh], progress: Progress | None = None
 ) -> Clip:
     """Read the numbered meshes of a folder as one clip, in the order of their numbers.
 
@@ -150,7 +146,6 @@ def read_frame(path: Path, first: Mesh, first_path: Path, read: Callable[[Path],
         raise InputError(
             f"{path}: expected the topology of {first_path.name} ({len(first.vertices)} vertices, {len(first.faces)} "
             f"triangles), found {len(mesh.vertices)} vertices and {len(mesh.faces)} triangles"
-            f"{' in another order' if mesh.faces.shape == first.faces.shape else ''}; "
-            "export all frames from one mesh"
+            f"{' in another order' if mesh.faces.shape == first.faces.shape else ''}; export all frames from one mesh"
         )
     return mesh.vertices

@@ -135,11 +135,7 @@ def _up(key: str) -> str | None:
 def _read_offset(
     archive: zipfile.ZipFile, names: list[str], key: str, shape: tuple[int, ...], path: Path
 ) -> Float[np.ndarray, "*T 1 3"]:
-    """Read what is added to points of a shape (see `_CAMERA_OFFSET`); nothing to other points than SEEN_POINTS.
-
-    Raises:
-        InputError: another shape, or there are no faces: the estimator has them, and does not save them.
-    """
+    """Read what is added to points of a shape (see `_CAMERA_OFFSET`); nothing to other points than SEEN_POINTS."""
     expected = (*shape[:-2], 3)
     if key != SEEN_POINTS:
         return np.zeros((1, 3))

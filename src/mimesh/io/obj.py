@@ -73,7 +73,7 @@ class ObjSource:
         if mesh.vertices.shape != self.vertices.shape:
             raise ValueError(f"the file has vertices {self.vertices.shape}, the mesh {mesh.vertices.shape}")
         lines = list(self.lines)
-        replace_rows(lines, self.vertex_lines, mesh.vertices, self.vertices, skip=1)
+        replace_rows(lines, self.vertex_lines, mesh.vertices, self.vertices)
         if mesh.corner_normals is not None and len(self.normals):
             self._write_normals(lines, mesh.corner_normals)
         path.write_bytes(b"".join(lines))

@@ -90,11 +90,7 @@ def _mapped_frames(path: Path) -> Float[np.ndarray, "T V 3"]:
 
 
 def _mesh_beside(path: Path, vertices: int, suffixes: Sequence[str], read: Callable[[Path], Mesh]) -> Mesh | None:
-    """Find and read the mesh of the same name and vertex count in the folder of a cache; None without such a name.
-
-    Raises:
-        InputError: there are meshes of that name, but all have another number of vertices.
-    """
+    """Find and read the mesh of the same name and vertex count in the folder of a cache; None without such a name."""
     mismatches = []
     for suffix in suffixes:
         for file in sorted(path.parent.glob("*")):

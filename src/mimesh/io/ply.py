@@ -203,11 +203,7 @@ def _vectors(columns: _Columns, names: tuple[str, ...]) -> Float[np.ndarray, "V 
 
 
 def _polygon_column(columns: _Columns, path: Path) -> _Column | None:
-    """Return the column with the vertex indices of the faces; None for a point cloud.
-
-    Raises:
-        InputError: faces are stored as triangle strips or without a list of vertex indices.
-    """
+    """Return the column with the vertex indices of the faces; None for a point cloud."""
     if "tristrips" in columns:
         raise InputError(f"{path}: expected polygons, found triangle strips; export it again with plain faces")
     face = columns.get("face", {})
@@ -248,12 +244,7 @@ def _read_texture(comments: list[str], path: Path, faces: int) -> tuple[Part, ..
 
 
 def _read_header(data: bytes, path: Path) -> tuple[list[_Element], list[str], np.ndarray]:
-    """Parse the header; return the elements, the comments, and the bytes of the body.
-
-    Raises:
-        InputError: the file is no PLY file, its header is truncated or has an unknown format or type, or an ASCII body
-            has other words than numbers.
-    """
+    """Parse the header; return the elements, the comments, and the bytes of the body."""
     end = re.search(rb"([\r\n])end_header[ \t]*", data)
     if not data.startswith(b"ply") or end is None:
         raise InputError(
@@ -309,11 +300,7 @@ def _read_elements(lines: list[list[str]], order: str) -> list[_Element]:
 
 
 def _read_body(elements: list[_Element], body: np.ndarray, path: Path) -> _Columns:
-    """Read every property of every element.
-
-    Raises:
-        InputError: the body is shorter than the header declares.
-    """
+    """Read every property of every element."""
     columns: _Columns = {}
     start = 0
     for element in elements:

@@ -70,13 +70,7 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
 
 
 @public
-def save_clip(
-    clip: Clip,
-    path: str | Path,
-    *,
-    suffix: str | None = None,
-    progress: Progress | None = None,
-) -> None:
+def save_clip(clip: Clip, path: str | Path, *, suffix: str | None = None, progress: Progress | None = None) -> None:
     """Write a clip as one file or, for a path without a suffix, as a folder of numbered meshes.
 
     Args:
@@ -252,11 +246,7 @@ def check_writable(path: Path) -> None:
 
 
 def _mesh_path_of_cache(clip: Clip, path: Path) -> Path | None:
-    """Return where to write the mesh of a point cache; None where a mesh of its topology exists there already.
-
-    Raises:
-        InputError: another mesh has that name.
-    """
+    """Return where to write the mesh of a point cache; None where a mesh of its topology exists there already."""
     source_suffix = clip.mesh.source.suffix if clip.mesh.source else ""
     mesh_path = path.with_suffix(source_suffix if source_suffix in FRAME_SUFFIXES else FRAME_SUFFIXES[0])
     if not mesh_path.exists():

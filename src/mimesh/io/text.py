@@ -16,13 +16,10 @@ from ..core.errors import InputError
 UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _GAP = rb"(?:\s|\\\r?\n|\\\r)+"  # white space, or a backslash that continues the line
 _WORD = rb"[^\s\\#]+"
-# By the number of words before three numbers: groups of what stays before the first number and between the numbers.
 _WINDOWS_NAN = re.compile(rb"[-+]?\b(?:nan\((?:ind|snan)\)|1\.#(?:IND|QNAN|SNAN|INF)\d*)")
 """What the C libraries of Windows write for NaN, older ones with the sign of a comment, and for infinity."""
-_THREE = {
-    skip: re.compile(rb"(\s*(?:%b%b){%d})%b(%b)%b(%b)%b" % (_WORD, _GAP, skip, _WORD, _GAP, _WORD, _GAP, _WORD))
-    for skip in (0, 1, 2, 3)
-}
+_THREE = re.compile(rb"(\s*%b%b)%b(%b)%b(%b)%b" % (_WORD, _GAP, _WORD, _GAP, _WORD, _GAP, _WORD))
+"""A word and three numbers: groups of what stays before the first number and between the numbers."""
 
 
 def without_comments(lines: Iterable[bytes]) -> list[bytes]:
@@ -113,28 +110,24 @@ def read_numbers(
     )
 
 
-def replace_numbers(line: bytes, values: Sequence[float], skip: int) -> bytes:
-    """Replace the three numbers after the first `skip` words of a line; spacing, comments and the rest stay.
+def replace_numbers(line: bytes, values: Sequence[float]) -> bytes:
+    """Replace the three numbers after the first word of a line; spacing, comments and the rest stay.
 
     Numbers are written with the fewest digits that read back as the same float64.
     """
-    match = _THREE[skip].match(line)
-    assert match, f"{line!r} was read as three numbers after {skip} words"
+    match = _THREE.match(line)
+    assert match, f"{line!r} was read as a word and three numbers"
     x, y, z = values
     return b"%b%a%b%a%b%a%b" % (match[1], x, match[2], y, match[3], z, line[match.end() :])
 
 
 def replace_rows(
-    lines: list[bytes],
-    index: Int[np.ndarray, " N"],
-    new: Float[np.ndarray, "N 3"],
-    old: Float[np.ndarray, "N 3"],
-    skip: int,
+    lines: list[bytes], index: Int[np.ndarray, " N"], new: Float[np.ndarray, "N 3"], old: Float[np.ndarray, "N 3"]
 ) -> None:
     """Replace the three numbers of each of `lines[index]`, in place, wherever `new` differs from `old`."""
     moved = np.flatnonzero((new != old).any(axis=1))
     for number, row in zip(index[moved].tolist(), new[moved].astype(np.float64).tolist(), strict=True):
-        lines[number] = replace_numbers(lines[number], row, skip)
+        lines[number] = replace_numbers(lines[number], row)
 
 
 def _cut_comment(line: bytes) -> bytes:

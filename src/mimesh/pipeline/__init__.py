@@ -217,11 +217,7 @@ def _name_axis_sources(report: TransferReport, hints: Hints) -> None:
 
 
 def _model(model: str | Path | Mime | Method, meshes: tuple[Mesh, Mesh], options: ModelOptions) -> Model:
-    """Return a model, opened if it has joints; `meshes` are those by which `pairing` "auto" is decided.
-
-    Raises:
-        InputError: no model, or it has no such options.
-    """
+    """Return a model, opened if it has joints; `meshes` are those by which `pairing` "auto" is decided."""
     if isinstance(model, type):
         raise InputError(f"model: expected a method, found its class {model.__name__}; give {model.__name__}()")
     if isinstance(model, Mime | Method):
@@ -249,11 +245,7 @@ def _model(model: str | Path | Mime | Method, meshes: tuple[Mesh, Mesh], options
 
 
 def _known(hints: Hints, model: Model, clip: Clip, whole: Clip | None = None) -> Known:
-    """Return what is known of both meshes, see `Known.of`; models without joints use no rig of the identity's.
-
-    Raises:
-        InputError: the rig itself is given, and the model has no joints; or as `Known.of`.
-    """
+    """Return what is known of both meshes, see `Known.of`; models without joints use no rig of the identity's."""
     known = Known.of(hints, clip, whole)
     if isinstance(model, Mime):
         return known

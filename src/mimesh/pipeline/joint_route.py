@@ -321,12 +321,7 @@ def joint_route(identity: Mesh, clip: Clip, mime: Mime, known: Known, rigs: Rigs
 
 
 def _found(
-    mime: Mime,
-    clip: Clip,
-    subjects: tuple[Subject, Subject],
-    looks: tuple[Look, Look],
-    known: Known,
-    rigs: Rigs,
+    mime: Mime, clip: Clip, subjects: tuple[Subject, Subject], looks: tuple[Look, Look], known: Known, rigs: Rigs
 ) -> tuple[tuple[Character, Normalization], tuple[JointMotion, Normalization]]:
     """Find the joints of both meshes, each with the normalisation in which it was recognised."""
     corrections = known.corrections
@@ -337,10 +332,7 @@ def _found(
 
 
 def found_alone(
-    mime: Mime,
-    subject: Subject,
-    asked: str,
-    find: Callable[[Mime, Look], tuple[Found, Normalization]],
+    mime: Mime, subject: Subject, asked: str, find: Callable[[Mime, Look], tuple[Found, Normalization]]
 ) -> tuple[Look, Found, Normalization]:
     """Decide which body a single mesh has, and find its joints; what looks like none is refused.
 
@@ -355,8 +347,7 @@ def found_alone(
     if asked == OTHER:
         raise InputError(
             f"{option('body')}: expected {', '.join(NETWORK_OF_BODY)} or auto, found {asked}: joints are found on "
-            "people and "
-            "four-legged animals alone"
+            "people and four-legged animals alone"
         )
     if len(mime.bodies) == 1:
         check_known_body(mime, asked)

@@ -214,11 +214,7 @@ def _follow_joints(
 
 
 def _step(drive: Drive, first: Float[np.ndarray, "U 3"], name: str, model: str) -> PoseFrame:
-    """Run a drive frame by frame. It gets the first frame first, because that may fix the size of all results.
-
-    Raises:
-        InputError: the drive reads more than one frame for a result.
-    """
+    """Run a drive frame by frame. It gets the first frame first, because that may fix the size of all results."""
     waiting: deque[np.ndarray] = deque()
 
     def frames() -> Iterator[np.ndarray]:

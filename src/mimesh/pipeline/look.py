@@ -513,8 +513,7 @@ def check_known_body(model: Mime | Method, asked: str) -> None:
     if asked not in ("auto", own):
         raise InputError(
             f"{option('body')}: expected {own} with the model {model.name}, found {asked}: it knows only "
-            f"{PLURAL[own]}; "
-            "choose the model mime"
+            f"{PLURAL[own]}; choose the model mime"
         )
 
 

@@ -15,7 +15,6 @@ from ..core.normalization import Normalization
 from ..core.options import MotionOptions
 from ..io.beside import missing_images, missing_images_notes
 from ..io.gltf.edit import GltfSource
-from ..io.gltf.keys import COPY_LIMIT
 from ..io.gltf.own_animation import OwnAnimation
 from .creatures import MatchedCreatures
 from .file_rigs import Rigs
@@ -79,7 +78,7 @@ class NodeRoute:
         assert self.rigs.copied is not None
         person = {} if self.rigs.identity is None else self.rigs.identity.person
         tracks, keys = self.rigs.copied.tracks, self.rigs.copied.keys
-        return OwnAnimation(source, name, tracks, self.clip.fps, length, person, key_limit=COPY_LIMIT, keys=keys)
+        return OwnAnimation(source, name, tracks, self.clip.fps, length, person, keys=keys)
 
     @cached_property
     def _unchanged(self) -> OwnAnimation:

@@ -178,15 +178,13 @@ class Deviations(TypedDict):
     Example:
         >>> saved = moving.save_skinned("walking.glb")
         >>> sorted(saved.deviations[0])
-        ['deviation_cause', 'keys_deviation', 'skinned_deviation']
+        ['deviation_cause', 'skinned_deviation']
     """
 
     skinned_deviation: NotRequired[float]
     """Of joints: largest distance of a vertex from its frame, as a share of the mesh's size."""
-    keys_deviation: NotRequired[float]
-    """The part of it that thinned keys cause, as a share of the mesh's size."""
     deviation_cause: NotRequired[str]
-    """Which step adds most to it for joints found on the surface: "weights", "fingers" or "rest"."""
+    """What it is due to, of joints found on the surface: few "weights", "fingers" of other clips, or another "rest"."""
 
 
 class SavedClip(type(Path())):

@@ -159,13 +159,7 @@ class _Playable(Protocol):
         title = title or path.name.split(".")[0]
         download = None if output is None else self._download(Path(output))
         return write_player(
-            path,
-            shown,
-            title=title,
-            download=download,
-            model=self.model,
-            notes=self.notes,
-            motion=motion,
+            path, shown, title=title, download=download, model=self.model, notes=self.notes, motion=motion
         )
 
     def _repr_html_(self) -> str | None:

@@ -61,8 +61,7 @@ def _route(identity: Mesh, clip: Clip, model: Model, known: Known, options: Moti
     if known.body == OTHER and known.corrections.given:
         raise InputError(
             f"{option('joints')}: expected people or four-legged animals, found {option('body', 'other')}, which has "
-            "no joints to correct; "
-            "leave one of the two out, or the joints out"
+            "no joints to correct; leave one of the two out, or the joints out"
         )
     mime = model if isinstance(model, Mime) else None
     rigs = read_rigs(identity, clip, known, copy=not live and not options.changes_motion)

@@ -16,6 +16,7 @@ from ..bodies.joint_names import finger_joints
 from ..core.animated_rig import CHECKED_FRAMES, AnimatedRig, RigAnimation
 from ..core.arguments import described, public
 from ..core.errors import InputError, option
+from ..core.frame_buffer import evenly_spread
 from ..core.options import Layout, needs_joints
 from ..core.printable import file_name
 from ..core.rig import Rig, descendants
@@ -29,7 +30,6 @@ from .vrma import save_bone_motions
 if TYPE_CHECKING:
     from ..io.gltf.animation import AnimatedValues
     from ..io.gltf.document import Document
-    from ..io.gltf.own_animation import PlayedAnimation
     from ..io.gltf.own_rig import OwnRig
     from .result import ClipResult
 
@@ -50,9 +50,8 @@ def save_skinned(
     """Write results of one identity as one .glb, .gltf or .vrma: its mesh at rest with joints, an animation for each.
 
     An identity that moved on its own bones keeps its file, to which the animations are added. Otherwise joints have as
-    many weights a vertex as `MotionOptions.influences` says, and their rotations as keys, thinned where interpolation
-    gives the others. A .vrma has the motion alone: the humanoid bones of VRM in a T-pose, their rotations and the path
-    of the hips.
+    many weights a vertex as `MotionOptions.influences` says. A .vrma has the motion alone: the humanoid bones of VRM in
+    a T-pose, their rotations and the path of the hips.
 
     Args:
         results: of `animate` with one identity and the same options of the identity. Fingers that only some of them
@@ -106,16 +105,10 @@ def _save_on_found_rig(
             for name, skeleton, result in zip(names, moved, results, strict=True)
         ]
         with joints_file(path) as temporary:
-            written = write_gltf_skinned(motions, temporary)
-    for k, (result, animation, thinned) in enumerate(zip(results, motions, written, strict=True)):
-        # Frames at another rate have no counterpart: the thinned keys are then left out of the deviation.
-        checked = thinned if layout.fps is None else moved[k]
-        deviation = checked.deviation(result.frames)
-        yield {
-            "skinned_deviation": deviation,
-            "keys_deviation": thinned.motion_deviation(animation.skeleton),
-            "deviation_cause": _deviation_cause(result, deviation, skeletons[k], common[k], layout),
-        }
+            write_gltf_skinned(motions, temporary)
+    for result, skeleton, own, shared in zip(results, moved, skeletons, common, strict=True):
+        cause = "rest" if layout.rest != "file" else "weights" if shared.names == own.names else "fingers"
+        yield {"skinned_deviation": skeleton.deviation(result.frames), "deviation_cause": cause}
 
 
 def _check_results(results: Sequence[ClipResult], path: str | Path, names: Sequence[str] | None) -> None:
@@ -130,30 +123,6 @@ def _check_results(results: Sequence[ClipResult], path: str | Path, names: Seque
     if names is not None and (isinstance(names, str) or len(names) != len(results)):
         found = described(names) if isinstance(names, str) else len(names)
         raise InputError(f"{path}: expected a name for each of {len(results)} results, found {found}")
-
-
-def _deviation_cause(
-    result: ClipResult, deviation: float, skeleton: AnimatedRig, common: AnimatedRig, layout: Layout
-) -> str:
-    """Tell which step adds most to the deviation of a skinned file from the frames of its result.
-
-    Args:
-        result: the result.
-        deviation: that of the file.
-        skeleton: the rig of the result, with all weights.
-        common: the same motion on the rig that all results share.
-        layout: names and arrangement of the bones.
-
-    Returns:
-        "weights", four of them a vertex; "fingers", which only other results move; or "rest", another rest pose.
-    """
-    steps = {"weights": skeleton} | ({"fingers": common} if common.names != skeleton.names else {})
-    after = [rig.deviation(result.frames) for rig in steps.values()] if len(steps) > 1 else []
-    if layout.rest != "file":
-        after = after or [skeleton.deviation(result.frames)]
-        steps["rest"], after = common, [*after, deviation]
-    added = np.diff(after, prepend=0.0)
-    return list(steps)[int(added.argmax())] if len(added) else "weights"
 
 
 def check_own_layout(person: Mapping[str, int], layout: Layout, name: str) -> None:
@@ -222,33 +191,21 @@ def _save_on_own_rig(
         own = laid_out(dataclasses.replace(result.own, name=name), layout)
         animations.append(own if layout.fps is None else own.resampled(layout.fps))
     with results[0].seconds.step("write"), joints_file(path) as temporary:
-        written = write_own_animations(animations, temporary)
-    for result, animation, played in zip(results, animations, written, strict=True):
-        yield _own_deviations(result, animation, played)
+        write_own_animations(animations, temporary)
+    for result in results:
+        yield {"skinned_deviation": _own_deviation(result)}
 
 
-def _own_deviations(result: ClipResult, animation: OwnAnimation, played: PlayedAnimation) -> Deviations:
-    """Measure the largest distances of a vertex, over the mesh's size, between a written animation and its result.
+def _own_deviation(result: ClipResult) -> float:
+    """Measure the largest distance of a vertex, over the mesh's size, between an animation of nodes and its result.
 
-    Only CHECKED_FRAMES frames are compared. Frames at another rate have no counterpart in the result: the keys are then
-    left out of the deviation from it.
+    Only CHECKED_FRAMES frames are compared.
     """
-    assert result.own is not None
-    size = np.ptp(animation.source.vertices, axis=0).max()
-    same_rate = animation.frames == len(result.frames) and animation.fps == result.fps
-    chosen = np.unique(np.linspace(0, animation.frames - 1, CHECKED_FRAMES).round().astype(int))
-    skinned = keys = 0.0
-    moved = result.frames.at(chosen) if same_rate else [None] * len(chosen)
-    files = played.vertices(chosen / animation.fps)
-    for file, sampled, vertices in zip(files, animation.vertices(chosen), moved, strict=True):
-        keys = max(keys, np.linalg.norm(file - sampled, axis=1).max())
-        if vertices is not None:
-            skinned = max(skinned, np.linalg.norm(file - vertices, axis=1).max())
-    if not same_rate:
-        chosen = np.unique(np.linspace(0, len(result.frames) - 1, CHECKED_FRAMES).round().astype(int))
-        for sampled, vertices in zip(result.own.vertices(chosen), result.frames.at(chosen), strict=True):
-            skinned = max(skinned, np.linalg.norm(sampled - vertices, axis=1).max())
-    return {"skinned_deviation": float(skinned / size), "keys_deviation": float(keys / size)}
+    own, chosen = result.own, evenly_spread(len(result.frames), CHECKED_FRAMES)
+    assert own is not None
+    pairs = zip(own.vertices(chosen), result.frames.at(chosen), strict=True)
+    distance = max(np.linalg.norm(posed - vertices, axis=1).max() for posed, vertices in pairs)
+    return float(distance / np.ptp(own.source.vertices, axis=0).max())
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:

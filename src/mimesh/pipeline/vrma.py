@@ -49,8 +49,7 @@ def check_bones_layout(layout: Layout, path: Path) -> None:
     if layout != Layout(fps=layout.fps):
         raise InputError(
             f"{option('names')}, {option('root_bone')}, {option('rest')}: expected a .glb or .gltf with them, found "
-            f"{path.name}, which has the bones "
-            "of VRM; leave them out"
+            f"{path.name}, which has the bones of VRM; leave them out"
         )
 
 

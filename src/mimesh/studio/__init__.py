@@ -75,11 +75,7 @@ def quiet_server(app: AccessControl) -> uvicorn.Server:
     """Build a web server that logs errors only."""
     return uvicorn.Server(
         uvicorn.Config(
-            app,
-            log_level="error",
-            access_log=False,
-            server_header=False,
-            timeout_graceful_shutdown=SHUTDOWN_SECONDS,
+            app, log_level="error", access_log=False, server_header=False, timeout_graceful_shutdown=SHUTDOWN_SECONDS
         )
     )
 

@@ -240,14 +240,7 @@ class Routes:
         made_by = {key: str(body.get(key) or "").strip() or None for key in ("author", "license")}
         skinned, influences = body.get("skinned") is True, body.get("influences", INFLUENCES)
         check_influences(influences)
-        order = Order(
-            what=what,
-            suffix=suffix,
-            skinned=skinned,
-            influences=influences,
-            layout=layout,
-            **made_by,
-        )
+        order = Order(what=what, suffix=suffix, skinned=skinned, influences=influences, layout=layout, **made_by)
         return {"export": self._session.export(order, numbers)}
 
     async def download_export(self, request: Request) -> Response:

@@ -14,7 +14,7 @@ from ..bodies.joint_names import ancestors
 from ..core.animated_rig import RigAnimation
 from ..core.errors import InputError, option
 from ..core.frame_buffer import PosedFrames, Progress
-from ..core.mesh import Clip, Mesh, RewritableSource, check_cut, cut_clip, spread_clip, stored_clip
+from ..core.mesh import Clip, Mesh, RewritableSource, check_cut, cut_clip, stored_clip
 from ..core.normalization import clear_up, parse_axis
 from ..core.options import ConvertOptions
 from ..io import (
@@ -127,7 +127,7 @@ def convert(
         from ..motions.amass import parse_betas
 
         shape = parse_betas(options.betas)
-    read = options.body_model, options.fps, options.animation, part(progress, 0, 2), chosen, options.frames, shape
+    read = options.body_model, options.fps, options.animation, part(progress, 0, 2), chosen, shape
     clip, notes = read_clip(source, *read)
     clip = clip if options.frame is None else _single_frame(clip, options.frame, source)
     clip = dataclasses.replace(clip, mesh=_with_up(clip.mesh, options.up, target))
@@ -157,11 +157,7 @@ def convert(
 
 
 def _with_up(mesh: Mesh, up: str | None, target: Path) -> Mesh:
-    """Name the up axis of a mesh whose file defines none.
-
-    Raises:
-        InputError: the file defines it, or the format of the target has none.
-    """
+    """Name the up axis of a mesh whose file defines none."""
     given = parse_axis(up, option("up"))
     if given is None:
         return mesh
@@ -185,9 +181,6 @@ def _lying_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
 def _check_options(options: ConvertOptions, target: Path, holds_clip: bool) -> list[str]:
     """Check that options do not exclude each other, and return those that choose among frames and animations."""
     cut = [f"--{name}" for name in ("start", "stop", "step") if getattr(options, name) != getattr(USUAL, name)]
-    if options.frames is not None:
-        _refuse_options(target, cut, "--frames takes some of all frames")
-        cut.append("--frames")
     if options.betas is not None and options.body_model is None:
         raise InputError(f"--betas {options.betas}: expected it with --body-model, found it without; name the model")
     shapes = ["--morphs"] * options.morphs
@@ -208,23 +201,21 @@ def read_clip(
     animation: str | None,
     progress: Progress | None = None,
     frames: slice = slice(None),
-    count: int | None = None,
     betas: np.ndarray | None = None,
 ) -> tuple[Clip, tuple[str, ...]]:
     """Read a clip, or with a body model the recorded surface; returns notes as well.
 
     Args:
         frames: see `load_clip`.
-        count, betas: see `load_recorded_clip`.
+        betas: see `load_recorded_clip`.
 
     Raises:
         InputError: a file cannot be read, or no frame is left.
     """
     if body_model is None:
         clip = load_driving(path, fps=fps, animation=animation, progress=progress, frames=frames)
-        return clip if count is None else spread_clip(clip, count), clip.notes
-    chosen = {"count": count, "betas": betas}
-    clip, notes = load_recorded_clip(path, body_model, fps=fps, animation=animation, progress=progress, **chosen)
+        return clip, clip.notes
+    clip, notes = load_recorded_clip(path, body_model, fps=fps, animation=animation, progress=progress, betas=betas)
     return cut_clip(clip, frames.start or 0, frames.stop, 1 if frames.step is None else frames.step), notes
 
 
@@ -371,7 +362,7 @@ def _with_bones(source: Path, target: Path, options: ConvertOptions, given: list
     from ..io.gltf.own_animation import cut_animation, write_own_animations
 
     assert isinstance(mesh.source, GltfSource)
-    cut = cut_animation(mesh.source, options.animation, options.fps, options.slice, options.frames)
+    cut = cut_animation(mesh.source, options.animation, options.fps, options.slice)
     with joints_file(target) as temporary:
         write_own_animations([cut], temporary)
     notes += animations_note(names, source) if options.animation is None else ()

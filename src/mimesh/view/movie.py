@@ -32,12 +32,7 @@ MOVIE_SIZE = (640, 720)
 """Default width and height of a movie in pixels."""
 
 
-def write_clip(
-    clip: Clip,
-    path: Path,
-    frames_as: str | None = None,
-    progress: Progress | None = None,
-) -> None:
+def write_clip(clip: Clip, path: Path, frames_as: str | None = None, progress: Progress | None = None) -> None:
     """Write a clip as a file, a folder of frames or a movie.
 
     Raises:

@@ -23,12 +23,14 @@ from ..core.mesh import Clip, Mesh, cut_clip, stored_clip
 from . import camera
 from .encoding import Quantization, encode_frames, pack_array, to_base64
 from .textures import creased_normals, decode_image
-from .thinning import DENSE_VERTICES, drop_frames, simplify_clip, simplify_surfaces, too_dense
+from .thinning import DENSE_VERTICES, drop_frames, simplify_clip, simplify_surfaces
 
 ROLES = ("identity", "driving", "result", "truth", "mesh")
 """What a panel can show; `mesh` is a file on its own."""
 BUDGET = 24 * 2**20
 """Default size of a page in bytes."""
+FRAME_CHARACTERS = 5
+"""Characters of a vertex in a frame, a first estimate of the encoded size."""
 VERTEX_CHARACTERS = 100
 """Characters of the budget for each vertex of a mesh, with its triangles and positions in all panels."""
 
@@ -178,8 +180,9 @@ def _simplify_driving(panel: Panel, budget: int, motion: MotionLimits, left_out:
         (motion.characters if plain else None, motion.driving_vertices),
         (budget, DENSE_VERTICES),
     ):
-        if characters is not None and too_dense(panel.clip, characters // 3, count):
-            whole = len(panel.clip.mesh.vertices)
+        whole, faces = len(panel.clip.mesh.vertices), len(panel.clip.mesh.faces)
+        dense = whole > count and faces > 0
+        if characters is not None and dense and len(panel.clip) * whole * FRAME_CHARACTERS > characters // 3:
             left_out.append(f"the driving mesh is shown with {count:,} of its {whole:,} vertices")
             return dataclasses.replace(panel, clip=simplify_clip(panel.clip, count))
     return panel

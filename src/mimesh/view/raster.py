@@ -12,9 +12,10 @@ from jaxtyping import Float, Int, UInt8
 
 from ..core.geometry import smooth_step
 from ..core.mesh import Mesh
+from ..io.colors import to_linear, to_srgb
 from . import shading, textures
 from .camera import Camera, fit
-from .shading import key_direction, to_linear
+from .shading import key_direction
 from .textures import interpolate, unit
 from .zbuffer import Hits, visible_faces, weights_at
 
@@ -86,7 +87,7 @@ def render_mesh(
     """
     use_materials = not clay and tint is None
     if use_materials and mesh.vertex_colors is not None and len(mesh.faces) == 0:
-        colors = shading.to_srgb(mesh.vertex_colors[:, :3] * textures.WHITE)
+        colors = to_srgb(mesh.vertex_colors[:, :3] * textures.WHITE)
     else:
         colors = None if tint is None else np.asarray(tint, np.float64)
     return render(
@@ -197,7 +198,7 @@ def _over_background(total, covered, floor_dark, background):
 
 def _transparent(total, covered, floor_dark):
     """Compose RGBA, not premultiplied: the subject over black whose alpha darkens what is below as the shadow would."""
-    shadow_alpha = 1 - shading.to_srgb(1 - floor_dark)
+    shadow_alpha = 1 - to_srgb(1 - floor_dark)
     alpha = covered + shadow_alpha * (1 - covered)
     colors = [shading.to_pixels(np.minimum(subject / np.maximum(alpha, 1e-6), 1)) for subject in total]
     return np.stack([*colors, (alpha * 255 + 0.5).astype(np.uint8)], axis=2)

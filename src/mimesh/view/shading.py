@@ -10,6 +10,7 @@ import functools
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from ..io.colors import to_srgb
 from .camera import Camera
 
 BACKGROUND = (0.955, 0.95, 0.94)
@@ -31,9 +32,7 @@ CODES = 1 << 13
 
 
 def shade(
-    albedo: Float[np.ndarray, "N 3"],
-    normals: Float[np.ndarray, "N 3"],
-    camera: Camera,
+    albedo: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], camera: Camera
 ) -> Float[np.ndarray, "N 3"]:
     """Compute the linear colour of surface points under the studio lights; nothing casts a shadow on the subject.
 
@@ -84,17 +83,6 @@ def key_direction(camera: Camera) -> Float[np.ndarray, 3]:
 def unit(vector: Float[np.ndarray, 3]) -> Float[np.ndarray, 3]:
     """Normalize a vector to length 1."""
     return vector / np.linalg.norm(vector)
-
-
-def to_linear(color: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N C"]:
-    """Convert sRGB in 0..1 to linear light (IEC 61966-2-1)."""
-    return np.where(color <= 0.04045, color / 12.92, ((np.maximum(color, 0.04045) + 0.055) / 1.055) ** 2.4)
-
-
-def to_srgb(linear: Float[np.ndarray, "*N"]) -> Float[np.ndarray, "*N"]:
-    """Convert linear light to sRGB in 0..1 (IEC 61966-2-1); values above 1 are clipped."""
-    linear = np.clip(linear, 0.0, 1.0)
-    return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
 
 
 def to_pixels(root: Float[np.ndarray, "*N"]) -> UInt8[np.ndarray, "*N"]:

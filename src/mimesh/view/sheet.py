@@ -63,11 +63,7 @@ def contact_sheet(
 
 
 def transfer_sheet(
-    identity: Mesh,
-    driving: Mesh,
-    result: Mesh,
-    truth: Mesh | None = None,
-    tile: tuple[int, int] = TILE,
+    identity: Mesh, driving: Mesh, result: Mesh, truth: Mesh | None = None, tile: tuple[int, int] = TILE
 ) -> Image.Image:
     """Draw identity + driving = result, and the truth, if any, beside it from the same camera."""
     outputs = np.concatenate([m.vertices for m in (result, truth) if m is not None])

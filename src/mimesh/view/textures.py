@@ -12,8 +12,8 @@ from jaxtyping import Float, Int
 
 from ..core.geometry import face_vectors, weld
 from ..core.mesh import Mesh
+from ..io.colors import to_linear
 from .camera import Camera
-from .shading import to_linear
 from .zbuffer import Hits
 
 if TYPE_CHECKING:

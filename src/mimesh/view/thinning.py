@@ -22,8 +22,6 @@ MAX_STEP_RATIO = 8
 """Factor by which the frame step may grow between two estimates of the size, which are coarse."""
 DECIMATED = 5
 """Largest ratio of vertices before and after decimation is about twice this; see `subset`."""
-CHARACTERS = 5
-"""Characters of a vertex in a frame, a first estimate of the encoded size."""
 
 
 def drop_frames(
@@ -80,12 +78,6 @@ def merge_equal_vertices(clip: Clip) -> tuple[Clip, Int[np.ndarray, " V"] | None
     vertices = store_frames(frames, len(clip), len(kept), dtype.type)
     points = Mesh(clip.mesh.vertices[kept[order]], name=clip.mesh.name)
     return dataclasses.replace(clip, mesh=points, vertices=vertices), place[index]
-
-
-def too_dense(clip: Clip, budget: int, count: int = DENSE_VERTICES) -> bool:
-    """Whether a clip has more than `count` vertices and is estimated to exceed `budget` characters."""
-    many = len(clip.mesh.vertices) > count and len(clip.mesh.faces) > 0
-    return many and len(clip) * len(clip.mesh.vertices) * CHARACTERS > budget
 
 
 def simplify_clip(clip: Clip, count: int) -> Clip:

@@ -20,7 +20,6 @@ from mimesh.core.options import MotionOptions
 from mimesh.io import load_mesh
 from mimesh.io.gltf.animation import read_channels
 from mimesh.io.gltf.document import open_document
-from mimesh.io.gltf.keys import KEY_LIMIT
 from mimesh.io.gltf.read import read_rest
 from mimesh.io.gltf.skinned import write_gltf_skinned
 from mimesh.pipeline import animate
@@ -55,8 +54,7 @@ def test_a_file_has_the_frames_names_and_parents_of_the_rig(names, root_bone, re
     size = np.ptp(rig.mesh.vertices, axis=0).max()
     assert np.abs(load_mesh(tmp_path / "a.glb").vertices - rig.mesh.vertices).max() < 1e-5 * size
     for t in (0, 3):
-        # Keys are thinned within KEY_LIMIT.
-        assert np.abs(frame_of(document, t) - posed(rig, t)).max() < 1.1 * KEY_LIMIT * size
+        assert np.abs(frame_of(document, t) - posed(rig, t)).max() < 1e-5 * size
     nodes, joints = document.gltf["nodes"], document.gltf["skins"][0]["joints"]
     if names != "own":
         found, wanted = parents_of(document.gltf), expected_parents(names, fingers=True)

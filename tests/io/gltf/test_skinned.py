@@ -75,21 +75,19 @@ def swinging(frames, fps, joints=6):
 
 
 @pytest.mark.parametrize(("frames", "fps"), [(1, 30.0), (2, 30.0), (90, 30.0), (120, 60.0), (61, 24000 / 1001)])
-def test_thinned_file_has_the_frames_and_the_rate_of_the_clip(frames, fps, tmp_path):
+def test_a_file_has_the_frames_and_the_rate_of_the_clip(frames, fps, tmp_path):
     moving = swinging(frames, fps)
-    (played,) = write_gltf_skinned([RigAnimation("swing", moving, fps)], tmp_path / "a.glb")
+    write_gltf_skinned([RigAnimation("swing", moving, fps)], tmp_path / "a.glb")
     clip = load_clip(tmp_path / "a.glb")
     assert len(clip) == frames
     assert frames < 3 or clip.fps == pytest.approx(fps, rel=1e-6)
-    assert played.deviation(LazyFrames.stored(clip.vertices)) < 1e-6
-    assert moving.deviation(LazyFrames.stored(clip.vertices)) < 1e-4
-    assert moving.motion_deviation(played) < 1e-4
+    assert moving.deviation(LazyFrames.stored(clip.vertices)) < 1e-6
     document = open_document(tmp_path / "a.glb")
     animation = document.gltf["animations"][0]
     counts = [document.gltf["accessors"][sampler["input"]]["count"] for sampler in animation["samplers"]]
     assert counts[-1] == frames, "the root has all keys"
     assert sum(count == 1 for count in counts[:-1]) >= 4
-    assert frames < 60 or counts[1] == 2
+    assert frames < 3 or counts[1] == frames
     assert len({sampler["input"] for sampler in animation["samplers"]}) == len(set(counts)), "times are shared"
 
 

@@ -599,9 +599,6 @@ def _add_animations(
     Args:
         nodes: the scene's nodes by `typed_id`; the first is the root, node k of glTF is the one after it.
         morphs: mesh -> the nodes of glTF that show it, and its blend shapes.
-
-    Raises:
-        InputError: an animation of more than an hour.
     """
     fps = own(scene.settings).frames_per_second
     fps = float(fps) if 0 < fps <= HIGHEST_FPS else DEFAULT_FPS

@@ -32,11 +32,11 @@ from ...core.printable import file_name, numbered
 from ..atomic import scratch_folder
 from ..child_process import MIB, last_line
 from ..gltf.animation import AnimationChannel, add_animation, animation_names, frame_rate, frame_times, read_channels
-from ..gltf.document import Document, image_type, open_document, read_floats, uri_file_name
+from ..gltf.document import Document, image_type, open_document, uri_file_name
 from ..gltf.draft import AccessorCopier, Draft
 from ..gltf.own_animation import node_value
 from ..gltf.read import base_color_of, base_texture_of
-from ..gltf.scene import node_parents, world_matrices
+from ..gltf.scene import node_parents, read_inverse_bind_matrices, world_matrices
 from ..timing import DEFAULT_FPS
 
 SCRIPT = Path(__file__).with_name("blender_export.py")
@@ -126,30 +126,25 @@ def write_fbx(glb: Path, target: Path, name: Path) -> None:
 def _run(command: list[str], folder: Path, seconds: float, name: Path) -> int:
     """Run Blender in a folder without the user's settings and add-ons, and return its exit code."""
     environment = os.environ | {"BLENDER_USER_RESOURCES": str(folder / "user")}
-    with Path(folder, "output").open("wb") as output:
-        try:
-            process = subprocess.Popen(
+    try:
+        with Path(folder, "output").open("wb") as output:  # Blender does not outlive this call, also on Ctrl-C
+            run = subprocess.run(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=environment,
                 cwd=folder,
+                timeout=seconds,
+                check=False,
             )
-        except OSError as error:
-            raise InputError(
-                f"{name}: expected Blender at {command[0]}, found '{error.strerror}'; correct it"
-            ) from error
-        try:
-            return process.wait(seconds)
-        except subprocess.TimeoutExpired as error:
-            raise InputError(
-                f"{name}: expected Blender to write it in {seconds:.0f} s, found it still running; write a .glb"
-            ) from error
-        finally:
-            # Also on Ctrl-C: Blender does not outlive its caller.
-            process.kill()
-            process.wait()
+    except OSError as error:
+        raise InputError(f"{name}: expected Blender at {command[0]}, found '{error.strerror}'; correct it") from error
+    except subprocess.TimeoutExpired as error:
+        raise InputError(
+            f"{name}: expected Blender to write it in {seconds:.0f} s, found it still running; write a .glb"
+        ) from error
+    return run.returncode
 
 
 def joined_animations(document: Document) -> tuple[Draft, dict[str, Any]]:
@@ -202,11 +197,8 @@ def _make_joints(draft: Draft, document: Document, bones: set[int]) -> None:
     if not extra and len(skins) < 2:
         return
     inverse_bind: dict[int, np.ndarray] = {}
-    for skin in skins:
-        stored = np.tile(np.eye(4).ravel(), (len(skin["joints"]), 1))
-        if "inverseBindMatrices" in skin:
-            stored = read_floats(document, skin["inverseBindMatrices"])
-        inverse_bind |= {joint: row.reshape(4, 4).T for joint, row in zip(skin["joints"], stored, strict=False)}
+    for number, skin in enumerate(skins):
+        inverse_bind |= dict(zip(skin["joints"], read_inverse_bind_matrices(document, number), strict=True))
     world = world_matrices(document)
     near = _nearest_joints(document, extra, set(inverse_bind))
     for node, joint in near.items():

@@ -8,7 +8,7 @@ draft -> edit                             writes the file of a Mesh again, with 
 build                                     builds a new file for a Mesh without a glTF source
 animation                                 reads animations and bakes them to vertex positions
 clip                                      writes a clip as morph targets with an animation
-keys -> skinned                           writes a mesh with joints and thinned keys
+skinned                                   writes a mesh with joints
 motion, vrm                               plays animated joints without a mesh on the shipped body; extensions of VRM
 character -> own_rig                      finds the limbs of people and animals, and moves the own nodes of a file
 copied_motion, own_animation              copies animations by name; writes a file with new animations of its nodes

@@ -19,6 +19,8 @@ from jaxtyping import Float, Int
 
 from ...core.budgets import FRAMES, KEYS, POSED_JOINTS
 from ...core.errors import InputError, option
+from ...core.geometry import continuous_quaternions
+from ...core.rig import local_rotations
 from ..timing import LONGEST, RATES, frame_count, lie_on, sample_rate, usual_rate
 from .check import damaged
 from .document import Document, read_floats
@@ -46,6 +48,8 @@ FRAMES_PER_BLOCK = 64
 LINEAR_COSINE = 0.9995
 """Cosine of the angle between two quaternions (1.8 degrees) from which on they are interpolated linearly."""
 
+STILL = 1e-6
+"""Largest change of a unit quaternion that is not written: 2 micrometres at the end of a limb of a metre."""
 PATH_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 0}
 """Target paths and the numbers in one value of each; 0 for weights, which have one number for each morph target."""
 
@@ -63,11 +67,6 @@ class AnimationChannel:
     """Values at the keys; with CUBICSPLINE, rows are in-tangent, value, out-tangent, one after the other."""
     interpolation: str = "LINEAR"
     """STEP, LINEAR or CUBICSPLINE."""
-
-    def stored(self) -> AnimationChannel:
-        """Return the channel with the values that a file has of it, which are float32."""
-        times, values = (array.astype(np.float32).astype(np.float64) for array in (self.times, self.values))
-        return replace(self, times=times, values=values)
 
     @property
     def constant(self) -> bool:
@@ -124,6 +123,31 @@ def add_animation(draft: Draft, name: str, channels: Iterable[AnimationChannel])
         input_times = times[seconds.tobytes()]
         samplers.append({"input": input_times, "interpolation": channel.interpolation, "output": output})
     return {"name": name, "samplers": samplers, "channels": targets}
+
+
+def rotation_channels(
+    nodes: Sequence[int], rotation: Float[np.ndarray, "T J 3 3"], parents: tuple[int, ...], fps: float
+) -> list[AnimationChannel]:
+    """Return the channels of joints with world rotations: a key in each frame, or one where a joint keeps its parent's.
+
+    Joints that stay have a key, too: where an animation leaves a joint out, Blender and blending engines keep the pose
+    of another animation.
+    """
+    quaternions, channels = local_quaternions(rotation, parents), []
+    times = np.arange(len(quaternions)) / fps
+    for node, track in zip(nodes, quaternions.swapaxes(0, 1), strict=True):
+        count = len(track) if np.abs(track - track[0]).max() > STILL else 1
+        channels.append(AnimationChannel(node, "rotation", times[:count], track[:count]))
+    return channels
+
+
+def local_quaternions(rotation: Float[np.ndarray, "T J 3 3"], parents: tuple[int, ...]) -> Float[np.ndarray, "T J 4"]:
+    """Return each joint's rotation in the frame of its parent, from world rotations, as quaternions (x, y, z, w)."""
+    from scipy.spatial.transform import Rotation
+
+    local = local_rotations(rotation, parents)
+    quat_xyzw = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_quat().reshape(*local.shape[:2], 4)
+    return continuous_quaternions(quat_xyzw)
 
 
 def animation_names(document: Document) -> tuple[str, ...]:
@@ -319,16 +343,8 @@ def slerp(
     values = (1 - s) * a + s * b
     far = cosine[:, 0] <= LINEAR_COSINE
     angle, s = np.arccos(cosine[far]), s[far]
-    of_a, of_b = slerp_weights(angle, s)
-    values[far] = (of_a * a[far] + of_b * b[far]) / np.sin(angle)
+    values[far] = (np.sin((1 - s) * angle) * a[far] + np.sin(s * angle) * b[far]) / np.sin(angle)
     return values
-
-
-def slerp_weights(
-    angle: Float[np.ndarray, "*N"], s: Float[np.ndarray, "*N"]
-) -> tuple[Float[np.ndarray, "*N"], Float[np.ndarray, "*N"]]:
-    """Return the weights of two unit quaternions at an angle in their interpolation, times the sine of the angle."""
-    return np.sin((1 - s) * angle), np.sin(s * angle)
 
 
 @dataclass(frozen=True, eq=False)

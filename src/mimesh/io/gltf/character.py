@@ -32,13 +32,7 @@ from ...bodies.character_limbs import (
     name_limb_joints,
     name_sided_joints,
 )
-from ...bodies.character_pool import (
-    CharacterClip,
-    CharacterMeta,
-    PoolCharacter,
-    facing_rotation,
-    sampled_poses,
-)
+from ...bodies.character_pool import CharacterClip, CharacterMeta, PoolCharacter, facing_rotation, sampled_poses
 from ...bodies.joint_names import ancestors, without_fingers
 from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
@@ -90,22 +84,25 @@ def read_rigged_character(path: str | Path, pack: str = "", licence: str = "") -
         InputError: a damaged file, no mesh, no limbs by name, or a character that does not stand upright.
     """
     path = Path(path)
+    document, mesh, scene = _open_rigged(path)
+    standing = read_standing(mesh, document, scene)
+    turn, nodes = standing.turn, standing.nodes
+    rig = carried_part(standing.rig).turned(turn)
+    joints = name_limb_joints(rig, path, without_fingers(standing.known))
+    clips = read_clips(document, standing.scene.T_world_node[nodes], nodes, rig.parents)
+    file_parents, poses = rig.parents, sampled_poses(clips, rig, turn)
+    rig, joints, order = attach_feet(rig, joints, poses, path)
+    meta = _meta(document, pack, licence, "humanoid", standing.facing, bool(clips))
+    return PoolCharacter(meta, rig, joints, find_limbs(rig, joints, path), clips, file_parents, order, turn)
+
+
+def _open_rigged(path: Path) -> tuple[Document, Mesh, RestScene]:
+    """Open the file of a character, and read its scene at rest."""
     document = open_document(path)
     if is_motion(document):
         raise InputError(f"{path}: expected a rigged mesh, found animations without a mesh; give them with --clips")
     mesh, scene = read_rest(document)
-    check_mesh(mesh, path)
-    standing = read_standing(mesh, document, scene)
-    rig, nodes, bound = carried_part(standing.rig), standing.nodes, standing.scene
-    known, facing = without_fingers(standing.known), standing.facing
-    turn = standing.turn
-    rig = rig.turned(turn)
-    joints = name_limb_joints(rig, path, known)
-    clips = read_clips(document, bound.T_world_node[nodes], nodes, rig.parents)
-    file_parents, poses = rig.parents, sampled_poses(clips, rig, turn)
-    rig, joints, order = attach_feet(rig, joints, poses, path)
-    meta = _meta(document, pack, licence, "humanoid", facing, bool(clips))
-    return PoolCharacter(meta, rig, joints, find_limbs(rig, joints, path), clips, file_parents, order, turn)
+    return document, check_mesh(mesh, path), scene
 
 
 def _meta(document: Document, pack: str, licence: str, body_class: str, facing: str, has_clips: bool) -> CharacterMeta:
@@ -118,10 +115,7 @@ def _meta(document: Document, pack: str, licence: str, body_class: str, facing: 
 
 
 def read_clips(
-    document: Document,
-    T_world_rest: Float[np.ndarray, "J 4 4"],
-    nodes: list[int],
-    parents: Iterable[int],
+    document: Document, T_world_rest: Float[np.ndarray, "J 4 4"], nodes: list[int], parents: Iterable[int]
 ) -> dict[str, CharacterClip]:
     """Read the animations of a file as frames of joints relative to their parents; scales are dropped."""
     from scipy.spatial.transform import Rotation
@@ -393,11 +387,7 @@ def _places(rig: SkinnedCharacter, joints: dict[str, int]) -> dict[str, Float[np
 
 
 def _check_one_skeleton(rig: SkinnedCharacter, joints: dict[str, int], path: object) -> None:
-    """Check that nearly all weights are on the skeletons (a rig may have several roots) that the named joints are in.
-
-    Raises:
-        InputError: much of the mesh is on another skeleton.
-    """
+    """Check that nearly all weights are on the skeletons of the named joints; a rig may have several roots."""
     roots = np.array([ancestors(rig.parents, j)[-1] for j in range(len(rig.parents))])
     named = np.isin(roots, roots[list(joints.values())])
     apart = (rig.weights * ~np.append(named, True)[rig.joint_of]).sum() / rig.weights.sum()
@@ -427,13 +417,10 @@ def read_rigged_animal(path: str | Path, pack: str = "", licence: str = "") -> P
         InputError: a damaged file, no mesh, or no four legs on one skeleton.
     """
     path = Path(path)
-    document = open_document(path)
-    if is_motion(document):
-        raise InputError(f"{path}: expected a rigged mesh, found animations without a mesh")
-    mesh, scene = read_rest(document)
-    standing = read_standing_animal(check_mesh(mesh, path), document, scene)
-    turn = facing_rotation(standing.facing)
-    rig, nodes = carried_part(standing.rig).turned(turn), standing.nodes
+    document, mesh, scene = _open_rigged(path)
+    standing = read_standing_animal(mesh, document, scene)
+    turn, nodes = standing.turn, standing.nodes
+    rig = carried_part(standing.rig).turned(turn)
     clips = read_clips(document, standing.scene.T_world_node[nodes], nodes, rig.parents)
     meta = _meta(document, pack, licence, "quadruped", standing.facing, bool(clips))
     joints, order = name_animal_joints(rig, path), np.arange(len(rig.parents))

@@ -323,11 +323,7 @@ def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path
 
 
 def _values_at(value: Any, location: str, path: Path) -> Iterator[Any]:
-    """Yield all values at a location of the JSON tree.
-
-    Raises:
-        InputError: a list or an object on the way is something else.
-    """
+    """Yield all values at a location of the JSON tree."""
     step, _, rest = location.partition(" ")
     if step == "[]":
         _expect(isinstance(value, list), path, f"a list before '{location}'", value)

@@ -27,11 +27,7 @@ Deltas = dict[str, Float[np.ndarray, "N 3"]]
 
 
 def add_morph_animation(
-    draft: Draft,
-    groups: list[PrimitiveGroup],
-    mesh: Mesh,
-    clip: Clip,
-    progress: Progress | None = None,
+    draft: Draft, groups: list[PrimitiveGroup], mesh: Mesh, clip: Clip, progress: Progress | None = None
 ) -> None:
     """Add morph targets and an animation of their weights to a document that shows frame 0 of `clip`.
 

@@ -230,11 +230,7 @@ def _as_bytes(content: bytes | memoryview | np.ndarray) -> memoryview:
 
 
 def _as_float32(values: Float[np.ndarray, "N C"]) -> Float32[np.ndarray, "N C"]:
-    """Return values in the type of glTF.
-
-    Raises:
-        NumberTooLarge: one is not finite in this type.
-    """
+    """Return values in the type of glTF."""
     with np.errstate(over="ignore"):
         stored = np.ascontiguousarray(values, "<f4")
     if not np.isfinite(stored).all():

@@ -358,10 +358,7 @@ def _copy_primitive(copier: AccessorCopier, primitive: dict[str, Any]) -> dict[s
 
 
 def _replace_attributes(
-    copier: AccessorCopier,
-    primitive: dict[str, Any],
-    new: dict[str, int],
-    dropped: tuple[str, ...] = DROPPED,
+    copier: AccessorCopier, primitive: dict[str, Any], new: dict[str, int], dropped: tuple[str, ...] = DROPPED
 ) -> dict[str, Any]:
     """Return the JSON of a primitive with new attributes, copies of those that are kept, and no morph targets."""
     kept = {name: index for name, index in primitive["attributes"].items() if not name.startswith(dropped)}

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ...core.rig import Rig, homogeneous
-from .animation import AnimationChannel, add_animation
+from ...core.rig import homogeneous
+from .animation import AnimationChannel, add_animation, rotation_channels
 from .draft import Draft
-from .keys import KEY_LIMIT, choose_keys, local_quaternions, rotation_tolerances
 
 
 def write_gltf_joints(
@@ -33,7 +32,7 @@ def write_gltf_joints(
     bind = homogeneous(np.tile(np.eye(3), (len(rest), 1, 1)), -rest)
     skin = {"joints": list(range(len(names))), "skeleton": 0, "inverseBindMatrices": draft.add_matrices(bind)}
     draft.gltf["skins"] = [skin]
-    draft.gltf["animations"] = [joint_animation(draft, name, parents, rest, rotation, root, fps)]
+    draft.gltf["animations"] = [joint_animation(draft, name, parents, rotation, root, fps)]
     draft.save(path)
 
 
@@ -52,27 +51,10 @@ def joint_animation(
     draft: Draft,
     name: str,
     parents: tuple[int, ...],
-    rest: Float[np.ndarray, "J 3"],
     rotation: Float[np.ndarray, "T J 3 3"],
     root: Float[np.ndarray, "T 3"],
     fps: float,
 ) -> dict[str, Any]:
-    """Add an animation of all joints: world rotations since rest, and the path of the root.
-
-    Rotations have the keys that interpolation needs; the root has a key in every frame, from which readers know the
-    frame rate.
-    """
-    quaternions = local_quaternions(rotation, parents)
-    is_key = choose_keys(quaternions.swapaxes(0, 1), _tolerances(parents, rest))
-    times = np.arange(len(root)) / fps
-    channels = [AnimationChannel(0, "translation", times, root)]
-    for node, keys in enumerate(is_key):
-        channels.append(AnimationChannel(node, "rotation", times[keys], quaternions[keys, node]))
-    return add_animation(draft, name, channels)
-
-
-def _tolerances(parents: tuple[int, ...], rest: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, " J"]:
-    """Compute the error of each joint's rotation (radians) with which none moves farther than KEY_LIMIT heights."""
-    count = len(rest)
-    rig = Rig(np.tile(np.eye(3), (count, 1, 1)), rest, np.eye(count))
-    return rotation_tolerances(rest, rig, parents, KEY_LIMIT * float(np.ptp(rest[:, 1])))
+    """Add an animation of all joints: world rotations since rest, and the path of the root in every frame."""
+    path = AnimationChannel(0, "translation", np.arange(len(root)) / fps, root)
+    return add_animation(draft, name, [path, *rotation_channels(range(len(parents)), rotation, parents, fps)])

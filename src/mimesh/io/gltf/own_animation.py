@@ -21,11 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ...bodies.joint_names import ancestors
 from ...core.animated_rig import frames_around
-from ...core.frame_buffer import spread_exactly
 from ...core.geometry import nearest_rotation
 from ...core.mesh import check_cut
 from ...motions.bone_motion import TRUNK
@@ -43,7 +42,6 @@ from .animation import (
     pose_nodes,
     posed_vertices,
     read_channels,
-    sample_nodes,
     select_channels,
     slerp,
     unposed_vertices,
@@ -51,8 +49,7 @@ from .animation import (
 from .document import Document
 from .draft import AccessorCopier, Draft
 from .edit import GltfSource
-from .keys import KEY_LIMIT, Tracks, node_keys, rounding
-from .read import RestScene, get_primitive
+from .read import get_primitive
 from .scene import (
     DEFAULT_TRS,
     joint_matrices,
@@ -79,6 +76,12 @@ SIMILAR = 1e-4
 of the world, which nodes cannot have (glTF 2.0, 3.5.3 Transformations)."""
 UNTURNED = 1e-9
 """Largest deviation of a rotation from none with which quaternions stay as they are, to the last bit."""
+ROUNDING, SCALE_ROUNDING = 1e-7, 5e-6
+"""Changes that count as none: of a value, over itself or over the mesh's size, because float32 stores values no better;
+of a scale, relative, because scales that are computed from matrices in float32 change as much where bones keep their
+lengths (measured on a file of Kenney's)."""
+Tracks = Mapping[tuple[int, str], Float[np.ndarray, "_ _"]]
+"""Values by (node, target path): in every frame, or in one of what does not move."""
 BARE = {"name", "children", "matrix", *DEFAULT_TRS, "extras"}
 """Properties of nodes that show nothing."""
 
@@ -97,8 +100,6 @@ class OwnAnimation:
     """Node of each joint that is known to be a person's, by our name."""
     renamed: dict[int, str] = field(default_factory=dict)
     """New names of nodes."""
-    key_limit: float = KEY_LIMIT
-    """Distance, over the mesh's size, by which thinned keys may move a vertex."""
     root_bone: str | None = None
     """Name of a bone on the floor above all joints; None: the file has those that it has."""
     root_moves: bool = False
@@ -162,22 +163,7 @@ class OwnAnimation:
         return unposed_vertices(self.source.document, self.source.rest, self.tracks)
 
 
-@dataclass(frozen=True, eq=False)
-class PlayedAnimation:
-    """An animation of a written file as programs play it."""
-
-    document: Document
-    """The nodes of the written file, with the meshes of the one that it was made of."""
-    rest: RestScene
-    channels: list[AnimationChannel]
-
-    def vertices(self, times: Float[np.ndarray, " T"]) -> Iterator[Float[np.ndarray, "V 3"]]:
-        """Yield the vertices of the Mesh at times in seconds."""
-        parts = unposed_vertices(self.document, self.rest, [(channel.node, channel.path) for channel in self.channels])
-        return posed_vertices(self.document, parts, sample_nodes(self.document, self.channels, times))
-
-
-def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> list[PlayedAnimation]:
+def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None:
     """Write the file of an identity with new animations, before those that it has.
 
     What only some of all animations move, old and new, has one key in the other new ones, with the value of the file:
@@ -185,35 +171,24 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> list
 
     Args:
         animations: of one file, with the same layout.
-
-    Returns:
-        The animations as clients of the file play them.
     """
     root = _find_root_bone(animations)
     draft = _copied_file(animations, root)
     moved = [animation.tracks if root is None else _with_root_bone(animation, root, draft) for animation in animations]
-    played = _new_channels(animations, moved, draft)
-    entries = _entries(animations, played, draft)
+    entries = _new_entries(animations, moved, draft)
     old = copy.deepcopy(draft.gltf.get("animations", []))
     if entries or old:
         draft.gltf["animations"] = [*entries, *old]
     draft.save(path)
-    # Meshes and skins move as before; what is new in them is in the written file alone.
-    source = animations[0].source
-    written = dataclasses.replace(source.document, gltf={**source.document.gltf, "nodes": draft.gltf["nodes"]})
-    return [PlayedAnimation(written, source.rest, channels) for channels in played]
 
 
-def cut_animation(
-    source: GltfSource, animation: str | None, fps: float | None, frames: slice, count: int | None
-) -> OwnAnimation:
+def cut_animation(source: GltfSource, animation: str | None, fps: float | None, frames: slice) -> OwnAnimation:
     """Sample an animation of a file in some of its frames; the animation is the only one of what it is written to.
 
     Args:
         animation: its name or number; None: the first, with those that complement it.
         fps: frames a second; None: the rate that its keys lie on.
         frames: those that are taken.
-        count: so many of these, evenly spread; None: all.
 
     Raises:
         InputError: no such animation, or no frame is left.
@@ -224,9 +199,6 @@ def cut_animation(
     times = frame_times(document, channels, fps)
     check_cut(document.path.name, len(times), frames)
     times, rate = times[frames], fps / (frames.step or 1)
-    if count is not None:
-        rate = rate * (count - 1) / (len(times) - 1) if count > 1 else rate
-        times = times[spread_exactly(len(times), count, document.path.name)]
     tracks = {(channel.node, channel.path): channel.sample(times) for channel in channels}
     bare = {key: value for key, value in document.gltf.items() if key != "animations"}
     alone = dataclasses.replace(source, document=dataclasses.replace(document, gltf=bare))
@@ -252,32 +224,22 @@ def write_own_pose(animation: OwnAnimation, path: Path) -> None:
     if old and vrm_version(animation.source.document) is None:
         pose = {key: values[:1] for key, values in animation.tracks.items()}
         first = [dataclasses.replace(animation, frames=1)]
-        draft.gltf["animations"] = [*_entries(first, _new_channels(first, [pose], draft), draft), *old]
+        draft.gltf["animations"] = [*_new_entries(first, [pose], draft), *old]
     draft.save(path)
 
 
-def _new_channels(
-    animations: Sequence[OwnAnimation], tracks: Sequence[Tracks], draft: Draft
-) -> list[list[AnimationChannel]]:
-    """Choose the keys of new animations: those of each for all that any of them moves, old and new."""
+def _new_entries(animations: Sequence[OwnAnimation], tracks: Sequence[Tracks], draft: Draft) -> list[dict[str, Any]]:
+    """Add new animations to the copy of a file: the keys of each for all that any of them moves, old and new."""
     document = animations[0].source.document
     exact = [_exact_keys(animation, values) for animation, values in zip(animations, tracks, strict=True)]
     used = dict.fromkeys(key for values in (*tracks, *exact) for key in values)
     used |= dict.fromkeys(_animated_values(document))
     still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
-    chosen = []
-    for animation, values, keys in zip(animations, tracks, exact, strict=True):
+    entries = []
+    for animation, values, keys in zip(animations, tracks, exact, strict=True) if used else ():
         complete = {key: values.get(key, still[key]) for key in used}
-        chosen.append([channel.stored() for channel in _channels(animation, complete, keys)] if complete else [])
-    return chosen
-
-
-def _entries(
-    animations: Sequence[OwnAnimation], chosen: Sequence[list[AnimationChannel]], draft: Draft
-) -> list[dict[str, Any]]:
-    """Add new animations to the copy of a file."""
-    pairs = zip(animations, chosen, strict=True)
-    return [add_animation(draft, animation.name, channels) for animation, channels in pairs if channels]
+        entries.append(add_animation(draft, animation.name, _channels(animation, complete, keys)))
+    return entries
 
 
 def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) -> Float[np.ndarray, "1 C"]:
@@ -364,15 +326,13 @@ def _exact_keys(animation: OwnAnimation, tracks: Tracks) -> dict[tuple[int, str]
 
 
 def _channels(
-    animation: OwnAnimation,
-    tracks: Tracks,
-    exact: Mapping[tuple[int, str], AnimationChannel],
+    animation: OwnAnimation, tracks: Tracks, exact: Mapping[tuple[int, str], AnimationChannel]
 ) -> list[AnimationChannel]:
     """Choose the keys of an animation, from which readers know its rate.
 
     Unless copied keys show the rate, one track at least has a key in every frame.
     """
-    frames = node_keys(animation.source, tracks, animation.key_limit)
+    frames = {key: key_frames(animation.source, key, track) for key, track in tracks.items()}
     start = min((keys.times[0] for keys in exact.values()), default=0.0)
     shown = any(len(is_key) == animation.frames and is_key.all() for key, is_key in frames.items() if key not in exact)
     copied = bool(exact) and (frame_rate(list(exact.values())) or DEFAULT_FPS) == animation.fps
@@ -388,6 +348,24 @@ def _channels(
         times = times if len(times) > 1 else times + start
         channels.append(exact[key] if key in exact else AnimationChannel(*key, times, track[frames[key]]))
     return channels
+
+
+def key_frames(source: GltfSource, key: tuple[int, str], values: Float[np.ndarray, "T C"]) -> Bool[np.ndarray, " T"]:
+    """Mark the frames of animated values that become keys: all of them, or the first where nothing changes."""
+    moves = np.abs(values - values[0]).max() > rounding(source, key, values)
+    return np.full(len(values), moves) | (np.arange(len(values)) == 0)
+
+
+def rounding(source: GltfSource, key: tuple[int, str], values: Float[np.ndarray, "T C"]) -> float:
+    """Return the change of animated values that is no more than rounding, in their unit."""
+    node, path = key
+    if path == "scale":
+        return SCALE_ROUNDING * float(np.abs(values).max())
+    unit = {"rotation": 1.0, "weights": 1.0}.get(path, 0.0)
+    if path == "translation" and node < len(source.rest.T_world_node):
+        above = _world(source, node_parents(source.document)[node])[:3, :3]
+        unit = float(np.ptp(source.vertices, axis=0).max() / max(np.linalg.norm(above, axis=0).max(), 1e-12))
+    return ROUNDING * max(float(np.abs(values).max()), unit)
 
 
 def _animated_values(document: Document) -> list[tuple[int, str]]:

@@ -255,11 +255,7 @@ def _weighted(rig: SkinnedCharacter) -> Int[np.ndarray, " K"]:
 
 
 def _rigged_source(mesh: Mesh) -> GltfSource:
-    """Return the file of a mesh.
-
-    Raises:
-        InputError: it has no skin.
-    """
+    """Return the file of a mesh."""
     source = mesh.source
     if not isinstance(source, GltfSource) or not has_rig(mesh):
         raise InputError(f"{mesh.name}: expected a skin, found none; export the mesh together with its armature")

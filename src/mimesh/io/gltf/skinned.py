@@ -1,7 +1,7 @@
 """Writes a skinned mesh: joints, a skin with weights of vertices, and animations of rotations and the root's path.
 
-Rotations have the keys that interpolation needs (see `keys`), the root's path has one for each frame: it costs 16 bytes
-a frame, and from it readers know the frame rate and the number of frames.
+Joints that turn have a key in every frame, and so has the root's path: from it readers know the frame rate and the
+number of frames.
 
 Keys and weights are float32. As normalized 16-bit integers, which glTF allows too, they would take half of the room,
 but Assimp and importers that are made with it take such numbers for floats (Assimp issues 3560 and 6130).
@@ -14,21 +14,19 @@ showed the mesh before goes into the inverse bind matrices.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from ...core.animated_rig import AnimatedRig, RigAnimation
 from ..timing import DEFAULT_FPS
-from .animation import AnimationChannel, add_animation
+from .animation import AnimationChannel, add_animation, local_quaternions, rotation_channels
 from .build import build_document, stage_transform
 from .check import ARRAY_BUFFER
 from .draft import Draft
 from .edit import GltfSource, PrimitiveGroup, edit_document, with_normals
-from .keys import KEY_LIMIT, choose_keys, local_quaternions, played_values, rotation_tolerances, without_costly_times
 from .scene import DEFAULT_TRS
 
 PER_SET = 4
@@ -38,39 +36,7 @@ STILL = 1e-7
 stores positions no better."""
 
 
-@dataclass(frozen=True, eq=False)
-class _ThinnedRotations:
-    """The rotations of all joints in their parents' frames, and which of them are written."""
-
-    quat_xyzw: Float[np.ndarray, "J T 4"]
-    is_key: Bool[np.ndarray, "J T"]
-
-    @classmethod
-    def of(cls, skeleton: AnimatedRig) -> _ThinnedRotations:
-        """Choose the keys of a motion. Joints whose own key times would take more room than they save have all keys."""
-        quat_xyzw = local_quaternions(skeleton.rotation, skeleton.parents).swapaxes(0, 1)
-        limit = KEY_LIMIT * skeleton.size
-        rig = skeleton.rig.limited(skeleton.influences)
-        tolerance = rotation_tolerances(skeleton.points, rig, skeleton.parents, limit)
-        is_key = choose_keys(quat_xyzw, tolerance)
-        return cls(quat_xyzw, without_costly_times(is_key))
-
-    def played(self, skeleton: AnimatedRig) -> AnimatedRig:
-        """Return the motion that clients interpolate from the keys."""
-        from scipy.spatial.transform import Rotation
-
-        quat_xyzw = played_values(self.quat_xyzw, self.is_key)
-        rotation = Rotation.from_quat(quat_xyzw.reshape(-1, 4)).as_matrix().reshape(*quat_xyzw.shape[:2], 3, 3)
-        positions = skeleton.local_positions().swapaxes(0, 1)
-        for j, parent in enumerate(skeleton.parents):
-            if parent >= 0:
-                positions[j] = positions[parent] + (rotation[parent] @ positions[j, ..., None])[..., 0]
-                rotation[j] = rotation[parent] @ rotation[j]
-        kept = None if skeleton.positions is None else positions.swapaxes(0, 1)
-        return replace(skeleton, rotation=rotation.swapaxes(0, 1), positions=kept)
-
-
-def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path, animated: bool = True) -> list[AnimatedRig]:
+def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path, animated: bool = True) -> None:
     """Write a mesh with joints and animations of them, as .glb or .gltf by the suffix of `path`.
 
     A mesh that came from a glTF file keeps all of that file but its skins, animations and morph targets.
@@ -78,9 +44,6 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path, animated:
     Args:
         animations: of one rig: they have the same mesh, joints, weights and rest pose.
         animated: False writes the rig alone.
-
-    Returns:
-        The motions as clients of the file play them.
     """
     skeleton = animations[0].skeleton
     mesh = with_normals(skeleton.mesh)
@@ -100,14 +63,9 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path, animated:
         node_groups = [group for group in groups if group.node == node]
         skin = _add_skin(draft, skeleton, joint_nodes, node_groups[0].T_world_local)
         _attach_skinned_mesh(draft, node, skin, node_groups)
-    thinned = [_ThinnedRotations.of(animation.skeleton) for animation in animations]
     if animated:
-        draft.gltf["animations"] = [
-            _joint_animation(draft, animation, rotations, joint_nodes)
-            for animation, rotations in zip(animations, thinned, strict=True)
-        ]
+        draft.gltf["animations"] = [_joint_animation(draft, animation, joint_nodes) for animation in animations]
     draft.save(path)
-    return [rotations.played(animation.skeleton) for animation, rotations in zip(animations, thinned, strict=True)]
 
 
 def write_gltf_rig(skeleton: AnimatedRig, path: Path) -> None:
@@ -192,24 +150,12 @@ def _default_scene(draft: Draft) -> dict[str, Any]:
     return draft.gltf["scenes"][draft.gltf.get("scene", 0)]
 
 
-def _joint_animation(
-    draft: Draft,
-    animation: RigAnimation,
-    rotations: _ThinnedRotations,
-    joint_nodes: list[int],
-) -> dict[str, Any]:
-    """Add an animation: the rotations of all joints, and the translations of those that move, in every frame.
-
-    Joints that stay at rest have a key too: where an animation leaves a joint out, Blender and blending engines keep
-    the pose of another animation.
-    """
-    seconds = np.arange(rotations.is_key.shape[1]) / animation.fps
-    channels = [
-        AnimationChannel(node, "rotation", seconds[is_key], quat_xyzw[is_key])
-        for node, is_key, quat_xyzw in zip(joint_nodes, rotations.is_key, rotations.quat_xyzw, strict=True)
-    ]
-    for j, path in _moved_joints(animation.skeleton).items():
-        channels.append(AnimationChannel(joint_nodes[j], "translation", seconds, path))
+def _joint_animation(draft: Draft, animation: RigAnimation, joint_nodes: list[int]) -> dict[str, Any]:
+    """Add an animation: the rotations of all joints, and the translations of those that move, in every frame."""
+    skeleton, fps = animation.skeleton, animation.fps
+    channels = rotation_channels(joint_nodes, skeleton.rotation, skeleton.parents, fps)
+    for j, path in _moved_joints(skeleton).items():
+        channels.append(AnimationChannel(joint_nodes[j], "translation", np.arange(len(path)) / fps, path))
     return add_animation(draft, animation.name, channels)
 
 

@@ -46,10 +46,7 @@ PRESETS = {
     **{"blink_l": "blinkLeft", "blink_r": "blinkRight"},
 }
 """Preset expression of VRM 1.0 of each preset of VRM 0.x (in lower case) that is called otherwise."""
-OVERRIDDEN = {
-    "overrideBlink": {"blink", "blinkLeft", "blinkRight"},
-    "overrideMouth": {"aa", "ih", "ou", "ee", "oh"},
-}
+OVERRIDDEN = {"overrideBlink": {"blink", "blinkLeft", "blinkRight"}, "overrideMouth": {"aa", "ih", "ou", "ee", "oh"}}
 """Expressions that others reduce, by the property that says how (VRM 1.0, expressions.md, Procedural override)."""
 PUBLIC_LICENSE = "https://vrm.dev/licenses/1.0/"
 """URL of the VRM Public License, the only `licenseUrl` that VRM 1.0 accepts. By default it allows next to nothing."""
@@ -215,8 +212,7 @@ def write_vrma(motions: Sequence[BoneMotion], path: Path) -> None:
         "extensionsUsed": [ANIMATION],
         "extensions": {ANIMATION: {"specVersion": "1.0", "humanoid": {"humanBones": bones}}},
         "animations": [
-            joint_animation(draft, each.name, each.parents, each.rest, each.rotation, each.hips, each.fps)
-            for each in motions
+            joint_animation(draft, each.name, each.parents, each.rotation, each.hips, each.fps) for each in motions
         ],
     }
     draft.save(path)

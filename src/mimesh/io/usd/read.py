@@ -151,9 +151,6 @@ def _frames(
     """Yield the joined world positions of all prims at each time code; prims that do not move are evaluated once.
 
     The stage is an argument because its prims are gone when nothing refers to it any more.
-
-    Raises:
-        InputError: the topology of a prim differs from that of the first frame.
     """
     xforms = UsdGeom.XformCache(Usd.TimeCode(time_codes[0]))
     moves = [bool(mesh_prim.sample_times()) for mesh_prim in mesh_prims]
@@ -250,9 +247,6 @@ def _read_prim(
     """Read one prim in world coordinates at the time of `xforms`, and the corner count of each of its polygons.
 
     Faces are sorted so that each part is one consecutive run.
-
-    Raises:
-        InputError: face indices are out of range, or the face counts do not sum to their number.
     """
     prim, time = mesh_prim.prim, xforms.GetTime()
     counts, corners = _polygons(prim, time, path)
@@ -371,9 +365,6 @@ def _material_subsets(prim: Usd.Prim, polygons: int, path: Path) -> tuple[list[U
 
     The first prim is the mesh itself, for polygons outside of all subsets; the others are its GeomSubsets of family
     materialBind. A polygon in several subsets belongs to the last of them.
-
-    Raises:
-        InputError: a subset has polygon indices that are out of range.
     """
     binding_prims = [prim]
     labels = np.zeros(polygons, np.int64)
@@ -445,9 +436,6 @@ def _corner_values(
         corners: vertex index of each corner, the `faceVertexIndices` of the mesh.
         polygon: polygon index of each corner.
         label: what the values are, for the error message; path of the file first.
-
-    Raises:
-        InputError: too few values for this interpolation.
     """
     if interpolation == UsdGeom.Tokens.faceVarying:
         index = np.arange(len(corners))

@@ -224,9 +224,6 @@ def _check_references(path: Path) -> None:
 
     Opening a stage opens all of them, so a file of a stranger could otherwise read any file of this machine. References
     to files that do not exist are harmless and pass.
-
-    Raises:
-        InputError: a reference leads outside of the folder that reading is confined to.
     """
     pending, visited = [str(path)], set()
     while pending:

@@ -256,11 +256,7 @@ def _shader(material: UsdShade.Material, name: str, shader_id: str) -> UsdShade.
 
 
 def _pack(folder: Path, names: list[str], path: Path) -> None:
-    """Write the named files of a folder as a package; the first name must be the root layer.
-
-    Raises:
-        InputError: the files have more than `LARGEST` bytes together.
-    """
+    """Write the named files of a folder as a package; the first name must be the root layer."""
     size = sum((folder / name).stat().st_size for name in names)
     if size > LARGEST:
         raise InputError(f"{path}: expected at most 2 GiB in a package, found {size / 2**30:.1f}; write .usdc instead")
