@@ -19,7 +19,7 @@ LIMB_JOINTS = [f"{side}{part}" for side in ("Left", "Right") for part in rigs.LI
 BODY = rigs.figure()
 
 
-def matched(person: rigs.Figure, seed: int = 0) -> dict[str, str]:
+def matched(person: rigs.Figure, seed: int = 0, predicted: rigs.Figure = BODY) -> dict[str, str]:
     """Match a person's joints, in another order and without names; returns the names that were not shown."""
     rng = np.random.default_rng(seed)
     depth = [0] * len(person.parents)
@@ -31,7 +31,7 @@ def matched(person: rigs.Figure, seed: int = 0) -> dict[str, str]:
     names = tuple(f"joint_{k}" for k in range(len(order)))
     mesh = Mesh(person.vertices, load_body().faces)
     character = rigged(mesh, names, parents, person.joints[order], person.weights[:, order])
-    found = match_joints(character, Rig(np.tile(np.eye(3), (31, 1, 1)), BODY.joints, BODY.weights), "a.glb")
+    found = match_joints(character, Rig(np.tile(np.eye(3), (31, 1, 1)), predicted.joints, predicted.weights), "a.glb")
     return {name: person.names[order[joint]] for name, joint in found.items()}
 
 
@@ -66,6 +66,17 @@ def test_three_joints_are_an_arm_though_they_lie_too_near_to_the_trunk(inwards):
     arms = [f"{side}{part}" for side in ("Left", "Right") for part in ("Arm", "ForeArm", "Hand")]
     assert {name: found.get(name) for name in arms} == {name: name for name in arms}
     assert "LeftShoulder" not in found
+
+
+def test_hips_are_no_thigh_of_a_leg_that_is_predicted_too_high():
+    """As of bones without a surface around: the left thigh and knee where hips and thigh are, the foot at the knee."""
+    high = dataclasses.replace(BODY, joints=BODY.joints.copy(), weights=BODY.weights.copy())
+    hips, thigh, shin, foot = (BODY.names.index(name) for name in ("Hips", "LeftUpLeg", "LeftLeg", "LeftFoot"))
+    high.joints[[thigh, shin, foot]] = BODY.joints[[hips, thigh, shin]]
+    person = rigs.changed(BODY, "no toes").without("LHipJoint", "RHipJoint", "LeftFoot", "RightFoot")
+    found = matched(person, predicted=high)
+    expected = ["LeftUpLeg", "LeftLeg", "RightUpLeg", "RightLeg", "Hips"]
+    assert [found.get(name) for name in expected] == expected
 
 
 def test_a_foot_on_a_root_of_its_own_is_found():

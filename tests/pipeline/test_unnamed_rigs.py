@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -91,9 +92,20 @@ def test_a_network_with_other_joints_finds_none(driving, tmp_path):
     assert any("rename the joints" in note for note in result.notes)
 
 
-def test_facts_tell_how_the_joints_are_found(tmp_path):
-    path = rigs.character(tmp_path / "a.glb", name=nameless)
-    assert "names say nothing" in dict(inspect_file(path).details)["rig"]
+def test_facts_are_those_of_the_joints_that_the_surface_shows(tmp_path):
+    """What a surface alone is taken for does not count: that of a skeleton of bones is that of no person."""
+    turn = Rotation.from_euler("y", 90, degrees=True).as_matrix()
+    path = rigs.character(tmp_path / "a.glb", faces=FACES, name=nameless, turn=turn, person=stubless())
+    facts = inspect_file(path)
+    assert re.match(r"\d+ joints whose names say nothing, \d+ of a person", dict(facts.details)["rig"])
+    assert facts.stands == "up +y, front +x, a person by its rig"
+
+
+def test_facts_tell_that_no_joints_are_found(tmp_path):
+    person = rigs.figure()
+    flat = dataclasses.replace(person, vertices=person.vertices * [1, 0.05, 1], joints=person.joints * [1, 0.05, 1])
+    facts = inspect_file(rigs.character(tmp_path / "a.glb", name=nameless, person=flat))
+    assert dict(facts.details)["rig"].startswith("not used: ")
 
 
 def with_tail(length: float):

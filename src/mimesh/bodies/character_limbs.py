@@ -8,6 +8,7 @@ that they move and by place (`match_joints`). Character frame: y up, facing +z, 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -297,8 +298,10 @@ FEET = (("UpLeg", "Leg"), ("Foot", "ToeBase"))
 """Parts of a leg that may be chains of their own."""
 COLLAR = 0.5
 """Length of a collar bone over that of an arm of one piece, from which on they are an upper arm and a forearm."""
-UPPER = {"ForeArm": "Arm", "Leg": "UpLeg"}
-"""A lower limb without an upper one is the whole arm or leg: figures of blocks."""
+UPPER = [(side + lower, side + upper) for side in SIDES for lower, upper in (("ForeArm", "Arm"), ("Leg", "UpLeg"))]
+"""A lower limb without an upper one is the whole arm or leg (figures of blocks), or at least its first joint."""
+SURE = 10.0
+"""Score of a pair that is taken in any case: other pairs of a limb have 1.3 at most each."""
 PELVIS = ("Hips", "LHipJoint", "RHipJoint")
 """Joints of the shipped body that move together with the hips."""
 MATCH, NEARNESS = 0.3, 1.5
@@ -401,24 +404,33 @@ def match_chain(score: Float[np.ndarray, "N J"], parents: tuple[int, ...]) -> di
 
 
 def _match_limbs(overlap: Float[np.ndarray, "B J"], rig: SkinnedCharacter, body: Rig) -> dict[str, int]:
-    """Match the joints of arms and legs; joints that two limbs would share are above both, and belong to neither."""
+    """Match the joints of arms and legs; what is also another limb's joint, or above one, belongs to no limb.
+
+    So the hips of a rig are no thigh, even if legs are predicted too high.
+    """
     names = load_body().joint_names
     index = [[names.index(name) for name in limb] for limb in LIMBS]
     lengths = [np.linalg.norm(np.diff(body.joints[limb], axis=0), axis=1).sum() for limb in index]
     scores = [_scores(overlap, rig, body, limb, length) for limb, length in zip(index, lengths, strict=True)]
-    shared: list[int] = []
+    below = descendant_matrix(rig.parents)
+    above: list[int] = []
     while True:
         for score in scores:
-            score[:, shared] = 0
+            score[:, above] = 0
         chains = [_match_limb(limb, score, rig.parents) for limb, score in zip(LIMBS, scores, strict=True)]
-        shared = [joint for joint, count in Counter(j for chain in chains for j in chain.values()).items() if count > 1]
-        if not shared:
+        taken = [sorted(chain.values()) for chain in chains]
+        above = [
+            joint for limb, other in itertools.permutations(taken, 2) for joint in limb if below[joint, other].any()
+        ]
+        if not above:
             break
+    for limb, score, chain in zip(LIMBS, scores, chains, strict=True):
+        for lower, upper in UPPER:
+            if lower in chain and upper not in chain:
+                score[limb.index(upper), chain.pop(lower)] = SURE  # and what is below it is matched again
+                chain |= _match_limb(limb, score, rig.parents)
     found = {name: joint for chain in chains for name, joint in chain.items()}
     for side in SIDES:
-        for lower, upper in UPPER.items():
-            if side + upper not in found and side + lower in found:
-                found[side + upper] = found.pop(side + lower)
         arm = [found[side + part] for part in ("Shoulder", "Arm", "Hand") if side + part in found]
         if len(arm) == 3 and f"{side}ForeArm" not in found:
             bones = np.linalg.norm(np.diff(rig.joints[arm], axis=0), axis=1)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple, TypeVar
 
 from ..bodies.anatomy import body_of_joints
-from ..bodies.character_limbs import SIDES, UnnamedJoints
+from ..bodies.character_limbs import SIDES, FindJoints, UnnamedJoints
 from ..bodies.joint_names import ancestors, finger_joints
 from ..core.errors import InputError
 from ..core.mesh import Clip, Mesh
@@ -20,6 +20,7 @@ from ..io.gltf.copied_motion import SharedMotion, copy_morphs, copy_motion, morp
 from ..io.gltf.edit import GltfSource
 from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
 from ..io.gltf.scene import node_parents
+from ..motions.humanoid_rig import HumanoidRig
 from .bone_rigs import BoneJoints
 
 T = TypeVar("T")
@@ -81,8 +82,12 @@ class RigFacts(NamedTuple):
     """How a person or a four-legged animal stands, as the rig tells."""
 
 
-def rig_facts(mesh: Mesh) -> RigFacts | None:
-    """Tell whether the own rig of a mesh is used, and what is known of it; None of a mesh without a rig."""
+def rig_facts(mesh: Mesh, find: FindJoints | None = None) -> RigFacts | None:
+    """Tell whether the own rig of a mesh is used, and what is known of it; None of a mesh without a rig.
+
+    Args:
+        find: finds joints of a person whose names say nothing.
+    """
     if not has_rig(mesh) or not isinstance(mesh.source, GltfSource):
         return None
     at_rest = dataclasses.replace(mesh, vertices=mesh.source.vertices)
@@ -96,12 +101,22 @@ def rig_facts(mesh: Mesh) -> RigFacts | None:
             )
             known = f"{len(animal.character.parents)} joints, {len(animal.joints)} of a four-legged animal known"
             return RigFacts(True, known, stands)
-        return RigFacts(True, UNNAMED) if isinstance(error, UnnamedJoints) else RigFacts(False, str(error))
+        if not isinstance(error, UnnamedJoints):
+            return RigFacts(False, str(error))
+        if find is None:
+            return RigFacts(True, UNNAMED)
+        try:
+            return _person_facts(read_own_rig(at_rest, find).humanoid, " whose names say nothing")
+        except InputError as not_found:
+            return RigFacts(False, str(not_found))
     except InputError as error:
         return RigFacts(False, str(error))
+    return _person_facts(humanoid)
+
+
+def _person_facts(humanoid: HumanoidRig, names: str = "") -> RigFacts:
     stands = f"up {axis_name(humanoid.turn[1])}, front {axis_name(humanoid.turn[2])}, a person by its rig"
-    known = known_joints(humanoid.joints)
-    return RigFacts(True, f"{len(humanoid.character.parents)} joints, {known}", stands)
+    return RigFacts(True, f"{len(humanoid.character.parents)} joints{names}, {known_joints(humanoid.joints)}", stands)
 
 
 def known_joints(names: Iterable[str]) -> str:

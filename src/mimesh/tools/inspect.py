@@ -22,7 +22,7 @@ from ..pipeline.corrections import Corrections
 from ..pipeline.file_rigs import NO_RIGS
 from ..pipeline.gltf_rigs import known_joints, rig_facts
 from ..pipeline.joint_route import found_character
-from ..pipeline.look import KINDS, Subject
+from ..pipeline.look import KINDS, Subject, joint_finder
 from .convert import unit_guess
 
 MOST_NAMES = 6
@@ -129,7 +129,7 @@ def inspect_file(path: str | Path) -> FileFacts:
 def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = None) -> FileFacts:
     """Collect the facts of a mesh in memory, and of its clip and its file where given."""
     path = None if path is None else Path(path)
-    rig = rig_facts(mesh)
+    rig = rig_facts(mesh, lambda character: joint_finder(find_mime("mime"), (None, None))(character))
     rig_details = () if rig is None else (("rig", rig.text if rig.used else f"not used: {rig.text}"),)
     merged, index = weld(mesh.vertices)
     faces = index[mesh.faces]
