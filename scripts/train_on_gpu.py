@@ -27,10 +27,10 @@ from pathlib import Path
 from threading import Lock
 
 import torch
+from pack_checkpoint import save_compact
 from torch._inductor.exc import InductorError
 
 from mimesh.io.atomic import whole_file
-from mimesh.learn import checkpoint
 from mimesh.learn.config import load_config
 from mimesh.learn.cost import training_operations
 from mimesh.learn.loop import FULL_RATE, TrainingRun, train
@@ -133,7 +133,7 @@ def finish(job: Job, args: argparse.Namespace, results: Path) -> None:
     folder, onnx = args.work / job.name, results / f"{job.name}.onnx"
     shutil.copy(folder / "log.jsonl", results / f"{job.name}-log.jsonl")
     if job.name in args.keep:
-        checkpoint.save_compact(folder / FULL_RATE, results / f"{job.name}-{FULL_RATE}", weights_only=True)
+        save_compact(folder / FULL_RATE, results / f"{job.name}-{FULL_RATE}", weights_only=True)
     pairs = ["--pairs", "1"] if args.tiny else []
     commands = (
         ["export", folder / "last.safetensors", "-o", onnx, "--bits", "8"],

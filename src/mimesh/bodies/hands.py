@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..core.geometry import rotation_between, unit_vectors
+from ..core.geometry import rotation_between
 from .body_model import RiggedBody, load_body, unpacked_weights
 from .character_limbs import SIDES
 from .joint_names import FINGER_STUBS, FINGERS, finger_joints, with_finger_joints
@@ -156,7 +156,7 @@ def straight_hand(side: str) -> Float[np.ndarray, "3 3"]:
     body = body_with_fingers()
     t_pose = {name: body.joints[j] for j, name in enumerate(body.joint_names)}
     along, thumbs = np.array([1.0 if side == "Left" else -1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-    return _axes(along, thumbs) @ _palm(t_pose, f"{side}Hand", [side + knuckle for knuckle in KNUCKLES]).T
+    return frames_along(along, thumbs) @ _palm(t_pose, f"{side}Hand", [side + knuckle for knuckle in KNUCKLES]).T
 
 
 def straight_hands(joints: Sequence[str], above: Sequence[tuple[str, ...]]) -> Float[np.ndarray, "J 3 3"]:
@@ -180,11 +180,6 @@ def _at_one_place(knuckles: list[Float[np.ndarray, " 3"]], wrist: Float[np.ndarr
 
 def _palm(at: Mapping[str, Float[np.ndarray, " 3"]], wrist: str, knuckles: list[str]) -> Float[np.ndarray, "3 3"]:
     """Build axes with the first from the wrist to the middle of the knuckles, the second towards the first of them."""
-    return _axes(np.mean([at[name] for name in knuckles], axis=0) - at[wrist], at[knuckles[0]] - at[knuckles[-1]])
-
-
-def _axes(first: Float[np.ndarray, " 3"], second: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Build axes with the first along a vector and the second in the plane of both vectors."""
-    x = unit_vectors(first)
-    y = unit_vectors(second - (second @ x) * x)
-    return np.stack([x, y, np.cross(x, y)], axis=1)
+    return frames_along(
+        np.mean([at[name] for name in knuckles], axis=0) - at[wrist], at[knuckles[0]] - at[knuckles[-1]]
+    )

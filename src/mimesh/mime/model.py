@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from ..bodies.anatomy import anatomy_of
 from ..core.canonical_order import CanonicalOrder, canonical_faces, canonical_order
-from ..core.geometry import vertex_normals
+from ..core.geometry import nearest_points, vertex_normals
 from ..core.mesh import Clip, Mesh
 from ..core.rig import Rig, leg_length
 from ..core.skinning import SkinnedMesh
@@ -464,9 +464,7 @@ def _with_hands(character: Character, hands: Sequence[tuple[FingeredHand, Bends]
 
 def _nearest_weights(points: Float[np.ndarray, "N 3"], known: Float[np.ndarray, "M 3"], rig: Rig) -> Rig:
     """Return a rig with the weights of `points`: those of the nearest of the points whose weights are known."""
-    from scipy.spatial import KDTree
-
-    return dataclasses.replace(rig, weights=rig.weights[np.asarray(KDTree(known).query(points)[1])])
+    return dataclasses.replace(rig, weights=rig.weights[nearest_points(known, points)[1]])
 
 
 def _without_shares(confidence: Confidence, mesh: Mesh) -> Confidence:
