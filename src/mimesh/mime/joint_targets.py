@@ -230,11 +230,7 @@ class _Chains:
         return any(SAME_LENGTH * other < length < other / SAME_LENGTH for other in lengths)
 
     def turned(
-        self,
-        rotation: Float[np.ndarray, "J 3 3"],
-        joints: Joints,
-        moved: Joints,
-        fixed: Bool[np.ndarray, " J"],
+        self, rotation: Float[np.ndarray, "J 3 3"], joints: Joints, moved: Joints, fixed: Bool[np.ndarray, " J"]
     ) -> tuple[Float[np.ndarray, "J 3 3"], Joints]:
         """Turn all joints so that they agree with their moved positions; joints without a bone turn with their parent.
 

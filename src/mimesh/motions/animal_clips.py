@@ -194,10 +194,7 @@ def _faded(
 
 
 def _with_moved_ankle(
-    body: RiggedBody,
-    rotmat: Float[np.ndarray, "T J 3 3"],
-    leg: tuple[int, ...],
-    offset: Float[np.ndarray, "T 3"],
+    body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"], leg: tuple[int, ...], offset: Float[np.ndarray, "T 3"]
 ) -> Float[np.ndarray, "T J 3 3"]:
     """Return local joint rotations with which the ankle of a leg is moved by an offset, as far as the leg reaches."""
     world, displaced = body.skinning_transforms(body.joints, rotmat)

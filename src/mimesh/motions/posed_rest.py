@@ -140,12 +140,7 @@ def _trunk_frames(joints: Positions, axes: Frames) -> Frames:
     return frames
 
 
-def _limb_frames(
-    limbs: Mapping[str, Limb],
-    axes: Frames,
-    hinge: Hinge,
-    trunk: Float[np.ndarray, "3 3"],
-) -> Frames:
+def _limb_frames(limbs: Mapping[str, Limb], axes: Frames, hinge: Hinge, trunk: Float[np.ndarray, "3 3"]) -> Frames:
     """Compute the rotations of the joints of both arms or legs, whose bones keep their directions, of hands and feet.
 
     All estimates together choose the axes of their frames (`paired_axes`).
@@ -181,10 +176,7 @@ def _limb_frames(
 
 
 def _estimates(
-    limbs: Mapping[str, Limb],
-    side: str,
-    hinge: Hinge,
-    trunk: Float[np.ndarray, "3 3"],
+    limbs: Mapping[str, Limb], side: str, hinge: Hinge, trunk: Float[np.ndarray, "3 3"]
 ) -> list[list[Float[np.ndarray, "3 3"]]]:
     """Estimate the rotations of the joints of a limb: by its hinge, that of the first also by the trunk's alone."""
     body, (*names, direction) = body_with_fingers(), hinge

@@ -17,13 +17,7 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody
 from ..bodies.hands import hand_frames
-from ..bodies.joint_names import (
-    captured_fingers,
-    finger_joints,
-    followed_fingers,
-    named_joints,
-    require_joints,
-)
+from ..bodies.joint_names import captured_fingers, finger_joints, followed_fingers, named_joints, require_joints
 from ..core.errors import InputError
 from ..core.geometry import rotation_between, unit_vectors
 from ..core.mesh import LARGEST
