@@ -106,11 +106,11 @@ class TakesOnBodyModel(OnBodyModel):
         take = self.takes[i % len(self.takes)]
         clip, truth = (self.clip(person, take) for person in (driving, identity))
         still = identity.posed_mesh(self.pose("train", int(rng.integers(self.poses))))
-        return ClipPair(
+        first = Pair(
             still, clip.mesh, truth.vertices[0].astype(np.float64), self.height(identity), truth_name=truth.mesh.name,
-            groups=(identity.label, take.stem), clip=clip, truth_frames=truth.vertices,
-            aligned_frames=clip.vertices,
+            groups=(identity.label, take.stem),
         )  # fmt: skip
+        return ClipPair.of(first, clip, truth.vertices, clip.vertices)
 
     def count(self, kind: str, requested: int = 0, split: str = "test") -> int:
         """Return the number of pairs: the requested number, or one for each take."""
