@@ -132,8 +132,9 @@ def training_files(protocol: OnBodyModel, count: int) -> dict[str, Content]:
     """
     if not isinstance(protocol, TakesOnBodyModel):
         return training_meshes(protocol, count)
-    people, takes = [protocol.person("train", i) for i in range(protocol.people)], protocol.takes[: count or None]
-    return {f"{p.label}/{t.stem}.npz": lambda p=p, t=t: protocol.clip(p, t) for p in people for t in takes}
+    takes, clip = protocol.takes[: count or None], protocol.clip
+    people = [protocol.person("train", i) for i in range(protocol.people)]
+    return {f"{p.label}/{t.stem}.npz": lambda p=p, t=t: clip(p, t) for p in people for t in takes}
 
 
 def on_body_model(name: str, path: Path, data: Path | None = None) -> OnBodyModel:

@@ -62,7 +62,7 @@ def main() -> None:
 def load_published(path: Path, maxpool: bool = False) -> NPT:
     """Load a published network into our layout; PyTorch refuses missing and further tensors and other shapes."""
     state = torch.load(path, map_location="cpu", weights_only=True)
-    state = next((state[key] for key in WRAPPERS if key in state), state)
+    state: dict[str, Tensor] = next((state[key] for key in WRAPPERS if key in state), state)
     names = published_names()
     model = NPT(published_config(maxpool))
     own = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}

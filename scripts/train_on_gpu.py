@@ -31,6 +31,7 @@ from pack_checkpoint import save_compact
 from torch._inductor.exc import InductorError
 
 from mimesh.io.atomic import whole_file
+from mimesh.learn.checkpoint import hardware
 from mimesh.learn.config import load_config
 from mimesh.learn.cost import training_operations
 from mimesh.learn.loop import FULL_RATE, TrainingRun, train
@@ -172,7 +173,7 @@ def measure_rate(job: Job, results: Path, tiny: bool) -> dict[str, float | str]:
     by = "self_cuda_time_total" if cuda else "self_cpu_time_total"
     (results / f"{job.name}-profile.txt").write_text(profile.key_averages().table(sort_by=by, row_limit=45))
     rate = {
-        "device": checkpoint.hardware(),
+        "device": hardware(),
         "step_ms": 1e3 * seconds,
         "host_ms": 1e3 * host / steps,
         "pairs_per_s": run.config.batch / seconds,

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..core.geometry import rotation_between
+from ..core.geometry import frames_along, rotation_between
 from .body_model import RiggedBody, load_body, unpacked_weights
 from .character_limbs import SIDES
 from .joint_names import FINGER_STUBS, FINGERS, finger_joints, with_finger_joints

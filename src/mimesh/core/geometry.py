@@ -310,8 +310,8 @@ def rotations_between(old: Float[np.ndarray, "#T 3"], new: Float[np.ndarray, "T 
     # The rotated unit vectors are the columns of the matrices.
     columns = rotate_between(olds, news, np.tile(np.eye(3), (len(new), 1)))
     found = np.swapaxes(columns.reshape(-1, 3, 3), -1, -2)
-    known = old.any(axis=-1) & new.any(axis=-1)
-    return np.where(known[..., None, None], found, np.eye(3))
+    known = np.logical_and(old.any(axis=-1), new.any(axis=-1))
+    return np.where(np.reshape(known, (-1, 1, 1)), found, np.eye(3))
 
 
 def frames_along(first: Float[np.ndarray, "*N 3"], second: Float[np.ndarray, "*#N 3"]) -> Float[np.ndarray, "*N 3 3"]:
