@@ -102,7 +102,7 @@ def animal_clip(name: str) -> Clip:
 def random_style(gait: str, index: int) -> Style:
     """Draw pace, stride, lift and bearing of a motion."""
     rng = np.random.default_rng(np.random.SeedSequence([SEEDS["test"], index, 4, list(RUNS).index(gait)]))
-    return Style.draw(RUNS[gait], (-5, 30), rng)
+    return Style.draw(RUNS[gait], (-5.0, 30.0), rng)
 
 
 def run(

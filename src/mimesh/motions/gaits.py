@@ -116,7 +116,7 @@ def gait_rotations(
     """Generate the joint rotations of a gait; its path takes longer."""
     gait = GAITS[name]
     rng = np.random.default_rng(np.random.SeedSequence([seed, index, 4, list(GAITS).index(name)]))
-    style = Style.draw(gait, (-35, 15), rng)
+    style = Style.draw(gait, (-35.0, 15.0), rng)
     return gait_pose(body, gait, style, style.start + style.pace * np.arange(max(round(seconds * fps), 1)) / fps)
 
 
