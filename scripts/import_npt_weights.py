@@ -13,6 +13,7 @@ import argparse
 import dataclasses
 import hashlib
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -62,7 +63,7 @@ def main() -> None:
 def load_published(path: Path, maxpool: bool = False) -> NPT:
     """Load a published network into our layout; PyTorch refuses missing and further tensors and other shapes."""
     state = torch.load(path, map_location="cpu", weights_only=True)
-    state: dict[str, Tensor] = next((state[key] for key in WRAPPERS if key in state), state)
+    state: Any = next((state[key] for key in WRAPPERS if key in state), state)
     names = published_names()
     model = NPT(published_config(maxpool))
     own = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
