@@ -62,8 +62,8 @@ def main() -> None:
 
 def load_published(path: Path, maxpool: bool = False) -> NPT:
     """Load a published network into our layout; PyTorch refuses missing and further tensors and other shapes."""
-    state = torch.load(path, map_location="cpu", weights_only=True)
-    state: Any = next((state[key] for key in WRAPPERS if key in state), state)
+    loaded: Any = torch.load(path, map_location="cpu", weights_only=True)
+    state: dict[str, Tensor] = next((loaded[key] for key in WRAPPERS if key in loaded), loaded)
     names = published_names()
     model = NPT(published_config(maxpool))
     own = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
