@@ -27,10 +27,11 @@ from pathlib import Path
 from threading import Lock
 
 import torch
+from pack_checkpoint import save_compact
 from torch._inductor.exc import InductorError
 
 from mimesh.io.atomic import whole_file
-from mimesh.learn import checkpoint
+from mimesh.learn.checkpoint import hardware
 from mimesh.learn.config import load_config
 from mimesh.learn.cost import training_operations
 from mimesh.learn.loop import FULL_RATE, TrainingRun, train
@@ -133,7 +134,7 @@ def finish(job: Job, args: argparse.Namespace, results: Path) -> None:
     folder, onnx = args.work / job.name, results / f"{job.name}.onnx"
     shutil.copy(folder / "log.jsonl", results / f"{job.name}-log.jsonl")
     if job.name in args.keep:
-        checkpoint.save_compact(folder / FULL_RATE, results / f"{job.name}-{FULL_RATE}", weights_only=True)
+        save_compact(folder / FULL_RATE, results / f"{job.name}-{FULL_RATE}", weights_only=True)
     pairs = ["--pairs", "1"] if args.tiny else []
     commands = (
         ["export", folder / "last.safetensors", "-o", onnx, "--bits", "8"],
@@ -172,7 +173,7 @@ def measure_rate(job: Job, results: Path, tiny: bool) -> dict[str, float | str]:
     by = "self_cuda_time_total" if cuda else "self_cpu_time_total"
     (results / f"{job.name}-profile.txt").write_text(profile.key_averages().table(sort_by=by, row_limit=45))
     rate = {
-        "device": checkpoint.hardware(),
+        "device": hardware(),
         "step_ms": 1e3 * seconds,
         "host_ms": 1e3 * host / steps,
         "pairs_per_s": run.config.batch / seconds,

@@ -19,12 +19,13 @@ from typing import Any
 import anny  # pyright: ignore[reportMissingImports]
 import numpy as np
 from build_human import dense_weights, sample_people, t_pose
+from hand_gestures import fingertips, palm_frame, phalanges
 from jaxtyping import Float, Int
 
 from mimesh.bodies import load_body
 from mimesh.bodies.body_model import RiggedBody
 from mimesh.bodies.character_limbs import SIDES
-from mimesh.bodies.hands import STORED, Hands, fingertips, hand_joints, hand_weight, palm_frame, phalanges
+from mimesh.bodies.hands import STORED, Hands, hand_joints, hand_weight
 from mimesh.bodies.joint_names import finger_joints
 from mimesh.core.geometry import closest_on_mesh, rigid_motion, unit_vectors
 

@@ -20,8 +20,9 @@ import fast_simplification
 import numpy as np
 import torch
 from body_components import on_ground, principal_components, residual_mm
+from save_body import save_body
 
-from mimesh.bodies.body_model import RiggedBody, save_body
+from mimesh.bodies.body_model import RiggedBody
 from mimesh.core.geometry import closest_on_mesh, rotate_between
 
 FACES = 13776

@@ -24,10 +24,11 @@ import numpy as np
 from body_components import on_ground, principal_components, residual_mm
 from jaxtyping import Float
 from quadruped_species import SPECIES, STANDING, Bump, Species
+from save_body import save_body
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from mimesh.bodies.body_model import RiggedBody, load_body, save_body
+from mimesh.bodies.body_model import RiggedBody, load_body
 from mimesh.bodies.quadruped import mean_posture
 from mimesh.core.geometry import closest_on_mesh
 from mimesh.core.skinning import place_joints, skin_points

@@ -11,7 +11,6 @@ import io
 import os
 import signal
 import sys
-from collections.abc import Callable
 from contextvars import copy_context
 from functools import cache
 from typing import Annotated, Any
@@ -54,19 +53,13 @@ COMMANDS = (
     measure.generate,
     learn.train,
     learn.export,
-    learn.import_checkpoint,
 )
 STOPPED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
 
-def command_name(command: Callable[..., object]) -> str:
-    """Give the name of a command by its function: `import_checkpoint` is import-checkpoint."""
-    return command.__name__.replace("_", "-")
-
-
 for _command in COMMANDS:
-    app.command(command_name(_command), cls=Command)(_command)
+    app.command(_command.__name__, cls=Command)(_command)
 
 
 def _version(requested: bool) -> bool:

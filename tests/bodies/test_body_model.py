@@ -4,9 +4,10 @@ import itertools
 
 import numpy as np
 import pytest
+from save_body import save_body
 from scipy.spatial import cKDTree
 
-from mimesh.bodies import load_body, save_body
+from mimesh.bodies import load_body
 from mimesh.bodies.anatomy import HUMAN, QUADRUPED, anatomy_of, anatomy_of_joints
 from mimesh.bodies.body_model import LANDMARKS, landmarks
 from mimesh.bodies.joint_names import other_side

@@ -2,20 +2,10 @@
 
 import numpy as np
 import pytest
+from hand_gestures import GESTURES, finger_rotations, fingertips, gestures, within_limits
 
 from mimesh.bodies import load_body
-from mimesh.bodies.hands import (
-    GESTURES,
-    HAND_PARENTS,
-    body_with_fingers,
-    finger_rotations,
-    fingertips,
-    gestures,
-    hand_frames,
-    load_hands,
-    straight_hand,
-    within_limits,
-)
+from mimesh.bodies.hands import HAND_PARENTS, body_with_fingers, hand_frames, load_hands, straight_hand
 from mimesh.bodies.joint_names import FINGERS, finger_joints, named_fingers, with_finger_joints
 from mimesh.core.geometry import MIRROR
 from mimesh.motions.humanoid_rig import rest_frames

@@ -17,7 +17,7 @@ import pytest
 import zoo
 
 import mimesh
-from mimesh.__main__ import COMMANDS, command_line, command_name, run
+from mimesh.__main__ import COMMANDS, command_line, run
 from mimesh.core.mesh import Clip, Material, Part
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.methods.find import MODELS
@@ -36,7 +36,7 @@ def test_help_names_every_command_and_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert all(command_name(command) in done.stdout for command in COMMANDS)
+    assert all(command.__name__ in done.stdout for command in COMMANDS)
 
 
 def test_every_command_has_help_and_json(call):

@@ -13,7 +13,7 @@ import pytest
 from matrix import matrix
 from threadpoolctl import threadpool_info
 
-from mimesh.__main__ import COMMANDS, command_name
+from mimesh.__main__ import COMMANDS
 from mimesh.bodies.engine_names import SCHEMES
 from mimesh.commands import about, common, terminal
 from mimesh.core.errors import did_you_mean
@@ -30,7 +30,7 @@ def test_no_command_prints_the_help_in_lines(call):
     code, out, err = call("")
     assert (code, out) == (2, "")
     assert err.startswith("Usage: mimesh")
-    assert all(f"\n  {command_name(command)} " in err for command in COMMANDS)
+    assert all(f"\n  {command.__name__} " in err for command in COMMANDS)
 
 
 @pytest.mark.parametrize(

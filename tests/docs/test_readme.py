@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mimesh.__main__ import COMMANDS, command_name
+from mimesh.__main__ import COMMANDS
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -23,7 +23,7 @@ def anchors(page: Path) -> set[str]:
 def test_commands_of_the_readme_exist():
     used = set(re.findall(r"^    (?:\.venv/bin/)?mimesh ([\w-]+)", README, re.MULTILINE))
     assert used
-    assert used <= {command_name(command) for command in COMMANDS}
+    assert used <= {command.__name__ for command in COMMANDS}
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     assert set(re.findall(r"(?:^    |`)make (\w+)", README, re.MULTILINE)) <= targets
 

@@ -1,4 +1,4 @@
-"""`mimesh generate --body-model`: the papers' people and poses on a model in SMPL's layout, and recorded motions."""
+"""`scripts/generate_on_body_model.py`: people and poses of the papers on a model in SMPL's layout; recorded motions."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from generate_on_body_model import COMPONENTS, on_body_model, write
 from motion_files import Z_UP
 from scipy.spatial.transform import Rotation
 from smpl_files import loop_vertices, small_arrays, write_model
@@ -14,7 +15,6 @@ from mimesh.__main__ import run
 from mimesh.bodies.sampling import TABLE_6
 from mimesh.core.errors import InputError
 from mimesh.evaluate.clip_protocols import ClipPair
-from mimesh.evaluate.generate import COMPONENTS, generate_command, on_body_model
 from mimesh.evaluate.measure import measure, measure_clip
 from mimesh.io import load_clip, load_mesh
 
@@ -56,26 +56,22 @@ def test_people_and_poses_are_those_of_table_6_in_smpl_s_order(joints, tmp_path)
         np.testing.assert_allclose(person.posed_mesh(pose).vertices, expected, atol=1e-9)
 
 
-def test_training_data_has_the_public_names_and_a_stopped_run_goes_on(model, tmp_path, capsys):
-    given = ["generate", "human-npt", "--body-model", str(model), "--split", "train", "--pairs", "3", "-o"]
-    assert run([*given, str(tmp_path / "out"), "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert (facts["files"], facts["kept"]) == (48, 0)
+def test_training_data_has_the_public_names_and_a_stopped_run_goes_on(model, tmp_path):
+    protocol = on_body_model("human-npt", model)
+    assert write(protocol, tmp_path / "out", "train", 3) == {"files": 48, "kept": 0}
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {f"id{i}_{b}.obj" for i in range(16) for b in range(3)}
     first, lost = tmp_path / "out" / "id0_0.obj", tmp_path / "out" / "id15_2.obj"
     before, content = first.stat().st_mtime_ns, lost.read_bytes()
     lost.unlink()
-    assert run([*given, str(tmp_path / "out")]) == 0
-    assert "48 files, 47 of them there already" in capsys.readouterr().out
+    assert write(protocol, tmp_path / "out", "train", 3) == {"files": 48, "kept": 47}
     assert (first.stat().st_mtime_ns, lost.read_bytes()) == (before, content)
 
 
 @pytest.mark.slow
 def test_pairs_are_new_people_and_can_be_measured(model, tmp_path, capsys):
-    written = generate_command("human-npt", tmp_path, "test", pairs=2, body_model=model)
-    assert written["files"] == len(list(tmp_path.rglob("*.*")))
     protocol = on_body_model("human-npt", model)
+    assert write(protocol, tmp_path, "test", 2)["files"] == len(list(tmp_path.rglob("*.*")))
     for kind in protocol.kinds:
         for line in (tmp_path / f"test-{kind}.txt").read_text().splitlines():
             words = line.split()
@@ -114,9 +110,8 @@ def assert_same_figures(report, protocol, prefix):
 def test_an_animal_is_posed_at_random_but_for_its_root(tmp_path):
     arrays = small_arrays(33, 40, 3)
     path = write_model(tmp_path / "SMAL.pkl", arrays)
-    written = generate_command("quadruped", tmp_path / "out", "train", pairs=2, body_model=path)
-    assert written["files"] == 32
     protocol = on_body_model("quadruped", path)
+    assert write(protocol, tmp_path / "out", "train", 2)["files"] == 32
     pose = protocol.pose("train", 1)
     rotvec = Rotation.from_matrix(pose.rotmat).as_rotvec()
     assert (rotvec[0] == 0).all()
@@ -127,10 +122,9 @@ def test_an_animal_is_posed_at_random_but_for_its_root(tmp_path):
 
 def test_every_person_makes_every_recorded_motion(model, tmp_path):
     takes = write_takes(tmp_path / "takes")
-    written = generate_command("clips-aniformer", tmp_path / "out", "train", data=takes, body_model=model)
-    assert written["files"] == 32
-    assert {path.name for path in (tmp_path / "out").iterdir()} == set(map(str, range(16)))
     protocol = on_body_model("clips-aniformer", model, takes)
+    assert write(protocol, tmp_path / "out", "train")["files"] == 32
+    assert {path.name for path in (tmp_path / "out").iterdir()} == set(map(str, range(16)))
     clip = load_clip(tmp_path / "out" / "3" / "hips_poses.npz")
     assert len(clip) == FRAMES
     expected = protocol.clip(protocol.person("train", 3), takes / "b" / "hips_poses.npz")
@@ -141,12 +135,11 @@ def test_every_person_makes_every_recorded_motion(model, tmp_path):
 
 def test_pairs_of_clips_have_the_truth_of_another_person(model, tmp_path, capsys):
     takes = write_takes(tmp_path / "takes")
-    options = {"data": takes, "body_model": model}
-    written = generate_command("clips-aniformer", tmp_path / "out", "test", **options)
+    protocol = on_body_model("clips-aniformer", model, takes)
+    written = write(protocol, tmp_path / "out", "test")
     assert written["files"] == sum(path.is_file() for path in (tmp_path / "out").rglob("*"))
     lines = (tmp_path / "out" / "test-takes.txt").read_text().splitlines()
     assert len(lines) == 2
-    protocol = on_body_model("clips-aniformer", model, takes)
     for line, take in zip(lines, protocol.takes, strict=True):
         identity, driving, truth = (tmp_path / "out" / word for word in line.split())
         person = identity.stem.split("_")[0].removeprefix("id")
@@ -164,10 +157,10 @@ def test_what_does_not_go_together_is_refused(model, tmp_path):
     twins = write_takes(tmp_path / "twins", names=("a/walk", "b/walk"))
     (tmp_path / "empty").mkdir()
     for name, path, data, message in (
-        ("noise", model, None, "expected it with human-npt, clips-aniformer or quadruped, found noise"),
+        ("noise", model, None, "noise: expected human-npt, clips-aniformer or quadruped, found another"),
         ("human-npt", animal, None, r"expected a model of people for human-npt, found 33 joints .*take quadruped"),
         ("quadruped", model, None, r"expected a model of animals for quadruped, found 24 joints .*human-npt"),
-        ("clips-aniformer", model, None, "expected a folder of AMASS motions for --body-model, found none"),
+        ("clips-aniformer", model, None, "expected a folder of AMASS motions, found none"),
         ("clips-aniformer", model, tmp_path / "empty", r"expected AMASS motions \(.npz with poses\), found none"),
         ("clips-aniformer", model, twins, "expected motions with names of their own"),
     ):

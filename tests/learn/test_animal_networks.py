@@ -130,7 +130,7 @@ def test_windows_are_of_gaits_and_of_ways_between_poses():
 
 @pytest.mark.parametrize(
     ("network", "config"),
-    [("npt", "table"), ("aniformer", "table"), ("hands", "small"), ("mime", "table")],
+    [("npt", "table"), ("aniformer", "table"), ("mime", "table")],
 )
 def test_networks_and_data_that_need_people_refuse_animals(network, config, capsys, tmp_path):
     words = ["train", network, "--config", config, "--set", "data.body=quadruped", "-o", str(tmp_path / "run")]

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from average_checkpoints import average
+from pack_checkpoint import save_compact
 from trainings import TINY, losses
 
 from mimesh.bodies import load_body
@@ -35,7 +37,7 @@ def saved(tmp_path_factory):
 
 def test_a_compact_checkpoint_is_half_as_large_and_continues(saved, tmp_path):
     _, path = saved
-    checkpoint.save_compact(path, tmp_path / "last.safetensors")
+    save_compact(path, tmp_path / "last.safetensors")
     whole, compact = (checkpoint.load(where / "last.safetensors") for where in (path.parent, tmp_path))
     size, small = (sum(f.stat().st_size for f in where.glob("last.*")) for where in (path.parent, tmp_path))
     numbers = sum(value.numel() for value in whole.tensors.values() if value.ndim)
@@ -54,7 +56,7 @@ def test_a_compact_checkpoint_is_half_as_large_and_continues(saved, tmp_path):
 
 def test_weights_alone_are_a_start_for_another_training(saved, tmp_path):
     _, path = saved
-    checkpoint.save_compact(path, tmp_path / "weights.safetensors", weights_only=True)
+    save_compact(path, tmp_path / "weights.safetensors", weights_only=True)
     alone, whole = (checkpoint.load(file).tensors for file in (tmp_path / "weights.safetensors", path))
     assert set(alone) == {name for name in whole if name.startswith("model.")}
     model, _ = checkpoint.load_model(tmp_path / "weights.safetensors")
@@ -64,7 +66,7 @@ def test_weights_alone_are_a_start_for_another_training(saved, tmp_path):
 
 def test_a_compact_checkpoint_without_the_average_begins_a_new_one(saved, tmp_path):
     run, path = saved
-    checkpoint.save_compact(path, tmp_path / "last.safetensors", average=False)
+    save_compact(path, tmp_path / "last.safetensors", average=False)
     again = TrainingRun.start(CONFIG, tmp_path)
     for name, value in again.model.state_dict().items():
         torch.testing.assert_close(again.ema[name], value, rtol=0, atol=0)
@@ -76,25 +78,25 @@ def test_average_of_checkpoints_is_that_of_their_networks_and_needs_one_network(
     losses(other, 1)
     other.save(tmp_path / "other.safetensors")
     states = [checkpoint.load(saved[1]), checkpoint.load(tmp_path / "other.safetensors")]
-    average = checkpoint.average(states, [3.0, 1.0])
-    for name, value in average.weights().items():
+    averaged = average(states, [3.0, 1.0])
+    for name, value in averaged.weights().items():
         torch.testing.assert_close(value, 0.75 * states[0].weights()[name] + 0.25 * states[1].weights()[name])
-    (change,) = average.changes
+    (change,) = averaged.changes
     assert [part["share"] for part in change["averaged"]] == [0.75, 0.25]
     assert [part["pairs"] for part in change["averaged"]] == [state.spent()["pairs"] for state in states]
     assert change["after_pairs"] == states[0].spent()["pairs"]
-    checkpoint.save(tmp_path / "average.safetensors", average)
+    checkpoint.save(tmp_path / "average.safetensors", averaged)
     model, again = checkpoint.load_model(tmp_path / "average.safetensors")
-    assert again.changes == average.changes
+    assert again.changes == averaged.changes
     for name, value in model.state_dict().items():
-        torch.testing.assert_close(value, average.weights()[name])
-    alone = checkpoint.average(states[:1], [0.3])
+        torch.testing.assert_close(value, averaged.weights()[name])
+    alone = average(states[:1], [0.3])
     for name, value in alone.weights().items():
         torch.testing.assert_close(value, states[0].weights()[name])
     wider = dataclasses.replace(CONFIG, model=dataclasses.replace(CONFIG.model, encoder=(8, 16, 24)))
     message = r"one network.*number 2.*model\.encoder \[8, 16, 24\] here, \[8, 16, 16\] there"
     with pytest.raises(InputError, match=message):
-        checkpoint.average([states[0], dataclasses.replace(states[1], config=wider)], [1.0, 1.0])
+        average([states[0], dataclasses.replace(states[1], config=wider)], [1.0, 1.0])
 
 
 @torch.no_grad()

@@ -32,8 +32,6 @@ def test_configurations_take_changes():
         ("small", "mime", "model.heads=3", "expected heads that divide width 128, found 3"),
         ("small", "mime", "data.character_limits=0.1", "character_limits null without data.characters, found 0.1"),
         ("small", "mime", "data.character_limits=few", r"character_limits: expected float \| None, found 'few'"),
-        ("small", "hands", "data.kind=wide", "kind: expected hands"),
-        ("small", "hands", "data.characters=0.9", r"data\.characters"),
         ("table", "aniformer", "model.head=regression", r"losses\.motion"),
         ("table", "aniformer", "model.layers=[]", "layers: expected the channels of one layer or more, found none"),
         ("table", "aniformer", "model.vertices=6890", "expected data.pairing order with model.vertices, found random"),
@@ -119,7 +117,7 @@ def test_differences_are_named_by_their_keys_and_at_most_a_few():
 
 @pytest.mark.parametrize("network", NETWORKS)
 def test_a_task_makes_the_network_of_its_configuration(network):
-    config = load_config("small" if network == "hands" else "table", network)
+    config = load_config("table", network)
     kind = find_task(network)
     assert isinstance(config, kind.config_type)
     task = kind(config, torch.device("cpu"))
@@ -130,6 +128,6 @@ def test_a_task_makes_the_network_of_its_configuration(network):
 
 
 def test_an_unknown_network_is_refused_with_those_there_are():
-    message = r"gpt: expected a model that can be trained \(npt, aniformer, mime, hands\)"
+    message = r"gpt: expected a model that can be trained \(npt, aniformer, mime\)"
     with pytest.raises(InputError, match=message):
         find_task("gpt")

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from import_npt_weights import published_names
 from paper_networks import (
     NPT_PARAMETERS,
     aniformer,
@@ -15,7 +16,6 @@ from paper_networks import (
 
 from mimesh.learn.aniformer import AniFormer, AniFormerConfig
 from mimesh.learn.npt import NPT, NPTConfig
-from mimesh.learn.published_weights import published_npt
 
 TOLERANCE = {"atol": 1e-5, "rtol": 0.0}
 VERTICES = 60
@@ -43,7 +43,6 @@ def public_aniformer(frames, vertices):
 
 def test_npt_has_the_published_names_shapes_and_count():
     shapes = npt_shapes()
-    assert published_npt().shapes() == published_npt(maxpool=True).shapes() == shapes
     assert sum(torch.Size(shape).numel() for shape in shapes.values()) == NPT_PARAMETERS
     assert sum(p.numel() for p in NPT(NPTConfig()).parameters()) == NPT_PARAMETERS
 
@@ -63,7 +62,7 @@ def test_aniformer_has_the_published_names_shapes_and_count(frames, count):
 def test_npt_is_table_5(public):
     state = random_state(npt_shapes())
     config = NPTConfig(order="norm-relu-conv", output="2tanh") if public else NPTConfig()
-    model = filled(NPT(config), published_npt().names, state)
+    model = filled(NPT(config), published_names(), state)
     identity, driving = meshes(2, 2, VERTICES)
     expected = npt(state, identity, driving, public)
     assert expected.std() > 0.1
@@ -76,7 +75,7 @@ def test_maxpool_variant_is_c2(public):
     state = random_state(npt_shapes())
     code = {"pose_code": "global_max", "unnormalised": "block" if public else "first"}
     config = NPTConfig(**code, order="norm-relu-conv", output="2tanh") if public else NPTConfig(**code)
-    model = filled(NPT(config), published_npt().names, state)
+    model = filled(NPT(config), published_names(), state)
     identity, driving = meshes(2, VERTICES), meshes(2, VERTICES + 20)
     expected = maxpool_npt(state, identity, driving, public)
     assert (expected - npt(state, identity, driving[:, :VERTICES], public)).abs().max() > 0.1

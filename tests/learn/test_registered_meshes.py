@@ -205,7 +205,7 @@ def test_windows_are_the_same_frames_of_two_people(clips):
 def test_clips_of_a_motion_must_have_one_length(tmp_path):
     write_clips(tmp_path, 2, 2, lambda i, m: 4 + i if m == 0 else 6)
     with pytest.raises(
-        InputError, match=r"walk0.npz: expected the 4 frames .*found 5.*mimesh generate clips-aniformer"
+        InputError, match=r"walk0.npz: expected the 4 frames .*found 5.*generate_on_body_model.py clips-aniformer"
     ):
         read(tmp_path, 3)
     write_clips(tmp_path, 2, 2)

@@ -5,18 +5,11 @@ from functools import cache, partial
 import numpy as np
 import pytest
 from grouped_options import grouped
+from hand_gestures import GESTURES, finger_rotations, fingertips, gestures, within_limits
 
 import mimesh
 from mimesh.bodies import load_body
-from mimesh.bodies.hands import (
-    GESTURES,
-    body_with_fingers,
-    finger_rotations,
-    fingertips,
-    gestures,
-    load_hands,
-    within_limits,
-)
+from mimesh.bodies.hands import body_with_fingers, load_hands
 from mimesh.bodies.joint_names import finger_joints, named_fingers, named_joints
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.geometry import MIRROR, rigid_motion

@@ -105,7 +105,7 @@ class RiggedBody:
 
 
 def load_body(name_or_path: str | Path = "human") -> RiggedBody:
-    """Load a shipped body by name, which all callers share, or a `.npz` of its layout (see `save_body`) by path."""
+    """Load a shipped body by name, which all callers share, or a `.npz` of its layout by path."""
     path = Path(name_or_path)
     shipped = path.suffix != ".npz"
     if shipped:
@@ -116,7 +116,7 @@ def load_body(name_or_path: str | Path = "human") -> RiggedBody:
 
 
 def _read_body(path: Path) -> RiggedBody:
-    """Read a body of a file of `save_body`."""
+    """Read a body of a file of `research/recipes/save_body.py`."""
     with np.load(path) as data:
         return RiggedBody(
             name=path.stem,
@@ -142,23 +142,6 @@ def unpacked_weights(
     unpacked = np.zeros((len(weights), count))
     np.put_along_axis(unpacked, joints.astype(int), weights.astype(np.float64), axis=1)
     return unpacked / unpacked.sum(axis=1, keepdims=True)
-
-
-def save_body(body: RiggedBody, path: Path) -> None:
-    """Write a compact `.npz`: components and weights in half precision, the six largest weights per vertex."""
-    strongest = np.argsort(-body.weights, axis=1)[:, :6]
-    np.savez_compressed(
-        path,
-        vertices=body.vertices.astype(np.float32),
-        faces=body.faces.astype(np.uint16),
-        components=body.components.astype(np.float16),
-        joints=body.joints.astype(np.float32),
-        joint_components=body.joint_components.astype(np.float32),
-        weight_joints=strongest.astype(np.uint8),
-        weights=np.take_along_axis(body.weights, strongest, axis=1).astype(np.float16),
-        joint_names=np.array(body.joint_names),
-        parents=np.array(body.parents, np.int8),
-    )
 
 
 EXTREMES = {

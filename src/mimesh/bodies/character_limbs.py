@@ -21,15 +21,7 @@ from ..core.geometry import vertex_areas
 from ..core.normalization import bbox_centre
 from ..core.rig import Rig, descendant_matrix, descendants
 from .body_model import load_body
-from .joint_names import (
-    ancestors,
-    called_hips,
-    common_ancestors,
-    named_joints,
-    other_side,
-    parents_first,
-    trunk_joints,
-)
+from .joint_names import ancestors, called_hips, common_ancestors, named_joints, other_side, parents_first, trunk_joints
 from .skinned_character import SkinnedCharacter
 
 FindJoints = Callable[[SkinnedCharacter], dict[str, int]]

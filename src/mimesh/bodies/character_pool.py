@@ -25,6 +25,7 @@ from jaxtyping import Float, Int
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Mesh, check_mesh
+from ..core.normalization import turn as turned_about_y
 from ..core.npz_archive import check_unpacked_size, open_archive, read_array
 from ..core.printable import listed
 from ..core.rig import homogeneous
@@ -220,8 +221,7 @@ def read_character(path: str | Path, body: str = "human") -> PoolCharacter:
 
 def facing_rotation(facing: str) -> Float[np.ndarray, "3 3"]:
     """Compute the rotation about y that turns a character of a facing (a key of FACING) to +z."""
-    angle = FACING[facing]
-    return np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]).round()
+    return turned_about_y(FACING[facing]).round()
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import geometry
+from ..core.geometry import nearest_points
 from ..core.rig import descendants
 from .body_model import RiggedBody
 from .sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat
@@ -164,8 +165,6 @@ def _intersection_depth(body: RiggedBody, vertices: Float[np.ndarray, "V 3"], mo
 
     About a twentieth of an arm's vertices are deeper. Contact pressure is not distinguished from intersection.
     """
-    from scipy.spatial import KDTree
-
     strongest, normals = body.weights.argmax(axis=1), geometry.vertex_normals(vertices, body.faces)
     depth = np.zeros(len(vertices))
     for side in ("Left", "Right"):
@@ -178,7 +177,7 @@ def _intersection_depth(body: RiggedBody, vertices: Float[np.ndarray, "V 3"], mo
         rest = np.flatnonzero(~np.isin(strongest, excluded))
         if len(limb):
             # Depth along the normal of the nearest other vertex; positive is below the surface.
-            nearest = rest[KDTree(vertices[rest]).query(vertices[limb])[1]]
+            nearest = rest[nearest_points(vertices[rest], vertices[limb])[1]]
             depth[limb] = ((vertices[nearest] - vertices[limb]) * normals[nearest]).sum(axis=1)
     deepest = np.sort(depth)[::-1]
     return float(deepest[len(deepest) // 100])

@@ -22,6 +22,7 @@ from jaxtyping import Float
 
 from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError, option
+from ..core.geometry import rotation_between
 from ..core.normalization import ORIENTATIONS, ROTATIONS
 from ..core.options import Layout
 from ..core.rig import Rig, descendants
@@ -181,7 +182,7 @@ def _turn_arm(
         j = limb[joint]
         turn[j] = axes @ rig.rotation[j].T
         if end is not None:
-            turn[j] = _swing(turn[j] @ (rig.joints[limb[end]] - rig.joints[j]), direction) @ turn[j]
+            turn[j] = rotation_between(turn[j] @ (rig.joints[limb[end]] - rig.joints[j]), direction) @ turn[j]
     turn[descendants([limb["Hand"]], skeleton.parents)] = turn[limb["Hand"]]
 
 
@@ -201,7 +202,7 @@ def _turn_fingers(
         chain = [limb[name] for k in (1, 2, 3) if (name := f"Hand{finger}{k}") in limb]
         for joint, end in pairwise(chain):
             bone = skeleton.rig.joints[end] - skeleton.rig.joints[joint]
-            turn[joint] = _swing(turn[joint] @ bone, target) @ turn[joint]
+            turn[joint] = rotation_between(turn[joint] @ bone, target) @ turn[joint]
             turn[end] = turn[joint]
 
 
@@ -213,21 +214,10 @@ def _turn_leg(
     for joint, end in (("UpLeg", "Leg"), ("Leg", "Foot")):
         bone = joints[limb[end]] - joints[limb[joint]]
         if bone @ down < np.cos(np.radians(LEG_TOLERANCE)) * np.linalg.norm(bone):
-            turn[limb[joint]] = _swing(bone, down)
+            turn[limb[joint]] = rotation_between(bone, down)
     if "ToeBase" in limb:
         foot = joints[limb["ToeBase"]] - joints[limb["Foot"]]
-        turn[[limb["Foot"], limb["ToeBase"]]] = _swing(foot - (foot @ down) * down, axes[:, 2])
-
-
-def _swing(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Compute the smallest rotation from one direction to another; opposite ones turn about any axis across."""
-    from scipy.spatial.transform import Rotation
-
-    axis = np.cross(old, new)
-    if np.linalg.norm(axis) < 1e-9 * np.linalg.norm(old) * np.linalg.norm(new):
-        axis = np.cross(old, np.eye(3)[np.abs(old).argmin()])
-    angle = np.arctan2(np.linalg.norm(np.cross(old, new)), old @ new)
-    return Rotation.from_rotvec(angle * axis / max(float(np.linalg.norm(axis)), 1e-12)).as_matrix()
+        turn[[limb["Foot"], limb["ToeBase"]]] = rotation_between(foot - (foot @ down) * down, axes[:, 2])
 
 
 def _rest_vertices(

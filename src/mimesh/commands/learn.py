@@ -1,4 +1,4 @@
-"""The commands `mimesh train`, `mimesh export` and `mimesh import-checkpoint`."""
+"""The commands `mimesh train` and `mimesh export`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .terminal import Json, print_json, print_next, progress, require
 
 @with_options
 def train(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, hands, npt or aniformer.")],
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, npt or aniformer.")],
     config: Annotated[
         str, typer.Option(help="small, table, gpu or paper, if MODEL has it, or the path of a YAML file.")
     ] = "small",
@@ -75,32 +75,3 @@ def export(
         say(f"{output}: {output.stat().st_size / 2**20:.1f} MiB")
         say(f"{output.with_suffix('.json')}: its card")
         print_next("evaluate", test_set(card), "-m", f"{output},copy")
-
-
-def import_checkpoint(
-    weights: Annotated[Path, typer.Argument(metavar="FILE", help="Weights that NPT's public code saved: .model, .pt.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The .onnx file to write.")],
-    maxpool: Annotated[
-        bool, typer.Option("--maxpool", help="They are of NPT's max-pool variant, whose weights look the same.")
-    ] = False,
-    bits: Annotated[int, typer.Option(help="Bits a weight is stored in: 32, 16 or 8.")] = 32,
-    json: Json = False,
-) -> None:
-    """Turn weights of NPT's public code into an .onnx file that -m takes.
-
-    Needs the [train] extra; reads tensors only and runs nothing of the file; writes a card (.json) beside it.
-    """
-    require("train", "torch", "onnx", "onnxscript")
-    with progress("importing", json):
-        from ..learn.published_weights import import_command
-
-        card = import_command(weights, output, maxpool, bits)
-    kind = card["imported"]["kind"]
-    if json:
-        facts = {"kind": kind, "parameters": card["parameters"]}
-        print_json({"output": str(output), "bytes": output.stat().st_size, **facts})
-        return
-    say(f"{output}: {kind}, {card['parameters']:,} numbers, {output.stat().st_size / 2**20:.1f} MiB")
-    if kind == "npt":
-        say("note: weights of the max-pool variant have the same names and shapes; --maxpool takes them as such")
-    print_next("transfer", "IDENTITY", "DRIVING", "-m", output)

@@ -34,8 +34,7 @@ Figures = Annotated[
 Data = Annotated[
     Path | None,
     typer.Option(
-        help="Folder: rigged characters for cross-body, a pool of them for characters; with "
-        "--body-model motions for clips-aniformer.",
+        help="Folder: rigged characters for cross-body, a pool of them for characters.",
         metavar="DIR",
     ),
 ]
@@ -164,14 +163,6 @@ def generate(
     split: Annotated[
         str, typer.Option(help="test, val, or train (human-npt: 6,400 files, 4 GB; --pairs: poses).")
     ] = "test",
-    body_model: Annotated[
-        Path | None,
-        typer.Option(
-            help="Body model (.pkl, .npz) of people for human-npt and, with AMASS motions in --data, clips-aniformer; "
-            "of animals for quadruped.",
-            metavar="FILE",
-        ),
-    ] = None,
     pairs: Pairs = 0,
     data: Data = None,
     json: Json = False,
@@ -185,7 +176,7 @@ def generate(
     from ..evaluate.generate import generate_command
 
     with progress("meshes", quiet or json) as advance:
-        written = generate_command(protocol, output, split, pairs, advance, data, body_model)
+        written = generate_command(protocol, output, split, pairs, advance, data)
     if json:
         print_json({"output": str(output), "protocol": protocol, "split": split, **written})
     elif not quiet:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .geometry import factor, smooth_step, unit_vectors
+from .geometry import factor, rotations_between, smooth_step, unit_vectors
 from .joint_tracks import JointTrack
 from .rig import descendants
 from .skinning import SkinnedMesh
@@ -619,15 +619,15 @@ def move_ankle(
     before, after = thigh + shin, thigh + shin + offset
     shortest = np.abs(upper - lower) + 1e-3 * upper
     distance = np.clip(_length(after), shortest, longest_reach(positions, leg))
-    swing = _smallest_rotation(before, after)
+    swing = rotations_between(before, after)
     line, sideways = unit_vectors(before), _knee_direction(thigh, before, bend * rotation[:, hip, :, 2])
     # Law of cosines: where the knee is along the line from hip to ankle, and how far from it.
     along = (distance**2 + upper**2 - lower**2) / (2 * distance)
     across = np.sqrt(np.maximum(upper**2 - along**2, 0))
     new_thigh = _turn(swing, along * line + across * sideways)
     new_shin = _turn(swing, distance * line) - new_thigh
-    thigh_turn = _smallest_rotation(_turn(swing, thigh), new_thigh) @ swing
-    shin_turn = _smallest_rotation(_turn(swing, shin), new_shin) @ swing
+    thigh_turn = rotations_between(_turn(swing, thigh), new_thigh) @ swing
+    shin_turn = rotations_between(_turn(swing, shin), new_shin) @ swing
     turned = rotation.copy()
     below_hip, below_knee, foot = (descendants([joint], parents) for joint in leg)
     turned[:, below_hip] = thigh_turn[:, None] @ rotation[:, below_hip]
@@ -654,16 +654,6 @@ def _knee_direction(
     mixed = bent * bend / np.maximum(size, 1e-12) + (1 - bent) * front
     # A knee bent exactly to the back would cancel out half-way: it keeps its side.
     return np.where(_length(mixed) > 1e-3, unit_vectors(mixed), front)
-
-
-def _smallest_rotation(old: Float[np.ndarray, "T 3"], new: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
-    """Return the smallest rotations from directions `old` to `new`, which are not opposite (Rodrigues' formula)."""
-    old, new = unit_vectors(old), unit_vectors(new)
-    x, y, z = np.cross(old, new).T
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
-    cosine = (old * new).sum(axis=-1)[:, None, None]
-    return np.eye(3) + cross + cross @ cross / np.maximum(1 + cosine, 1e-6)
 
 
 def _turn(rotation: Float[np.ndarray, "T 3 3"], vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:

@@ -232,9 +232,7 @@ def spread_exactly(frames: int, count: int, name: str) -> Int[np.ndarray, " N"]:
 
 
 def each_frame(
-    vertices: Frames,
-    progress: Progress | None = None,
-    dtype: type[np.floating] | np.dtype = np.float64,
+    vertices: Frames, progress: Progress | None = None, dtype: type[np.floating] | np.dtype = np.float64
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
     """Iterate over the frames of a clip, in double precision by default, and release their pages when they are read."""
     for t, points in enumerate(vertices):

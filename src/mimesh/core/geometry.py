@@ -65,6 +65,23 @@ def vertex_normals(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F
     return _unit_or_up(np.stack(sums, axis=1).astype(float))
 
 
+def nearest_points(
+    points: Float[np.ndarray, "N C"], queries: Float[np.ndarray, "M C"], count: int = 1
+) -> tuple[Float[np.ndarray, "M *K"], Int[np.ndarray, "M *K"]]:
+    """Find the nearest of some points to each query: distance and index; of several, the nearest comes first."""
+    from scipy.spatial import KDTree
+
+    distance, index = KDTree(points).query(queries, k=count)
+    return np.asarray(distance), np.asarray(index)
+
+
+def component_labels(joined: Int[np.ndarray, "L 2"], count: int) -> Int[np.ndarray, " W"]:
+    """Label the connected component of each of `count` points, from 0; a point without a link has one of its own."""
+    from scipy.sparse.csgraph import connected_components
+
+    return connected_components(links(joined, count), directed=False)[1].astype(np.int64)
+
+
 def unit_vectors(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
     """Normalise vectors to length 1; zero vectors stay zero, and those with NaN or infinity become NaN."""
     with np.errstate(over="ignore", invalid="ignore"):  # of damaged files, whose vectors `check_mesh` then refuses
@@ -284,15 +301,24 @@ def rotate_between(
 
 def rotation_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """Compute the matrix of the smallest rotation from direction `old` to direction `new`."""
-    return rotations_between(old, new[None])[0]
+    return rotations_between(old[None], new[None])[0]
 
 
-def rotations_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
-    """Compute the matrices of the smallest rotations from direction `old` to each of the directions `new`."""
-    olds, news = np.tile(old / np.linalg.norm(old), (3 * len(new), 1)), np.repeat(unit_vectors(new), 3, axis=0)
+def rotations_between(old: Float[np.ndarray, "#T 3"], new: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
+    """Compute the matrices of the smallest rotations from directions `old` to `new`; none where one has no length."""
+    olds, news = (np.repeat(np.broadcast_to(unit_vectors(of), new.shape), 3, axis=0) for of in (old, new))
     # The rotated unit vectors are the columns of the matrices.
     columns = rotate_between(olds, news, np.tile(np.eye(3), (len(new), 1)))
-    return np.swapaxes(columns.reshape(-1, 3, 3), -1, -2)
+    found = np.swapaxes(columns.reshape(-1, 3, 3), -1, -2)
+    known = np.logical_and(old.any(axis=-1), new.any(axis=-1))
+    return np.where(np.reshape(known, (-1, 1, 1)), found, np.eye(3))
+
+
+def frames_along(first: Float[np.ndarray, "*N 3"], second: Float[np.ndarray, "*#N 3"]) -> Float[np.ndarray, "*N 3 3"]:
+    """Build frames with the first column along a vector and the second in the plane of both vectors."""
+    x = unit_vectors(first)
+    y = unit_vectors(second - (second * x).sum(axis=-1, keepdims=True) * x)
+    return np.stack([x, y, np.cross(x, y)], axis=-1)
 
 
 def slerp(
@@ -372,11 +398,8 @@ def closest_on_mesh(
     fairly even triangles. With `normals`, faces whose normal is 90 degrees or
     more from the query's are ignored; the distance is infinite if no candidate is left.
     """
-    from scipy.spatial import KDTree
-
     # Candidate columns are tested one after the other, for all points at once.
-    centroids = face_centroids(vertices, faces)
-    _, near = KDTree(centroids).query(points, k=min(CANDIDATES, len(faces)))
+    near = nearest_points(face_centroids(vertices, faces), points, min(CANDIDATES, len(faces)))[1]
     near = near.reshape(len(points), -1)
     best_distance = np.full(len(points), np.inf)
     best_face, best_weights = near[:, 0].copy(), np.zeros((len(points), 3))

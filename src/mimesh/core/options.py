@@ -413,8 +413,6 @@ class TrainingFiles:
     clips: Path | None = declared(None, "Folder of .glb, .fbx, .bvh or AMASS motions to train mime on.", metavar="DIR")
     leave_out: list[str] | None = declared(None, "Pack (sub-folder) of --characters that is not used.", metavar="PACK")
     meshes: Path | None = declared(
-        None,
-        "Folder of registered meshes (npt) or clips (aniformer) to train on.",
-        metavar="DIR",
+        None, "Folder of registered meshes (npt) or clips (aniformer) to train on.", metavar="DIR"
     )
     pattern: str = declared("", "How the files of --meshes are named, such as '{person}-{pose}.ply'.")

@@ -211,10 +211,7 @@ def find_soles(
 
 
 def body_points(
-    points: Float[np.ndarray, "N 3"],
-    rig: Rig,
-    limbs: tuple[tuple[int, ...], ...],
-    parents: tuple[int, ...],
+    points: Float[np.ndarray, "N 3"], rig: Rig, limbs: tuple[tuple[int, ...], ...], parents: tuple[int, ...]
 ) -> Int[np.ndarray, " B"]:
     """Find the outermost points of what each joint moves, along DIRECTIONS; feet and hands are left out.
 
@@ -258,12 +255,7 @@ def floor_height(at_rest: float, lowest: float, leg: float) -> float:
 
 
 def sole_points(
-    points: Float[np.ndarray, "N 3"],
-    rig: Rig,
-    ankle: int,
-    parents: tuple[int, ...],
-    whole: bool = True,
-    along: int = 2,
+    points: Float[np.ndarray, "N 3"], rig: Rig, ankle: int, parents: tuple[int, ...], whole: bool = True, along: int = 2
 ) -> Int[np.ndarray, "C M"] | None:
     """Find the contact points of a foot: indices of the M points that make each of them (some repeated).
 

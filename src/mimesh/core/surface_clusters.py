@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .geometry import distinct_rows, face_areas
-from .mesh import Mesh
+from .mesh import Mesh, chosen_faces
 
 MOST_CELLS = 2**19
 """Along an axis, so that the number of a cell and a kind is one of 64 bits."""
@@ -61,19 +61,4 @@ def clusters(
 def clustered_mesh(mesh: Mesh, count: int) -> Mesh:
     """Reduce a mesh to roughly `count` vertices by `clusters`; normals, texture coordinates and materials stay."""
     found = clusters(mesh.vertices, mesh.faces, count)
-    vertices, kept = found.vertices, found.kept
-    parts = [
-        dataclasses.replace(part, start=int(start), stop=int(stop))
-        for part in mesh.parts
-        for start, stop in [np.searchsorted(kept, (part.start, part.stop))]
-    ]
-    return Mesh(
-        mesh.vertices[vertices],
-        found.faces,
-        mesh.name,
-        corner_uv=None if mesh.corner_uv is None else mesh.corner_uv[kept],
-        corner_normals=None if mesh.corner_normals is None else mesh.corner_normals[kept],
-        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[vertices],
-        parts=tuple(part for part in parts if part.stop > part.start),
-        up=mesh.up,
-    )
+    return dataclasses.replace(chosen_faces(mesh, found.kept, found.vertices), faces=found.faces)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from .canonical_order import TOLERANCE, CanonicalOrder, canonical_faces, canonical_order, rank_order
+from .canonical_order import CanonicalOrder, canonical_faces, canonical_order, rank_order
 from .geometry import face_areas, face_centroids, face_vectors
 from .mesh import Mesh
 
@@ -140,8 +140,3 @@ def padded_vertices(mesh: Mesh, count: int, rng: np.random.Generator) -> PaddedV
     faces = mesh.faces[rank_order(face_centroids(mesh.vertices, mesh.faces))]
     chosen, barycentric = sample_surface(mesh.vertices, faces, missing, rng)
     return PaddedVertices(ranked, faces[chosen], barycentric)
-
-
-def rounded(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """Round to TOLERANCE: in a nearest-neighbour search a difference in the last bit could select another match."""
-    return np.round(points / TOLERANCE) * TOLERANCE

@@ -25,10 +25,7 @@ INDEX = "index.json"
 
 
 def read_character_folder(
-    folder: str | Path,
-    split: str = "train",
-    progress: Progress | None = None,
-    body: str = "human",
+    folder: str | Path, split: str = "train", progress: Progress | None = None, body: str = "human"
 ) -> Pool:
     """Read the humanoids of a folder, or its animals: those of a split of its pool, then all rigged files, by path.
 

@@ -37,6 +37,7 @@ from ..core.mesh import Mesh
 from ..core.rig import local_rotations
 from ..io.gltf.character import NOT_STATED
 from ..motions.animal_rig import rest_directions
+from ..motions.retarget import limb_alignments
 from .character_folder import INDEX, read_character_folder
 from .pairs import Pair, human
 from .protocols import Wide
@@ -253,10 +254,6 @@ def _permuted(posed: PosedCharacter, order: Int[np.ndarray, " V"]) -> PosedChara
     return dataclasses.replace(posed, rig=posed.rig.permuted(order))
 
 
-FRONTAL = np.array([1.0, 1.0, 0.0])
-"""Mask of the frontal plane: feet get only this part of their shin's calibration; see `retarget.alignments`."""
-
-
 def pose_character(character: PoolCharacter, rotmat: Float[np.ndarray, "B 3 3"]) -> Float[np.ndarray, "K 4 4"]:
     """Compute the transforms of a character's joints, from rest, that give it a pose of the shipped body."""
     body, rig, aligned = human(), character.rig, rest_alignments(character)
@@ -306,26 +303,11 @@ def body_poses(
 
 
 def rest_alignments(character: PoolCharacter) -> dict[str, Float[np.ndarray, "3 3"]]:
-    """Compute the rotation of each limb joint from the shipped body's direction at rest to the character's.
-
-    Hands get that of the forearm; feet and toes get the part of the shin's in the frontal plane.
-    """
-    body, aligned = human(), {}
-    for side in SIDES:
-        for part in TAILS:
-            if tail := body_tail(character, side + part):
-                limb = character.limbs[side + part]
-                ours, theirs = (
-                    body.joints[body.joint(tail)] - body.joints[body.joint(side + part)],
-                    limb.end - limb.start,
-                )
-                aligned[side + part] = rotation_between(ours, theirs)
-                if tail.endswith("Hand"):
-                    aligned[tail] = aligned[side + part]
-                if tail.endswith("Foot"):
-                    foot = rotation_between(ours * FRONTAL, theirs * FRONTAL)
-                    aligned[tail] = aligned[f"{side}ToeBase"] = foot
-    return aligned
+    """Compute the rotation of each limb joint from the shipped body's direction at rest to the character's."""
+    names = (side + part for side in SIDES for part in TAILS)
+    tails = {name: tail for name in names if (tail := body_tail(character, name))}
+    bones = {name: character.limbs[name].end - character.limbs[name].start for name in tails}
+    return limb_alignments(bones, human(), tails)
 
 
 def animal_alignments(character: PoolCharacter, body: RiggedBody) -> dict[str, Float[np.ndarray, "3 3"]]:

@@ -65,6 +65,14 @@ class ClipPair(Pair):
     place: Int[np.ndarray, " V"] | None = None
     """Vertex of both meshes for each vertex of the body; None where they have the body's order, or two orders."""
 
+    @classmethod
+    def of(
+        cls, first: Pair, clip: Clip, truth: Float[np.ndarray, "T V 3"], aligned: Float[np.ndarray, "T V 3"] | None
+    ) -> ClipPair:
+        """Make a trial of its first frame and all frames."""
+        fields = {field.name: getattr(first, field.name) for field in dataclasses.fields(Pair)}
+        return cls(**fields, clip=clip, truth_frames=truth, aligned_frames=aligned)
+
     def reordered(self, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> ClipPair:
         """Reorder the vertices in all frames."""
         first = super().reordered(order, driving_order)
@@ -157,18 +165,16 @@ def make_clip_pair(identity: Person, driving: Person, rest: Pose, motion: Motion
     """Make a trial from two people, the identity's pose and the driving's motion, in the body's vertex order."""
     first = make_pair(identity, driving, rest, Pose(motion.rotmat[0], motion.name))
     clip, truth = (motion_clip(person.body, person.shape, motion) for person in (driving, identity))
-    fields = {field.name: getattr(first, field.name) for field in dataclasses.fields(Pair)}
     # The clip also has the motion's root path, which a pair of poses has not.
-    fields |= {"driving": dataclasses.replace(first.driving, vertices=clip.vertices[0])}
-    fields |= {"truth": truth.vertices[0], "aligned": clip.vertices[0]}
-    # Seconds of one take (take@start) are not independent.
-    fields |= {"groups": (identity.label, motion.name.partition("@")[0])}
-    return ClipPair(
-        **fields,
-        clip=dataclasses.replace(clip, mesh=fields["driving"]),
-        truth_frames=truth.vertices,
-        aligned_frames=clip.vertices,
+    first = dataclasses.replace(
+        first,
+        driving=dataclasses.replace(first.driving, vertices=clip.vertices[0]),
+        truth=truth.vertices[0],
+        aligned=clip.vertices[0],
+        # Seconds of one take (take@start) are not independent.
+        groups=(identity.label, motion.name.partition("@")[0]),
     )
+    return ClipPair.of(first, dataclasses.replace(clip, mesh=first.driving), truth.vertices, clip.vertices)
 
 
 CLIPS_ANIFORMER = ClipsAniformer("clips-aniformer", 4, ("seen", "unseen", "procedural"), pairs=24, spread=1.1)

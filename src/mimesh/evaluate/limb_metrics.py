@@ -168,10 +168,7 @@ class LimbedCharacter:
 
 
 def cut_limb(
-    vertices: Float[np.ndarray, "V 3"],
-    faces: Int[np.ndarray, "F 3"],
-    weights: Float[np.ndarray, " V"],
-    limb: Limb,
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], weights: Float[np.ndarray, " V"], limb: Limb
 ) -> Sections | None:
     """Cut a limb at rest by planes across the line of its joints (CUTS); None if it has too little surface.
 

@@ -159,15 +159,11 @@ class ListedClips(ListedPairs):
         meshes = [dataclasses.replace(c.mesh, vertices=np.asarray(c.vertices[0], np.float64)) for c in (clip, truth)]
         _check_truth(triple, identity, meshes[1])
         first = self._pair(kind, triple, identity, *meshes)
-        fields = {field.name: getattr(first, field.name) for field in dataclasses.fields(Pair)}
-        fields |= {"groups": (first.groups[0], _take(triple.names[1]))}
+        first = dataclasses.replace(first, groups=(first.groups[0], _take(triple.names[1])))
         frames = np.asarray(clip.vertices, np.float64)
-        return ClipPair(
-            **fields,
-            clip=Clip(first.driving, frames, clip.fps),
-            truth_frames=np.asarray(truth.vertices, np.float64),
-            aligned_frames=None if first.aligned is None else frames,
-        )
+        aligned = None if first.aligned is None else frames
+        truth_frames = np.asarray(truth.vertices, np.float64)
+        return ClipPair.of(first, Clip(first.driving, frames, clip.fps), truth_frames, aligned)
 
 
 def listed_pairs(

@@ -33,10 +33,7 @@ RIG_COLUMNS = {
     "seconds_per_frame": "s",
 }
 """Metric of rigs, beside those of their makers -> heading."""
-LIMB_COLUMNS = {
-    "sole_height": "soles, leg lengths",
-    "touching": "contacts that agree",
-}
+LIMB_COLUMNS = {"sole_height": "soles, leg lengths", "touching": "contacts that agree"}
 """Metric of results without a true mesh -> heading."""
 
 

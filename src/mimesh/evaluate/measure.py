@@ -61,7 +61,6 @@ TRAINED_ON = {
     "wide": "random people and poses",
     "clips80": "16 people x 80 motions",
     "clips": "random people and motions",
-    "hands": "random hands",
     "meshes": "registered meshes",
 }
 """Description of each kind of training data (`data.kind` of a configuration), for reports."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.geometry import face_vectors
+from ..core.geometry import face_vectors, nearest_points
 from ..core.normalization import bbox_centre
 
 VERSION = 2
@@ -110,9 +110,7 @@ def chamfer(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "W 3"]) -
     In the square of the inputs' unit; vertex counts may differ. It compares vertices, not surfaces, so two different
     meshings of one surface do not give 0.
     """
-    from scipy.spatial import KDTree
-
-    to_truth, to_result = KDTree(truth).query(result)[0], KDTree(result).query(truth)[0]
+    to_truth, to_result = nearest_points(truth, result)[0], nearest_points(result, truth)[0]
     return float(np.square(to_truth).mean() + np.square(to_result).mean())
 
 

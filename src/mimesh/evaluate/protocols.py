@@ -254,11 +254,7 @@ def with_noise(
     return vertices + amplitude * radius * rng.uniform(-1, 1, vertices.shape)
 
 
-MESHINGS = {
-    "decimated": remesh.decimated,
-    "retriangulated": remesh.retriangulated,
-    "subdivided": remesh.subdivided,
-}
+MESHINGS = {"decimated": remesh.decimated, "retriangulated": remesh.retriangulated, "subdivided": remesh.subdivided}
 """Kinds of `cross-topology` that are surfaces, and the functions that make these meshings of the body."""
 HUMAN_NPT = HumanNpt("human-npt", 1, ("seen", "unseen"), pairs=72, spread=1.1)
 HUMAN_WIDE = Wide("human-wide", 1, ("limits", "clips"), pairs=36, spread=1.3)

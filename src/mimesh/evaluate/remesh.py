@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..bodies import RiggedBody, load_body
-from ..core.geometry import closest_on_mesh, edges, face_vectors
+from ..core.geometry import closest_on_mesh, edges, face_vectors, nearest_points
 from ..core.surface_points import at_barycentric, sample_surface
 
 
@@ -34,9 +34,7 @@ class Remesh:
 
     def nearest(self, vertices: Float[np.ndarray, "V 3"], selected: Int[np.ndarray, " M"]) -> Int[np.ndarray, " M"]:
         """Return the index of the point nearest to each of the selected body vertices."""
-        from scipy.spatial import KDTree
-
-        return np.asarray(KDTree(self.positions(vertices)).query(vertices[selected])[1])
+        return nearest_points(self.positions(vertices), vertices[selected])[1]
 
 
 @cache

@@ -32,14 +32,7 @@ from .character_folder import read_character_folder
 from .characters import character_label
 from .pairs import Pair
 from .protocols import Protocol
-from .rig_metrics import (
-    bones_to_bones,
-    joints_to_bones,
-    joints_to_joints,
-    limb_radius,
-    matched_share,
-    weights_apart,
-)
+from .rig_metrics import bones_to_bones, joints_to_bones, joints_to_joints, limb_radius, matched_share, weights_apart
 
 if TYPE_CHECKING:
     from PIL import Image

@@ -35,15 +35,7 @@ from .characters import Characters, characters, cross_body
 from .clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair, ClipsAniformer
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
 from .listed_pairs import ListedClips, ListedPairs, listed_pairs
-from .measure import (
-    EXTRA_INPUTS,
-    Runtime,
-    measure,
-    measure_clip,
-    open_network,
-    run_on_clip,
-    run_on_pair,
-)
+from .measure import EXTRA_INPUTS, Runtime, measure, measure_clip, open_network, run_on_clip, run_on_pair
 from .metrics import VERSION, pmd
 from .pairs import Pair
 from .protocols import PROTOCOLS, QUADRUPED, SPLITS, Protocol

@@ -3,7 +3,7 @@
 A training in the order in which it happens:
 
 * `start.py` reads the configuration (`config.py`, `configs/`): which model, data, optimizer, length.
-* `npt.py`, `aniformer.py`, `mime.py`, `hands.py`: one model each, from its options, network and loss to its
+* `npt.py`, `aniformer.py`, `mime.py`: one model each, from its options, network and loss to its
   export. `layers.py` has what the papers' networks share. `tests/learn/test_smoke.py` trains NPT in fourteen lines.
 * `data/` makes batches: `data/people.py` the papers' people and poses, which `evaluate/protocols.py` fixes by seed, so
   that tests can leave them out; the other files those of `mime`, and what the user brings.

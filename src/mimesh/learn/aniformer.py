@@ -14,11 +14,10 @@ InstanceNorm removes whatever all vertices of a frame share, so the embedding ac
 
 Training takes windows of T frames and the loss of Eq. 6. Every frame of driving and truth is centred on its own
 bounding box; driving frames are each in their own unit sphere. Where a result stands is not learned: it follows from
-the driving's path afterwards. Losses are one function per equation; `signed` ones are the equations as printed, kept
-to be measured. As printed Eq. 4 and Eq. 5 are signed differences: the first has no lower bound (and telescopes, so only
-the first and the last step of a clip enter), the second is smallest where the mesh is one point. With absolute values
-both are zero on sets that hold more than the truth, so neither may stand alone (see each function for what it is zero
-on).
+the driving's path afterwards. Losses are one function per equation. As printed Eq. 4 and Eq. 5 are signed differences:
+the first has no lower bound (and telescopes, so only the first and the last step of a clip enter), the second is
+smallest where the mesh is one point. With absolute values both are zero on sets that hold more than the truth, so
+neither may stand alone (see each function for what it is zero on).
 """
 
 from __future__ import annotations
@@ -362,18 +361,16 @@ def reconstruction(result: Float[Tensor, "B T V 3"], truth: Float[Tensor, "B T V
     return layers.reconstruction(result.flatten(0, 1), truth.flatten(0, 1))
 
 
-def motion_signed(result: Float[Tensor, "B T V 3"], driving: Float[Tensor, "B T U 3"]) -> Float[Tensor, ""]:
-    """Compute Eq. 4 as printed: it falls without end as the last step of the result grows."""
-    return _change_of_ratio(result, driving).mean()
-
-
 def motion_paper(result: Float[Tensor, "B T V 3"], driving: Float[Tensor, "B T U 3"]) -> Float[Tensor, ""]:
     """Compute Eq. 4 with absolute values: the ratio of the result's speed to the driving's should not change.
 
     Zero for the driving itself in any size and place, for a static result, and wherever the two speeds are
     proportional. A driving step below `MIN_STEP` counts as that.
     """
-    return _change_of_ratio(result, driving).abs().mean()
+    assert result.shape[1] == driving.shape[1] > 2, "Eq. 4 compares the steps of at least three frames"
+    # Means over the vertices where the paper has sums: the ratio is the same, and meshes of two sizes compare.
+    moved, wanted = (clip.diff(dim=1).square().sum(dim=3).mean(dim=2) for clip in (result, driving))
+    return (moved / wanted.clamp_min(MIN_STEP)).diff(dim=1).abs().mean()
 
 
 def motion_velocity(result: Float[Tensor, "B T V 3"], truth: Float[Tensor, "B T V 3"]) -> Float[Tensor, ""]:
@@ -386,13 +383,6 @@ def motion_velocity(result: Float[Tensor, "B T V 3"], truth: Float[Tensor, "B T 
     return reconstruction(result.diff(dim=1), truth.diff(dim=1))
 
 
-def appearance_signed(
-    result: Float[Tensor, "B T V 3"], identity: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]
-) -> Float[Tensor, ""]:
-    """Compute Eq. 5 as printed: least, and negative, where the result is one point. `edges` lists each edge once."""
-    return _edge_growth(result, identity, edges).sum(dim=2).mean() * 2.0 / result.shape[2]
-
-
 def appearance_paper(
     result: Float[Tensor, "B T V 3"], identity: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]
 ) -> Float[Tensor, ""]:
@@ -401,7 +391,9 @@ def appearance_paper(
     Zero for whatever keeps the identity's edge lengths, in any pose. Skinning stretches some edges, so the truth is not
     quite zero.
     """
-    return _edge_growth(result, identity, edges).abs().sum(dim=2).mean() * 2.0 / result.shape[2]
+    new = torch.stack([edge_vectors(frame, edges).square().sum(dim=2) for frame in result.unbind(1)], dim=1)
+    growth = new - edge_vectors(identity, edges).square().sum(dim=2)[:, None]
+    return growth.abs().sum(dim=2).mean() * 2.0 / result.shape[2]
 
 
 def appearance_ratio(
@@ -450,22 +442,6 @@ def aniformer_loss(
     elif appearance == "ratio":
         loss = loss + appearance_weight * appearance_ratio(result, truth, edges)
     return loss
-
-
-def _change_of_ratio(result: Float[Tensor, "B T V 3"], driving: Float[Tensor, "B T U 3"]) -> Float[Tensor, "B S"]:
-    """Compute, for each step and the next (S = T - 2), how much result's over driving's squared speed falls."""
-    assert result.shape[1] == driving.shape[1] > 2, "Eq. 4 compares the steps of at least three frames"
-    # Means over the vertices where the paper has sums: the ratio is the same, and meshes of two sizes compare.
-    moved, wanted = (clip.diff(dim=1).square().sum(dim=3).mean(dim=2) for clip in (result, driving))
-    return -(moved / wanted.clamp_min(MIN_STEP)).diff(dim=1)
-
-
-def _edge_growth(
-    result: Float[Tensor, "B T V 3"], identity: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]
-) -> Float[Tensor, "B T E"]:
-    """Compute each edge's squared length less that in the identity."""
-    new = [edge_vectors(frame, edges).square().sum(dim=2) for frame in result.unbind(1)]
-    return torch.stack(new, dim=1) - edge_vectors(identity, edges).square().sum(dim=2)[:, None]
 
 
 class AniFormerTask(PaperTask[AniFormerTrainConfig, AniFormer]):

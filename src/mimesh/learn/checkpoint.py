@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
@@ -19,7 +18,7 @@ from ..core.errors import InputError
 from ..evaluate.metrics import VERSION
 from ..evaluate.provenance import commit
 from ..io.atomic import whole_file
-from .config import config_differences, recorded_config
+from .config import recorded_config
 from .models import find_task
 from .task import TrainConfig, UserData
 
@@ -50,7 +49,7 @@ class Checkpoint:
     """Makers, numbers, licences and checksum of the characters trained on (`TrainingCharacters.facts`), if any."""
     changes: tuple[dict[str, Any], ...] = ()
     """What was changed where the training was resumed: `after_pairs`, the new values by their keys, and in `was` the
-    values before. Where its network was averaged with others, `averaged` lists them (`average`)."""
+    values before. Where its network was averaged with others, `averaged` lists them."""
     operations: float | None = None
     """Floating-point operations of this training so far (`cost`); None in checkpoints that do not say."""
     meshes: dict[str, Any] = field(default_factory=dict)
@@ -107,56 +106,6 @@ def load(path: Path) -> Checkpoint:
     position |= {key: tuple(position.get(key, ())) for key in ("before", "changes")}
     tensors = {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}
     return Checkpoint(config, tensors=tensors, **position)
-
-
-def save_compact(path: Path, out: Path, weights_only: bool = False, average: bool = True) -> None:
-    """Copy a checkpoint with weights and their average in float16 and optimizer state in bfloat16: half the bytes.
-
-    Without the `average` a third less; a training that continues begins a new one. With `weights_only`, the
-    average alone is kept, or the weights where there is none: a start for another training (`--weights`).
-
-    `load` reads it as any other and a training continues from it, from rounded numbers. Adam's squares of small
-    gradients would be zero in float16.
-    """
-    found = load(path)  # in float32, also where the file is compact already
-    with safe_open(path, "pt") as file:
-        metadata = file.metadata()
-    tensors = {key: value for key, value in found.tensors.items() if average or not key.startswith("ema.")}
-    if weights_only:
-        tensors = {f"model.{name}": value for name, value in found.weights().items()}
-    for key, value in list(tensors.items()):
-        if value.dtype != torch.float32 or not value.ndim:
-            continue
-        tensors[key] = value.to(torch.bfloat16 if key.startswith("optimizer.") else torch.float16)
-    with whole_file(out) as temporary:
-        save_file(tensors, temporary, metadata=metadata)
-
-
-def average(checkpoints: Sequence[Checkpoint], shares: Sequence[float]) -> Checkpoint:
-    """Average the networks of trainings that began with one another, in proportion to `shares`.
-
-    What they learned in different ways cancels less than their errors do (Wortsman et al. 2022, "Model soups" and
-    "Robust fine-tuning"). Everything else is that of the first; the result has no optimizer state.
-    """
-    first, weights = checkpoints[0], [checkpoint.weights() for checkpoint in checkpoints]
-    for number, checkpoint in enumerate(checkpoints, start=1):
-        if checkpoint.config.model != first.config.model:
-            differing = config_differences(checkpoint.config, first.config, ("network", "model"))
-            raise InputError(
-                f"average: expected checkpoints of one network, found another in number {number} than in number 1 "
-                f"({differing}); leave out those that differ"
-            )
-    total = sum(shares)
-    tensors = {
-        f"model.{name}": sum(share / total * w[name] for share, w in zip(shares, weights, strict=True))
-        for name in weights[0]
-    }
-    averaged = [
-        {"share": round(share / total, 4), **checkpoint.spent()}
-        for share, checkpoint in zip(shares, checkpoints, strict=True)
-    ]
-    change = {"after_pairs": first.spent()["pairs"], "averaged": averaged}
-    return dataclasses.replace(first, tensors=tensors, metrics={}, changes=(*first.changes, change))
 
 
 def read_header(path: Path) -> dict[str, Any]:

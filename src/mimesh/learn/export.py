@@ -36,8 +36,6 @@ DATA = {
     "clips": "endless people of the shipped body; windows of the shipped motions at up to 3 times their speed, ways "
     "between poses within the joint limits; headings",
     "meshes": "registered meshes or clips of a folder (`meshes`)",
-    "hands": "hands of random people of the shipped body and of characters, fingers in random gestures; mittens, "
-    "blocks and hands without fingers",
 }
 """Descriptions of `DataConfig.kind` for the card."""
 ANIMALS = {
@@ -80,7 +78,9 @@ def export_command(path: Path, out: Path, bits: int = 16) -> dict[str, Any]:
     data = config.data
     facts = {"target_scale": data.target_scale, "body": data.body, "pairing": data.pairing}
     with together():
-        save_network(model, config.network, facts, config.model, out, bits)
+        task = find_task(config.network)
+        facts = task.onnx_facts(model) | facts | {"config": dataclasses.asdict(config.model)}
+        save_network(task.onnx_interface(model), facts, out, bits)
         card = make_card(out, path, trained)
         save_card(card, out)
     return card
@@ -95,13 +95,11 @@ def check_output(out: Path, bits: int, allowed: Sequence[int]) -> None:
         raise InputError(f"--bits: expected {named}, found {bits}; leave it out for {allowed[0]}")
 
 
-def save_network(model: nn.Module, network: str, facts: dict[str, Any], config: Any, out: Path, bits: int) -> None:
-    """Write a network as ONNX, with what `-m` must know of it and its configuration in the metadata."""
-    task = find_task(network)
-    graph = to_onnx(task.onnx_interface(model))
+def save_network(interface: OnnxInterface, facts: dict[str, Any], out: Path, bits: int) -> None:
+    """Write a network as ONNX, with what `-m` must know of it in the metadata."""
+    graph = to_onnx(interface)
     graph = graph if bits == FULL_BITS else compress(graph, bits)
-    facts = task.onnx_facts(model) | facts
-    onnx.helper.set_model_props(graph, {"mimesh": json.dumps(facts | {"config": dataclasses.asdict(config)})})
+    onnx.helper.set_model_props(graph, {"mimesh": json.dumps(facts)})
     with whole_file(out) as temporary:
         onnx.save(graph, str(temporary))
 

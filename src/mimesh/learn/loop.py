@@ -43,10 +43,7 @@ PACE_STEPS = 2
 
 
 def train(
-    config: TrainConfig,
-    folder: Path,
-    max_minutes: float | None = None,
-    user_data: UserData | None = None,
+    config: TrainConfig, folder: Path, max_minutes: float | None = None, user_data: UserData | None = None
 ) -> Path:
     """Train to the end of the schedule, or until a time limit or a signal; continue the training in the folder if any.
 

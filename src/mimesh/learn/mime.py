@@ -38,14 +38,7 @@ from .data.figures import CharacterPairs, share_of
 from .data.people import TablePeople
 from .data.primitive_animals import primitive_animals
 from .data.primitives import primitive_people
-from .data.surfaces import (
-    People,
-    PeopleSampler,
-    PosedSurface,
-    SurfaceBody,
-    plain_people,
-    repeat_visible,
-)
+from .data.surfaces import People, PeopleSampler, PosedSurface, SurfaceBody, plain_people, repeat_visible
 from .task import OnnxInterface, Task, TrainConfig, share_option
 
 POINTS = 512

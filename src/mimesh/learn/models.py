@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..core.errors import InputError, did_you_mean
 from .task import Task
 
-NETWORKS = ("npt", "aniformer", "mime", "hands")
+NETWORKS = ("npt", "aniformer", "mime")
 """The networks that can be trained."""
 
 
@@ -18,8 +18,6 @@ def find_task(network: str) -> type[Task]:
             from .aniformer import AniFormerTask as task
         case "mime":
             from .mime import MimeTask as task
-        case "hands":
-            from .hands import HandsTask as task
         case _:
             raise InputError(
                 f"{network}: expected a model that can be trained ({', '.join(NETWORKS)}), found another"

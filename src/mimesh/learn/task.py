@@ -177,11 +177,7 @@ class Task(ABC, Generic[Config, Network]):
     """Protocol whose test figures belong on the model card."""
 
     def __init__(
-        self,
-        config: Config,
-        device: torch.device,
-        precision: str = "fp32",
-        user_data: UserData | None = None,
+        self, config: Config, device: torch.device, precision: str = "fp32", user_data: UserData | None = None
     ) -> None:
         self.config, self.device, self.precision, self.user_data = config, device, precision, user_data
 

@@ -55,13 +55,14 @@ from ..core.canonical_order import canonical_faces, canonical_order
 from ..core.errors import InputError, option
 from ..core.geometry import (
     closest_on_mesh,
+    component_labels,
     edges,
     face_areas,
     face_normals,
     face_vectors,
     factor,
     gradient_operator,
-    links,
+    nearest_points,
     vertex_normals,
 )
 from ..core.mesh import Clip, Mesh
@@ -289,11 +290,9 @@ def tie_offsets(
 
 def component_ties(points: Float[np.ndarray, "W 3"], faces: Int[np.ndarray, "P 3"]) -> Int[np.ndarray, "T 2"]:
     """Return pairs of points of different connected components: near neighbours, and a spanning tree for the rest."""
-    from scipy.spatial import KDTree
-
     joined = edges(faces)
     label, count = component_labels(joined, len(points)), min(TIE_NEIGHBOURS + 1, len(points))
-    near = np.asarray(KDTree(points).query(points, k=count)[1])
+    near = nearest_points(points, points, count)[1]
     pairs = np.stack([np.repeat(np.arange(len(points)), count), near.ravel()], axis=1)
     pairs = np.unique(np.sort(pairs[label[pairs[:, 0]] != label[pairs[:, 1]]], axis=1), axis=0)
     return np.concatenate([pairs, spanning_ties(points, np.concatenate([joined, pairs]))])
@@ -324,14 +323,12 @@ def nearest_of_other_label(
     Labels that differ do so in some bit: for each bit, the nearest is searched among the points with the other value.
     So L labels need about 2 log2 L k-d trees, where a tree for each label would need L.
     """
-    from scipy.spatial import KDTree
-
     best, nearest = np.full(len(source), np.inf), np.zeros(len(source), np.int64)
     for bit in range(int(label.max()).bit_length()):
         side = label >> bit & 1
         for value in (0, 1):
             queries, others = (np.flatnonzero(mask) for mask in (side[source] == value, side != value))
-            distance, index = map(np.asarray, KDTree(points[others]).query(points[source[queries]]))
+            distance, index = nearest_points(points[others], points[source[queries]])
             closer = distance < best[queries]
             best[queries[closer]], nearest[queries[closer]] = distance[closer], others[index[closer]]
     return nearest, best
@@ -349,13 +346,6 @@ def without_cycles(
     count = int(label.max()) + 1
     tree = minimum_spanning_tree(csr_array((first + 1.0, sides.T), shape=(count, count)))
     return pairs[tree.data.astype(np.int64) - 1]
-
-
-def component_labels(joined: Int[np.ndarray, "L 2"], count: int) -> Int[np.ndarray, " W"]:
-    """Label the connected component of each of `count` points, from 0; a point without a link has one of its own."""
-    from scipy.sparse.csgraph import connected_components
-
-    return connected_components(links(joined, count), directed=False)[1].astype(np.int64)
 
 
 def _rms_radius(triangles: Float[np.ndarray, "P 3 3"], weight: Float[np.ndarray, " P"]) -> float:
@@ -558,9 +548,7 @@ def _nearest_centroid(
     triangles: Float[np.ndarray, "P 3 3"], target: Float[np.ndarray, "G 3 3"], count: int
 ) -> Int[np.ndarray, "P K"]:
     """Return the `count` targets whose centroids are nearest to each triangle's, nearest first."""
-    from scipy.spatial import KDTree
-
-    _, nearest = KDTree(target.mean(axis=1)).query(triangles.mean(axis=1), k=count)
+    nearest = nearest_points(target.mean(axis=1), triangles.mean(axis=1), count)[1]
     return nearest.reshape(len(triangles), count)
 
 

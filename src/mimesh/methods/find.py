@@ -47,10 +47,7 @@ TRAINED_WITH_TABLE = {
 """Table of a paper -> networks that `mimesh table NAME --train` makes; other tables have rows of some of them, too."""
 TRAINED_ON_GPU = ("npt-full", "npt-full-mixed", "npt-ordered", "aniformer-ordered")
 """Networks of the tables that scripts/train_on_gpu.py makes, beside INDEX_PAIRED."""
-TABLE_MODELS = (
-    *(name for names in TRAINED_WITH_TABLE.values() for name in names),
-    *TRAINED_ON_GPU,
-)
+TABLE_MODELS = (*(name for names in TRAINED_WITH_TABLE.values() for name in names), *TRAINED_ON_GPU)
 """Networks of the papers' tables, for comparison only: in a checkout's folder `ablations`, not installed, or in another
 folder (`runs/tables/npt-equal`), where `mimesh table --train` put them."""
 ABLATIONS, TRAINED = Path("ablations"), Path("runs", "tables", "seed0")

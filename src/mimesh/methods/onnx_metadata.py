@@ -26,11 +26,7 @@ MAX_WINDOW = 64
 """Largest number of driving frames in a window of aniformer."""
 MAX_VERTICES = 1_000_000
 """Largest number of vertices that aniformer has weights for."""
-LARGEST = {
-    "aniformer": {"frames": MAX_WINDOW},
-    "mime": {"points": 100_000},
-    "hands": {"points": 100_000},
-}
+LARGEST = {"aniformer": {"frames": MAX_WINDOW}, "mime": {"points": 100_000}, "hands": {"points": 100_000}}
 """Model -> keys whose values are whole numbers from 1, with the largest that is allowed."""
 INPUTS = {
     **dict.fromkeys(("npt", "aniformer"), ("driving", "identity")),

@@ -25,13 +25,7 @@ FINDER_JOINTS = {f"{side}{part}" for side in SIDES for part in ("Hand", "ForeArm
 
 
 def load_network(
-    path: Path,
-    *,
-    name: str,
-    ensemble: int = 1,
-    seed: int = 0,
-    fits: bool = True,
-    fingers: bool = True,
+    path: Path, *, name: str, ensemble: int = 1, seed: int = 0, fits: bool = True, fingers: bool = True
 ) -> Mime | Method:
     """Open an ONNX file written by `mimesh export`.
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies.character_limbs import SIDES
-from ..core.geometry import unit_vectors
+from ..core.geometry import nearest_points, unit_vectors
 from ..core.rig import Rig, descendants
 from .joint_targets import JointTargets
 
@@ -109,9 +109,7 @@ def with_block_arms(
         names: of the joints.
         parents: of the joints.
     """
-    from scipy.spatial import KDTree
-
-    nearest = np.asarray(KDTree(weighted).query(points)[1])
+    nearest = nearest_points(weighted, points)[1]
     weights, chains, arms = rig.weights.copy(), [], []
     for side in SIDES:
         chain = [names.index(side + bone) for bone in ("Arm", "ForeArm", "Hand")]

@@ -25,7 +25,7 @@ from ..bodies.hands import hand_joints
 from ..bodies.joint_ranges import JointRanges, joint_ranges
 from ..bodies.sampled_body import BodyState, PosedBody, SampledBody
 from ..bodies.sampling import rotvec_to_rotmat
-from ..core.geometry import nearest_rotation
+from ..core.geometry import nearest_points, nearest_rotation
 from ..core.rig import Rig
 from ..rigs.confidence import limb_joints, mean_angle
 from .joint_targets import JointTargets
@@ -294,9 +294,7 @@ class SurfaceSample:
 
     def outward(self, posed: PosedBody) -> SurfaceSample:
         """Flip all normals if most of them point against those of the nearest points of a posed body."""
-        from scipy.spatial import KDTree
-
-        nearest = KDTree(posed.points).query(self.points)[1]
+        nearest = nearest_points(posed.points, self.points)[1]
         inward = np.median((posed.normals[nearest] * self.normals).sum(axis=1)) < 0
         return replace(self, normals=-self.normals) if inward else self
 
@@ -313,9 +311,7 @@ class SurfaceSample:
         self, points: Float[np.ndarray, "M 3"], size: float
     ) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
         """Find the nearest of some points to each of the surface, and the distance in metres of a body of that size."""
-        from scipy.spatial import KDTree
-
-        nearest = np.asarray(KDTree(points).query(self.points)[1])
+        nearest = nearest_points(points, self.points)[1]
         return nearest, _distance(self.points - points[nearest], self.normals, size)
 
     def distance_to_each(self, sets: Float[np.ndarray, "C M 3"], size: float) -> Float[np.ndarray, "C N"]:
@@ -462,11 +458,9 @@ def _matches(posed: PosedBody, surface: SurfaceSample, scale: float) -> Matches:
     Only body to surface would leave parts of the surface uncovered, only surface to body would let limbs of the body
     go where there is no surface.
     """
-    from scipy.spatial import KDTree
-
     count = len(posed.points)
     points, normals = surface.points[: 2 * count], surface.normals[: 2 * count]
-    to_surface, to_body = surface.tree.query(posed.points), KDTree(posed.points).query(points)
+    to_surface, to_body = surface.tree.query(posed.points), nearest_points(posed.points, points)
     index = np.concatenate([np.arange(count), to_body[1]])
     target = np.concatenate([surface.points[to_surface[1]], points])
     target_normal, body_normal = np.concatenate([surface.normals[to_surface[1]], normals]), posed.normals[index]
@@ -489,9 +483,7 @@ def _mismatch(posed: PosedBody, matches: Matches) -> float:
     It is the median over the body's points of the absolute mean of the signed residuals around each: where the shapes
     differ, neighbouring residuals have one sign, and noise of the surface averages out.
     """
-    from scipy.spatial import KDTree
-
-    near = np.asarray(KDTree(posed.points).query(posed.points, k=MISMATCH_POINTS)[1])
+    near = nearest_points(posed.points, posed.points, MISMATCH_POINTS)[1]
     signed, weights = matches.residual[near], matches.weight[near]  # matches of the body's points come first
     return float(np.median(np.abs((signed * weights).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-9))))
 
@@ -595,9 +587,7 @@ def search_limbs(
 
 def is_uncovered(posed: PosedBody, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, " N"]:
     """Tell which points of a surface are farther than UNMATCHED_SURFACE from a fitted body."""
-    from scipy.spatial import KDTree
-
-    return KDTree(posed.points).query(points)[0] > UNMATCHED_SURFACE * posed.state.size
+    return nearest_points(posed.points, points)[0] > UNMATCHED_SURFACE * posed.state.size
 
 
 def limb_gaps(posed: PosedBody, surface: SurfaceSample) -> dict[str, float]:
@@ -719,11 +709,9 @@ def _distance_to_surface(
     It adds the mean over the limb's points, and the mean over the part of the surface that the points `rest` of the
     other body leave uncovered.
     """
-    from scipy.spatial import KDTree
-
     posed, size = limb.posed, limb.posed.state.size
     sample = surface.first(2 * len(posed.points))
-    uncovered = KDTree(rest).query(sample.points)[0] > UNCOVERED * size
+    uncovered = nearest_points(rest, sample.points)[0] > UNCOVERED * size
     part = SurfaceSample(sample.points[uncovered], sample.normals[uncovered]).first(MOST)
     _, from_rest = part.nearest_of(rest, size)
 

@@ -26,7 +26,15 @@ from ..bodies.character_limbs import SIDES
 from ..bodies.hands import HAND_PARENTS, hand_joints
 from ..bodies.joint_names import finger_joints
 from ..core.canonical_order import canonical_order
-from ..core.geometry import MIRROR, angles_between, border_edges, mirrored_rotations, nearest_rotation, vertex_normals
+from ..core.geometry import (
+    MIRROR,
+    angles_between,
+    border_edges,
+    mirrored_rotations,
+    nearest_points,
+    nearest_rotation,
+    vertex_normals,
+)
 from ..core.mesh import Mesh
 from ..core.rig import Rig
 from ..core.surface_points import SurfacePoints, generator
@@ -149,15 +157,13 @@ class WeightedMesh:
 
         Vertices around the hands get the weights of the nearest points. Others get none, which saves time.
         """
-        from scipy.spatial import KDTree
-
         near = np.zeros(len(mesh.vertices), bool)
         for side in SIDES:
             wrist, elbow = (rig.joints[joints.index(side + part)] for part in ("Hand", "ForeArm"))
             near |= np.linalg.norm(mesh.vertices - wrist, axis=1) < REACH * np.linalg.norm(wrist - elbow)
         weights = np.zeros((len(mesh.vertices), len(joints)))
         if near.any():
-            nearest = KDTree(points).query(mesh.vertices[near], k=NEAREST)[1]
+            nearest = nearest_points(points, mesh.vertices[near], NEAREST)[1]
             weights[near] = rig.weights[nearest].mean(axis=1)
         return cls(mesh.vertices, mesh.faces, rig, weights)
 

@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float
 
 from ..bodies import load_body
 from ..bodies.character_limbs import SIDES
-from ..core.geometry import angles_between, nearest_rotation, rotate_between, unit_vectors
+from ..core.geometry import angles_between, frames_along, nearest_rotation, rotation_between, unit_vectors
 
 
 @dataclass(frozen=True)
@@ -230,11 +230,7 @@ class _Chains:
         return any(SAME_LENGTH * other < length < other / SAME_LENGTH for other in lengths)
 
     def turned(
-        self,
-        rotation: Float[np.ndarray, "J 3 3"],
-        joints: Joints,
-        moved: Joints,
-        fixed: Bool[np.ndarray, " J"],
+        self, rotation: Float[np.ndarray, "J 3 3"], joints: Joints, moved: Joints, fixed: Bool[np.ndarray, " J"]
     ) -> tuple[Float[np.ndarray, "J 3 3"], Joints]:
         """Turn all joints so that they agree with their moved positions; joints without a bone turn with their parent.
 
@@ -292,9 +288,9 @@ class _Chains:
         """
         if name in self.linkage.neck:
             # Necks of other bodies have other directions at rest: relative to the predicted one.
-            return _smallest_turn((inherited @ rotation.T @ before)[None], bone[None]) @ inherited
+            return rotation_between(inherited @ rotation.T @ before, bone) @ inherited
         rest = self.rest[self.at[self.linkage.ends[name]]] - self.rest[self.at[name]]
-        return _smallest_turn((rotation @ rest)[None], bone[None]) @ rotation
+        return rotation_between(rotation @ rest, bone) @ rotation
 
     def _hinge_rotation(self, name: str, joints: Joints) -> Rotation | None:
         """Return the rotation of a bone of a bent limb whose knee or elbow is a hinge; None if it is not bent."""
@@ -314,13 +310,13 @@ class _Chains:
         k = limb.index(name)
         rest = self.rest[places[k + 1]] - self.rest[places[k]]
         bone = (upper, lower)[k]
-        frames = [_frame(direction, about) for direction, about in ((rest, np.array(hinge)), (bone, axis))]
+        frames = [frames_along(direction, about) for direction, about in ((rest, np.array(hinge)), (bone, axis))]
         return frames[1] @ frames[0].T
 
     def _trunk_turn(self, before: Joints, after: Joints, sides: tuple[str, str]) -> Rotation:
         """Return the rotation of the plane through the trunk."""
         old, new = (self._trunk_plane(joints, [self.at[side] for side in sides]) for joints in (before, after))
-        return np.eye(3) if np.array_equal(old, new) else _smallest_turn(old, new)
+        return np.eye(3) if np.array_equal(old, new) else nearest_rotation(unit_vectors(new).T @ unit_vectors(old))
 
     def _trunk_plane(self, joints: Joints, sides: list[int]) -> Float[np.ndarray, "2 3"]:
         """Return the vector from the right to the left side of the trunk, and that from the hips to the shoulders."""
@@ -345,13 +341,6 @@ def _interpolated(
     length = np.concatenate([[0.0], np.cumsum(np.maximum(bones, 1e-9))])
     displacements = [np.interp(length, length[known], along[known]) for along in (moved - joints).T]
     return joints + np.stack(displacements, axis=1)
-
-
-def _frame(direction: Float[np.ndarray, " 3"], axis: Float[np.ndarray, " 3"]) -> Rotation:
-    """Return the rotation whose first column is a direction, and whose second one is nearest to an axis."""
-    first = unit_vectors(direction[None])[0]
-    second = unit_vectors((axis - (axis @ first) * first)[None])[0]
-    return np.stack([first, second, np.cross(first, second)], axis=1)
 
 
 def two_bone_middle(
@@ -379,7 +368,7 @@ def two_bone_middle(
     # The triangle of the two bones: where the middle is along the line from end to end, and its height over the line.
     along = (first**2 - second**2 + reach**2) / (2 * reach)
     height = np.sqrt(max(first**2 - along**2, 0.0))
-    bend = _smallest_turn((limb[2] - limb[0])[None], direction[None]) @ (limb[1] - limb[0])
+    bend = rotation_between(limb[2] - limb[0], direction) @ (limb[1] - limb[0])
     bend -= (bend @ direction) * direction
     if np.linalg.norm(bend) < STRAIGHT * (first + second):
         bend = front - (front @ direction) * direction
@@ -388,15 +377,4 @@ def two_bone_middle(
 
 def _swung(candidate: Rotation, rotation: Rotation, bone: Float[np.ndarray, " 3"]) -> Rotation:
     """Turn a rotation by the smallest turn so that the bone has the direction that another rotation gives it."""
-    return _smallest_turn((candidate @ (rotation.T @ bone))[None], bone[None]) @ candidate
-
-
-def _smallest_turn(before: Float[np.ndarray, "B 3"], after: Float[np.ndarray, "B 3"]) -> Rotation:
-    """Return the rotation that takes vectors to new directions: the smallest one for one, else by least squares."""
-    old, new = unit_vectors(before), unit_vectors(after)
-    if len(old) > 1:
-        return nearest_rotation(new.T @ old)
-    if not (old.any() and new.any()):  # a bone without length has no direction
-        return np.eye(3)
-    # Opposite directions have no smallest rotation: `rotate_between` then gives a reflection.
-    return nearest_rotation(rotate_between(np.tile(old, (3, 1)), np.tile(new, (3, 1)), np.eye(3)).T)
+    return rotation_between(candidate @ (rotation.T @ bone), bone) @ candidate

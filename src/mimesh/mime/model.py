@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from ..bodies.anatomy import anatomy_of
 from ..core.canonical_order import CanonicalOrder, canonical_faces, canonical_order
-from ..core.geometry import vertex_normals
+from ..core.geometry import nearest_points, vertex_normals
 from ..core.mesh import Clip, Mesh
 from ..core.rig import Rig, leg_length
 from ..core.skinning import SkinnedMesh
@@ -28,14 +28,7 @@ from ..rigs.character import Character, names_above
 from ..rigs.confidence import MAX_UNMATCHED_SURFACE, Confidence
 from ..rigs.retarget import Follow, JointMotion, Pose, SurfaceMotion
 from .block_arms import with_block_arms
-from .body_fit import (
-    RELIABLE_MISMATCH,
-    BodyFit,
-    SurfaceSample,
-    fit_body,
-    fit_predictions,
-    sampled_body,
-)
+from .body_fit import RELIABLE_MISMATCH, BodyFit, SurfaceSample, fit_body, fit_predictions, sampled_body
 from .enclosed import share_enclosed
 from .hands import Bends, FingeredHand, HandFinder, WeightedMesh, follow_fingers, with_fingers
 from .joint_targets import JointTargets
@@ -350,12 +343,7 @@ class Mime:
         return fit_predictions(sample, reading.consensus, reading.predictions, self.body).cost
 
     def _with_corrections(
-        self,
-        rig: Rig,
-        confidence: Confidence,
-        sample: SurfaceSample,
-        queries: NetworkPoints,
-        targets: JointTargets,
+        self, rig: Rig, confidence: Confidence, sample: SurfaceSample, queries: NetworkPoints, targets: JointTargets
     ) -> tuple[Rig, Confidence, BodyFit]:
         """Replace joints and weights of a rig by those of the body that is fitted with some joints at their targets.
 
@@ -438,10 +426,7 @@ def _with_weights_of(character: Character, mesh: Mesh) -> WeightedMesh:
 
 
 def _tracked_pose(
-    tracker: PartTracker,
-    tracked: SurfacePoints,
-    frames: Float[np.ndarray, "J 3 3"],
-    vertices: Float[np.ndarray, "U 3"],
+    tracker: PartTracker, tracked: SurfacePoints, frames: Float[np.ndarray, "J 3 3"], vertices: Float[np.ndarray, "U 3"]
 ) -> Pose:
     """Return the pose of the joints in a frame of a clip, from the points of its surface that are tracked."""
     rotation, joints = tracker.follow(tracked.points(vertices))
@@ -464,9 +449,7 @@ def _with_hands(character: Character, hands: Sequence[tuple[FingeredHand, Bends]
 
 def _nearest_weights(points: Float[np.ndarray, "N 3"], known: Float[np.ndarray, "M 3"], rig: Rig) -> Rig:
     """Return a rig with the weights of `points`: those of the nearest of the points whose weights are known."""
-    from scipy.spatial import KDTree
-
-    return dataclasses.replace(rig, weights=rig.weights[np.asarray(KDTree(known).query(points)[1])])
+    return dataclasses.replace(rig, weights=rig.weights[nearest_points(known, points)[1]])
 
 
 def _without_shares(confidence: Confidence, mesh: Mesh) -> Confidence:

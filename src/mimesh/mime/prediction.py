@@ -299,11 +299,7 @@ def consensus(rigs: list[Rig]) -> Rig:
 
 
 def sampled_points(
-    mesh: Mesh,
-    denoised: Float[np.ndarray, "V 3"],
-    ranked: CanonicalOrder,
-    count: int,
-    rng: np.random.Generator,
+    mesh: Mesh, denoised: Float[np.ndarray, "V 3"], ranked: CanonicalOrder, count: int, rng: np.random.Generator
 ) -> SurfacePoints:
     """Draw points of a mesh on its denoised vertices; `ranked` is the canonical order of its own ones."""
     unchanged = np.array_equal(denoised, mesh.vertices)

@@ -39,7 +39,17 @@ from jaxtyping import Bool, Float, Int
 from ..bodies.anatomy import QUADRUPED
 from ..bodies.character_limbs import SIDES
 from ..bodies.sampled_body import PosedBody
-from ..core.geometry import border_edges, edges, face_vectors, factor, links, vertex_areas, vertex_normals
+from ..core.geometry import (
+    border_edges,
+    component_labels,
+    edges,
+    face_vectors,
+    factor,
+    links,
+    nearest_points,
+    vertex_areas,
+    vertex_normals,
+)
 from ..core.rig import descendants
 from ..core.surface_clusters import clusters
 from ..rigs.confidence import limb_joints
@@ -174,9 +184,7 @@ class _Pieces:
         cls, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], pairs: Int[np.ndarray, "E 2"]
     ) -> _Pieces:
         """Find the pieces of a surface with some edges."""
-        from scipy.sparse.csgraph import connected_components
-
-        piece = connected_components(links(pairs, len(vertices)), directed=False)[1]
+        piece = component_labels(pairs, len(vertices))
         vertex_area = vertex_areas(vertices, faces)
         return cls(piece, vertex_area, np.bincount(piece, vertex_area))
 
@@ -335,11 +343,7 @@ def _disconnected(
 
     Components of the mesh as it was (eyes, shoes) are surfaces of their own, each with its own largest component.
     """
-    from scipy.sparse.csgraph import connected_components
-
-    surface, component = (
-        connected_components(links(uncut, len(vertices)), directed=False)[1] for uncut in (pairs, pairs[~cut])
-    )
+    surface, component = (component_labels(uncut, len(vertices)) for uncut in (pairs, pairs[~cut]))
     component_area = np.bincount(component, vertex_areas(vertices, faces))
     largest_area = np.zeros(surface.max() + 1)
     np.maximum.at(largest_area, surface, component_area[component])
@@ -372,7 +376,7 @@ def with_whole_tail(
 ) -> Float[np.ndarray, "V J"]:
     """Return weights in which no tail is held by hind legs; the same where there is none, and of other bodies."""
     from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components, dijkstra
+    from scipy.sparse.csgraph import dijkstra
 
     if TAIL not in names or len(faces) == 0:
         return weights
@@ -385,12 +389,11 @@ def with_whole_tail(
     if len(border) == 0 or not tail.any():
         return weights
     low = left | right
-    within = links(pairs[low[first] & low[second]], len(vertices))
-    part = connected_components(within, directed=False)[1]
+    part = component_labels(pairs[low[first] & low[second]], len(vertices))
     both = np.isin(part, part[border[:, 0]]) & low
     # Along the surface, the tip is farthest from what is known as tail; what is nearer to it than that is tail, too.
     length = np.linalg.norm(vertices[first] - vertices[second], axis=1)
-    surface = coo_array((np.maximum(length, 1e-9), (first, second)), shape=within.shape).tocsr()
+    surface = coo_array((np.maximum(length, 1e-9), (first, second)), shape=2 * (len(vertices),)).tocsr()
     from_tail = dijkstra(surface, directed=False, indices=np.flatnonzero(tail), min_only=True)
     reached = both & np.isfinite(from_tail)  # a separate piece that two legs hold is no tail's
     tip = int(np.where(reached, from_tail, -1.0).argmax())
@@ -432,10 +435,8 @@ def body_weights(
     points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], posed: PosedBody
 ) -> Float[np.ndarray, "N J"]:
     """Average the weights of the points of a body that are nearest to each point, and whose normals agree."""
-    from scipy.spatial import KDTree
-
     size = posed.state.size
-    distance, nearest = KDTree(posed.points).query(points, k=NEAREST)
+    distance, nearest = nearest_points(posed.points, points, NEAREST)
     agreement = np.einsum("nkc,nc->nk", posed.normals[nearest], normals)
     cost = distance + NORMAL_DISTANCE * size * (1 - agreement)
     share = np.exp(-np.square((cost - cost.min(axis=1, keepdims=True)) / (BLUR * size)))

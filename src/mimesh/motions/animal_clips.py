@@ -1,14 +1,13 @@
 """Clips of shipped animals in gaits and postures, for demos and the studio: feet stand, or are in the air.
 
-The poses of a gait are made as in `gaits.py`, which networks are trained and measured on and which stays as it is. Here
-the order of the feet and the shares of a cycle that they stand are those of running animals, the root goes straight on
-at one speed, and each leg is corrected so that its foot stays where it stands. Angles as in `gaits.py`.
+The poses of a gait are those of `gaits.py`, which networks are trained and measured on. Here the order of the feet and
+the shares of a cycle that they stand are those of running animals, the root goes straight on at one speed, and each leg
+is corrected so that its foot stays where it stands. Angles as in `gaits.py`.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,13 +15,12 @@ from jaxtyping import Bool, Float, Int
 from ..bodies import RiggedBody
 from ..bodies.anatomy import QUADRUPED
 from ..bodies.animals import ANIMALS, animal, animal_body, standing
-from ..bodies.sampling import rotvec_to_rotmat
 from ..core.errors import InputError
 from ..core.foot_planting import move_ankle
 from ..core.geometry import smooth_step
 from ..core.mesh import Clip
 from ..core.rig import descendants, local_rotations
-from .gaits import LEGS, SEEDS, Gait, leg_angles, posture_rotations
+from .gaits import LEGS, SEEDS, Gait, Style, gait_pose, posture_rotations
 from .procedural import planted
 
 RUNS = {
@@ -61,25 +59,6 @@ CLEARANCE = 0.06
 """Least height (metres of the body) of a foot half-way through the air."""
 SOLE = 0.01
 """Vertices of a foot up to this height over its lowest one (metres of the body), standing, are its sole."""
-
-
-class Style(NamedTuple):
-    """What is drawn at random for one motion."""
-
-    pace: float
-    """Cycles a second."""
-    stride: float
-    """Degrees that a leg swings to either side."""
-    lift: float
-    """Factor on how far a foot is lifted."""
-    head: float
-    """Degrees by which the neck is turned down."""
-    tail: float
-    """Degrees by which the tail is raised."""
-    sway: float
-    """Degrees that the tail swings to either side."""
-    start: float
-    """Where in the cycle the motion begins, from 0 to 1."""
 
 
 def gait_clip(name: str, gait: str, index: int = 0, *, seconds: float = 2.0, fps: float = 30.0) -> Clip:
@@ -123,8 +102,7 @@ def animal_clip(name: str) -> Clip:
 def random_style(gait: str, index: int) -> Style:
     """Draw pace, stride, lift and bearing of a motion."""
     rng = np.random.default_rng(np.random.SeedSequence([SEEDS["test"], index, 4, list(RUNS).index(gait)]))
-    between = (RUNS[gait].pace, RUNS[gait].stride, (0.8, 1.3), (-18, 18), (-5, 30), (2, 10), (0, 1))
-    return Style(*(rng.uniform(low, high) for low, high in between))
+    return Style.draw(RUNS[gait], (-5.0, 30.0), rng)
 
 
 def run(
@@ -140,7 +118,7 @@ def run(
     """
     phase = (np.arange(STEPS)[:, None] / STEPS - gait.phases) % 1.0
     stands = phase < gait.duty
-    soles = _soles(body, gait_rotations(body, gait, style, np.arange(STEPS) / STEPS) @ stand, stand)
+    soles = _soles(body, gait_pose(body, gait, style, np.arange(STEPS) / STEPS, not gait.back) @ stand, stand)
     mean = np.where(stands[..., None], soles, 0.0).sum(axis=0) / stands.sum(axis=0)[:, None]
     # One speed for all feet: how far those that stand go back, over the share of the cycle in which they do.
     later = phase - gait.duty / 2
@@ -152,37 +130,13 @@ def run(
     air = ((phase - gait.duty) / (1 - gait.duty)).clip(0, 1)
     missing = CLEARANCE * style.lift * np.sin(np.pi * air) - soles[..., 1] - height[:, None] - error[..., 1]
     error[..., 1] += np.where(stands, 0.0, missing.clip(min=0))
-    rotmat = gait_rotations(body, gait, style, cycle) @ stand
+    rotmat = gait_pose(body, gait, style, cycle, not gait.back) @ stand
     at = np.arange(STEPS) / STEPS
     for k, joints in enumerate(_leg_joints(body)):
         offset = np.stack([np.interp(cycle, at, error[:, k, axis], period=1.0) for axis in range(3)], axis=1)
         rotmat = _with_moved_ankle(body, rotmat, joints, offset)
     root = np.stack([0.0 * cycle, np.interp(cycle, at, height, period=1.0), distance * (cycle - cycle[0])], axis=1)
     return rotmat, root
-
-
-def gait_rotations(
-    body: RiggedBody, gait: Gait, style: Style, cycle: Float[np.ndarray, " T"]
-) -> Float[np.ndarray, "T J 3 3"]:
-    """Compute the joint rotations of a gait, before its feet are put on the ground."""
-    turn = np.zeros((len(cycle), len(body.joint_names), 3))
-
-    def bend(joint: str, degrees: Float[np.ndarray, " T"] | float, axis: int = 0) -> None:
-        turn[:, body.joint(joint), axis] += degrees
-
-    reaching = gait.back * np.cos(2 * np.pi * (cycle + 0.12))  # the back is bent while the hind feet reach forward
-    for k in range(1, 5):
-        bend(f"Spine{k}", reaching / 4)
-        bend(f"Spine{k}", 0.1 * style.stride * np.sin(2 * np.pi * cycle) * (gait.back == 0), axis=1)
-    bend("Hips", -reaching / 2)
-    for joint, share in (("Neck1", 0.6), ("Neck2", 0.4), ("Head", -0.7)):
-        bend(joint, share * (style.head + 0.12 * style.stride * np.sin(4 * np.pi * cycle)))
-    for k in range(1, 7):
-        bend(f"Tail{k}", style.tail / 6)
-        bend(f"Tail{k}", style.sway * np.sin(2 * np.pi * (cycle - 0.08 * k)), axis=1)
-    for joint, degrees in leg_angles(gait, cycle, style.stride, style.lift).items():
-        bend(joint, degrees)
-    return rotvec_to_rotmat(np.radians(turn))
 
 
 def _leg_joints(body: RiggedBody) -> list[tuple[int, ...]]:
@@ -240,10 +194,7 @@ def _faded(
 
 
 def _with_moved_ankle(
-    body: RiggedBody,
-    rotmat: Float[np.ndarray, "T J 3 3"],
-    leg: tuple[int, ...],
-    offset: Float[np.ndarray, "T 3"],
+    body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"], leg: tuple[int, ...], offset: Float[np.ndarray, "T 3"]
 ) -> Float[np.ndarray, "T J 3 3"]:
     """Return local joint rotations with which the ankle of a leg is moved by an offset, as far as the leg reaches."""
     world, displaced = body.skinning_transforms(body.joints, rotmat)

@@ -41,6 +41,31 @@ class Gait(NamedTuple):
     """Degrees that the spine bends and stretches in each cycle."""
 
 
+class Style(NamedTuple):
+    """What is drawn at random for one motion."""
+
+    pace: float
+    """Cycles a second."""
+    stride: float
+    """Degrees that a leg swings to either side."""
+    lift: float
+    """Factor on how far a foot is lifted."""
+    head: float
+    """Degrees by which the neck is turned down."""
+    tail: float
+    """Degrees by which the tail is raised."""
+    sway: float
+    """Degrees that the tail swings to either side."""
+    start: float
+    """Where in the cycle the motion begins, from 0 to 1."""
+
+    @classmethod
+    def draw(cls, gait: Gait, tail: tuple[float, float], rng: np.random.Generator) -> Style:
+        """Draw the style of a motion in a gait, whose tail is raised within some range (degrees)."""
+        between = (gait.pace, gait.stride, (0.8, 1.3), (-18, 18), tail, (2, 10), (0, 1))
+        return cls(*(rng.uniform(low, high) for low, high in between))
+
+
 GAITS = {
     "walk": Gait((0.0, 0.25, 0.5, 0.75), 0.65, (0.7, 1.3), (12, 22)),
     "pace": Gait((0.0, 0.0, 0.5, 0.5), 0.52, (1.2, 2.0), (14, 24)),
@@ -91,26 +116,36 @@ def gait_rotations(
     """Generate the joint rotations of a gait; its path takes longer."""
     gait = GAITS[name]
     rng = np.random.default_rng(np.random.SeedSequence([seed, index, 4, list(GAITS).index(name)]))
-    pace, stride = rng.uniform(*gait.pace), rng.uniform(*gait.stride)
-    lift, head, tail, sway = rng.uniform(0.8, 1.3), rng.uniform(-18, 18), rng.uniform(-35, 15), rng.uniform(2, 10)
-    cycle = rng.random() + pace * np.arange(max(round(seconds * fps), 1)) / fps
+    style = Style.draw(gait, (-35.0, 15.0), rng)
+    return gait_pose(body, gait, style, style.start + style.pace * np.arange(max(round(seconds * fps), 1)) / fps)
+
+
+def gait_pose(
+    body: RiggedBody, gait: Gait, style: Style, cycle: Float[np.ndarray, " T"], sways: bool = True
+) -> Float[np.ndarray, "T J 3 3"]:
+    """Compute the joint rotations of a gait in some style.
+
+    Args:
+        cycle: where in its cycles the gait is, in each frame.
+        sways: whether the trunk bends to the sides.
+    """
     turn = np.zeros((len(cycle), len(body.joint_names), 3))
-    wave = np.sin(2 * np.pi * cycle)
 
     def bend(joint: str, degrees: Float[np.ndarray, " T"] | float, axis: int = 0) -> None:
         turn[:, body.joint(joint), axis] += degrees
 
     # The back is bent while the hind feet reach forward.
+    reaching = gait.back * np.cos(2 * np.pi * (cycle + 0.12))
     for joint in ("Spine1", "Spine2", "Spine3", "Spine4"):
-        bend(joint, gait.back / 4 * np.cos(2 * np.pi * (cycle + 0.12)))
-        bend(joint, 0.1 * stride * wave, axis=1)
-    bend("Hips", -gait.back / 2 * np.cos(2 * np.pi * (cycle + 0.12)))
+        bend(joint, reaching / 4)
+        bend(joint, sways * 0.1 * style.stride * np.sin(2 * np.pi * cycle), axis=1)
+    bend("Hips", -reaching / 2)
     for joint, share in (("Neck1", 0.6), ("Neck2", 0.4), ("Head", -0.7)):
-        bend(joint, share * head + 0.12 * stride * share * np.sin(4 * np.pi * cycle))
+        bend(joint, share * style.head + 0.12 * style.stride * share * np.sin(4 * np.pi * cycle))
     for k in range(1, 7):
-        bend(f"Tail{k}", tail / 6)
-        bend(f"Tail{k}", sway * np.sin(2 * np.pi * (cycle - 0.08 * k)), axis=1)
-    for joint, degrees in leg_angles(gait, cycle, stride, lift).items():
+        bend(f"Tail{k}", style.tail / 6)
+        bend(f"Tail{k}", style.sway * np.sin(2 * np.pi * (cycle - 0.08 * k)), axis=1)
+    for joint, degrees in leg_angles(gait, cycle, style.stride, style.lift).items():
         bend(joint, degrees)
     return rotvec_to_rotmat(np.radians(turn))
 

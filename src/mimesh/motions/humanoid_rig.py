@@ -16,14 +16,7 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody, load_body
 from ..bodies.anatomy import anatomy_of
-from ..bodies.character_limbs import (
-    SIDES,
-    Limb,
-    attach_feet,
-    find_limbs,
-    moves_vertices,
-    name_limb_joints,
-)
+from ..bodies.character_limbs import SIDES, Limb, attach_feet, find_limbs, moves_vertices, name_limb_joints
 from ..bodies.engine_names import TRUNK
 from ..bodies.hand_chains import find_fingers
 from ..bodies.hands import body_with_fingers, hand_frames, has_hand

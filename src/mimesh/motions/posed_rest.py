@@ -19,7 +19,7 @@ from ..bodies.character_limbs import SIDES, Limb, carried_vertices
 from ..bodies.hands import body_with_fingers, hand_frames, has_hand
 from ..bodies.joint_names import ancestors
 from ..bodies.skinned_character import SkinnedCharacter
-from ..core.geometry import angles_between, nearest_rotation, rotation_between, unit_vectors
+from ..core.geometry import angles_between, frames_along, nearest_rotation, rotation_between, unit_vectors
 from .rest_calibration import HINGES, hinge_rotations, nearest_axes, paired_axes
 from .retarget import limb_alignments
 
@@ -83,7 +83,7 @@ def action_front(joints: Positions) -> Float[np.ndarray, " 2"]:
     Who lies on the back, with the head to the back, faces the front when set up, and so who lies on the belly, with the
     head to the front.
     """
-    frame = _frame(np.subtract(*_pair(joints, "UpLeg")), _trunk(joints))
+    frame = frames_along(np.subtract(*_pair(joints, "UpLeg")), _trunk(joints))
     front = frame[:, 2] if abs(frame[1, 2]) < LYING else -np.sign(frame[1, 2]) * frame[:, 1]
     return front[[0, 2]]
 
@@ -135,17 +135,12 @@ def _trunk_frames(joints: Positions, axes: Frames) -> Frames:
         bone = below[:, 1] if above is None else joints[above] - start  # nothing tells the direction of a head
         estimate = rotation_between(below[:, 1], bone) @ below
         if part is not None:
-            estimate = _frame(np.subtract(*_pair(joints, part)), bone)
+            estimate = frames_along(np.subtract(*_pair(joints, part)), bone)
         below = frames[name] = _by_axes(estimate, axes.get(name))
     return frames
 
 
-def _limb_frames(
-    limbs: Mapping[str, Limb],
-    axes: Frames,
-    hinge: Hinge,
-    trunk: Float[np.ndarray, "3 3"],
-) -> Frames:
+def _limb_frames(limbs: Mapping[str, Limb], axes: Frames, hinge: Hinge, trunk: Float[np.ndarray, "3 3"]) -> Frames:
     """Compute the rotations of the joints of both arms or legs, whose bones keep their directions, of hands and feet.
 
     All estimates together choose the axes of their frames (`paired_axes`).
@@ -181,10 +176,7 @@ def _limb_frames(
 
 
 def _estimates(
-    limbs: Mapping[str, Limb],
-    side: str,
-    hinge: Hinge,
-    trunk: Float[np.ndarray, "3 3"],
+    limbs: Mapping[str, Limb], side: str, hinge: Hinge, trunk: Float[np.ndarray, "3 3"]
 ) -> list[list[Float[np.ndarray, "3 3"]]]:
     """Estimate the rotations of the joints of a limb: by its hinge, that of the first also by the trunk's alone."""
     body, (*names, direction) = body_with_fingers(), hinge
@@ -240,13 +232,6 @@ def _chest(joints: Mapping[str, object]) -> str:
 def _trunk(joints: Positions) -> Float[np.ndarray, " 3"]:
     """Compute the vector from the middle of the hips to that of the shoulders."""
     return _pair(joints, "Arm").mean(axis=0) - _pair(joints, "UpLeg").mean(axis=0)
-
-
-def _frame(left: Float[np.ndarray, " 3"], up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Build a frame with its first column along `left` and its second towards `up`."""
-    x = unit_vectors(left)
-    y = unit_vectors(up - (up @ x) * x)
-    return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
 def _pair(joints: Positions, part: str) -> Float[np.ndarray, "2 3"]:

@@ -17,7 +17,14 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody
 from ..bodies.joint_names import ancestors
-from ..core.geometry import angles_between, nearest_rotation, rotation_between, rotations_between, unit_vectors
+from ..core.geometry import (
+    angles_between,
+    frames_along,
+    nearest_rotation,
+    rotation_between,
+    rotations_between,
+    unit_vectors,
+)
 from ..core.normalization import ROTATIONS, turn
 from .motion import BONES, LEG, leg_length
 
@@ -174,16 +181,9 @@ def paired_axes(totals: Sequence[Float[np.ndarray, "3 3"]]) -> list[Float[np.nda
     return [ROTATIONS[k] for k in np.unravel_index(pairs.argmax(), pairs.shape)]
 
 
-def _frames(first, second):
-    """Build frames (T, 3, 3) with the first column along a vector and the second in the plane of both vectors."""
-    x = unit_vectors(first)
-    y = unit_vectors(second - (second * x).sum(axis=-1, keepdims=True) * x)
-    return np.stack([x, y, np.cross(x, y)], axis=-1)
-
-
 def _rotations(body_vectors, source_vectors):
     """Compute the rotations from the frame of two vectors of the body at rest to that of two vectors of the source."""
-    return _frames(*source_vectors) @ np.swapaxes(_frames(*body_vectors), -1, -2)
+    return frames_along(*source_vectors) @ np.swapaxes(frames_along(*body_vectors), -1, -2)
 
 
 def _trunk_rotations(position, index, body_rest, body_index):
@@ -236,7 +236,7 @@ def hinge_rotations(position, index, body_rest, body_index, chain, direction, tr
         (hinge, lower, body_lower, upper, -front),
     ):
         bent = _rotations((body_bone, body_other), (bone, other))
-        straight = trunk @ rotations_between(body_bone[0], (np.swapaxes(trunk, -1, -2) @ bone[..., None])[..., 0])
+        straight = trunk @ rotations_between(body_bone, (np.swapaxes(trunk, -1, -2) @ bone[..., None])[..., 0])
         # Combined in every frame, so that the weight belongs to one rotation.
         combined = nearest_rotation(bend[:, None, None] * bent + STRAIGHT_WEIGHT * straight)
         estimates[joint] = (combined, bend + STRAIGHT_WEIGHT)

@@ -17,13 +17,7 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody
 from ..bodies.hands import hand_frames
-from ..bodies.joint_names import (
-    captured_fingers,
-    finger_joints,
-    followed_fingers,
-    named_joints,
-    require_joints,
-)
+from ..bodies.joint_names import captured_fingers, finger_joints, followed_fingers, named_joints, require_joints
 from ..core.errors import InputError
 from ..core.geometry import rotation_between, unit_vectors
 from ..core.mesh import LARGEST
@@ -188,7 +182,7 @@ def alignments(
 
 
 def limb_alignments(
-    bones: Mapping[str, Float[np.ndarray, " 3"]], body: RiggedBody
+    bones: Mapping[str, Float[np.ndarray, " 3"]], body: RiggedBody, tails: Mapping[str, str] = BONES
 ) -> dict[str, Float[np.ndarray, "3 3"]]:
     """Compute the rotation A_j of the joint of each bone, of hands (that of the forearm) and of feet.
 
@@ -198,10 +192,11 @@ def limb_alignments(
 
     Args:
         bones: vectors of limb bones at rest, of a person who faces +z.
+        tails: joint of the body at the other end of each.
     """
     aligned = {}
     for joint, bone in bones.items():
-        tail = BONES[joint]
+        tail = tails[joint]
         body_bone = body.joints[body.joint(tail)] - body.joints[body.joint(joint)]
         aligned[joint] = rotation_between(body_bone, bone)
         if tail.endswith("Hand"):

@@ -20,16 +20,7 @@ from ..core.frame_buffer import Progress, spread_exactly, store_frames
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import archive_names
 from ..core.pickled_arrays import read_pickled_arrays
-from .amass import (
-    DEFAULT_RATE,
-    JOINTS,
-    BodyRecording,
-    is_amass,
-    load_recording,
-    poses_of,
-    shape_of,
-    upright,
-)
+from .amass import DEFAULT_RATE, JOINTS, BodyRecording, is_amass, load_recording, poses_of, shape_of, upright
 from .motion import Motion, resample
 from .smpl_joints import RecordedJoints
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies.anatomy import HUMAN, QUADRUPED, Anatomy, anatomy_of_joints
+from ..bodies.anatomy import QUADRUPED, anatomy_of_joints
 from ..core.errors import option
 from ..core.geometry import angles_between
 from ..core.rig import descendants
@@ -109,7 +109,6 @@ class Standards:
 
     kind: str
     """What it is called, with its article."""
-    anatomy: Anatomy
     max_entropy: float
     """As MAX_ENTROPY."""
     min_share: dict[str, float]
@@ -137,7 +136,6 @@ class Standards:
 
 HUMAN_STANDARDS = Standards(
     kind="a person",
-    anatomy=HUMAN,
     max_entropy=MAX_ENTROPY,
     min_share=MIN_SHARE,
     expected_error=EXPECTED_ERROR,
@@ -149,7 +147,6 @@ HUMAN_STANDARDS = Standards(
 )
 QUADRUPED_STANDARDS = Standards(
     kind="a four-legged animal",
-    anatomy=QUADRUPED,
     max_entropy=MAX_ENTROPY,
     min_share={"head": 0.04, **dict.fromkeys([limb for limb in QUADRUPED.regions if limb != "head"], 0.012)},
     expected_error=ANIMAL_ERROR,

@@ -38,10 +38,7 @@ class TorchBody:
         )
 
     def posed(
-        self,
-        shape: Float[Tensor, "B K"],
-        rotmat: Float[Tensor, "B J 3 3"],
-        index: Int[Tensor, "B N"] | None = None,
+        self, shape: Float[Tensor, "B K"], rotmat: Float[Tensor, "B J 3 3"], index: Int[Tensor, "B N"] | None = None
     ) -> Float[Tensor, "B N 3"]:
         """Compute vertices of people under local joint rotations; `index` picks vertices before any work is done."""
         transforms = self.skinning_transforms(shape, rotmat).flatten(2)

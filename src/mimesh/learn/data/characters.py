@@ -148,8 +148,6 @@ class TrainingCharacters:
     packs were left out, `left_out`, their numbers of characters. `clips` are the facts of the other clips."""
     refused: dict[str, int]
     """Number of characters that cannot be used, by reason."""
-    characters: tuple[PoolCharacter, ...] = ()
-    """The characters themselves."""
     clips: TrainingClips | None = None
     """Clips of another folder."""
     part: ClassVar[str] = "characters"
@@ -235,7 +233,7 @@ class TrainingCharacters:
         facts: dict[str, Any] = {"makers": dict(makers), "sha256": digest.hexdigest()}
         if leave_out:  # facts of trainings without this option stay as they were
             facts["left_out"] = {pack: counts[pack] for pack in leave_out}
-        return cls(surfaces, poses, facts, pool.refusals(), tuple(characters))
+        return cls(surfaces, poses, facts, pool.refusals())
 
 
 def _rest_of(

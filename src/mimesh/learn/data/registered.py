@@ -357,8 +357,9 @@ class MeshTable:
                 raise InputError(
                     f"{entry.path}: expected the {length[column]} frames that others have in {entry.pose}, found "
                     f"{count}: frame t must be the same pose of all people. Recordings, as those of DFAUST, have no "
-                    "truth of another person; make it from AMASS's archives of the same takes: mimesh generate "
-                    "clips-aniformer --split train --body-model SMPLH.npz --data TAKES -o clips"
+                    "truth of another person; make it from AMASS's archives of the same takes: "
+                    "python scripts/generate_on_body_model.py clips-aniformer SMPLH.npz --split train --data TAKES "
+                    "-o clips"
                 )
             first[rows[entry.person], column], length[column], start = start, count, start + count
         return cls(first, length)

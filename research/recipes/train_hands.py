@@ -1,31 +1,37 @@
-"""hands: predict the fingers of a hand from points of its surface, with the layers of `mime`.
+"""Train the network that finds the fingers of `mime`, src/mimesh/methods/zoo/hands.onnx (pip install -e '.[train]').
 
-The network is `mime`'s with the joints of one hand, in the frame of its hand joint; right hands are mirrored. It also
-tells whether the hand shows separate fingers at all.
+The network is that of `mime` with the joints of one hand, in the frame of its hand joint; right hands are mirrored. It
+also tells whether the hand shows separate fingers at all.
 
 Batches are left hands in random gestures, as points of their surfaces in the frame of a predicted hand joint.
 Lengths are in spreads of the hand: the root mean square distance of its points from their mean, which is the origin.
 The axes are those of the palm of the shipped body's left hand in the T-pose, off by the error of the predicted joint.
+
+    python research/recipes/train_hands.py [-o hands.onnx] [--characters pool/] [--minutes 20] [--seed 0]
 """
 
 from __future__ import annotations
 
+import argparse
 import math
-from dataclasses import dataclass, field
+import time
+from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from pathlib import Path
 
 import numpy as np
 import torch
 import torch.nn.functional as F
+from hand_gestures import finger_rotations, left_hand_body, sample_finger_poses
+from hand_surfaces import FINGERLESS, HUMAN, HandSurface, training_hands
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from ..bodies import RiggedBody
-from ..bodies.hands import HAND_PARENTS, finger_rotations, left_hand_body, sample_finger_poses
-from ..bodies.joint_names import finger_joints
-from ..core.errors import InputError
-from .data.bodies import (
+from mimesh.bodies import load_body
+from mimesh.bodies.hands import HAND_PARENTS
+from mimesh.bodies.joint_names import finger_joints
+from mimesh.evaluate.character_folder import read_character_folder
+from mimesh.learn.data.bodies import (
     gather_points,
     normal,
     numbers_of_step,
@@ -36,12 +42,22 @@ from .data.bodies import (
     uniform,
     world_rotations,
 )
-from .data.characters import CharacterOptions, TrainingCharacters
-from .data.figures import LAST, pick_rows, rows_by_group
-from .data.hands import FINGERLESS, HUMAN, HandSurface, training_hands
-from .mime import MimeConfig, MimeNetwork, Prediction, joint_errors, masked_mean, rms_normalize
-from .task import OnnxInterface, Task, TrainConfig, shipped_body
+from mimesh.learn.data.figures import LAST, pick_rows, rows_by_group
+from mimesh.learn.export import save_network
+from mimesh.learn.mime import MimeConfig, MimeNetwork, Prediction, joint_errors, masked_mean, rms_normalize
+from mimesh.learn.optimizers import DTYPES, choose_precision, make_optimizers, schedule
+from mimesh.learn.task import OnnxInterface, TrainConfig
 
+NETWORK = MimeConfig(width=80, heads=4, latents=12, blocks=3, refinements=2, near=24, local=48, skinning=24)
+OPTIMIZER = TrainConfig(batch=32, optimizer="muon", learning_rate=3e-3, warmup=1600, decay=0.8, beta2=0.98)
+"""Size of a batch, and how its gradient changes the weights."""
+CLIP, AVERAGE = 1.0, 0.998
+"""Largest norm of the gradient, and decay of the moving average of the weights, which is written."""
+JOINTS, WEIGHTS, SEPARATE = 2.0, 0.05, 0.05
+"""Weights of the loss's terms beside the rotations: squared distances of joints in units of the points' spread, and the
+cross-entropies of the skinning weights and of whether the hand shows separate fingers."""
+CHARACTERS = 0.5
+"""Share of characters' hands with fingers in a batch, where a folder of characters is given."""
 HAND_POINTS = 256
 """Points of a hand that the network takes."""
 QUERIES = 96
@@ -69,51 +85,72 @@ MISSING, MAX_HOLE = 0.15, 0.6
 """Share of hands that lack the points within a ball, and its largest radius (spreads)."""
 ONE_SIDED, WITHOUT_NORMALS = 0.1, 0.15
 """Share of hands of which only the points facing one side are given, and share without normals."""
-UNSEEN_SEED, TRIAL_SEED, TRIAL_HANDS = 1, 77, 8
-"""Seeds of the people and of the gestures of a validation, and number of hands in each of its trials."""
+UNSEEN_SEED, TRIAL_SEED = 1, 77
+"""Seeds of the people and of the gestures that the network is measured on."""
+TRIALS, TRIAL_HANDS = 24, 8
+"""Number of batches that it is measured on, and of hands in each."""
+LOG_SECONDS = 20.0
+"""Wall-clock time between lines of the log."""
 
 
-@dataclass(frozen=True)
-class HandsData(CharacterOptions):
-    """What hands is trained on: hands of the shipped body and of characters, and hands without fingers."""
-
-    kind: Literal["hands"] = "hands"
-    pairing: Literal["random"] = "random"
-    body: Literal["human"] = "human"
-
-    def check(self, where: str) -> None:
-        """Raise InputError for more characters than there are hands with fingers."""
-        super().check(where)
-        if self.characters > 1 - FINGERLESS_SHARE:
-            raise InputError(
-                f"{where}: expected data.characters from 0 to {1 - FINGERLESS_SHARE}, found {self.characters}"
-            )
-
-
-@dataclass(frozen=True)
-class HandLossConfig:
-    """Weights of the terms beside the rotations."""
-
-    joints: float = 2.0
-    """Of squared distances of joints, in units of the points' spread."""
-    weights: float = 0.05
-    """Of the cross-entropy of the skinning weights."""
-    separate: float = 0.05
-    """Of the cross-entropy of whether the hand shows separate fingers."""
+def main() -> None:
+    """Train, write the network, and print its error on hands of people that it has not seen."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, default=Path("hands.onnx"))
+    parser.add_argument("--characters", type=Path, help="Folder of rigged characters, as for `mimesh train mime`.")
+    parser.add_argument("--minutes", type=float, default=20.0, help="Processor minutes; with a GPU minutes.")
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    characters = read_character_folder(args.characters).characters if args.characters else ()
+    surfaces = training_hands(load_body(), characters)
+    source = HandSource(surfaces, device, args.seed, CHARACTERS if characters else 0.0)
+    torch.manual_seed(args.seed)
+    model = train(HandNetwork(NETWORK).to(device), source, args.minutes)
+    print(f"mean squared distance of finger joints: {unseen_error(model):.4f} squared spreads of the hand")
+    save_network(onnx_interface(model.cpu()), {**FACTS, "config": vars(NETWORK)}, args.output, bits=16)
 
 
-@dataclass(frozen=True)
-class HandsTrainConfig(TrainConfig):
-    """The configuration of a training of hands."""
+def train(model: HandNetwork, source: HandSource, minutes: float) -> HandNetwork:
+    """Train a network for some minutes of `time.process_time`, with a GPU of the clock, and give its moving average."""
+    clock = time.process_time if source.device.type == "cpu" else time.perf_counter
+    precision, reason = choose_precision("auto", source.device)
+    print(reason)
+    optimizers = make_optimizers(model, OPTIMIZER, source.device, DTYPES[precision])
+    average = {name: value.detach().clone() for name, value in model.state_dict().items()}
+    started, step, told = clock(), 0, 0.0
+    while (share := (clock() - started) / (60 * minutes)) < 1.0:
+        rate = OPTIMIZER.learning_rate * schedule(OPTIMIZER, step * OPTIMIZER.batch, share)
+        for optimizer in optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = rate
+            optimizer.zero_grad(set_to_none=True)
+        with torch.autocast(source.device.type, torch.bfloat16, enabled=precision == "bf16"):
+            loss = hands_loss(model, source.batch(OPTIMIZER.batch, step))
+        loss.backward()
+        nn.utils.clip_grad_norm_(model.parameters(), CLIP)
+        for optimizer in optimizers:
+            optimizer.step()
+        for name, value in model.state_dict().items():
+            average[name].lerp_(value, 1.0 - AVERAGE)
+        step += 1
+        if time.monotonic() - told > LOG_SECONDS:
+            told = time.monotonic()
+            print(f"{share:.0%}, {step * OPTIMIZER.batch:,} hands: loss {float(loss.detach()):.4f}", flush=True)
+    model.load_state_dict(average)
+    return model.eval()
 
-    network: Literal["hands"] = "hands"
-    model: MimeConfig = field(default_factory=MimeConfig)
-    data: HandsData = field(default_factory=HandsData)
-    structure: HandLossConfig = field(default_factory=HandLossConfig)
 
-    def check(self, where: str) -> None:
-        super().check(where)
-        self.model.check(where)
+@torch.no_grad()
+def unseen_error(model: HandNetwork) -> float:
+    """Measure the mean of `joint_error` over hands of people that no training gets."""
+    device = model.rest_joints.device
+    source = HandSource(training_hands(load_body(), (), UNSEEN_SEED), device, TRIAL_SEED, 0.0)
+    errors = []
+    for step in range(TRIALS):
+        batch = source.batch(TRIAL_HANDS, step)
+        errors.append(joint_error(model.predict_joints(batch.points, batch.normals), batch)[batch.separate])
+    return float(torch.cat(errors).mean())
 
 
 class HandNetwork(MimeNetwork):
@@ -140,10 +177,6 @@ class HandNetwork(MimeNetwork):
         """
         prediction = self.predict_joints(points, normals)
         return prediction, self.predict_separate(prediction), self.predict_weights(prediction, vertices, vertex_normals)
-
-    def estimate_flops(self, vertices: int, points: int) -> float:
-        """Count floating-point operations for one hand; `mime`'s count is that of a pair."""
-        return super().estimate_flops(vertices, points) / 2
 
 
 @dataclass(frozen=True)
@@ -328,14 +361,14 @@ def group_shares(kinds: list[str], characters: float) -> list[float]:
     return [share.get(kind, characters / max(packs, 1)) for kind in kinds]
 
 
-def hands_loss(model: nn.Module, batch: HandBatch, weights: HandLossConfig) -> Float[Tensor, ""]:
+def hands_loss(model: nn.Module, batch: HandBatch) -> Float[Tensor, ""]:
     """Compute the errors of rotations, joints and weights of hands with fingers, and of the logits of all."""
     prediction, logit, scores = model(batch.points, batch.normals, batch.queries, batch.query_normals)
     known = batch.separate[:, None]
     rotation, joints = joint_errors(prediction, (batch.rotation, known), (batch.joints, known))
     entropy = -masked_mean((batch.query_weights * scores.log_softmax(-1)).sum(-1), known)
     separate = F.binary_cross_entropy_with_logits(logit, batch.separate.float())
-    terms = rotation, weights.joints * joints, weights.weights * entropy, weights.separate * separate
+    terms = rotation, JOINTS * joints, WEIGHTS * entropy, SEPARATE * separate
     return torch.stack(terms).sum()
 
 
@@ -344,79 +377,17 @@ def joint_error(prediction: Prediction, batch: HandBatch) -> Float[Tensor, " B"]
     return ((prediction.joints - batch.joints) / prediction.scale)[:, 1:].square().sum(-1).mean(1)
 
 
-@cache
-def unseen_hands() -> tuple[HandSurface, ...]:
-    """Make hands of people of the shipped body that no training gets."""
-    return tuple(training_hands(shipped_body(), (), UNSEEN_SEED))
+FACTS = {"model": "hands", "points": HAND_POINTS, "joints": ("LeftHand", *finger_joints("Left"))}
+"""What the file says about the network."""
 
 
-class HandTrials:
-    """Batches of unseen hands, in place of the pairs of a protocol."""
-
-    kinds = ("unseen",)
-
-    def __init__(self, source: HandSource) -> None:
-        self.source = source
-
-    def count(self, kind: str, limit: int) -> int:
-        return limit
-
-    def pair(self, split: str, kind: str, index: int) -> HandBatch:
-        return self.source.batch(TRIAL_HANDS, index)
-
-
-class HandsTask(Task[HandsTrainConfig, HandNetwork]):
-    """Training, validation and export of hands."""
-
-    config_type = HandsTrainConfig
-    test_set = "human-npt"
-
-    @property
-    def body(self) -> RiggedBody:
-        """The left hand of the shipped body."""
-        return left_hand_body()
-
-    @property
-    def protocol(self) -> Any:
-        """Unseen hands, in place of a protocol of pairs."""
-        return HandTrials(HandSource(list(unseen_hands()), self.device, TRIAL_SEED, 0.0))
-
-    def make_model(self) -> HandNetwork:
-        return HandNetwork(self.config.model)
-
-    def source(self, seed: int) -> HandSource:
-        characters = self.user_data.characters if isinstance(self.user_data, TrainingCharacters) else ()
-        return HandSource(training_hands(shipped_body(), characters), self.device, seed, self.config.data.characters)
-
-    def loss(self, model: HandNetwork, batch: HandBatch, step: int) -> Tensor:
-        with self.autocast():
-            return hands_loss(model, batch, self.config.structure)
-
-    def trial_error(self, model: HandNetwork, trial: HandBatch) -> float:
-        return self.batch_error(model, trial)
-
-    def batch_error(self, model: HandNetwork, batch: HandBatch) -> float:
-        """Compute `joint_error`, mean over the hands with fingers; 0 if there are none."""
-        with self.autocast():
-            prediction = model.predict_joints(batch.points, batch.normals)
-        return float(joint_error(prediction, batch)[batch.separate].mean()) if batch.separate.any() else 0.0
-
-    def flops_per_pair(self, model: HandNetwork) -> float:
-        return model.estimate_flops(QUERIES, HAND_POINTS)
-
-    @staticmethod
-    def onnx_interface(model: HandNetwork) -> OnnxInterface:
-        """Map points and queries of any number of hands, with normals, to joints, logits and scores."""
-        b, v = torch.export.Dim("hands", min=1), torch.export.Dim("vertices", min=1)
-        inputs = ("points", "normals", "vertices", "vertex_normals")
-        example = (*torch.randn(2, 3, HAND_POINTS, 3), *torch.randn(2, 3, 300, 3))
-        dynamic = ({0: b}, {0: b}, {0: b, 1: v}, {0: b, 1: v})
-        return OnnxInterface(_Outputs(model), inputs, ("rotation", "joints", "scores", "separate"), example, dynamic)
-
-    @staticmethod
-    def onnx_facts(model: HandNetwork) -> dict[str, Any]:
-        """Give the number of points and the names of the joints of a left hand."""
-        return {"model": "hands", "points": HAND_POINTS, "joints": ("LeftHand", *finger_joints("Left"))}
+def onnx_interface(model: HandNetwork) -> OnnxInterface:
+    """Map points and queries of any number of hands, with normals, to joints, logits and scores."""
+    b, v = torch.export.Dim("hands", min=1), torch.export.Dim("vertices", min=1)
+    inputs = ("points", "normals", "vertices", "vertex_normals")
+    example = (*torch.randn(2, 3, HAND_POINTS, 3), *torch.randn(2, 3, 300, 3))
+    dynamic = ({0: b}, {0: b}, {0: b, 1: v}, {0: b, 1: v})
+    return OnnxInterface(_Outputs(model), inputs, ("rotation", "joints", "scores", "separate"), example, dynamic)
 
 
 class _Outputs(nn.Module):
@@ -429,3 +400,7 @@ class _Outputs(nn.Module):
     def forward(self, points: Tensor, normals: Tensor, vertices: Tensor, vertex_normals: Tensor):
         prediction, logit, scores = self.model(points, normals, vertices, vertex_normals)
         return prediction.rotation, prediction.joints, scores, logit
+
+
+if __name__ == "__main__":
+    main()

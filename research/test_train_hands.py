@@ -5,14 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from pools import write_character
-
-from mimesh.bodies import load_body
-from mimesh.bodies.character_pool import read_pool
-from mimesh.bodies.hands import HAND_PARENTS
-from mimesh.core.skinning import skinning_transforms
-from mimesh.learn.config import load_config
-from mimesh.learn.data.hands import (
+from hand_surfaces import (
     HAND_COLUMN,
     HUMAN,
     HandMesh,
@@ -23,13 +16,14 @@ from mimesh.learn.data.hands import (
     posed_hand,
     stumps,
 )
-from mimesh.learn.hands import (
-    HAND_POINTS,
-    QUERIES,
-    HandSource,
-    HandsTask,
-    hands_loss,
-)
+from pools import write_character
+from train_hands import HAND_POINTS, QUERIES, HandNetwork, HandSource, hands_loss, joint_error
+
+from mimesh.bodies import load_body
+from mimesh.bodies.character_pool import read_pool
+from mimesh.bodies.hands import HAND_PARENTS
+from mimesh.core.skinning import skinning_transforms
+from mimesh.learn.mime import MimeConfig
 
 CPU = torch.device("cpu")
 
@@ -105,7 +99,7 @@ def test_batches_are_functions_of_their_step(source):
 
 def test_joints_of_a_posed_hand_are_where_forward_kinematics_puts_them(people, monkeypatch):
     for name in ("LENGTH_SPREAD", "GIRTH_SPREAD", "MAX_NOISE", "BUMP_HEIGHT", "FRAME_ERROR", "OWN_REST"):
-        monkeypatch.setattr(f"mimesh.learn.hands.{name}", 0.0)
+        monkeypatch.setattr(f"train_hands.{name}", 0.0)
     hand = people[0].surface(HUMAN, np.random.default_rng(1))
     batch = HandSource([hand], CPU, 0, 0.0).batch(8, 0)
     turned = batch.rotation.numpy() @ hand.alignment.swapaxes(-1, -2)
@@ -118,15 +112,13 @@ def test_joints_of_a_posed_hand_are_where_forward_kinematics_puts_them(people, m
 
 
 def test_network_of_hands_learns_and_its_rotations_are_rotations(source):
-    config = load_config("small", "hands", ["model.width=16", "model.blocks=1", "model.refinements=1", "model.heads=2"])
-    task = HandsTask(config, CPU)
-    model = task.make_model()
+    model = HandNetwork(MimeConfig(width=16, blocks=1, refinements=1, heads=2))
     batch = source.batch(8, 0)
     optimizer = torch.optim.Adam(model.parameters(), 3e-3)
     losses = []
     for _ in range(25):
         optimizer.zero_grad()
-        loss = hands_loss(model, batch, config.structure)
+        loss = hands_loss(model, batch)
         loss.backward()
         optimizer.step()
         losses.append(float(loss.detach()))
@@ -136,4 +128,4 @@ def test_network_of_hands_learns_and_its_rotations_are_rotations(source):
     assert logit.shape == (8,)
     assert scores.shape == (8, QUERIES, 16)
     with torch.no_grad():
-        assert np.isfinite(task.batch_error(model, batch))
+        assert torch.isfinite(joint_error(prediction, batch)).all()

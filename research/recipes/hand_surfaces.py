@@ -11,26 +11,19 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from hand_gestures import finger_rotations, fingertips, hand_alignment, sample_finger_poses
 from jaxtyping import Float, Int
 
-from ...bodies.body_model import RiggedBody
-from ...bodies.character_limbs import SIDES
-from ...bodies.character_pool import PoolCharacter
-from ...bodies.hands import (
-    HAND_PARENTS,
-    finger_rotations,
-    fingertips,
-    hand_alignment,
-    hand_weight,
-    load_hands,
-    sample_finger_poses,
-)
-from ...bodies.joint_names import finger_joints
-from ...bodies.sampling import rotvec_to_rotmat
-from ...core import geometry, surface_points
-from ...core.geometry import MIRROR, unit_vectors
-from ...core.skinning import skin_poses, skinning_transforms
-from .primitives import SHAPES, Shape, sample_primitive
+from mimesh.bodies.body_model import RiggedBody
+from mimesh.bodies.character_limbs import SIDES
+from mimesh.bodies.character_pool import PoolCharacter
+from mimesh.bodies.hands import HAND_PARENTS, hand_weight, load_hands
+from mimesh.bodies.joint_names import finger_joints
+from mimesh.bodies.sampling import rotvec_to_rotmat
+from mimesh.core import geometry, surface_points
+from mimesh.core.geometry import MIRROR, unit_vectors
+from mimesh.core.skinning import skin_poses, skinning_transforms
+from mimesh.learn.data.primitives import SHAPES, Shape, sample_primitive
 
 POINTS = 1000
 """Points that a hand is represented by."""
