@@ -1,4 +1,4 @@
-"""Find and control access to files that a mesh file refers to: buffers, images, material libraries and layers.
+"""Control access to files that a mesh file refers to: buffers, images, material libraries and layers.
 
 They may be anywhere when a user reads their own file. The studio reads uploaded files, whose references must not open
 other files of the machine: it confines them to the folder of the upload.
@@ -7,20 +7,17 @@ other files of the machine: it confines them to the folder of the upload.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import unquote
 
 from ..core.printable import listed
 
 if TYPE_CHECKING:
     from ..core.mesh import Mesh
 
-USD_LAYERS = (".usd", ".usda", ".usdc", ".usdz")
 SHOWN = 3
 """Largest number of missing files that a note lists."""
 _FOLDER: ContextVar[Path | None] = ContextVar("folder", default=None)
@@ -76,35 +73,6 @@ def find_beside(folder: Path, names: Iterable[str]) -> str | None:
             if path.casefold() in folded and is_there(folder / path):
                 return path
     return None
-
-
-def parts_beside(path: Path) -> list[Path]:
-    """List the files beside a mesh or clip that its geometry, materials or layers are in; textures are left out.
-
-    A layer of USD may name any other, so all in its folder are listed. A file that cannot be read has none.
-    """
-    folder, suffix = path.parent, path.suffix.lower()
-    if suffix == ".obj":
-        from .obj import library_names
-
-        lines = [line for line in path.read_bytes().splitlines() if line.lstrip().startswith(b"mtllib")]
-        names = library_names(lines, range(len(lines)), folder)
-    elif suffix == ".gltf":
-        try:
-            uris = [buffer.get("uri", "data:") for buffer in json.loads(path.read_bytes())["buffers"]]
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            return []
-        found = [find_beside(folder, (unquote(uri), uri)) for uri in uris if not uri.startswith("data:")]
-        names = [name for name in found if name]
-    elif suffix == ".pc2":
-        from .formats import FRAME_SUFFIXES
-
-        names = [path.stem + other for other in FRAME_SUFFIXES]
-    elif suffix in USD_LAYERS:
-        names = [file.name for file in folder.glob("*") if file.suffix.lower() in USD_LAYERS and file != path]
-    else:
-        return []
-    return sorted(folder / name for name in names)
 
 
 def missing_images(mesh: Mesh) -> tuple[str, ...]:
