@@ -29,14 +29,23 @@ MILLIMETRES = 1000.0
 """In a metre, the unit of meshes."""
 
 
-def heat_map(result: Mesh, truth: Mesh | Float[np.ndarray, "V 3"], tile: tuple[int, int] = TILE) -> Image.Image:
+def heat_map(
+    result: Mesh,
+    truth: Mesh | Float[np.ndarray, "V 3"],
+    limit: float | None = None,
+    tile: tuple[int, int] = TILE,
+) -> Image.Image:
     """Draw the result (metres) coloured by each vertex's distance to the truth, with a colour bar in millimetres.
+
+    Args:
+        limit: distance in metres at the last colour; by default the 99th percentile.
 
     Raises:
         InputError: result and truth have different numbers of vertices.
     """
     points = truth if isinstance(truth, np.ndarray) else truth.vertices
-    return next(heat_frames(Clip.still(result), points[None], tile))
+    shown_limit = None if limit is None else limit * MILLIMETRES
+    return next(heat_frames(Clip.still(result), points[None], tile, limit=shown_limit))
 
 
 def heat_frames(
@@ -44,6 +53,7 @@ def heat_frames(
     truth: Float[np.ndarray, "T V 3"],
     tile: tuple[int, int] = TILE,
     *,
+    limit: float | None = None,
     view: str | tuple[float, float] = "three-quarter",
     up: str = "y",
     front: str | None = None,
@@ -55,6 +65,7 @@ def heat_frames(
 
     Args:
         truth: as many frames as the clip has, or one for all.
+        limit: distance at the last colour; by default the 99th percentile over SAMPLED frames.
         track: the camera follows the subject along the floor.
 
     Raises:
@@ -63,7 +74,7 @@ def heat_frames(
     from PIL import Image
 
     _check_shapes(clip, truth)
-    limit = _limit(clip, truth)
+    limit = limit or _limit(clip, truth)
     cameras = clip_cameras(clip, tile, view, track, up, front)
     bar, pose_mesh = None, mesh_poser(clip.mesh)
     for t, (points, camera) in enumerate(zip(each_frame(clip.vertices), cameras, strict=True)):
