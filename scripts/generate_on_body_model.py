@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -49,6 +50,8 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=0, help="Pairs of each kind; of train poses of each person.")
     parser.add_argument("--data", type=Path, help="Folder of the motions of clips-aniformer.")
     args = parser.parse_args()
+    if args.pairs < 0:
+        parser.error(f"--pairs: expected 0 or more, found {args.pairs}")
     protocol = on_body_model(args.protocol, args.model, args.data)
     print(f"{args.output}: {write(protocol, args.output, args.split, args.pairs)['files']} files")
 
@@ -186,4 +189,8 @@ def _find_takes(folder: Path | None) -> tuple[Path, ...]:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except InputError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)

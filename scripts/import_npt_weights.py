@@ -12,12 +12,14 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import hashlib
+import sys
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from mimesh.core.errors import InputError
 from mimesh.io.atomic import together
 from mimesh.learn.export import FULL_BITS, STORED_BITS, check_output, save_card, save_network
 from mimesh.learn.npt import NPT, NPTConfig, NPTTask
@@ -96,4 +98,8 @@ def published_names() -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except InputError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)

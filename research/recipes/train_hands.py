@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
 from dataclasses import dataclass
 from functools import cache
@@ -30,6 +31,7 @@ from torch import Tensor, nn
 from mimesh.bodies import load_body
 from mimesh.bodies.hands import HAND_PARENTS
 from mimesh.bodies.joint_names import finger_joints
+from mimesh.core.errors import InputError
 from mimesh.evaluate.character_folder import read_character_folder
 from mimesh.learn.data.bodies import (
     gather_points,
@@ -403,4 +405,8 @@ class _Outputs(nn.Module):
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except InputError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)

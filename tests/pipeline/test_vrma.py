@@ -9,7 +9,7 @@ from foreign_names import renamed
 from gltf_samples import Sample
 from matrix import matrix
 from people import person, walk
-from rigs import character
+from rigs import character, figure
 from scipy.spatial.transform import Rotation
 from vrm_files import bone_positions, vrm, vrma
 
@@ -267,3 +267,12 @@ def test_an_animation_that_lacks_bones_is_refused(tmp_path):
     }
     with pytest.raises(InputError, match="expected hips and, left and right, thigh"):
         load_clip(sample.glb(tmp_path / "a.vrma"))
+
+
+def test_a_rig_without_hands_is_no_vrm(tmp_path):
+    """The T-pose, which needs hands, too, is not looked for before."""
+    whole = figure()
+    hands = [name for name in whole.names if any(part in name for part in ("Hand", "Finger", "Thumb"))]
+    path = character(tmp_path / "stumps.glb", person=whole.without(*hands[::-1]))
+    with pytest.raises(InputError, match=r"expected the bones that VRM requires, found none for .*LeftHand"):
+        mimesh.rig(path).save(tmp_path / "out.vrm", author="someone", license="https://example.com/licence")

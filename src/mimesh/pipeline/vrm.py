@@ -72,8 +72,8 @@ def save_as_vrm(
     meta = vrm_meta(rigged.mesh.name, author, license, path)
     turn = ROTATIONS[ORIENTATIONS.index((report["up"], report["front"]))]
     if own is not None:
+        joints = check_joints(own.person, path)  # the T-pose needs these, too
         posed = _own_t_pose(rigged, own, layout, turn[1])
-        joints = check_joints(own.person, path)
         bones = {bone: own.person[joint] for bone, joint in zip(bone_names(joints), joints, strict=True)}
         save_vrm(posed, bones, meta, turn, path)
         return
