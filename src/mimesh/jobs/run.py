@@ -329,7 +329,7 @@ def do_task(task: BatchTask) -> dict[str, Any]:
 def _do_job(task: BatchTask, begin: float) -> dict[str, Any]:
     """Do a job, write its record, and return its outcome."""
     path, job = record_path(task.job), task.job
-    if _record(job):  # what this batch has made may be replaced
+    if "no-clobber" in dict(job.options) and _record(job):  # what this batch has made may be replaced
         job = replace(job, options=tuple(option for option in job.options if option[0] != "no-clobber"))
     path.unlink(missing_ok=True)
     with naming_options():

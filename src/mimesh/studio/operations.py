@@ -21,8 +21,10 @@ from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..core.options import Hints
-from ..io import list_animations, load_clip, load_mesh
+from ..io import load_clip, load_mesh
 from ..io.beside import confined
+from ..io.gltf.animation import animation_names
+from ..io.gltf.own_rig import GltfJoints
 from ..io.joint_file import describe_corrections, load_corrections, side_file
 from ..methods.base import Method
 from ..methods.find import find_mime, find_model
@@ -77,15 +79,11 @@ def detect_facing(content: Mesh | Clip, axes: tuple[str | None, str | None]) -> 
     return {**facing(normalization), "unsure": normalization.unsure}
 
 
-def animations(content: Mesh | Clip, path: Path | None, folder: Path | None) -> tuple[str, ...]:
-    """Return the names of the animations of what was read of a file, which may refer to others in a folder.
-
-    There are none in other formats, and without a file.
-    """
+def animations(content: Mesh | Clip) -> tuple[str, ...]:
+    """Return the names of the animations in a glTF file; none for other files."""
+    if isinstance(content, Clip) and isinstance(content.skeleton, GltfJoints):
+        return animation_names(content.skeleton.document)
     mesh = content.mesh if isinstance(content, Clip) else content
-    if mesh.source is None and path is not None:  # joints alone have the shipped body
-        with _within(folder):
-            return list_animations(path)
     return tuple(getattr(mesh.source, "animations", ()))
 
 

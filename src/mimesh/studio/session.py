@@ -284,16 +284,15 @@ class Session:
                 return
             item.error = "" if error is None else self.page_error(error)
             if error is None:
-                content, item.facing, item.animations = future.result()
-                item.content = content
+                content, item.facing = future.result()
+                item.content, item.animations = content, operations.animations(content)
                 item.parts = operations.parts(content)
                 self._use_side_file(item)
             self.refresh()
 
-        def work(progress: Progress) -> tuple[Mesh | Clip, dict[str, Any], tuple[str, ...]]:
+        def work(progress: Progress) -> tuple[Mesh | Clip, dict[str, Any]]:
             content = read()
-            names = operations.animations(content, item.path, self._folder(item.upload))
-            return content, operations.detect_facing(content, item.axes), names
+            return content, operations.detect_facing(content, item.axes)
 
         self.worker.submit(("read", item.number), work).add_done_callback(finish)
         self.changed()
