@@ -267,7 +267,7 @@ def _parse_json(text: bytes, path: Path) -> Any:
 def _without_absent(value: Any) -> Any:
     """Leave out the members of JSON objects that stand for none; extras and extensions stay as they are."""
     if isinstance(value, list):
-        return [_without_absent(item) for item in value]
+        return [_without_absent(item) if isinstance(item, dict | list) else item for item in value]
     if not isinstance(value, dict):
         return value
     kept = {
