@@ -112,7 +112,7 @@ class MimeshSettings(PropertyGroup):
     )
     contacts: BoolProperty(
         name="Keep hands in contact",
-        default=False,
+        default=True,
         description="Hands touch the body where those of the driving do, and arms stay out of it (mime only)",
     )
     smooth: FloatProperty(

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rigs
+from directions import animate
 from foreign_names import renamed
 from matrix import matrix
 from scipy.spatial.transform import Rotation
@@ -21,7 +22,6 @@ from mimesh.core.rig import homogeneous
 from mimesh.io import load_clip, load_mesh
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.draft import Draft
-from mimesh.pipeline import animate
 
 PERSON = rigs.figure()
 FIRST = 2

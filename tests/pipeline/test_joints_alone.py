@@ -50,7 +50,7 @@ def hero(tmp_path_factory) -> str:
 
 
 def moved(hero: str, driving: Path, model, **options):
-    return animate(hero, str(driving), model, motion=MotionOptions(ground=False, **options))
+    return animate(hero, str(driving), model, motion=MotionOptions(ground=False, contacts=False, **options))
 
 
 def test_hands_and_fingers_are_those_of_the_same_joints_with_a_mesh(hero, model, tmp_path):

@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 import rigs
+from directions import animate
 from foreign_names import renamed
 from matrix import matrix
 from networks import write_mime_network
@@ -17,7 +18,6 @@ from mimesh.core.errors import InputError
 from mimesh.core.options import Hints
 from mimesh.core.rig import homogeneous
 from mimesh.io.gltf.draft import Draft
-from mimesh.pipeline import animate
 from mimesh.tools.inspect import inspect_file
 
 FACES = 3000

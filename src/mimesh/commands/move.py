@@ -51,6 +51,7 @@ def transfer(
     output: OutputOptions,
     hints: Hints,
     options: ModelOptions,
+    motion: Annotated[MotionOptions, Without("root", "ground", "smooth", "skinned", "influences")],
     joints: JointOptions,
     taken: Annotated[ClipOptions, Without("start", "stop", "step", "fps", "animation")],
 ) -> dict[str, Any]:
@@ -78,7 +79,7 @@ def transfer(
         (mesh, (posed, notes)), seconds = _timed(lambda: (load_mesh(identity), _posed_mesh(driving, taken.body_model)))
     check_suffix(target, (*MESH_WRITERS, *([mesh.source.suffix] if mesh.source else [])))
     with progress("transfer", output.silent):
-        result = run_transfer(mesh, posed, model, hints=hints, options=options)
+        result = run_transfer(mesh, posed, model, hints=hints, options=options, motion=motion)
     result.seconds["load"] += seconds
     replaced = target.is_file()
     with together():

@@ -181,7 +181,7 @@ class FrameRange:
 @options
 @dataclass(frozen=True)
 class MotionOptions:
-    """How joints move; for `mime` alone, but that any method can ground.
+    """How joints move. A model without joints refuses what needs them, but `ground` and `contacts`: both do nothing then.
 
     Example:
         >>> mimesh.MotionOptions(root="drop").root
@@ -216,7 +216,7 @@ class MotionOptions:
     """Weights a vertex of joints that were found, in files: 4, which all readers of glTF support, or 8, of which four
     are in a second set of attributes. A file's own rig keeps its weights."""
     contacts: bool = declared(
-        False,
+        True,
         "Keep hands where DRIVING's touch its body, and arms out of the own (mime).",
         name="--contacts/--no-contacts",
     )
@@ -247,7 +247,7 @@ class MotionOptions:
             >>> mimesh.MotionOptions(ground=False).refuse_without_joints("npt")
         """
         for field in dataclasses.fields(self):
-            if field.name != "ground" and getattr(self, field.name) not in (field.default, None):
+            if field.name not in ("ground", "contacts") and getattr(self, field.name) not in (field.default, None):
                 raise needs_joints(field.name, model)
 
 

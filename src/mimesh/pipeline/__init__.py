@@ -39,6 +39,7 @@ def transfer(
     *,
     hints: Hints = NO_HINTS,
     options: ModelOptions = USUAL,
+    motion: MotionOptions = UNCHANGED,
 ) -> Result:
     """Give the identity the pose of the driving mesh: `animate` with one frame, in double precision.
 
@@ -51,6 +52,7 @@ def transfer(
             which is used as it is: `options` are for names and paths only, but `refine`.
         hints: axes, rig, body and joints of both meshes, where they are known.
         options: what the model is asked for.
+        motion: how joints move; of a single pose only `contacts` and `skinned` have an effect.
 
     Returns:
         The identity with other vertices, in its own axes, unit and order, with a report and notes.
@@ -64,7 +66,7 @@ def transfer(
         (502, 3)
         >>> path = result.save("posed.glb")
     """
-    timer, motion = Timer(), MotionOptions()
+    timer = Timer()
     with timer.step("load"):
         identity, driving = read_mesh(identity, "identity"), read_mesh(driving, "driving")
     clip = still_clip(driving)

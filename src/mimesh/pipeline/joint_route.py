@@ -400,7 +400,7 @@ def find_motion(
     def motion(norm: Normalization) -> JointMotion:
         if rigs.driving is not None:
             mesh = face_outward(normalised(subject.mesh, norm))
-            return JointMotion.of_file(rigs.driving, mesh, clip.fps, norm, mime.seed)
+            return JointMotion.of_file(rigs.driving, mesh, clip.fps, norm)
         corrected, keyframes = corrections.of_driving(keyframes_of(clip, norm), mime.joints, norm)
         return mime.capture(keyframes, corrected)
 

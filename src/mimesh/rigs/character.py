@@ -129,14 +129,10 @@ class Character:
     @cached_property
     def grid(self) -> BodyGrid | None:
         """Points on its surface that correspond to those of other people."""
-        from .body_grid import BodyGrid, joints_in_t_pose
+        from .body_grid import BodyGrid
 
-        joints = joints_in_t_pose(self.rig, self.parents)
-        surface = SurfacePoints.of(Mesh(self.points, self.faces), GRID_SAMPLES, generator(0, 2))
-        straight = self.skinned.posed_at(np.broadcast_to(np.eye(3), self.rig.rotation.shape), joints)
-        weights = interpolate(self.rig.weights, surface.corners, surface.barycentric)
         names = tuple(names[0] if names else "Hips" for names in self.above)
-        return BodyGrid.of(surface.points(straight), weights, joints, names, self.parents)
+        return BodyGrid.of_pose(*skin_samples(Mesh(self.points, self.faces), self.rig), names, self.parents)
 
     @property
     def shared(self) -> Int[np.ndarray, " V"] | None:
@@ -228,6 +224,13 @@ class LinkedJoints:
         for curl in self.curls:
             curl.turn(linked, rotation)
         return linked if self.standing is None else linked @ self.standing
+
+
+def skin_samples(mesh: Mesh, rig: Rig) -> tuple[Float[np.ndarray, "S 3"], Rig]:
+    """Return points of a surface, uniform by area and the same for the same surface, and its rig with their weights."""
+    surface = SurfacePoints.of(mesh, GRID_SAMPLES, generator(0, 2))
+    weights = interpolate(rig.weights, surface.corners, surface.barycentric)
+    return surface.points(mesh.vertices), replace(rig, weights=weights)
 
 
 def names_above(joints: tuple[str, ...], parents: tuple[int, ...]) -> tuple[tuple[str, ...], ...]:

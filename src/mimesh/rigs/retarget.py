@@ -36,8 +36,8 @@ from ..core.normalization import Normalization
 from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
 from ..core.soles import Feet, SolePoints, Soles, body_points, find_soles, floor_height, sole_height
-from ..core.surface_points import SurfacePoints, generator, interpolate
-from .character import GRID_SAMPLES, Character, LinkedJoints, RestPose
+from ..core.surface_points import SurfacePoints
+from .character import Character, LinkedJoints, RestPose, skin_samples
 from .confidence import Confidence
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class JointMotion:
     """How certainly the joints were found; None: they are those of a file."""
 
     @classmethod
-    def of_file(cls, motion: PersonMotion, mesh: Mesh, fps: float, norm: Normalization, seed: int) -> JointMotion:
+    def of_file(cls, motion: PersonMotion, mesh: Mesh, fps: float, norm: Normalization) -> JointMotion:
         """Normalise the joints of a file; `mesh` is the clip's first frame, normalised already."""
         positions = norm.apply(motion.positions.reshape(-1, 3)).reshape(motion.positions.shape)
         track = JointTrack(norm.rotation @ motion.rotation, positions, fps)
@@ -113,13 +113,11 @@ class JointMotion:
             at_rest = None if motion.rest_vertices is None else norm.apply(motion.rest_vertices)
             if at_rest is not None and has_path(motion.positions[:, 0], motion.leg):
                 floor = sole_height(at_rest, soles, len(legs))
-            posed = mesh.vertices
             if motion.rest is not None and at_rest is not None:  # taking back a pose bends joints
                 turned, places = motion.rest
-                posed, rig = at_rest, Rig(norm.rotation @ turned, norm.apply(places), motion.weights)
-            surface = SurfacePoints.of(mesh, GRID_SAMPLES, generator(seed, 1))
-            weights = interpolate(motion.weights, surface.corners, surface.barycentric)
-            skin = surface.points(posed), replace(rig, weights=weights)
+                mesh = Mesh(at_rest, mesh.faces)
+                rig = Rig(norm.rotation @ turned, norm.apply(places), motion.weights)
+            skin = skin_samples(mesh, rig)
         leg = motion.leg / norm.radius
         return cls(motion.joints, None, leg, vertices, soles, ankles, track, body, rest, floor, skin)
 

@@ -28,7 +28,7 @@ class Options:
     model: str = "mime"
     root: str = "scale"
     ground: bool = True
-    contacts: bool = False
+    contacts: bool = True
     smooth: float = 0.0
     refine: bool | None = None
     body: str = "auto"
