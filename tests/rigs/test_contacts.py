@@ -12,6 +12,7 @@ from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.foot_planting import PosedJoints
 from mimesh.core.geometry import vertex_normals
 from mimesh.core.joint_tracks import JointTrack
+from mimesh.core.mesh import Mesh
 from mimesh.core.rig import Rig
 from mimesh.core.skinning import SkinnedMesh, skinning_transforms
 from mimesh.core.surface_points import SurfacePoints, generator, interpolate
@@ -59,7 +60,8 @@ def sampled(points, joints, seed, pose: float | np.ndarray = 0.0):
     weights = interpolate(BODY.weights, samples.corners, samples.barycentric)
     vertices = SkinnedMesh.of(points, still(joints), BODY.parents).posed_at(rotation[0], places[0])
     rig = Rig(rotation[0], places[0], weights)
-    return BodyGrid.of_pose(samples.points(vertices), rig, BODY.joint_names, BODY.parents)
+    cloud = Mesh(samples.points(vertices), np.zeros((0, 3), int))
+    return BodyGrid.of_pose(cloud, rig, BODY.joint_names, BODY.parents)
 
 
 def kept(identity, pose, fps=30.0, cyclic=False):

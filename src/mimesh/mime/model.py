@@ -179,7 +179,7 @@ class Mime:
             soles=found.soles,
             body=found.body,
             ankles=tuple(self.joints[leg[-1]] for leg in self.legs),
-            skin=(found.points, found.consensus),
+            skin=(Mesh(found.points, np.zeros((0, 3), int)), found.consensus),
             confidence=_without_shares(found.confidence, keyframes.mesh),
             keyframes=keyframes,
             found=found,

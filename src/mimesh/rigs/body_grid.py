@@ -15,8 +15,10 @@ from jaxtyping import Float, Int
 from ..bodies.character_limbs import SIDES
 from ..bodies.joint_names import ancestors
 from ..core.geometry import unit_vectors
+from ..core.mesh import Mesh
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh, skin_points
+from ..core.surface_points import SurfacePoints, generator, interpolate
 
 Line = tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]
 """Start and end of a part's line."""
@@ -33,6 +35,8 @@ ROWS: dict[str, tuple[int, list[tuple[float, float]]]] = {
 PARTS = ("Trunk", "Head", *(side + part for side in SIDES for part in ROWS if part not in ("Trunk", "Head")))
 NEEDED = frozenset(side + joint for side in SIDES for joint in ("Arm", "ForeArm", "Hand", "UpLeg"))
 """Joints without which there are no points."""
+SAMPLES = 4096
+"""Points of a surface among which its girths are measured."""
 NEAREST = 32
 """Samples of the surface whose mean distance is the girth at a point."""
 WIDTH = 0.25
@@ -68,18 +72,20 @@ class BodyGrid:
     """Ring of each point."""
 
     @classmethod
-    def of_pose(
-        cls, points: Float[np.ndarray, "N 3"], rig: Rig, names: tuple[str, ...], parents: tuple[int, ...]
-    ) -> BodyGrid | None:
+    def of_pose(cls, mesh: Mesh, rig: Rig, names: tuple[str, ...], parents: tuple[int, ...]) -> BodyGrid | None:
         """Find the points on a surface in any pose; see `of`.
 
         Args:
-            points: samples of the surface.
-            rig: the joints in that pose, with the weights of the samples.
+            mesh: the surface; without triangles, samples of it.
+            rig: the joints in that pose, with the weights of its vertices.
         """
         joints, undo = joints_in_t_pose(rig, parents), rig.rotation.swapaxes(-1, -2)
-        straight = skin_points(points, rig.weights, undo, joints - (undo @ rig.joints[..., None])[..., 0])
-        return cls.of(straight, rig.weights, joints, names, parents)
+        points, weights = mesh.vertices, rig.weights
+        points = skin_points(points, weights, undo, joints - (undo @ rig.joints[..., None])[..., 0])
+        if len(mesh.faces):  # sampled in the T-pose, so that samples of one body in two poses are the same
+            surface = SurfacePoints.of(Mesh(points, mesh.faces), SAMPLES, generator(0, 2))
+            points, weights = surface.points(points), interpolate(weights, surface.corners, surface.barycentric)
+        return cls.of(points, weights, joints, names, parents)
 
     @classmethod
     def of(

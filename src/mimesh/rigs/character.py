@@ -21,7 +21,6 @@ from ..core.normalization import Normalization
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from ..core.soles import Soles, find_soles, sole_height
-from ..core.surface_points import SurfacePoints, generator, interpolate
 from .confidence import Confidence
 from .fingers import Curl, finger_curls
 
@@ -31,9 +30,6 @@ if TYPE_CHECKING:
 
 RestPose = tuple[Float[np.ndarray, "D 3 3"], Float[np.ndarray, "D 3"]]
 """World rotations and positions of a driving's joints at rest."""
-
-GRID_SAMPLES = 4096
-"""Points of a character's surface among which its girths are measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +128,7 @@ class Character:
         from .body_grid import BodyGrid
 
         names = tuple(names[0] if names else "Hips" for names in self.above)
-        return BodyGrid.of_pose(*skin_samples(Mesh(self.points, self.faces), self.rig), names, self.parents)
+        return BodyGrid.of_pose(Mesh(self.points, self.faces), self.rig, names, self.parents)
 
     @property
     def shared(self) -> Int[np.ndarray, " V"] | None:
@@ -224,13 +220,6 @@ class LinkedJoints:
         for curl in self.curls:
             curl.turn(linked, rotation)
         return linked if self.standing is None else linked @ self.standing
-
-
-def skin_samples(mesh: Mesh, rig: Rig) -> tuple[Float[np.ndarray, "S 3"], Rig]:
-    """Return points of a surface, uniform by area and the same for the same surface, and its rig with their weights."""
-    surface = SurfacePoints.of(mesh, GRID_SAMPLES, generator(0, 2))
-    weights = interpolate(rig.weights, surface.corners, surface.barycentric)
-    return surface.points(mesh.vertices), replace(rig, weights=weights)
 
 
 def names_above(joints: tuple[str, ...], parents: tuple[int, ...]) -> tuple[tuple[str, ...], ...]:

@@ -37,7 +37,7 @@ from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
 from ..core.soles import Feet, SolePoints, Soles, body_points, find_soles, floor_height, sole_height
 from ..core.surface_points import SurfacePoints
-from .character import Character, LinkedJoints, RestPose, skin_samples
+from .character import Character, LinkedJoints, RestPose
 from .confidence import Confidence
 
 if TYPE_CHECKING:
@@ -79,9 +79,8 @@ class JointMotion:
     """The joints at rest, y up, +z front, where the file has them."""
     rest_floor: float | None = None
     """Height of the soles at rest, where the file has a rig whose hips move."""
-    skin: tuple[Float[np.ndarray, "S 3"], Rig] | None = None
-    """Points of the surface in some pose, and the joints in it but fingers, with their weights; None where the file has
-    none."""
+    skin: tuple[Mesh, Rig] | None = None
+    """The surface, or points of it, in some pose, and the joints in it but fingers; None where the file has none."""
     confidence: Confidence | None = None
     """How certainly the joints were found; None: they are those of a file."""
 
@@ -117,7 +116,7 @@ class JointMotion:
                 turned, places = motion.rest
                 mesh = Mesh(at_rest, mesh.faces)
                 rig = Rig(norm.rotation @ turned, norm.apply(places), motion.weights)
-            skin = skin_samples(mesh, rig)
+            skin = Mesh(mesh.vertices, mesh.faces), rig
         leg = motion.leg / norm.radius
         return cls(motion.joints, None, leg, vertices, soles, ankles, track, body, rest, floor, skin)
 

@@ -174,7 +174,9 @@ def add_odd_animations(draft: Draft) -> None:
 def test_odd_animations_and_files_without_scenes(rig, model, driving, tmp_path):
     """Animation pointers stay with the animations of the file; weights without morph targets are no motion."""
     path = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"), change=add_odd_animations)
-    result = animate(str(path), str(driving), model, hints=Hints(rig=rig), motion=MotionOptions(skinned=True, contacts=False))
+    result = animate(
+        str(path), str(driving), model, hints=Hints(rig=rig), motion=MotionOptions(skinned=True, contacts=False)
+    )
     saved_as_computed(result, tmp_path / "out.glb", EXACT if rig == "own" else 1e-3)
     gltf = json_of(tmp_path / "out.glb")
     if rig == "own":
