@@ -7,7 +7,6 @@ from functools import cache
 import numpy as np
 import pytest
 import rigs
-from directions import animate
 from scipy.spatial.transform import Rotation
 
 import mimesh
@@ -52,7 +51,7 @@ def moved(folder, name: str, pose: dict[str, tuple[float, float, float]], withou
     for joint in pose.keys() & set(person.names):
         rest[person.names.index(joint)] = Rotation.from_rotvec(pose[joint], degrees=True).as_matrix()
     path = rigs.character(folder / f"{name}.glb", person=person, rest=rest, frames=frames, **options)
-    result = animate(load_mesh(path), clip(folder))
+    result = mimesh.animate(load_mesh(path), clip(folder), motion=mimesh.MotionOptions(contacts=False))
     assert result.skeleton is not None
     joints = result.skeleton.joint_positions()
     return result, dict(zip(result.skeleton.names, np.moveaxis(joints - joints[:, :1], 1, 0), strict=True))

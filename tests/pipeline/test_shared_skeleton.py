@@ -36,8 +36,7 @@ def test_the_report_of_a_copied_clip_has_the_keys_of_others(walker, model):
 
 def test_options_that_change_the_motion_use_the_joints_of_the_file(walker, model):
     copied, dropped = (
-        animate(walker, walker, model, motion=MotionOptions(root, ground=False, contacts=False))
-        for root in ("scale", "drop")
+        animate(walker, walker, model, motion=MotionOptions(root=root, ground=False)) for root in ("scale", "drop")
     )
     assert dropped.own is not None
     assert dropped.notes == ()

@@ -181,7 +181,7 @@ class FrameRange:
 @options
 @dataclass(frozen=True)
 class MotionOptions:
-    """How joints move. A model without joints refuses what needs them, but `ground` and `contacts`: both do nothing then.
+    """How joints move. A model without joints refuses what needs them, but `ground` and `contacts`, which do nothing.
 
     Example:
         >>> mimesh.MotionOptions(root="drop").root

@@ -64,7 +64,7 @@ class VertexRoute(Placed):
         driving, norm = self.rigs.driving, self.norms[1]
         if driving is None or driving.rest_vertices is None:
             return lowest
-        motion = JointMotion.of_file(driving, normalised(first_frame(self.clip), norm), self.clip.fps, norm, 0)
+        motion = JointMotion.of_file(driving, normalised(first_frame(self.clip), norm), self.clip.fps, norm)
         heights = norm.apply(driving.rest_vertices)[:, 1]
         at_rest = heights[heights > motion.floor(lowest) - SOLE_ERROR].min()
         return float(at_rest) if motion.floor(lowest) == motion.rest_floor else lowest

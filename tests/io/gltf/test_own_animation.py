@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rigs
-from directions import animate
 from foreign_names import renamed
 from gltf_reference import json_of
 from matrix import matrix
@@ -27,6 +26,7 @@ from mimesh.io.gltf.animation import read_channels
 from mimesh.io.gltf.document import Document, open_document
 from mimesh.io.gltf.draft import Draft
 from mimesh.io.gltf.own_animation import key_frames
+from mimesh.pipeline import animate
 
 EXACT = 1e-5
 """Largest distance of a vertex, over the size of the mesh, that counts as exact."""
@@ -174,9 +174,7 @@ def add_odd_animations(draft: Draft) -> None:
 def test_odd_animations_and_files_without_scenes(rig, model, driving, tmp_path):
     """Animation pointers stay with the animations of the file; weights without morph targets are no motion."""
     path = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"), change=add_odd_animations)
-    result = animate(
-        str(path), str(driving), model, hints=Hints(rig=rig), motion=MotionOptions(skinned=True, contacts=False)
-    )
+    result = animate(str(path), str(driving), model, hints=Hints(rig=rig), motion=MotionOptions(skinned=True))
     saved_as_computed(result, tmp_path / "out.glb", EXACT if rig == "own" else 1e-3)
     gltf = json_of(tmp_path / "out.glb")
     if rig == "own":
@@ -331,7 +329,7 @@ def test_own_clip_through_own_rig(kind, scheme, suffix, model, tmp_path):
     name = str if scheme == "ours" else renamed(scheme)
     path, *_ = rigs.of_kind(tmp_path / f"own.{suffix}", kind, name=name, change=furnish)
     clip = load_clip(path)
-    result = animate(str(path), clip, model, motion=MotionOptions(skinned=None, contacts=False))
+    result = animate(str(path), clip, model, motion=MotionOptions(skinned=None))
     assert result.own is not None
     assert distance(result.clip.vertices, clip.vertices) < EXACT
     vertices = saved_as_computed(result, tmp_path / f"out.{suffix}")
