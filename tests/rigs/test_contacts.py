@@ -13,9 +13,11 @@ from mimesh.core.foot_planting import PosedJoints
 from mimesh.core.geometry import vertex_normals
 from mimesh.core.joint_tracks import JointTrack
 from mimesh.core.mesh import Mesh
+from mimesh.core.options import Hints, MotionOptions
 from mimesh.core.rig import Rig
 from mimesh.core.skinning import SkinnedMesh, skinning_transforms
 from mimesh.core.surface_points import SurfacePoints, generator, interpolate
+from mimesh.pipeline import transfer
 from mimesh.rigs.body_grid import BodyGrid
 from mimesh.rigs.contacts import Contacts
 
@@ -133,3 +135,21 @@ def test_a_cycle_ends_as_it_begins():
     skinned, _, moved = kept(FAT, share[np.r_[0:30, 0]] * belly(), cyclic=True)
     found = wrists(skinned, moved)
     np.testing.assert_array_equal(found[0], found[-1])
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_arms_of_a_mesh_whose_limbs_are_not_found_with_certainty_are_left_as_they_are(whole):
+    """Clothes have no head and no legs."""
+    rotation, places = posed(belly(), BODY.joints)
+    skinned = SkinnedMesh.of(BODY.vertices, still(BODY.joints), BODY.parents)
+    driving = BODY.mesh(skinned.posed_at(rotation[0], places[0]))
+    heights = FAT[0][BODY.faces][..., 1].mean(axis=1)
+    neck, hips = (FAT[1][BODY.joint(name), 1] for name in ("Neck1", "LeftUpLeg"))
+    kept = whole | (heights < neck) & (heights > hips)
+    identity = Mesh(FAT[0], BODY.faces[kept])
+    with_contacts, without = (
+        transfer(identity, driving, hints=Hints(body="human"), motion=MotionOptions(contacts=contacts))
+        for contacts in (True, False)
+    )
+    assert whole != any("not found with certainty" in note for note in with_contacts.notes)
+    assert whole == (np.abs(with_contacts.vertices - without.vertices).max() > 0.02)

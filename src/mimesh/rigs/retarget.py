@@ -221,9 +221,12 @@ class Retarget:
 
     @cached_property
     def contacts(self) -> Contacts | None:
-        """What keeps contacts of arms with the own body; None for animals, and where joints or surfaces lack."""
+        """What keeps contacts of arms with the own body; None for animals, and where joints or surfaces lack or are not
+        found with certainty."""
         from .contacts import Contacts
 
+        if any(of.confidence is not None and of.confidence.uncertainty > 1 for of in (self.character, self.motion)):
+            return None
         driving = self.motion.grid
         identity = None if driving is None else self.character.grid
         return Contacts.of(driving, identity, self.character.skinned, self.character.arms)
