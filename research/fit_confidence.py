@@ -63,7 +63,7 @@ def collect(
     mime = find_mime(model)
     rows = []
     known = Known(AXES.axes, body="human")  # "auto" refuses what looks like no person; here it is measured
-    options = MotionOptions()
+    options = MotionOptions(contacts=False)  # the truth has the driving's rotations
     with typer.progressbar(list(_pairs(characters, people)), label="pairs") as bar:
         for name, make in bar:
             pair = make()

@@ -149,7 +149,7 @@ def copy_rotations(identity: Mesh, actor: Actor) -> ClipResult | None:
         dataclasses.replace(person, rotation=person.rotation @ undone),
     )
     route = joint_route(identity, actor.clip, find_mime("mime"), Known(), rigs)
-    moved = route.play(Timer(), MotionOptions(ground=False))
+    moved = route.play(Timer(), MotionOptions(ground=False, contacts=False))
     return ClipResult(identity, moved.frames, actor.clip.fps, "copy rotations", Timer(), moved.report, moved.notes)
 
 

@@ -66,6 +66,9 @@ TRAINED_ON = {
 """Description of each kind of training data (`data.kind` of a configuration), for reports."""
 AXES = Hints(up="+y", front="+z", driving_up="+y", driving_front="+z")
 """Facing of both meshes, passed to every method: axis detection is not part of what is measured."""
+FOLLOWED = MotionOptions(ground=False, contacts=False)
+"""Truths have the driving's rotations: their soles slide, and their hands are in the body or off it. So methods are
+measured without planted feet and contacts, which have figures of their own (benchmarks/contacts.json)."""
 Runtime = Callable[[Mime | Method, Path], Method]
 """Returns a method whose network is run by another library; takes the method and the path of its weights."""
 STATIC_FRAMES = 5
@@ -199,7 +202,7 @@ def _run_network(pair: Pair, network: Mime | Method, refine: bool) -> Output:
         vertices, origin = placed_shapes(network, pair.identity, Clip.still(pair.driving), pair.truth[None])
         return Output(vertices[0], origin[0])
     hints, options = _hints(network), ModelOptions(refine=refine)
-    return Output.of(transfer(pair.identity, pair.driving, network, hints=hints, options=options))
+    return Output.of(transfer(pair.identity, pair.driving, network, hints=hints, options=options, motion=FOLLOWED))
 
 
 def open_network(name: str, ensemble: int, runtime: Runtime | None) -> Mime | Method:
@@ -359,11 +362,8 @@ def run_on_clip(
     network = open_network(method, ensemble, runtime)
     if compared_as_shapes(network, refine):
         return Output(*placed_shapes(network, trial.identity, trial.clip, trial.truth_frames))
-    # The truth has the driving's rotations: its soles slide, its hands are in its body or off it. So a method is
-    # measured without planted feet and contacts, which have figures of their own (benchmarks/contacts.json).
-    options, motion = ModelOptions(refine=refine), MotionOptions(ground=False, contacts=False)
-    moved = animate(trial.identity, trial.clip, network, hints=_hints(network), options=options, motion=motion)
-    return Output.of(moved)
+    hints, options = _hints(network), ModelOptions(refine=refine)
+    return Output.of(animate(trial.identity, trial.clip, network, hints=hints, options=options, motion=FOLLOWED))
 
 
 def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]:
