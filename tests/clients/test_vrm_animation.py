@@ -140,7 +140,7 @@ def open_rotation(path, node):
 
 
 def test_bones_that_hang_elsewhere_in_the_file_are_turned_right_in_the_vrm(tmp_path):
-    """Of a Biped, whose thighs hang on the spine and whose arms on the neck: the client turns bones by VRM's hierarchy."""
+    """Of a Biped, whose thighs hang on the spine and arms on the neck: the client turns bones by VRM's hierarchy."""
     hold = dict.fromkeys(("LeftUpLeg", "RightUpLeg"), "LowerBack")
     hold |= dict.fromkeys(("LeftShoulder", "RightShoulder"), "Neck")
     own, _, _ = rigs.of_kind(tmp_path / "own.glb", "A-pose", moving=False, hold=hold)

@@ -427,8 +427,8 @@ def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[st
     if not misplaced:
         return ()
     return (
-        f"{name}: in the hierarchy of its rig {', '.join(misplaced)} are below other bones than in a humanoid; programs "
-        "that map a humanoid by its hierarchy may refuse it, or turn these wrongly; "
+        f"{name}: in the hierarchy of its rig {', '.join(misplaced)} are below other bones than in a humanoid; "
+        "programs that map a humanoid by its hierarchy may refuse it, or turn these wrongly; "
         f"{option('rig', 'mimesh')} writes joints of a humanoid's hierarchy",
     )
 
