@@ -202,8 +202,8 @@ def _corrected(gltf: dict[str, Any], by_draco: set[int], decoded: bytearray) -> 
                 each[lossy] /= total[lossy, None]
     for index in by_draco:
         accessor, found = gltf["accessors"][index], values(index)
-        bounds = {"min": found.min(axis=0), "max": found.max(axis=0)} if len(found) else {}
-        accessor |= {key: bound.tolist() for key, bound in bounds.items() if key in accessor and np.isfinite(bound).all()}
+        bounds = {"min": found.min(axis=0), "max": found.max(axis=0)} if len(found) and np.isfinite(found).all() else {}
+        accessor |= {key: bound.tolist() for key, bound in bounds.items() if key in accessor}
     return decoded
 
 
