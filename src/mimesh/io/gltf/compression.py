@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ...core.budgets import UNPACKED
-from ...core.errors import InputError
+from ...core.errors import NotInstalledError
 from ..atomic import scratch_folder
 from ..child_process import Limits, child_result
 from .check import COMPONENT_COUNTS, COMPONENT_TYPES, DRACO, MESHOPT, damaged, element_size, list_primitives
@@ -248,15 +249,23 @@ def _keep_used(
     return parts
 
 
+def missing_decoders() -> list[str]:
+    """List the codecs (keys of PACKAGES) whose decoders are not installed."""
+    return [codec for codec, (package, _) in PACKAGES.items() if importlib.util.find_spec(package) is None]
+
+
+def need_decoders(codecs: Collection[str], path: Path) -> None:
+    """Raise NotInstalledError where the decoder of one of some codecs (keys of PACKAGES) is not installed."""
+    for package, words in (PACKAGES[codec] for codec in missing_decoders() if codec in codecs):
+        raise NotInstalledError(
+            f"{path}: expected {package} to read {words}, found it not installed; "
+            "pip install 'mimesh[compressed]', or export without compression"
+        )
+
+
 def _decode(work: _Work, path: Path) -> bytes:
     """Run the decoders in a child process; returns the results one after another, padded."""
-    for codec in {job["codec"] for job in work.jobs}:
-        package, words = PACKAGES[codec]
-        if importlib.util.find_spec(package) is None:
-            raise InputError(
-                f"{path}: expected {package} to read {words}, found it not installed; "
-                "pip install 'mimesh[compressed]', or export without compression"
-            )
+    need_decoders({job["codec"] for job in work.jobs}, path)
     head = json.dumps([{**job, "bytes": len(blob)} for job, blob in zip(work.jobs, work.blobs, strict=True)]).encode()
     with scratch_folder() as folder:
         request = folder / "request"
