@@ -30,7 +30,7 @@ from ..core.arguments import described
 from ..core.errors import InputError, NotInstalledError, did_you_mean, option
 from ..core.options import Hints, Layout, ModelOptions, MotionOptions
 from ..core.system import refuse_pipe
-from ..io import check_readable, check_writable, mesh_suffixes
+from ..io import check_readable, mesh_suffixes
 from ..io.formats import ANIMATED, CLIP_READERS, JOINTED, MESH_WRITERS
 from ..methods.find import find_mime, find_model
 from ..mime.model import Mime
@@ -427,7 +427,6 @@ def _check_job(job: BatchJob) -> None:
         check_suffix(output, JOINTED if job.command == "rig" else JOINT_FILES)
     else:
         check_suffix(output, (*MESH_WRITERS, Path(job.identity).suffix.lower()))
-    check_writable(output)
 
 
 def _collisions(jobs: Sequence[BatchJob], more_inputs: Sequence[Path], more_outputs: Sequence[Path]) -> list[str]:
