@@ -39,7 +39,7 @@ MOST_NAMED = 6
 """Corrected joints up to which their names are printed."""
 SHOWN_CLIPS = 3
 """Clips of one output, the first ones, that get a picture and a page: these take a second of a core each, and were 60 %
-of the time of a file of 17 clips of bones."""
+of the time of a file of 15 clips of bones."""
 Identity = Annotated[
     Path, typer.Argument(metavar="IDENTITY", parser=given_path, help="The mesh to move: GLB, USD, OBJ, PLY ...")
 ]
@@ -190,10 +190,9 @@ def animate(
         for number, (result, title) in enumerate(zip(results, titles, strict=True))
     ]
     if output.preview and len(clips) > SHOWN_CLIPS:
-        shown[0]["notes"] += (
-            f"pictures and pages are of the first {SHOWN_CLIPS} of {len(clips)} clips; mimesh render {target.name} "
-            "-o NAME.html --animation NAME shows another",
-        )
+        command = f"mimesh render {target.name} -o NAME.html --animation NAME"
+        note = f"pictures and pages are of the first {SHOWN_CLIPS} of {len(clips)} clips; {command} shows another"
+        shown = [{**paths, "notes": (*paths["notes"], note)} for paths in shown]
     if output.open:
         for page in filter(None, (page["page"] for page in shown)):
             open_page(page)
