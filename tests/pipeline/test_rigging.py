@@ -93,8 +93,9 @@ def test_a_vrm_is_a_person_in_the_t_pose_in_the_axes_of_vrm(up, front, tmp_path)
     assert {"Hips", "Spine", "Head", "LeftHand", "RightFoot"} <= bones.keys()
     place = {name: world_matrices(document)[node][:3, 3] for name, node in bones.items()}
     for side, sign in (("Left", 1.0), ("Right", -1.0)):
-        arm = place[f"{side}Hand"] - place[f"{side}Arm"]
+        arm, leg = place[f"{side}Hand"] - place[f"{side}Arm"], place[f"{side}Foot"] - place[f"{side}UpLeg"]
         np.testing.assert_allclose(arm / np.linalg.norm(arm), [sign, 0, 0], atol=1e-6)
+        np.testing.assert_allclose(leg / np.linalg.norm(leg), [0, -1, 0], atol=1e-6)
     vertices = mimesh.load_mesh(path).vertices
     assert np.ptp(vertices[:, 0]) > 0.9 * np.ptp(vertices[:, 1])
     assert np.ptp(vertices[:, 1]) == pytest.approx(np.ptp(BODY.vertices[:, 1]), rel=0.1)
@@ -110,9 +111,9 @@ def test_a_vrm_keeps_the_file_with_its_own_bones_in_the_t_pose(tmp_path):
     assert len(document.gltf["skins"]) == len(open_document(path).gltf["skins"])
     place = {name: world_matrices(document)[node][:3, 3] for name, node in vrm_bones(document).items()}
     for side, sign in (("Left", 1.0), ("Right", -1.0)):
-        arm, leg = place[f"{side}Hand"] - place[f"{side}Arm"], place[f"{side}Foot"] - place[f"{side}Leg"]
+        arm, leg = place[f"{side}Hand"] - place[f"{side}Arm"], place[f"{side}Foot"] - place[f"{side}UpLeg"]
         np.testing.assert_allclose(arm / np.linalg.norm(arm), [sign, 0, 0], atol=1e-5)
-        assert -leg[1] > 0.95 * np.linalg.norm(leg)
+        np.testing.assert_allclose(leg / np.linalg.norm(leg), [0, -1, 0], atol=1e-5)
     # A VRM stays the one that it is, with its own meta.
     again = open_document(mimesh.rig(tmp_path / "own.vrm").save(tmp_path / "again.vrm"))
     assert again.gltf["extensions"] == document.gltf["extensions"]

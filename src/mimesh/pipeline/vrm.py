@@ -77,7 +77,7 @@ def save_as_vrm(
         bones = {bone: own.person[joint] for bone, joint in zip(bone_names(joints), joints, strict=True)}
         save_vrm(posed, bones, meta, turn, path)
         return
-    rig = engine_rig(_upright(rigged.skeleton, turn), layout.names, layout.root_bone, "T")
+    rig = engine_rig(_upright(rigged.skeleton, turn), layout.names, layout.root_bone, "T", leg_tolerance=0.0)
     bone_of = SCHEMES[layout.names].bones
     index = {name: j for j, name in enumerate(rig.names)}
     known = {
@@ -102,11 +102,12 @@ def _upright(skeleton: AnimatedRig, turn: Float[np.ndarray, "3 3"]) -> AnimatedR
 
 def written_skeleton(rigged: RiggedMesh, layout: Layout, path: Path) -> AnimatedRig:
     """Return the skeleton of a rigged mesh, and its mesh, at rest as a file has them: a .vrm in the T-pose."""
-    own, is_vrm = rigged.own, path.suffix.lower() == ".vrm"
+    own = rigged.own
+    if path.suffix.lower() != ".vrm":
+        return rigged.laid_out(layout) if own is None else rigged.skeleton
     if own is None:
-        return rigged.laid_out(replace(layout, rest="T") if is_vrm else layout)
-    if not is_vrm:
-        return rigged.skeleton
+        axes = {"up": rigged.report["up"], "front": rigged.report["front"]}
+        return engine_rig(rigged.skeleton, layout.names, layout.root_bone, "T", **axes, leg_tolerance=0.0)
     animation, posed = _own_t_pose(rigged, own, layout)
     rig = Rig(posed.rotation[0], posed.joint_positions()[0], posed.rig.weights)
     return replace(posed, mesh=posed.mesh.with_vertices(next(animation.vertices())), rig=rig)
