@@ -1,9 +1,11 @@
 """Hands for training: exact poses, hands without fingers, and the network of one hand."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
+import ship_weights
 import torch
 from hand_surfaces import (
     HAND_COLUMN,
@@ -17,11 +19,22 @@ from hand_surfaces import (
     stumps,
 )
 from pools import write_character
-from train_hands import HAND_POINTS, QUERIES, HandNetwork, HandSource, hands_loss, joint_error
+from train_hands import (
+    HAND_POINTS,
+    OPTIMIZER,
+    QUERIES,
+    HandNetwork,
+    HandSource,
+    hands_loss,
+    joint_error,
+    main,
+    train,
+)
 
 from mimesh.bodies import load_body
 from mimesh.bodies.character_pool import read_pool
 from mimesh.bodies.hands import HAND_PARENTS
+from mimesh.core.errors import InputError
 from mimesh.core.skinning import skinning_transforms
 from mimesh.learn.mime import MimeConfig
 
@@ -34,10 +47,15 @@ def people():
 
 
 @pytest.fixture(scope="module")
-def source(people):
+def surfaces(people):
     rng = np.random.default_rng(1)
-    surfaces = [hand.surface(HUMAN, rng, clusters) for hand, clusters in zip(people, (0, 170, 300), strict=True)]
-    return HandSource([*surfaces, *stumps(people, rng), *blocks(rng)[:4]], CPU, 0, 0.0)
+    whole = [hand.surface(HUMAN, rng, clusters) for hand, clusters in zip(people, (0, 170, 300), strict=True)]
+    return [*whole, *stumps(people, rng), *blocks(rng)[:4]]
+
+
+@pytest.fixture(scope="module")
+def source(surfaces):
+    return HandSource(surfaces, CPU, 0, 0.0)
 
 
 def test_hands_of_people_have_weights_and_joints(people):
@@ -129,3 +147,64 @@ def test_network_of_hands_learns_and_its_rotations_are_rotations(source):
     assert scores.shape == (8, QUERIES, 16)
     with torch.no_grad():
         assert torch.isfinite(joint_error(prediction, batch)).all()
+
+
+def test_training_goes_on_from_its_last_state(surfaces, tmp_path, monkeypatch):
+    source = HandSource(surfaces, CPU, 0, 0.0)
+    small = MimeConfig(width=16, blocks=1, refinements=1, heads=2)
+    monkeypatch.setattr("train_hands.SAVE_SECONDS", 0.0)
+    losses = []
+
+    def failing(model, batch):
+        losses.append(hands_loss(model, batch))
+        if len(losses) == 3:
+            raise KeyboardInterrupt
+        return losses[-1]
+
+    monkeypatch.setattr("train_hands.hands_loss", failing)
+    state = tmp_path / "hands.pt"
+    with pytest.raises(KeyboardInterrupt):
+        train(HandNetwork(small), source, 60.0, state)
+    saved = torch.load(state, weights_only=True)
+    assert (saved["step"], [path.name for path in tmp_path.iterdir()]) == (2, ["hands.pt"])
+    monkeypatch.setattr("train_hands.hands_loss", hands_loss)
+    model, spent = train(HandNetwork(small), source, saved["seconds"] / 60 + 1e-6, state)
+    assert spent["pairs"] in (2 * OPTIMIZER.batch, 3 * OPTIMIZER.batch)
+    again = torch.load(state, weights_only=True)
+    assert again["seconds"] > saved["seconds"]
+    for name, value in model.state_dict().items():
+        torch.testing.assert_close(value, again["average"][name])
+    source.seed = 5
+    with pytest.raises(InputError, match="expected a training of seed 5, found 0; delete it"):
+        train(HandNetwork(small), source, 60.0, state)
+
+
+def test_the_command_writes_the_network_and_its_card(surfaces, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("train_hands.training_hands", lambda *_: surfaces)
+    monkeypatch.setattr("train_hands.NETWORK", MimeConfig(width=16, blocks=1, refinements=1, heads=2))
+    monkeypatch.setattr("train_hands.TRIALS", 1)
+    monkeypatch.setattr("sys.argv", ["train_hands.py", "--minutes", "1e-3"])
+    main()
+    assert {path.name for path in tmp_path.iterdir()} == {"hands.onnx", "hands.json"}
+    card = json.loads((tmp_path / "hands.json").read_text())
+    assert card["pairs"] >= OPTIMIZER.batch
+    assert card["metrics"]["val"]["unseen_pmd_e4"] > 0
+    assert (card["config"]["network"], card["config"]["model"]["width"]) == ("hands", 16)
+
+
+def test_better_networks_of_fingers_are_shipped(tmp_path, monkeypatch):
+    monkeypatch.setattr(ship_weights, "ZOO", tmp_path / "zoo")
+    for path, error in (("zoo/hands.onnx", 2.0), ("worse.onnx", 3.0), ("better.onnx", 1.0)):
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_text(path)
+        card = {"name": path[:-5], "metrics": {"val": {"unseen_pmd_e4": error}}}
+        (tmp_path / path).with_suffix(".json").write_text(json.dumps(card))
+    ship_weights.ship_hands(tmp_path / "worse.onnx")
+    assert (tmp_path / "zoo/hands.onnx").read_text() == "zoo/hands.onnx"
+    ship_weights.ship_hands(tmp_path / "better.onnx")
+    assert (tmp_path / "zoo/hands.onnx").read_text() == "better.onnx"
+    card = json.loads((tmp_path / "zoo/hands.json").read_text())
+    assert (card["name"], card["file"], card["metrics"]["val"]["unseen_pmd_e4"]) == ("hands", "hands.onnx", 1.0)
+    with pytest.raises(InputError, match=r"none\.onnx: expected a network and its card of train_hands\.py, found none"):
+        ship_weights.ship_hands(tmp_path / "none.onnx")

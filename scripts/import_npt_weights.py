@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from mimesh.core.errors import InputError
+from mimesh.core.printable import listed
 from mimesh.io.atomic import together
 from mimesh.learn.export import FULL_BITS, STORED_BITS, check_output, save_card, save_network
 from mimesh.learn.npt import NPT, NPTConfig, NPTTask
@@ -29,6 +30,8 @@ WRAPPERS = ("model_state_dict", "state_dict")
 """Keys under which training scripts keep the network beside their optimizer."""
 PARALLEL = "module."
 """Put before every name by `torch.nn.DataParallel`, which training scripts use on several GPUs."""
+SHOWN = 3
+"""Names of tensors that an error lists."""
 UNITS = {"first": ("spadain1", "conv1"), "second": ("spadain2", "conv2"), "shortcut": ("spadain_res", "conv_res")}
 """Unit of our ResBlock -> published names of its SPAdaIN and convolution."""
 
@@ -63,9 +66,12 @@ def main() -> None:
 
 
 def load_published(path: Path, maxpool: bool = False) -> NPT:
-    """Load a published network into our layout; PyTorch refuses missing and further tensors and other shapes."""
-    loaded: Any = torch.load(path, map_location="cpu", weights_only=True)
-    state: dict[str, Tensor] = next((loaded[key] for key in WRAPPERS if key in loaded), loaded)
+    """Load a published network into our layout.
+
+    Raises:
+        InputError: the file is none of tensors by name, or has not exactly the tensors of NPT in their shapes.
+    """
+    state = _read_tensors(path)
     names = published_names()
     model = NPT(published_config(maxpool))
     own = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
@@ -74,8 +80,40 @@ def load_published(path: Path, maxpool: bool = False) -> NPT:
         ours = names.get(name.removeprefix(PARALLEL), name)
         # Published kernels have length 1.
         tensors[ours] = tensor[..., 0] if tuple(tensor.shape) == (*own.get(ours, ()), 1) else tensor
+    theirs = {ours: name for name, ours in names.items()}
+    faults = {
+        "none of the name": [theirs.get(name, name) for name in own if name not in tensors],
+        "others": [name for name in tensors if name not in own],
+        "another shape of": [
+            theirs.get(name, name) for name, shape in own.items() if name in tensors and tensors[name].shape != shape
+        ],
+    }
+    if any(faults.values()):
+        found = "; ".join(f"{what} {listed(wrong, SHOWN)}" for what, wrong in faults.items() if wrong)
+        raise InputError(f"{path}: expected the tensors of NPT's public code, found {found}; give a file that it saved")
     model.load_state_dict(tensors)
     return model.eval()
+
+
+def _read_tensors(path: Path) -> dict[str, Tensor]:
+    """Read the tensors of a network by name, and nothing else."""
+    hint = "give what torch.save(model.state_dict(), ...) has written, not the whole module"
+    try:
+        loaded: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except OSError as error:
+        raise InputError(
+            f"{path}: expected a file that can be read, found '{error.strerror}'; check the path"
+        ) from error
+    except Exception as error:  # of pickles, archives and versions: PyTorch has no class for them
+        raise InputError(f"{path}: expected tensors by name, found a file of something else; {hint}") from error
+    state = next((loaded[key] for key in WRAPPERS if key in loaded), loaded) if isinstance(loaded, dict) else loaded
+    if not isinstance(state, dict) or not state:
+        raise InputError(f"{path}: expected tensors by name, found {type(state).__name__}; {hint}")
+    for name, value in state.items():
+        if not isinstance(value, Tensor) or not value.is_floating_point():
+            found = value.dtype if isinstance(value, Tensor) else type(value).__name__
+            raise InputError(f"{path}: expected a tensor of floats as {name}, found {found}; {hint}")
+    return state
 
 
 def published_config(maxpool: bool = False) -> NPTConfig:

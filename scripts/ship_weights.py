@@ -7,6 +7,10 @@ compared; then both networks are measured (mime with its body fit) on the split 
     python scripts/ship_weights.py npt=runs/npt-small-0/best.safetensors aniformer=runs/aniformer-small-0/...
     python scripts/measure_all.py human-npt clips-aniformer
     python scripts/ship_weights.py
+
+The network of fingers is no checkpoint but what research/recipes/train_hands.py has written, with its card:
+
+    python scripts/ship_weights.py hands=hands.onnx
 """
 
 from __future__ import annotations
@@ -24,7 +28,7 @@ from mimesh.evaluate.measure import measure
 from mimesh.evaluate.metrics import VERSION
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.evaluate.run import fingerprint
-from mimesh.io.atomic import whole_file
+from mimesh.io.atomic import together, whole_file
 from mimesh.learn import checkpoint
 from mimesh.learn.config import recorded_config
 from mimesh.learn.export import export_command, test_set
@@ -43,7 +47,7 @@ def main() -> None:
     args = parser.parse_args()
     for entry in args.weights:
         name, _, path = entry.partition("=")
-        ship(name, Path(path))
+        ship_hands(Path(path)) if name == "hands" else ship(name, Path(path))
     for path in sorted(ZOO.glob("*.onnx")):
         facts = json.loads(path.with_suffix(".json").read_text())
         if facts["config"].get("network") == "hands":
@@ -80,6 +84,28 @@ def ship(name: str, path: Path) -> None:
         return
     print(f"{name}: {old:.2f}e-4 on val before, {new:.2f}e-4 now")
     export_command(path, ZOO / f"{name}.onnx")
+
+
+def ship_hands(path: Path) -> None:
+    """Copy a network of fingers and its card into the zoo, unless the shipped one has a lower error on unseen people.
+
+    Raises:
+        InputError: there is no card beside it with that error.
+    """
+    try:
+        cards = [json.loads(folder.with_suffix(".json").read_text()) for folder in (ZOO / "hands.onnx", path)]
+        old, new = (card["metrics"]["val"]["unseen_pmd_e4"] for card in cards)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: expected a network and its card of train_hands.py, found none; train one") from error
+    if new >= old:
+        print(f"hands: kept, {old:.2f}e-4 on unseen people against {new:.2f}e-4 of {path}")
+        return
+    print(f"hands: {old:.2f}e-4 on unseen people before, {new:.2f}e-4 now")
+    card = json.dumps({**cards[1], "name": "hands", "file": "hands.onnx"}, indent=2) + "\n"
+    with together():
+        for suffix, content in ((".onnx", path.read_bytes()), (".json", card.encode())):
+            with whole_file(ZOO / f"hands{suffix}") as temporary:
+                temporary.write_bytes(content)
 
 
 def mean_val_error(weights: str) -> float:

@@ -8,6 +8,8 @@ Lengths are in spreads of the hand: the root mean square distance of its points 
 The axes are those of the palm of the shipped body's left hand in the T-pose, off by the error of the predicted joint.
 
     python research/recipes/train_hands.py [-o hands.onnx] [--characters pool/] [--minutes 20] [--seed 0]
+
+The state of the training is written every minute beside the output (hands.pt): the same command goes on from there.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import argparse
 import math
 import sys
 import time
+from collections import Counter
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -33,6 +36,10 @@ from mimesh.bodies.hands import HAND_PARENTS
 from mimesh.bodies.joint_names import finger_joints
 from mimesh.core.errors import InputError
 from mimesh.evaluate.character_folder import read_character_folder
+from mimesh.evaluate.provenance import commit
+from mimesh.io.atomic import together, whole_file
+from mimesh.io.gltf.character import NOT_STATED
+from mimesh.learn.checkpoint import hardware
 from mimesh.learn.data.bodies import (
     gather_points,
     normal,
@@ -45,7 +52,7 @@ from mimesh.learn.data.bodies import (
     world_rotations,
 )
 from mimesh.learn.data.figures import LAST, pick_rows, rows_by_group
-from mimesh.learn.export import save_network
+from mimesh.learn.export import STORED_BITS, check_output, save_card, save_network
 from mimesh.learn.mime import MimeConfig, MimeNetwork, Prediction, joint_errors, masked_mean, rms_normalize
 from mimesh.learn.optimizers import DTYPES, choose_precision, make_optimizers, schedule
 from mimesh.learn.task import OnnxInterface, TrainConfig
@@ -91,36 +98,85 @@ UNSEEN_SEED, TRIAL_SEED = 1, 77
 """Seeds of the people and of the gestures that the network is measured on."""
 TRIALS, TRIAL_HANDS = 24, 8
 """Number of batches that it is measured on, and of hands in each."""
-LOG_SECONDS = 20.0
-"""Wall-clock time between lines of the log."""
+LOG_SECONDS, SAVE_SECONDS = 20.0, 60.0
+"""Wall-clock time between lines of the log, and between states of the training that are written."""
 
 
 def main() -> None:
-    """Train, write the network, and print its error on hands of people that it has not seen."""
+    """Train, write the network with its card, and print its error on hands of people that it has not seen."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, default=Path("hands.onnx"))
     parser.add_argument("--characters", type=Path, help="Folder of rigged characters, as for `mimesh train mime`.")
     parser.add_argument("--minutes", type=float, default=20.0, help="Processor minutes; with a GPU minutes.")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
+    check_output(args.output, STORED_BITS[0], STORED_BITS)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     characters = read_character_folder(args.characters).characters if args.characters else ()
     surfaces = training_hands(load_body(), characters)
     source = HandSource(surfaces, device, args.seed, CHARACTERS if characters else 0.0)
     torch.manual_seed(args.seed)
-    model = train(HandNetwork(NETWORK).to(device), source, args.minutes)
-    print(f"mean squared distance of finger joints: {unseen_error(model):.4f} squared spreads of the hand")
-    save_network(onnx_interface(model.cpu()), {**FACTS, "config": vars(NETWORK)}, args.output, bits=16)
+    state = args.output.with_suffix(".pt")
+    model, spent = train(HandNetwork(NETWORK).to(device), source, args.minutes, state)
+    error = unseen_error(model)
+    print(f"mean squared distance of finger joints: {error:.4f} squared spreads of the hand")
+    used = ("batch", "optimizer", "learning_rate", "warmup", "decay", "beta2")
+    config = {"network": "hands", "model": vars(NETWORK), **{key: getattr(OPTIMIZER, key) for key in used}}
+    makers = Counter(f"{c.meta.maker or NOT_STATED}: {c.meta.pack} ({c.meta.licence})" for c in characters)
+    card = {
+        "name": args.output.stem,
+        "file": args.output.name,
+        "license": "Apache-2.0",
+        "data": DATA,
+        "config": config | {"minutes": args.minutes, "clip": CLIP, "ema": AVERAGE, "seed": args.seed},
+        "seed": args.seed,
+        "commit": commit(),
+        "hardware": hardware(),
+        **spent,
+        **({"characters": {"makers": dict(makers)}} if characters else {}),
+        "metrics": {"val": {"unseen_pmd_e4": round(1e4 * error, 3)}},
+    }
+    with together():
+        save_network(onnx_interface(model.cpu()), {**FACTS, "config": vars(NETWORK)}, args.output, STORED_BITS[0])
+        save_card(card, args.output)
+    state.unlink()
 
 
-def train(model: HandNetwork, source: HandSource, minutes: float) -> HandNetwork:
-    """Train a network for some minutes of `time.process_time`, with a GPU of the clock, and give its moving average."""
+def train(
+    model: HandNetwork, source: HandSource, minutes: float, state: Path
+) -> tuple[HandNetwork, dict[str, int | float]]:
+    """Train a network for some minutes of `time.process_time`, with a GPU of the clock.
+
+    Args:
+        state: where the state of the training is written, and read if it is there.
+
+    Returns:
+        Its moving average, and how long it was trained.
+
+    Raises:
+        InputError: the state is that of a training with another seed.
+    """
     clock = time.process_time if source.device.type == "cpu" else time.perf_counter
     precision, reason = choose_precision("auto", source.device)
     print(reason)
     optimizers = make_optimizers(model, OPTIMIZER, source.device, DTYPES[precision])
     average = {name: value.detach().clone() for name, value in model.state_dict().items()}
-    started, step, told = clock(), 0, 0.0
+    started, step, told, saved = clock(), 0, 0.0, time.monotonic()
+    if state.exists():
+        before = torch.load(state, map_location=source.device, weights_only=True)
+        if before["seed"] != source.seed:
+            raise InputError(f"{state}: expected a training of seed {source.seed}, found {before['seed']}; delete it")
+        model.load_state_dict(before["model"])
+        for optimizer, values in zip(optimizers, before["optimizers"], strict=True):
+            optimizer.load_state_dict(values)
+        average, step, started = before["average"], before["step"], started - before["seconds"]
+
+    def save() -> None:
+        facts = {"seed": source.seed, "step": step, "seconds": clock() - started}
+        tensors = {"model": model.state_dict(), "average": average}
+        with whole_file(state) as temporary:
+            torch.save({**facts, **tensors, "optimizers": [each.state_dict() for each in optimizers]}, temporary)
+
     while (share := (clock() - started) / (60 * minutes)) < 1.0:
         rate = OPTIMIZER.learning_rate * schedule(OPTIMIZER, step * OPTIMIZER.batch, share)
         for optimizer in optimizers:
@@ -139,8 +195,12 @@ def train(model: HandNetwork, source: HandSource, minutes: float) -> HandNetwork
         if time.monotonic() - told > LOG_SECONDS:
             told = time.monotonic()
             print(f"{share:.0%}, {step * OPTIMIZER.batch:,} hands: loss {float(loss.detach()):.4f}", flush=True)
+        if time.monotonic() - saved > SAVE_SECONDS:
+            save()
+            saved = time.monotonic()
+    save()
     model.load_state_dict(average)
-    return model.eval()
+    return model.eval(), {"seconds_trained": round(clock() - started), "pairs": step * OPTIMIZER.batch}
 
 
 @torch.no_grad()
@@ -379,6 +439,11 @@ def joint_error(prediction: Prediction, batch: HandBatch) -> Float[Tensor, " B"]
     return ((prediction.joints - batch.joints) / prediction.scale)[:, 1:].square().sum(-1).mean(1)
 
 
+DATA = (
+    "hands of random people of the shipped body and of characters, fingers in random gestures; mittens, blocks and "
+    "hands without fingers"
+)
+"""What the card says about the data."""
 FACTS = {"model": "hands", "points": HAND_POINTS, "joints": ("LeftHand", *finger_joints("Left"))}
 """What the file says about the network."""
 

@@ -139,6 +139,21 @@ def open_rotation(path, node):
     return world_matrices(document, local_matrices(document))[node, :3, :3]
 
 
+def test_bones_that_hang_elsewhere_in_the_file_are_turned_right_in_the_vrm(tmp_path):
+    """Of a Biped, whose thighs hang on the spine and arms on the neck: the client turns bones by VRM's hierarchy."""
+    hold = dict.fromkeys(("LeftUpLeg", "RightUpLeg"), "LowerBack")
+    hold |= dict.fromkeys(("LeftShoulder", "RightShoulder"), "Neck")
+    own, _, _ = rigs.of_kind(tmp_path / "own.glb", "A-pose", moving=False, hold=hold)
+    path = mimesh.rig(own).save(tmp_path / "own.vrm", author="A", license="https://example.org/licence")
+    drive, _, _ = vrma(tmp_path / "drive.vrma", bone_positions(vrm(tmp_path / "a.vrm")[1]), frames=12)
+    result = mimesh.animate(path, drive, motion=mimesh.MotionOptions(ground=False))
+    bones = open_document(path).gltf["extensions"]["VRMC_vrm"]["humanoid"]["humanBones"]
+    nodes = {bone: entry["node"] for bone, entry in bones.items()}
+    check_bones(play(path, result.save(tmp_path / "b.vrma")), result, nodes)
+    issues = json.loads(subprocess.run([*validator(), path], capture_output=True, text=True, check=True).stdout)
+    assert issues["issues"]["numErrors"] == 0
+
+
 def test_written_animations_are_valid(moved, tmp_path):
     _, _, result, _, _ = moved
     result.save(tmp_path / "b.vrma")

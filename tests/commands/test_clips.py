@@ -100,6 +100,18 @@ def test_several_clips_become_animations_of_one_file(files, call, capsys):
     assert f"next: open {pages[0]}.html in a browser" in text
 
 
+def test_only_the_first_of_many_clips_get_pictures_and_pages(files, call):
+    report = written(files, call, *["walk.glb"] * 5, "-o", "many.glb", "--stop", "2")["report"]
+    names = [f"many-{name}.preview" for name in ("walk", "walk-2", "walk-3")]
+    assert report["pictures"] == [str(files / f"{name}.png") for name in names]
+    assert {path.name for path in files.glob("many*.html")} == {f"{name}.html" for name in names}
+    assert [note for note in report["notes"] if note.startswith("pictures and pages are of the first 3 of 5 clips; ")]
+    text = animate(files, call, *["walk.glb"] * 5, "-o", "many.glb", "--stop", "2").out
+    assert text.count("\nnote: pictures and pages are of the first 3 of 5 clips; ") == 1
+    report = written(files, call, *["walk.glb"] * 5, "-o", "none.glb", "--stop", "2", "--no-preview")["report"]
+    assert not [note for note in report["notes"] if note.startswith("pictures")]
+
+
 def test_engine_names_root_bone_rest_and_rate(files, call):
     options = ("--names", "unreal", "--root-bone", "--rest", "A", "--output-fps", "60")
     text = animate(files, call, "walk.glb", "-o", "j.glb", "--no-preview", "--stop", "3", *options, model="mime").out
@@ -133,9 +145,9 @@ def test_thighs_beside_the_hips_of_an_own_rig_are_noted_with_a_scheme(files, cal
     gltf.scenes[0].nodes = [n for n in gltf.scenes[0].nodes if n != hips] + [len(gltf.nodes) - 1]
     gltf.save(str(files / "body.glb"))
     line = f"animate {files / 'body.glb'} {files / 'walk.glb'} -o {files / 'moved.glb'} --no-preview"
-    assert "thighs" not in call(line).out
+    assert "hierarchy" not in call(line).out
     assert (
-        "note: body: in the hierarchy of its rig the thighs are not children of the hips"
+        "note: body: in the hierarchy of its rig LeftUpLeg, RightUpLeg are below other bones than in a humanoid"
         in call(f"{line} --names vrm").out
     )
 

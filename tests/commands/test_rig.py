@@ -4,11 +4,14 @@ import json
 
 import numpy as np
 import pytest
+import rigs
 from people import person
 
 from mimesh.io import load_mesh, save_mesh
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.own_rig import has_rig
+from mimesh.io.gltf.scene import world_matrices
+from mimesh.io.gltf.vrm import vrm_bones
 
 
 @pytest.fixture
@@ -44,6 +47,24 @@ def test_the_picture_and_the_count_are_those_of_the_file_that_is_written(hero, c
     assert np.abs(mesh.vertices - load_mesh(hero / "hero.obj").vertices).max() > 0.1
     again = json.loads(call("rig t.glb -o again.glb --no-preview --json").out)
     assert (again["source"], again["joints"]) == ("file", found["joints"])
+
+
+def test_the_picture_of_a_vrm_of_an_own_rig_is_that_of_the_t_pose(tmp_path, call, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("mimesh.tools.preview.bones_picture", lambda *args, **axes: drawn.append(args) or 1 / 0)
+    own, _, _ = rigs.of_kind(tmp_path / "own.glb", "A-pose", moving=False)
+    made_by = "--author A --license https://vrm.dev/licenses/1.0/"
+    call(f"rig {own} -o {tmp_path / 'own.vrm'} {made_by}")
+    call(f"rig {tmp_path / 'own.vrm'} -o {tmp_path / 'again.vrm'}")
+    (mesh, joints, *_), (again, *_) = drawn
+    written = load_mesh(tmp_path / "own.vrm")
+    size = np.ptp(written.vertices, axis=0).max()
+    np.testing.assert_allclose(mesh.vertices, written.vertices, atol=1e-5 * size)
+    np.testing.assert_allclose(again.vertices, written.vertices, atol=1e-3 * size)
+    document = open_document(tmp_path / "own.vrm")
+    places = world_matrices(document)[:, :3, 3]
+    apart = np.linalg.norm(joints[:, None] - places[list(vrm_bones(document).values())], axis=2).min(axis=0)
+    assert apart.max() < 1e-5 * size
 
 
 def test_what_cannot_be_is_refused_before_any_work(hero, refuses):

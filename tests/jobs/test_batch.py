@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 import json
 import os
 import signal
@@ -209,6 +210,55 @@ def test_ctrl_c_leaves_complete_files_and_a_summary(files):
     jobs = read_jobs("ids", "many", "out/{identity}/{driving}.glb", {"model": "copy"}, "animate")
     kept = [recorded(BatchTask(job, fingerprint(job))) for job in jobs]
     assert states["done"] <= len([outcome for outcome in kept if outcome is not None]) <= len(whole)
+
+
+def test_ctrl_c_prints_what_was_done(files, capfd, monkeypatch):
+    def do_one(tasks, outcomes, *rest):
+        outcomes[1] = {"state": "done"}
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mimesh.jobs.run._do_tasks", do_one)
+    assert run([*POSES, "1", "--json"]) == 130
+    printed = capfd.readouterr()
+    facts = json.loads(printed.out)
+    assert facts["counts"] == {"done": 1, "done before": 0, "failed": 0, "not run": 3}
+    assert facts == json.loads(Path("out/batch.json").read_text())
+    assert printed.err == "mimesh: stopped\n"
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        mimesh.batch("ids", "poses", OUTPUTS, command="transfer", options={"model": "copy"})
+    assert stopped.value.result.counts == facts["counts"]
+
+
+def test_what_is_not_installed_is_told_once_and_before_the_work(files, capfd, monkeypatch):
+    for name in ("a", "b"):
+        Path("ids", f"{name}.fbx").write_bytes(b"")
+    gltf = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_compression"]}
+    Path("ids/c.gltf").write_text(json.dumps(gltf))
+    Path("ids/damaged.glb").write_bytes(b"glTF")
+    find = importlib.util.find_spec
+    missing = ("ufbx", "DracoPy")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name in missing else find(name, *rest))
+    before = everything()
+    assert run(["batch", "ids/*.[fg]*", "poses", "-o", OUTPUTS, "--transfer", "-m", "copy"]) == 2
+    (line,) = capfd.readouterr().err.splitlines()[1:]
+    assert line.startswith(
+        "mimesh: ids/a.fbx + poses/p0.ply and 3 more: ids/a.fbx: expected ufbx to read FBX, found it"
+    )
+    assert line.count("expected ufbx") == line.count("expected DracoPy") == 1
+    assert "ids/c.gltf + poses/p0.ply and 1 more: ids/c.gltf: expected DracoPy to read Draco, found it not" in line
+    assert everything() == before
+    monkeypatch.setattr("mimesh.io.save.importlib.util.find_spec", lambda name, *rest: None)
+    assert run(["batch", "ids/*.obj", "poses", "-o", "out/{number}.usda", "--transfer", "-m", "copy"]) == 2
+    assert "and 3 more: out/1.usda: expected usd-core to write USD" in capfd.readouterr().err
+
+
+def test_lists_of_paths(files):
+    jobs = read_jobs([Path("ids/a.obj"), "ids"], ["poses/p1.ply"], OUTPUTS, {}, "transfer")
+    assert [job.files for job in jobs] == [["ids/a.obj", "poses/p1.ply"], ["ids/b.obj", "poses/p1.ply"]]
+    jobs = read_jobs(["ids/b.obj", "ids/a.obj"], None, "out/{identity}.glb", {}, "rig")
+    assert [job.output for job in jobs] == ["out/b.glb", "out/a.glb"]
+    rows = [{"identity": "ids/a.obj", "output": "x.glb"}]
+    assert [job.output for job in read_jobs(rows, None, None, {}, "rig")] == ["x.glb"]
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from networks import infer_onnx
 from paper_networks import NPT_PARAMETERS, npt, npt_shapes, random_state
 
 from mimesh.__main__ import run
+from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
 from mimesh.io import save_mesh
 
@@ -95,16 +96,40 @@ def test_what_training_scripts_put_around_the_weights_is_removed(wrap, state, tm
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"decoder.conv2.weight": torch.zeros(512, 1027, 1)}, "size mismatch for convs.1.weight"),
-        ({"encoder.norm1.running_mean": torch.zeros(64)}, "Unexpected key.*encoder.norm1.running_mean"),
-        ({"decoder.conv2.bias": None}, "Missing key.*convs.1.bias"),
+        ({"decoder.conv2.weight": torch.zeros(512, 1027, 1)}, "found another shape of decoder.conv2.weight; give"),
+        ({"encoder.norm1.running_mean": torch.zeros(64)}, "found others encoder.norm1.running_mean; give"),
+        ({"decoder.conv2.bias": None}, "found none of the name decoder.conv2.bias; give"),
+        ({"decoder.conv2.bias": [1.0]}, "expected a tensor of floats as decoder.conv2.bias, found list; give"),
+        (
+            {"decoder.conv2.bias": torch.zeros(512, dtype=int)},
+            "of floats as decoder.conv2.bias, found torch.int64; give",
+        ),
     ],
 )
 def test_other_tensors_are_refused_by_name(change, message, state, tmp_path):
     changed = {name: tensor for name, tensor in (state | change).items() if tensor is not None}
     torch.save(changed, tmp_path / "weights.pt")
-    with pytest.raises(RuntimeError, match=message):
+    with pytest.raises(InputError, match=message):
         load_published(tmp_path / "weights.pt")
+
+
+def test_what_is_no_weights_is_refused(tmp_path):
+    path = tmp_path / "weights.model"
+    with pytest.raises(InputError, match="found 'No such file or directory'; check the path"):
+        load_published(path)
+    for content, found in (
+        (torch.nn.Linear(2, 2), "a file of something else; give what torch.save"),
+        (torch.zeros(3), "found Tensor; give"),
+        ({}, "found dict; give"),
+        ({"state_dict": 3}, "found int; give"),
+    ):
+        torch.save(content, path)
+        with pytest.raises(InputError, match=found):
+            load_published(path)
+    for content in (b"", b"PK no archive", b"text"):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="expected tensors by name, found a file of something else"):
+            load_published(path)
 
 
 class Malicious:
@@ -133,6 +158,6 @@ def test_malicious_pickle_is_refused_and_not_run(how, state, tmp_path):
     evidence.unlink()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        with pytest.raises(pickle.UnpicklingError):
+        with pytest.raises(InputError, match="expected tensors by name, found a file of something else"):
             load_published(path)
     assert not evidence.exists()

@@ -274,3 +274,7 @@ def test_the_expected_end_of_a_training(tmp_path):
     assert told.startswith("720 pairs an hour")
     assert "after 1 minutes more (validations not counted) and 16 pairs" in told
     assert "in more than a year" in expected_end(run, 1, 10.0, 1e-9)
+    limited = expected_end(run, 1, 10.0, 1 / 8, given=30.0)
+    assert " with the time given, at 62% of the training, after " in limited
+    assert "and 10 pairs" in limited
+    assert "time given" not in expected_end(run, 1, 10.0, 1 / 8, given=61.0)

@@ -20,8 +20,9 @@ from mimesh.core.frame_buffer import LazyFrames
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.own_rig import has_rig
-from mimesh.io.gltf.scene import world_matrices
+from mimesh.io.gltf.scene import node_parents, world_matrices
 from mimesh.io.gltf.vrm import PUBLIC_LICENSE, read_origin, vrm_bones
+from mimesh.motions.bone_motion import misplaced_bones
 
 BODY = load_body()
 CC0 = "https://creativecommons.org/publicdomain/zero/1.0/"
@@ -92,8 +93,9 @@ def test_a_vrm_is_a_person_in_the_t_pose_in_the_axes_of_vrm(up, front, tmp_path)
     assert {"Hips", "Spine", "Head", "LeftHand", "RightFoot"} <= bones.keys()
     place = {name: world_matrices(document)[node][:3, 3] for name, node in bones.items()}
     for side, sign in (("Left", 1.0), ("Right", -1.0)):
-        arm = place[f"{side}Hand"] - place[f"{side}Arm"]
+        arm, leg = place[f"{side}Hand"] - place[f"{side}Arm"], place[f"{side}Foot"] - place[f"{side}UpLeg"]
         np.testing.assert_allclose(arm / np.linalg.norm(arm), [sign, 0, 0], atol=1e-6)
+        np.testing.assert_allclose(leg / np.linalg.norm(leg), [0, -1, 0], atol=1e-6)
     vertices = mimesh.load_mesh(path).vertices
     assert np.ptp(vertices[:, 0]) > 0.9 * np.ptp(vertices[:, 1])
     assert np.ptp(vertices[:, 1]) == pytest.approx(np.ptp(BODY.vertices[:, 1]), rel=0.1)
@@ -109,12 +111,46 @@ def test_a_vrm_keeps_the_file_with_its_own_bones_in_the_t_pose(tmp_path):
     assert len(document.gltf["skins"]) == len(open_document(path).gltf["skins"])
     place = {name: world_matrices(document)[node][:3, 3] for name, node in vrm_bones(document).items()}
     for side, sign in (("Left", 1.0), ("Right", -1.0)):
-        arm, leg = place[f"{side}Hand"] - place[f"{side}Arm"], place[f"{side}Foot"] - place[f"{side}Leg"]
+        arm, leg = place[f"{side}Hand"] - place[f"{side}Arm"], place[f"{side}Foot"] - place[f"{side}UpLeg"]
         np.testing.assert_allclose(arm / np.linalg.norm(arm), [sign, 0, 0], atol=1e-5)
-        assert -leg[1] > 0.95 * np.linalg.norm(leg)
+        np.testing.assert_allclose(leg / np.linalg.norm(leg), [0, -1, 0], atol=1e-5)
     # A VRM stays the one that it is, with its own meta.
     again = open_document(mimesh.rig(tmp_path / "own.vrm").save(tmp_path / "again.vrm"))
     assert again.gltf["extensions"] == document.gltf["extensions"]
+
+
+HELD = {
+    "thighs on the spine, arms on the neck": {
+        **dict.fromkeys(("LeftUpLeg", "RightUpLeg"), "LowerBack"),
+        **dict.fromkeys(("LeftShoulder", "RightShoulder"), "Neck"),
+    },
+    "thighs and feet beside all": dict.fromkeys(("LeftUpLeg", "RightUpLeg", "LeftFoot", "RightFoot"), ""),
+}
+"""Joints of rigs that hang on another joint than in VRM ("": on the armature)."""
+
+
+@pytest.mark.parametrize("hold", HELD.values(), ids=HELD)
+def test_bones_of_a_vrm_hang_on_the_bones_that_vrm_demands(hold, tmp_path):
+    """They stay where they are, and so do the vertices: the file is that of a rig in which they hang there."""
+    usual, _, _ = rigs.of_kind(tmp_path / "usual.glb", "A-pose", moving=False)
+    held, _, _ = rigs.of_kind(tmp_path / "held.glb", "A-pose", moving=False, hold=hold)
+    for path in (usual, held):
+        mimesh.rig(path).save(path.with_suffix(".vrm"), author="A", license=PUBLIC_LICENSE)
+    document, expected = (open_document(path.with_suffix(".vrm")) for path in (held, usual))
+    bones = vrm_bones(document)
+    assert misplaced_bones(bones, node_parents(open_document(held))).keys() == hold.keys()
+    assert misplaced_bones(bones, node_parents(document)) == {}
+    np.testing.assert_allclose(world_matrices(document)[2:-1], world_matrices(expected)[2:-1], atol=1e-4)
+    vertices = mimesh.load_mesh(held.with_suffix(".vrm")).vertices
+    np.testing.assert_allclose(vertices, mimesh.load_mesh(usual.with_suffix(".vrm")).vertices, atol=1e-5)
+    assert not any(node.get("children") == [] for node in document.gltf["nodes"])
+
+
+def test_hips_that_are_no_topmost_bone_go_above_the_others():
+    """Of a chain armature, spine, hips, thigh with the chest beside the hips: spine and chest go below the hips."""
+    nodes = {"Hips": 2, "LowerBack": 1, "Spine": 4, "LeftUpLeg": 3, "LeftLeg": 5}
+    assert misplaced_bones(nodes, [-1, 0, 1, 2, 1, 3]) == {"Hips": 0, "LowerBack": 2}
+    assert misplaced_bones(nodes, [-1, 2, 0, 2, 1, 3]) == {}
 
 
 def test_what_a_vrm_cannot_be_is_refused(rigged, tmp_path):

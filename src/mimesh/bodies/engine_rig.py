@@ -51,6 +51,7 @@ def engine_rig(
     *,
     up: str = "+y",
     front: str = "+z",
+    leg_tolerance: float = LEG_TOLERANCE,
 ) -> AnimatedRig:
     """Rename and rearrange the joints of a rig as a scheme of SCHEMES has them.
 
@@ -63,6 +64,7 @@ def engine_rig(
             back to the file's exactly; other poses deviate where joints with different turns share a vertex.
         up: axis of the file, such as "+y".
         front: axis of the file.
+        leg_tolerance: degrees from the vertical up to which thighs and shins stay as they are.
 
     Raises:
         InputError: no such scheme or rest pose, or the rig lacks joints that every scheme has.
@@ -72,20 +74,20 @@ def engine_rig(
     if not scheme.bones and not root_bone and rest == "file":
         return skeleton
     axes = ROTATIONS[ORIENTATIONS.index((up, front))].T
-    bound = _bind(skeleton, rest, axes, _steps(skeleton, names))
+    bound = _bind(skeleton, rest, axes, _steps(skeleton, names), leg_tolerance)
     bound = _arrange(bound, scheme) if scheme.bones else bound
     return _with_root(bound, scheme.root, axes[:, 1], root_bone) if root_bone or scheme.has_root else bound
 
 
 def t_posed(skeleton: AnimatedRig, up: str, front: str) -> AnimatedRig:
-    """Return the rig of a person's file with one frame, the T-pose of its own joints; the hips stay.
+    """Return the rig of a person's file with one frame, the T-pose of its own joints, legs vertical; the hips stay.
 
     Joints that are known to be no person's turn with the joint above them.
     """
     axes = ROTATIONS[ORIENTATIONS.index((up, front))].T
     known = {j: name for name, j in (skeleton.person or {}).items()}
     names = tuple(known.get(j, f"joint {j}") for j in range(len(skeleton.names)))
-    turn = _rest_turns(replace(skeleton, names=names), "T", axes)
+    turn = _rest_turns(replace(skeleton, names=names), "T", axes, 0.0)
     for j, parent in enumerate(skeleton.parents):
         if j not in known and parent >= 0:
             turn[j] = turn[parent]
@@ -120,7 +122,11 @@ def _steps(skeleton: AnimatedRig, names: str) -> Float[np.ndarray, "J 3"]:
 
 
 def _bind(
-    skeleton: AnimatedRig, rest: str, axes: Float[np.ndarray, "3 3"], steps: Float[np.ndarray, "J 3"]
+    skeleton: AnimatedRig,
+    rest: str,
+    axes: Float[np.ndarray, "3 3"],
+    steps: Float[np.ndarray, "J 3"],
+    leg_tolerance: float,
 ) -> AnimatedRig:
     """Bind a rig in a rest pose, in which all joints have the given axes (columns: left, up, front of the file).
 
@@ -128,7 +134,7 @@ def _bind(
         steps: how far each joint goes, in its own axes; vertices stay where they are.
     """
     old, positions = skeleton.rig, skeleton.joint_positions()
-    turn = _rest_turns(skeleton, rest, axes)  # of each joint, from the file's pose to the rest pose
+    turn = _rest_turns(skeleton, rest, axes, leg_tolerance)  # of each joint, from the file's pose to the rest pose
     above = list(skeleton.parents[1:])
     joints = place_joints(old.joints[0], old.joints[1:] - old.joints[above], turn, skeleton.parents)
     mesh = skeleton.mesh
@@ -145,7 +151,9 @@ def _bind(
     return replace(skeleton, mesh=mesh, rig=rig, rotation=rotation, root=positions[:, 0], positions=positions)
 
 
-def _rest_turns(skeleton: AnimatedRig, rest: str, axes: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "J 3 3"]:
+def _rest_turns(
+    skeleton: AnimatedRig, rest: str, axes: Float[np.ndarray, "3 3"], leg_tolerance: float
+) -> Float[np.ndarray, "J 3 3"]:
     """Compute the rotation of every joint, in the world, from the file's pose to a rest pose.
 
     Arms, hands and legs get their directions; trunk and head stay, fingers of the A-pose stay with their hand.
@@ -160,7 +168,7 @@ def _rest_turns(skeleton: AnimatedRig, rest: str, axes: Float[np.ndarray, "3 3"]
         _turn_arm(turn, skeleton, limb, axes, axes @ [left * np.cos(below), -np.sin(below), 0.0])
         if rest == "T":
             _turn_fingers(turn, skeleton, limb, axes, left)
-        _turn_leg(turn, skeleton, limb, axes)
+        _turn_leg(turn, skeleton, limb, axes, leg_tolerance)
     return turn
 
 
@@ -207,13 +215,17 @@ def _turn_fingers(
 
 
 def _turn_leg(
-    turn: Float[np.ndarray, "J 3 3"], skeleton: AnimatedRig, limb: dict[str, int], axes: Float[np.ndarray, "3 3"]
+    turn: Float[np.ndarray, "J 3 3"],
+    skeleton: AnimatedRig,
+    limb: dict[str, int],
+    axes: Float[np.ndarray, "3 3"],
+    tolerance: float,
 ) -> None:
     """Set the turns of a leg that stands, with its foot to the front; the foot keeps its slope."""
     joints, down = skeleton.rig.joints, -axes[:, 1]
     for joint, end in (("UpLeg", "Leg"), ("Leg", "Foot")):
         bone = joints[limb[end]] - joints[limb[joint]]
-        if bone @ down < np.cos(np.radians(LEG_TOLERANCE)) * np.linalg.norm(bone):
+        if bone @ down < np.cos(np.radians(tolerance)) * np.linalg.norm(bone):
             turn[limb[joint]] = rotation_between(bone, down)
     if "ToeBase" in limb:
         foot = joints[limb["ToeBase"]] - joints[limb["Foot"]]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -51,7 +50,7 @@ def rig(
     from ..io.atomic import together
     from ..io.formats import JOINTED
     from ..pipeline.rigging import rig as find_rig
-    from ..pipeline.vrm import vrm_meta
+    from ..pipeline.vrm import vrm_meta, written_skeleton
     from ..tools.convert import not_kept
     from ..tools.preview import names_beside, rig_picture, save_picture, written_beside
     from .clips import check_suffix
@@ -75,9 +74,7 @@ def rig(
         rigged.save(target, **bones, **made_by, influences=weights.influences)
         save_found(rigged.joints, joints.save_joints, file, rigged.mesh)
     pictures, not_drawn = (), ()
-    # A .vrm is in the T-pose. The own rig of a file is drawn as the file has it, which only such a .vrm does not.
-    written = dataclasses.replace(layout, rest="T") if target.suffix.lower() == ".vrm" else layout
-    skeleton = rigged.laid_out(written) if rigged.own is None else rigged.skeleton
+    skeleton = written_skeleton(rigged, layout, target)
     if picture is not None:
         pictures, not_drawn = written_beside(
             picture, lambda: save_picture(rig_picture(skeleton, rigged.report), picture)

@@ -26,6 +26,10 @@ class InputError(ValueError):
         super().__init__(one_line(message))
 
 
+class NotInstalledError(InputError):
+    """A package or program that a format needs is not installed."""
+
+
 class RefusedMeshError(InputError):
     """A mesh that a method would tear: of two meshes one is a person, say, and the other one no person."""
 

@@ -7,6 +7,7 @@ from .bvh_write import save_bvh as save_bvh
 from .bvh_write import save_joint_motion as save_joint_motion
 from .formats import clip_suffixes as clip_suffixes
 from .formats import mesh_suffixes as mesh_suffixes
+from .load import check_readable as check_readable
 from .load import list_animations as list_animations
 from .load import load_clip as load_clip
 from .load import load_driving as load_driving

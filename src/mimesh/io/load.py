@@ -18,7 +18,7 @@ from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip, stored_clip
 from ..core.system import refuse_pipe
-from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, MESH_READERS, MOTIONS, PICTURES, found_suffix
+from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, JOINTED, MESH_READERS, MOTIONS, PICTURES, found_suffix
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 PACKED = (b"PK\3\4", b"Rar!", b"7z\xbc\xaf")
@@ -74,6 +74,27 @@ def load_mesh(path: str | Path) -> Mesh:
     with _reading(path):
         mesh = reader(path)
     return check_mesh(mesh, path)
+
+
+def check_readable(path: Path) -> None:
+    """Check that what reads a format is installed, before the work is done.
+
+    Raises:
+        NotInstalledError: an .fbx and no ufbx, USD and no usd-core, or compressed glTF and no decoder.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".fbx":
+        from .fbx import need_reader
+
+        need_reader(path)
+    elif suffix.startswith(".usd"):
+        from .usd import need_library
+
+        need_library(path, "read")
+    elif suffix in JOINTED:
+        from .gltf.document import check_decoders
+
+        check_decoders(path)
 
 
 @public

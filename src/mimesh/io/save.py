@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from ..core.animated_rig import AnimatedRig
 from ..core.arguments import public
-from ..core.errors import InputError
+from ..core.errors import InputError, NotInstalledError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, RewritableSource, check_frames, check_numbers, check_timing, with_printable_names
 from .atomic import scratch_folder, together, whole_file, writing
@@ -240,7 +240,7 @@ def check_writable(path: Path) -> None:
 
         need_library(path, "write")
     elif suffix == ".mp4" and importlib.util.find_spec("av") is None:
-        raise InputError(
+        raise NotInstalledError(
             f"{path}: expected PyAV to write MP4, found it not installed; pip install 'mimesh[video]', or write a .webp"
         )
 

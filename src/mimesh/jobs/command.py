@@ -95,6 +95,7 @@ def batch(
     A job that fails does not stop others: the exit code is then 3.
     """
     from ..core.errors import InputError
+    from .run import BatchStopped
     from .run import batch as run_batch
 
     options = {"model": model} if model != "mime" else {}
@@ -109,24 +110,30 @@ def batch(
     silent, terminal = printed.silent, sys.stderr.isatty()
     if not silent and not terminal:
         say("checking all jobs", error=True)
-    # Without a terminal each job has a line of its own.
-    with progress("jobs", silent or not terminal) as advance:
-        bar = advance and (lambda done, total, job, outcome: advance(done, total))
-        result = run_batch(
-            str(jobs),
-            None if drivings is None else str(drivings),
-            output,
-            command=chosen[0] if chosen else "animate",
-            options=options,
-            workers=running.workers,
-            again=running.again,
-            summary=running.summary,
-            report=None if silent else bar or print_lines(),
-        )
+    stopped: BatchStopped | None = None
+    try:
+        # Without a terminal each job has a line of its own.
+        with progress("jobs", silent or not terminal) as advance:
+            bar = advance and (lambda done, total, job, outcome: advance(done, total))
+            result = run_batch(
+                str(jobs),
+                None if drivings is None else str(drivings),
+                output,
+                command=chosen[0] if chosen else "animate",
+                options=options,
+                workers=running.workers,
+                again=running.again,
+                summary=running.summary,
+                report=None if silent else bar or print_lines(),
+            )
+    except BatchStopped as stop:
+        stopped, result = stop, stop.result
     if printed.json:
         print_json(result.facts())
     else:
         print_summary(result, printed.quiet)
+    if stopped is not None:
+        raise stopped
     if result.failed:
         raise Stop(SOME_FAILED)
 

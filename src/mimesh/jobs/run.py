@@ -126,10 +126,18 @@ class BatchResult:
                 temporary.write_text(json.dumps(self.facts(), indent=1) + "\n", encoding="utf-8", newline="\n")
 
 
+class BatchStopped(KeyboardInterrupt):
+    """Ctrl-C in a batch, with what was done until then."""
+
+    def __init__(self, result: BatchResult) -> None:
+        super().__init__()
+        self.result = result
+
+
 @public
 def batch(
-    identities: str | Path | Sequence[Mapping[str, Any]],
-    drivings: str | Path | None = None,
+    identities: str | Path | Sequence[Mapping[str, Any]] | Sequence[str | Path],
+    drivings: str | Path | Sequence[str | Path] | None = None,
     output: str | Path | None = None,
     *,
     command: str = "animate",
@@ -145,12 +153,13 @@ def batch(
     an earlier batch is not done again unless its inputs, its options or the model's file have changed.
 
     Args:
-        identities: with `drivings`, a folder, a pattern with wildcards, or a file of meshes; without, a table of jobs
-            (a CSV file, or dictionaries): identity, driving, output, command and options by their names (`root-bone`
-            or `root_bone`). With "rig" and "capture" also a folder, a pattern or a file of meshes, or of clips; rows
-            have an identity or a driving alone.
-        drivings: a folder, a pattern or a file of clips; each is combined with each identity. Where `output` has
-            {identity} alone, all of them become animations of one file. In a row a list of clips does.
+        identities: with `drivings`, a folder, a pattern with wildcards or a file of meshes, or a list of these;
+            without, a table of jobs (a CSV file, or dictionaries): identity, driving, output, command and options by
+            their names (`root-bone` or `root_bone`). With "rig" and "capture" also a folder, a pattern or a file of
+            meshes, or of clips, or a list of these; rows have an identity or a driving alone.
+        drivings: a folder, a pattern or a file of clips, or a list of these; each is combined with each identity.
+            Where `output` has {identity} alone, all of them become animations of one file. In a row a list of clips
+            does.
         output: where to write each result, with {identity}, {driving} and {number} for the names of its inputs and the
             number of the job. Rows of a table with an output of their own do not need it.
         command: "animate", "transfer", "rig" or "capture", for jobs whose row does not say.
@@ -165,7 +174,8 @@ def batch(
 
     Raises:
         InputError: a job cannot be done; none was started.
-        KeyboardInterrupt: Ctrl-C; all files are complete or absent, and the summary is written.
+        BatchStopped: Ctrl-C, a KeyboardInterrupt; all files are complete or absent, the summary is written, and
+            `result` has the outcomes.
 
     Example:
         >>> jobs = [{"identity": "hero.glb", "driving": "walk.npz", "output": "walking.glb", "stop": 2}]
@@ -196,9 +206,8 @@ def batch(
 
     try:
         _do_tasks(tasks, outcomes, workers, report)
-    except KeyboardInterrupt:
-        saved()
-        raise
+    except KeyboardInterrupt as stop:
+        raise BatchStopped(saved()) from stop
     return saved()
 
 

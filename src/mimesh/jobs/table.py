@@ -27,10 +27,10 @@ from ..commands.options import ShapeOptions, options_of
 from ..commands.rig import rig
 from ..commands.terminal import SEPARATORS, output_path, refuse_inputs
 from ..core.arguments import described
-from ..core.errors import InputError, did_you_mean, option
+from ..core.errors import InputError, NotInstalledError, did_you_mean, option
 from ..core.options import Hints, Layout, ModelOptions, MotionOptions
 from ..core.system import refuse_pipe
-from ..io import mesh_suffixes
+from ..io import check_readable, mesh_suffixes
 from ..io.formats import ANIMATED, CLIP_READERS, JOINTED, MESH_WRITERS
 from ..methods.find import find_mime, find_model
 from ..mime.model import Mime
@@ -108,8 +108,8 @@ class BatchJob:
 
 
 def read_jobs(
-    identities: str | Path | Sequence[Mapping[str, Any]],
-    drivings: str | Path | None,
+    identities: str | Path | Sequence[Mapping[str, Any]] | Sequence[str | Path],
+    drivings: str | Path | Sequence[str | Path] | None,
     output: str | Path | None,
     options: Mapping[str, Any],
     command: str,
@@ -129,10 +129,11 @@ def read_jobs(
     single = len(INPUTS[command]) == 1
     if single and drivings is not None:
         raise InputError(f"batch: expected one set of files for {command}, found DRIVINGS, too; leave them out")
-    if single and isinstance(identities, (str, Path)) and Path(identities).suffix.lower() not in TABLES:
-        rows = _each_file(str(identities), output, command)
+    is_table = isinstance(identities, (str, Path)) and Path(identities).suffix.lower() in TABLES
+    if single and _listed(identities) and not is_table:
+        rows = _each_file(identities, output, command)
     elif drivings is not None:
-        rows = _all_pairs(identities, str(drivings), output, command)
+        rows = _all_pairs(identities, drivings, output, command)
     elif isinstance(identities, (str, Path)):
         rows = _table_rows(Path(identities))
     else:
@@ -144,9 +145,15 @@ def read_jobs(
     return jobs
 
 
-def _all_pairs(identities: Any, drivings: str, output: str | Path | None, command: str) -> list[Row]:
+def _listed(paths: Any) -> list[str]:
+    """Return one or several paths as a list; empty for what is no path."""
+    several = list(paths) if isinstance(paths, (list, tuple)) else [paths]
+    return [str(path) for path in several] if all(isinstance(path, (str, Path)) for path in several) else []
+
+
+def _all_pairs(identities: Any, drivings: Any, output: str | Path | None, command: str) -> list[Row]:
     """Return a row for each identity with each driving, or with all if `output` has the name of the identity alone."""
-    if not isinstance(identities, (str, Path)):
+    if not _listed(identities):
         raise InputError("batch: expected no drivings beside rows of jobs, found both; put them in the rows")
     if output is None:
         raise InputError(
@@ -154,21 +161,21 @@ def _all_pairs(identities: Any, drivings: str, output: str | Path | None, comman
             f"give one: {option('output', 'out/{identity}/{driving}.glb')}"
         )
     moving = (*CLIP_READERS, *ANIMATED) if command == "animate" else mesh_suffixes()
-    meshes = find_files(str(identities), mesh_suffixes(), "meshes")
-    clips = find_files(drivings, moving, "driving files")
+    meshes = _find_all(identities, mesh_suffixes(), "meshes")
+    clips = _find_all(drivings, moving, "driving files")
     if command == "animate" and len(clips) > 1 and _names(str(output)) == {"identity"}:
         return [(mesh, {"identity": mesh, "driving": clips}) for mesh in meshes]
     return [(f"{mesh} + {clip}", {"identity": mesh, "driving": clip}) for mesh in meshes for clip in clips]
 
 
-def _each_file(inputs: str, output: str | Path | None, command: str) -> list[Row]:
+def _each_file(inputs: Any, output: str | Path | None, command: str) -> list[Row]:
     """Return a row for each mesh, or each clip."""
     (name,) = INPUTS[command]
     if output is None:
         pattern = "-o 'out/{identity}.glb'" if command == "rig" else "-o 'out/{driving}.bvh'"
         raise InputError(f"--output: expected a pattern for the outputs, found none; give one: {pattern}")
     suffixes = mesh_suffixes() if command == "rig" else (*CLIP_READERS, *ANIMATED)
-    return [(path, {name: path}) for path in find_files(inputs, suffixes, "meshes" if command == "rig" else "clips")]
+    return [(path, {name: path}) for path in _find_all(inputs, suffixes, "meshes" if command == "rig" else "clips")]
 
 
 def _table_rows(path: Path) -> list[Row]:
@@ -256,6 +263,11 @@ def find_files(text: str, suffixes: Sequence[str], what: str) -> list[str]:
             "folder of files, or a pattern in quotes ('characters/*.glb')"
         )
     return sorted(found)
+
+
+def _find_all(paths: Any, suffixes: Sequence[str], what: str) -> list[str]:
+    """List what one or several paths stand for (see `find_files`), each file once."""
+    return list(dict.fromkeys(file for text in _listed(paths) for file in find_files(text, suffixes, what)))
 
 
 def filled(pattern: str, inputs: Mapping[str, str], number: int) -> str:
@@ -374,15 +386,18 @@ def check_jobs(jobs: Sequence[BatchJob], more_inputs: Sequence[Path], more_outpu
     Raises:
         InputError: some jobs cannot be done; the message names up to MOST_SHOWN errors and says how many there are.
     """
-    places: defaultdict[str, list[str]] = defaultdict(list)
+    places: defaultdict[str, list[tuple[str, str]]] = defaultdict(list)
     for job in jobs:
         try:
             _check_job(job)
         except InputError as error:
-            places[" ".join(str(error).split())].append(job.where)
+            message = " ".join(str(error).split())
+            # What is not installed is one error, whichever file needs it.
+            kind = message.rpartition(": ")[2] if isinstance(error, NotInstalledError) else message
+            places[kind].append((job.where, message))
     errors = [
         f"{first}{f' and {len(others)} more' if others else ''}: {message}"
-        for message, (first, *others) in places.items()
+        for (first, message), *others in places.values()
     ] or _collisions(jobs, more_inputs, more_outputs)
     if errors:
         more = f"; and {len(errors) - MOST_SHOWN} more errors" if len(errors) > MOST_SHOWN else ""
@@ -390,12 +405,13 @@ def check_jobs(jobs: Sequence[BatchJob], more_inputs: Sequence[Path], more_outpu
 
 
 def _check_job(job: BatchJob) -> None:
-    """Raise InputError if a file of a job does not exist, or an option cannot be used."""
+    """Raise InputError if a file of a job does not exist, what its formats need, or an option cannot be used."""
     if job.identity and not Path(job.identity).is_file():
         raise InputError(f"{job.identity}: expected the file of the mesh, found none; check the path")
     for path in job.inputs().values():
         if not path.exists():
             raise InputError(f"{path}: expected a file, found nothing of that name; check the path")
+        check_readable(path)
     values, output = option_values(job.command, job.options), Path(job.output)
     if (
         job.output.endswith(SEPARATORS)

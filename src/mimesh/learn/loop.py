@@ -61,7 +61,7 @@ def train(
     with StopRequest(max_minutes) as stop:
         run = TrainingRun.start(config, folder, user_data)
         validation = Validation(run.task)
-        with TrainingLog.opened(folder, run) as log:
+        with TrainingLog.opened(folder, run, stop.deadline) as log:
             log.note("precision", run.reason, precision=run.task.precision)
             log.note("cost", described_cost(run))
             if user_data:
@@ -298,17 +298,19 @@ class StopRequest:
 class TrainingLog:
     """Writes JSON lines, TensorBoard scalars and lines on the terminal."""
 
-    def __init__(self, lines: TextIO, board: SummaryWriter, run: TrainingRun) -> None:
+    def __init__(self, lines: TextIO, board: SummaryWriter, run: TrainingRun, deadline: float = float("inf")) -> None:
         self.lines, self.board, self.run = lines, board, run
+        self.deadline = deadline
+        """Time (`time.monotonic`) at which the training has to end."""
         self.steps, self.told, self.start = 0, False, (0.0, 0.0)
         self._begin()
 
     @classmethod
     @contextlib.contextmanager
-    def opened(cls, folder: Path, run: TrainingRun) -> Iterator[TrainingLog]:
+    def opened(cls, folder: Path, run: TrainingRun, deadline: float = float("inf")) -> Iterator[TrainingLog]:
         """Continue the log of a folder."""
         with (folder / "log.jsonl").open("a") as lines, SummaryWriter(str(folder)) as board:
-            yield cls(lines, board, run)
+            yield cls(lines, board, run, deadline)
 
     def add(self, loss: Tensor) -> None:
         """Collect a loss; write a line now and then, and after some seconds what the training will reach."""
@@ -319,7 +321,8 @@ class TrainingLog:
         waited = time.monotonic() - (self.time if self.told else self.start[0])
         if not self.told and self.steps >= PACE_STEPS and waited > FIRST_SECONDS:
             self.told = True
-            self.note("pace", expected_end(self.run, self.steps - 1, waited, self.run.share() - self.start[1]))
+            given = self.deadline - time.monotonic()
+            self.note("pace", expected_end(self.run, self.steps - 1, waited, self.run.share() - self.start[1], given))
             self.flush()
         elif waited > LOG_SECONDS:
             self.flush()
@@ -372,18 +375,22 @@ class TrainingLog:
         say(f"{kind} {pairs:,} pairs: {text}", error=True)
 
 
-def expected_end(run: TrainingRun, steps: int, seconds: float, share: float) -> str:
+def expected_end(run: TrainingRun, steps: int, seconds: float, share: float, given: float = float("inf")) -> str:
     """Say how fast a training is and when it ends, from some steps.
 
     Args:
         steps: number of them.
         seconds: wall-clock time that they took.
         share: of the whole training that they did.
+        given: seconds after which the training has to end.
     """
     hourly = steps * run.config.batch / seconds * 3600.0
-    left = (1.0 - run.share()) / share * seconds if share > 0 else float("inf")
+    whole = (1.0 - run.share()) / share * seconds if share > 0 else float("inf")
+    left = min(whole, given)
     end = datetime.now() + timedelta(seconds=left) if left < LONGEST_LEFT else None
     when = f"{end:%Y-%m-%d %H:%M}" if end else "in more than a year"
+    if given < whole:
+        when += f" with the time given, at {run.share() + share / seconds * given:.0%} of the training"
     reached = run.step * run.config.batch + hourly * left / 3600.0
     return (
         f"{hourly:,.0f} pairs an hour on this machine now; expected end {when}, after {left / 60.0:,.0f} minutes more "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,6 +77,30 @@ def bone_parents(joints: tuple[str, ...]) -> tuple[int, ...]:
     body, index = body_with_fingers(), {name: k for k, name in enumerate(joints)}
     chains = ([body.joint_names[j] for j in ancestors(body.parents, body.joint(name))[1:]] for name in joints)
     return tuple(next((index[name] for name in chain if name in index), -1) for chain in chains)
+
+
+def misplaced_bones(nodes: Mapping[str, int], parents: Sequence[int]) -> dict[str, int]:
+    """Find the bones of a hierarchy whose nearest bone above is not the one that VRM demands there (humanoid.md).
+
+    Thighs hang on the spine in Bipeds of 3ds Max, and on a bone beside the hips in other rigs. Players turn each bone
+    relative to the one that VRM has above it, so that such bones miss the rotations of that one.
+
+    Args:
+        nodes: node of each joint of the person, by our name.
+        parents: index of each node's parent, -1 for roots.
+
+    Returns:
+        Joint -> node that it has to hang on, -1 for none; parents first.
+    """
+    joints = bone_joints(nodes)
+    bones, found = {nodes[joint] for joint in joints}, {}
+    for joint, parent in zip(joints, bone_parents(joints), strict=True):
+        above = [node for node in ancestors(parents, nodes[joint])[1:] if node in bones]
+        if parent < 0 and above:
+            found[joint] = parents[above[-1]]
+        elif parent >= 0 and above[:1] != [nodes[joints[parent]]]:
+            found[joint] = nodes[joints[parent]]
+    return found
 
 
 def t_pose_frames(joints: tuple[str, ...], rest: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3 3"]:

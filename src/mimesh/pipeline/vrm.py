@@ -73,11 +73,11 @@ def save_as_vrm(
     turn = ROTATIONS[ORIENTATIONS.index((report["up"], report["front"]))]
     if own is not None:
         joints = check_joints(own.person, path)  # the T-pose needs these, too
-        posed = _own_t_pose(rigged, own, layout, turn[1])
+        posed, _ = _own_t_pose(rigged, own, layout)
         bones = {bone: own.person[joint] for bone, joint in zip(bone_names(joints), joints, strict=True)}
         save_vrm(posed, bones, meta, turn, path)
         return
-    rig = engine_rig(_upright(rigged.skeleton, turn), layout.names, layout.root_bone, "T")
+    rig = engine_rig(_upright(rigged.skeleton, turn), layout.names, layout.root_bone, "T", leg_tolerance=0.0)
     bone_of = SCHEMES[layout.names].bones
     index = {name: j for j, name in enumerate(rig.names)}
     known = {
@@ -100,13 +100,32 @@ def _upright(skeleton: AnimatedRig, turn: Float[np.ndarray, "3 3"]) -> AnimatedR
     return replace(skeleton, mesh=moved, rig=new, rotation=new.rotation[None], root=new.joints[:1])
 
 
-def _own_t_pose(rigged: RiggedMesh, own: OwnRig, layout: Layout, up: Float[np.ndarray, " 3"]) -> OwnAnimation:
-    """Return the T-pose of the bones of a file, with the soles on the ground that they are on at rest."""
-    posed = t_posed(rigged.skeleton, rigged.report["up"], rigged.report["front"])
+def written_skeleton(rigged: RiggedMesh, layout: Layout, path: Path) -> AnimatedRig:
+    """Return the skeleton of a rigged mesh, and its mesh, at rest as a file has them: a .vrm in the T-pose."""
+    own = rigged.own
+    if path.suffix.lower() != ".vrm":
+        return rigged.laid_out(layout) if own is None else rigged.skeleton
+    if own is None:
+        axes = {"up": rigged.report["up"], "front": rigged.report["front"]}
+        return engine_rig(rigged.skeleton, layout.names, layout.root_bone, "T", **axes, leg_tolerance=0.0)
+    animation, posed = _own_t_pose(rigged, own, layout)
+    rig = Rig(posed.rotation[0], posed.joint_positions()[0], posed.rig.weights)
+    return replace(posed, mesh=posed.mesh.with_vertices(next(animation.vertices())), rig=rig)
+
+
+def _own_t_pose(rigged: RiggedMesh, own: OwnRig, layout: Layout) -> tuple[OwnAnimation, AnimatedRig]:
+    """Return the T-pose of the bones of a file, with the soles on the ground that they are on at rest.
+
+    It is an animation of the file's nodes, and of the joints.
+    """
+    up, front = rigged.report["up"], rigged.report["front"]
+    posed = t_posed(rigged.skeleton, up, front)
+    vertical = ROTATIONS[ORIENTATIONS.index((up, front))][1]
 
     def animation(skeleton: AnimatedRig) -> OwnAnimation:
         tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms())
         return own_pose(own, rigged.mesh.name, layout, tracks)
 
-    ground = (rigged.skeleton.mesh.vertices @ up).min() - (next(animation(posed).vertices()) @ up).min()
-    return animation(replace(posed, root=posed.root + ground * up))
+    ground = (rigged.skeleton.mesh.vertices @ vertical).min() - (next(animation(posed).vertices()) @ vertical).min()
+    posed = replace(posed, root=posed.root + ground * vertical)
+    return animation(posed), posed

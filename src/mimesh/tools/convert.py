@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..bodies.joint_names import ancestors
 from ..core.animated_rig import RigAnimation
 from ..core.errors import InputError, option
 from ..core.frame_buffer import PosedFrames, Progress
@@ -412,24 +411,25 @@ def skinned_note(report: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[str, ...]:
-    """Return a note on thighs that do not descend from the hips in an identity's own rig, whose bones a scheme renames.
+    """Return a note on bones of an identity's own rig that hang on others than in a humanoid, if a scheme renames them.
 
     Args:
         own: the motion on the bones of the identity's file; None: other bones are written.
         scheme: names of bones that were asked for.
         name: that of the identity.
     """
-    hips, thighs = "Hips", ("LeftUpLeg", "RightUpLeg")
-    if own is None or scheme == "own" or not {hips, *thighs} <= own.joints.keys():
+    if own is None or scheme == "own":
         return ()
     from ..io.gltf.scene import node_parents
+    from ..motions.bone_motion import misplaced_bones
 
-    parents = tuple(node_parents(own.source.document))
-    if all(own.joints[hips] in ancestors(parents, own.joints[thigh]) for thigh in thighs):
+    misplaced = misplaced_bones(own.joints, node_parents(own.source.document))
+    if not misplaced:
         return ()
     return (
-        f"{name}: in the hierarchy of its rig the thighs are not children of the hips; programs that map a humanoid by "
-        f"its hierarchy may refuse it; {option('rig', 'mimesh')} writes joints of another hierarchy",
+        f"{name}: in the hierarchy of its rig {', '.join(misplaced)} are below other bones than in a humanoid; "
+        "programs that map a humanoid by its hierarchy may refuse it, or turn these wrongly; "
+        f"{option('rig', 'mimesh')} writes joints of a humanoid's hierarchy",
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 from compressed_files import DRACO, MESHOPT, draco_glb, meshopt_glb, require
 from gltf_reference import binary_of, json_of
 from gltf_samples import pack_glb
-from rigs import read_skin
+from rigs import character, read_skin
 
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh, save_mesh
@@ -101,6 +101,32 @@ def test_draco_is_decoded_within_its_quantization(plain, by_draco):
         if "WEIGHTS_0" in old["attributes"]:  # weights that add up keep their bytes
             stored = read_accessor(small, primitive["attributes"]["WEIGHTS_0"])
             np.testing.assert_array_equal(stored, read_accessor(whole, old["attributes"]["WEIGHTS_0"]))
+
+
+def test_weights_and_bounds_that_draco_changed_are_corrected(tmp_path):
+    """Quantized weights add up to 0.999, and quantized positions leave the bounds that the JSON states."""
+    plain = character(tmp_path / "plain.glb")
+    content = bytearray(plain.read_bytes())
+    document = open_document(plain)
+    attributes = list_primitives(document.gltf)[0]["attributes"]
+    sets = [read_accessor(document, attributes[name]) for name in ("WEIGHTS_0", "WEIGHTS_1")]
+    for weights in sets:
+        start = content.index(weights.tobytes())
+        content[start : start + weights.nbytes] = (weights * np.float32(0.999)).tobytes()
+    plain.write_bytes(content)
+
+    def with_other_bounds(gltf):
+        for accessor in gltf["accessors"]:
+            accessor |= {key: [0.0] * len(accessor[key]) for key in ("min", "max") if key in accessor}
+
+    small = open_document(altered(draco_glb(plain, tmp_path / "draco.glb"), with_other_bounds, tmp_path))
+    attributes = list_primitives(small.gltf)[0]["attributes"]
+    found = [read_accessor(small, attributes[name]) for name in ("WEIGHTS_0", "WEIGHTS_1")]
+    total = sum(weights.sum(axis=1, dtype=float) for weights in found)
+    assert np.abs(total - 1).max() < 2e-7
+    np.testing.assert_allclose(found, sets, atol=1e-6)
+    accessor, points = small.gltf["accessors"][attributes["POSITION"]], read_accessor(small, attributes["POSITION"])
+    assert (accessor["min"], accessor["max"]) == (points.min(axis=0).tolist(), points.max(axis=0).tolist())
 
 
 def test_compressed_file_is_written_plain(compressed, tmp_path):

@@ -13,7 +13,7 @@ import importlib.util
 from collections.abc import Iterator
 from pathlib import Path
 
-from ...core.errors import InputError
+from ...core.errors import NotInstalledError
 from ..child_process import child_result
 
 
@@ -24,7 +24,12 @@ def fbx_as_glb(path: Path) -> Iterator[Path]:
     Raises:
         InputError: ufbx is not installed, or the file is damaged or no FBX file.
     """
-    if importlib.util.find_spec("ufbx") is None:
-        raise InputError(f"{path}: expected ufbx to read FBX, found it not installed; pip install 'mimesh[fbx]'")
+    need_reader(path)
     with child_result("mimesh.io.fbx.to_glb:write_glb", path, path) as glb:
         yield glb
+
+
+def need_reader(path: Path) -> None:
+    """Raise NotInstalledError where ufbx is not installed."""
+    if importlib.util.find_spec("ufbx") is None:
+        raise NotInstalledError(f"{path}: expected ufbx to read FBX, found it not installed; pip install 'mimesh[fbx]'")

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from ...bodies.joint_names import ancestors
-from ...core.errors import InputError
+from ...core.errors import InputError, NotInstalledError
 from ...core.printable import file_name, numbered
 from ..atomic import scratch_folder
 from ..child_process import MIB, last_line
@@ -75,7 +75,7 @@ def find_blender(path: Path) -> list[str]:
         return _as_python(sys.executable)
     program = shutil.which("blender")
     if program is None:
-        raise InputError(
+        raise NotInstalledError(
             f"{path}: expected Blender to write FBX, found none; pip install {PACKAGE} (in Python 3.11), or install "
             f"the program and name it in {VARIABLE}, or write a .glb"
         )

@@ -4,14 +4,16 @@ Draco compresses the attributes and indices of a primitive, meshopt the contents
 libraries (the extra `compressed`), in a child process. The decoded data is appended to the document's buffer, so that
 the document is then one without compression. Where a file has its data uncompressed too, that is read instead.
 
-Decoded values stay as they are: after lossy compression weights may add up to 0.999, and positions leave the bounds
-that the JSON states. Readers of glTF take that, and so does this one; a validator tells of it in what is written.
+Draco may quantize: weights then add up to 0.999, and positions leave the bounds that the JSON states. These weights are
+divided by their sum, and bounds are those of the decoded values, as glTF 2.0 demands of what is written (3.7.3.3,
+3.6.2.5).
 """
 
 from __future__ import annotations
 
 import importlib.util
 import json
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ...core.budgets import UNPACKED
-from ...core.errors import InputError
+from ...core.errors import NotInstalledError
 from ..atomic import scratch_folder
 from ..child_process import Limits, child_result
 from .check import COMPONENT_COUNTS, COMPONENT_TYPES, DRACO, MESHOPT, damaged, element_size, list_primitives
@@ -29,6 +31,8 @@ PACKAGES = {"draco": ("DracoPy", "Draco"), "meshopt": ("meshopt", "meshopt compr
 """Module that decodes each codec, and the codec's name in messages."""
 FILTERS = ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR")
 """Values of `filter` of both meshopt extensions."""
+SUMMED = 2e-7
+"""Deviation from one of a vertex's weights' sum from which on they are divided by it: float32 rounds to 6e-8 at one."""
 
 
 @dataclass(eq=False)
@@ -97,7 +101,7 @@ def decompress(
     work = _Work()
     gltf = {**gltf, "bufferViews": [*gltf.get("bufferViews", [])], "accessors": [*gltf.get("accessors", [])]}
     # Draco data may lie in a view that meshopt compresses too: nobody writes that, and it fails as damaged data.
-    _plan_draco(work, gltf, binary, path)
+    by_draco = _plan_draco(work, gltf, binary, path)
     _plan_meshopt(work, gltf, binary, views, path)
     dead = {primitive["extensions"][DRACO]["bufferView"] for primitive in _draco_primitives(gltf)}
     dead -= {accessor.get("bufferView") for accessor in gltf["accessors"]}
@@ -105,6 +109,8 @@ def decompress(
         return gltf, binary
     UNPACKED.check(work.size, path, sum(map(len, work.blobs)))
     decoded = _decode(work, path) if work.jobs else b""
+    if by_draco:
+        decoded = _corrected(gltf, by_draco, bytearray(decoded))
     kept = _keep_used(gltf, dead, work.views, binary)
     start = sum(len(part) for part in kept)
     for view in work.views:
@@ -141,8 +147,11 @@ def _plan_meshopt(
         work.views[-1] = new
 
 
-def _plan_draco(work: _Work, gltf: dict[str, Any], binary: bytes | memoryview, path: Path) -> None:
-    """Add the primitives that Draco compresses to the work, and give their accessors views of the results."""
+def _plan_draco(work: _Work, gltf: dict[str, Any], binary: bytes | memoryview, path: Path) -> set[int]:
+    """Add the primitives that Draco compresses to the work, and give their accessors views of the results.
+
+    Returns these accessors.
+    """
     required = DRACO in gltf.get("extensionsRequired", [])
     planned: set[int] = set()
     for primitive in _draco_primitives(gltf):
@@ -166,6 +175,37 @@ def _plan_draco(work: _Work, gltf: dict[str, Any], binary: bytes | memoryview, p
             added = {"bufferView": len(gltf["bufferViews"]), "byteOffset": 0}
             gltf["accessors"][index] = {**gltf["accessors"][index], **added}
             gltf["bufferViews"].append(new_view)
+    return planned
+
+
+def _corrected(gltf: dict[str, Any], by_draco: set[int], decoded: bytearray) -> bytearray:
+    """Return decoded data with weights that add up to one, and state the bounds of its accessors anew.
+
+    Args:
+        by_draco: accessors whose views lie in `decoded`.
+    """
+
+    def values(index: int) -> np.ndarray:
+        accessor = gltf["accessors"][index]
+        view, dtype = gltf["bufferViews"][accessor["bufferView"]], np.dtype(COMPONENT_TYPES[accessor["componentType"]])
+        columns = COMPONENT_COUNTS[accessor["type"]]
+        strides = view.get("byteStride", columns * dtype.itemsize), dtype.itemsize
+        return np.ndarray((accessor["count"], columns), dtype, decoded, view["byteOffset"], strides)
+
+    for primitive in _draco_primitives(gltf):
+        sets = [index for name, index in primitive["attributes"].items() if name.startswith("WEIGHTS_")]
+        weights = [values(index) for index in sets] if by_draco.issuperset(sets) else []
+        # Integers are compressed without loss.
+        if weights and all(each.dtype.kind == "f" for each in weights):
+            total = np.sum([each.sum(axis=1, dtype=float) for each in weights], axis=0)
+            lossy = (np.abs(total - 1) > SUMMED) & (total > 0)
+            for each in weights:
+                each[lossy] /= total[lossy, None]
+    for index in by_draco:
+        accessor, found = gltf["accessors"][index], values(index)
+        bounds = {"min": found.min(axis=0), "max": found.max(axis=0)} if len(found) and np.isfinite(found).all() else {}
+        accessor |= {key: bound.tolist() for key, bound in bounds.items() if key in accessor}
+    return decoded
 
 
 def _draco_output(gltf: dict[str, Any], index: int, attribute: int | None, path: Path) -> dict[str, Any]:
@@ -209,15 +249,23 @@ def _keep_used(
     return parts
 
 
+def missing_decoders() -> list[str]:
+    """List the codecs (keys of PACKAGES) whose decoders are not installed."""
+    return [codec for codec, (package, _) in PACKAGES.items() if importlib.util.find_spec(package) is None]
+
+
+def need_decoders(codecs: Collection[str], path: Path) -> None:
+    """Raise NotInstalledError where the decoder of one of some codecs (keys of PACKAGES) is not installed."""
+    for package, words in (PACKAGES[codec] for codec in missing_decoders() if codec in codecs):
+        raise NotInstalledError(
+            f"{path}: expected {package} to read {words}, found it not installed; "
+            "pip install 'mimesh[compressed]', or export without compression"
+        )
+
+
 def _decode(work: _Work, path: Path) -> bytes:
     """Run the decoders in a child process; returns the results one after another, padded."""
-    for codec in {job["codec"] for job in work.jobs}:
-        package, words = PACKAGES[codec]
-        if importlib.util.find_spec(package) is None:
-            raise InputError(
-                f"{path}: expected {package} to read {words}, found it not installed; "
-                "pip install 'mimesh[compressed]', or export without compression"
-            )
+    need_decoders({job["codec"] for job in work.jobs}, path)
     head = json.dumps([{**job, "bytes": len(blob)} for job, blob in zip(work.jobs, work.blobs, strict=True)]).encode()
     with scratch_folder() as folder:
         request = folder / "request"

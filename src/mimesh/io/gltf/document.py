@@ -28,6 +28,7 @@ from ..fbx import fbx_as_glb
 from .check import (
     COMPONENT_TYPES,
     COMPRESSION_EXTENSIONS,
+    DRACO,
     INDEX_TYPES,
     MESHOPT,
     attribute_accessors,
@@ -37,7 +38,7 @@ from .check import (
     element_size,
     list_primitives,
 )
-from .compression import compressed_views, decompress, is_fallback
+from .compression import compressed_views, decompress, is_fallback, missing_decoders, need_decoders
 
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 """Chunk types of a GLB file (4.4.3 Chunks): "JSON" and "BIN"."""
@@ -72,11 +73,7 @@ def open_document(path: Path) -> Document:
             content = files.read(glb)
     else:
         content = files.read(path)
-    magic = bytes(content[:4])
-    text, chunk = _split_glb(content, path) if magic == b"glTF" else (bytes(content), b"")
-    if path.suffix.lower() != ".gltf" and magic != b"glTF":
-        raise damaged(path, "a binary glTF ('glTF' at the start)", repr(magic))
-    gltf = _parse_json(text, path)
+    gltf, chunk = _read_json(content, path)
     check_document(gltf, path)
     compressed = compressed_views(gltf, path)
     gltf, binary = _join_buffers(gltf, chunk, files)
@@ -88,6 +85,23 @@ def open_document(path: Path) -> Document:
     for index in sorted(_used_accessors(gltf)):
         element_bytes(document, index)  # reports a damaged accessor on reading, not later on writing
     return document
+
+
+def check_decoders(path: Path) -> None:
+    """Check that what decodes the compressed data of a .glb, .vrm or .gltf file is installed; damaged files pass.
+
+    Raises:
+        NotInstalledError: it is not.
+    """
+    if not missing_decoders():
+        return
+    try:
+        gltf, _ = _read_json(MappedFiles(path).read(path), path)
+    except (InputError, OSError):
+        return
+    required = gltf.get("extensionsRequired") if isinstance(gltf, dict) else None
+    names = {str(name) for name in required} if isinstance(required, list) else set()
+    need_decoders(["draco"] * (DRACO in names) + ["meshopt"] * bool(names.intersection(MESHOPT)), path)
 
 
 def element_bytes(document: Document, index: int) -> UInt8[np.ndarray, "N S"]:
@@ -213,6 +227,15 @@ def _read_rows(document: Document, owner: dict[str, Any], count: int, size: int,
         raise damaged(document.path, f"{end} bytes for {name}", f"{view['byteLength']} in its buffer view")
     memory = np.frombuffer(document.binary, np.uint8)[view["byteOffset"] + start :]
     return np.lib.stride_tricks.as_strided(memory, (count, size), (stride, 1), writeable=False)
+
+
+def _read_json(content: memoryview, path: Path) -> tuple[Any, memoryview | bytes]:
+    """Return the JSON of a glTF file, not checked, and its binary chunk."""
+    magic = bytes(content[:4])
+    text, chunk = _split_glb(content, path) if magic == b"glTF" else (bytes(content), b"")
+    if path.suffix.lower() != ".gltf" and magic != b"glTF":
+        raise damaged(path, "a binary glTF ('glTF' at the start)", repr(magic))
+    return _parse_json(text, path), chunk
 
 
 def _split_glb(content: memoryview, path: Path) -> tuple[bytes, memoryview | bytes]:

@@ -20,10 +20,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ...bodies.engine_names import SCHEMES
-from ...motions.bone_motion import TRUNK, BoneMotion
+from ...motions.bone_motion import TRUNK, BoneMotion, misplaced_bones
 from .document import Document, open_document
 from .draft import AccessorCopier
 from .joints import joint_animation, joints_draft
+from .scene import DEFAULT_TRS, node_parents, node_properties, world_matrices
 
 ANIMATION = "VRMC_vrm_animation"
 """Extension of VRM animations."""
@@ -221,6 +222,8 @@ def write_vrma(motions: Sequence[BoneMotion], path: Path) -> None:
 def write_vrm(glb: Path, bones: Mapping[str, int], meta: VrmMeta, turn: Float[np.ndarray, "3 3"], path: Path) -> None:
     """Write a glTF file of a person in the T-pose as VRM 1.0, without animations, which VRM has none of.
 
+    Bones that hang on another one than VRM demands (`misplaced_bones`) are moved below that, and stay where they are.
+
     Args:
         glb: the file.
         bones: humanoid bone -> node.
@@ -229,9 +232,11 @@ def write_vrm(glb: Path, bones: Mapping[str, int], meta: VrmMeta, turn: Float[np
     """
     from scipy.spatial.transform import Rotation
 
-    draft = AccessorCopier(open_document(glb), whole=True).draft
+    document = open_document(glb)
+    draft = AccessorCopier(document, whole=True).draft
     gltf = draft.gltf
     gltf.pop("animations", None)
+    _move_bones(gltf, document, {VRM_BONES[bone]: node for bone, node in bones.items()})
     humanoid = {"humanBones": {bone: {"node": node} for bone, node in bones.items()}}
     extension = {"specVersion": "1.0", "meta": meta.json(), "humanoid": humanoid}
     gltf["extensionsUsed"] = [*gltf.get("extensionsUsed", []), "VRMC_vrm"]
@@ -243,3 +248,28 @@ def write_vrm(glb: Path, bones: Mapping[str, int], meta: VrmMeta, turn: Float[np
         )
         scene["nodes"] = [len(gltf["nodes"]) - 1]
     draft.save(path)
+
+
+def _move_bones(gltf: dict[str, Any], document: Document, joints: Mapping[str, int]) -> None:
+    """Move the bones of a copied document that VRM demands elsewhere in the hierarchy, at rest in the same place."""
+    nodes, parents, world = gltf["nodes"], node_parents(document), world_matrices(document)
+    moved = misplaced_bones(joints, parents)
+    for joint, above in moved.items():
+        node = joints[joint]
+        for owner, key in [(nodes[parents[node]], "children")] if parents[node] >= 0 else _listed(gltf, node):
+            owner[key] = [child for child in owner[key] if child != node]
+            if not owner[key]:
+                del owner[key]
+        owner, key = (nodes[above], "children") if above >= 0 else (gltf["scenes"][gltf.get("scene", 0)], "nodes")
+        owner[key] = [*owner.get(key, []), node]
+        local = world[node] if above < 0 else np.linalg.inv(world[above]) @ world[node]
+        kept = {key: value for key, value in nodes[node].items() if key not in ("matrix", *DEFAULT_TRS)}
+        placed = node_properties({"matrix": local.T.ravel()})
+        nodes[node] = kept | {key: value.tolist() for key, value in placed.items()}
+    for skin in gltf.get("skins", []) if moved else ():
+        skin.pop("skeleton", None)  # optional, and perhaps no longer above all joints (glTF 2.0, 5.28.2)
+
+
+def _listed(gltf: dict[str, Any], node: int) -> list[tuple[dict[str, Any], str]]:
+    """List the scenes that have a node as a root, with the property that says so."""
+    return [(scene, "nodes") for scene in gltf["scenes"] if node in scene.get("nodes", [])]

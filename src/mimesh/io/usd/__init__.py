@@ -13,7 +13,7 @@ import importlib.util
 import os
 from pathlib import Path
 
-from ...core.errors import InputError
+from ...core.errors import InputError, NotInstalledError
 from ...core.frame_buffer import Progress
 from ...core.mesh import Clip, Mesh
 from ..atomic import whole_file
@@ -80,7 +80,9 @@ def stage_axes(mesh: Mesh) -> tuple[tuple[str, float], float]:
 
 
 def need_library(path: Path, verb: str) -> None:
-    """Raise InputError where usd-core is not installed; `verb` is "read" or "write"."""
+    """Raise NotInstalledError where usd-core is not installed; `verb` is "read" or "write"."""
     os.environ.setdefault(*USE_PREAD)
     if importlib.util.find_spec("pxr") is None:
-        raise InputError(f"{path}: expected usd-core to {verb} USD, found it not installed; pip install 'mimesh[usd]'")
+        raise NotInstalledError(
+            f"{path}: expected usd-core to {verb} USD, found it not installed; pip install 'mimesh[usd]'"
+        )
