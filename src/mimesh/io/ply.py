@@ -351,10 +351,7 @@ def _read_uniform(element: _Element, body: np.ndarray, start: int) -> tuple[list
 
 
 def _read_rows(element: _Element, body: np.ndarray, start: int) -> tuple[list[_Column], int] | None:
-    """Read an element row by row, for lists of any length; None where the body ends too early.
-
-    Returns the columns, and the place after the element.
-    """
+    """Read an element row by row; returns its columns and the place after it, None where the body ends too early."""
     values: list[list[np.ndarray]] = [[np.zeros(0, p.dtype)] for p in element.properties]
     counts: list[list[int]] = [[] for _ in element.properties]
     for _ in range(element.length if element.properties else 0):
