@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core.budgets import CORNERS
-from ..core.errors import InputError
+from ..core.errors import InputError, damaged
 from ..core.geometry import finite_or_zero, unit_vectors, vertex_normals
 from ..core.mesh import Material, Mesh, Part
 from ..core.printable import plain
@@ -286,10 +286,8 @@ def _read_corners(
             _parse_corners(row)
         except (ValueError, IndexError, OverflowError) as error:
             found = b" ".join(row).decode("utf-8", "replace")[:60]
-            raise InputError(
-                f"{path}: expected face corners such as 1, 1/2 or 1/2/3 in line {line_number(lines, i)}, "
-                f"found {found!r}; the file is damaged, export it again"
-            ) from error
+            expected = f"face corners such as 1, 1/2 or 1/2/3 in line {line_number(lines, i)}"
+            raise damaged(path, expected, repr(found)) from error
     raise AssertionError("corners that fail together fail alone")
 
 

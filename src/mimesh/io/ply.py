@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.budgets import CORNERS, ELEMENTS
-from ..core.errors import InputError
+from ..core.errors import InputError, damaged
 from ..core.geometry import finite_or_zero, unit_vectors
 from ..core.mesh import Material, Mesh, Part
 from .atomic import whole_file
@@ -105,10 +105,7 @@ def read_ply(path: Path) -> Mesh:
         raise InputError(f"{path}: expected a mesh, found a Gaussian splat, no mesh; make a mesh of it and give that")
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
         worst = faces.max() if faces.max() >= len(vertices) else faces.min()
-        raise InputError(
-            f"{path}: expected face indices in 0..{len(vertices) - 1}, found {worst}; "
-            "the file is damaged, export it again"
-        )
+        raise damaged(path, f"face indices in 0..{len(vertices) - 1}", worst)
     normals = _vectors(columns, ("nx", "ny", "nz"))
     normals = unit_vectors(finite_or_zero(normals)) if normals is not None else None
     return Mesh(

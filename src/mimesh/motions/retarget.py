@@ -18,7 +18,7 @@ from jaxtyping import Float
 from ..bodies import RiggedBody
 from ..bodies.hands import hand_frames
 from ..bodies.joint_names import captured_fingers, finger_joints, followed_fingers, named_joints, require_joints
-from ..core.errors import InputError
+from ..core.errors import InputError, damaged
 from ..core.geometry import rotation_between, unit_vectors
 from ..core.mesh import LARGEST
 from ..core.normalization import turn
@@ -71,10 +71,8 @@ def retarget_skeleton(
     require_joints(index, NEEDED, source.joint_names, name or source.name)
     rest, (rotation, position) = source.rest(), source.world()
     if not all(np.abs(values).max() <= LARGEST for values in (rest, rotation, position)):
-        raise InputError(
-            f"{name or source.name}: expected positions and rotations of joints that are finite and up to {LARGEST:g}, "
-            "found others; the file is damaged, export it again"
-        )
+        expected = f"positions and rotations of joints that are finite and up to {LARGEST:g}"
+        raise damaged(name or source.name, expected, "others")
     zero_length = [joint for joint, tail in BONES.items() if not (rest[index[tail]] - rest[index[joint]]).any()]
     if zero_length:
         raise InputError(

@@ -27,7 +27,7 @@ import numpy as np
 import ufbx
 from jaxtyping import Float, Int
 
-from ...core.errors import InputError
+from ...core.errors import InputError, damaged
 from ...core.geometry import continuous_quaternions
 from ..beside import is_there
 from ..gltf.animation import AnimationChannel, add_animation
@@ -79,9 +79,7 @@ def write_glb(source: Path, target: Path) -> None:
     try:
         _draft(scene, source).save(target.with_suffix(".glb"))
     except NumberTooLarge as error:
-        raise InputError(
-            f"{source}: expected finite numbers up to 3.4e38, found others; the file is damaged, export it again"
-        ) from error
+        raise damaged(source, "finite numbers up to 3.4e38", "others") from error
     target.with_suffix(".glb").rename(target)
 
 

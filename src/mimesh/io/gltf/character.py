@@ -42,13 +42,12 @@ from ...bodies.character_pool import (
 )
 from ...bodies.joint_names import ancestors, without_fingers
 from ...bodies.skinned_character import SkinnedCharacter
-from ...core.errors import InputError
+from ...core.errors import InputError, damaged
 from ...core.geometry import nearest_rotation
 from ...core.mesh import Mesh, check_mesh
 from ...motions.animal_rig import animal_facing
 from ...motions.posed_rest import action_front, on_all_fours, rests_in_action
 from .animation import animated_nodes, animation_names, frame_times, read_channels, sample_joints
-from .check import damaged
 from .document import Document, open_document
 from .motion import PLAYED_PATHS, bind_poses, is_motion, rest_matrices
 from .read import RestScene, read_rest, rig_on_nodes, skin_joints

@@ -13,7 +13,7 @@ from ...bodies.character_limbs import FindJoints, moves_vertices
 from ...bodies.character_pool import sampled_poses
 from ...bodies.joint_names import ancestors
 from ...bodies.skinned_character import SkinnedCharacter
-from ...core.errors import InputError
+from ...core.errors import InputError, damaged
 from ...core.geometry import continuous_quaternions, nearest_rotation
 from ...core.mesh import Mesh
 from ...core.normalization import axis_name
@@ -23,7 +23,6 @@ from ...motions.bvh import SCALED
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
 from .animation import AnimatedValues, AnimationChannel, animated_nodes, sample_joints
 from .character import names_person, read_clips, read_standing, read_standing_animal, rig_at_rest
-from .check import damaged
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS, front_before_placing, rest_matrices

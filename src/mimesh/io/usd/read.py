@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade
 
 from ...core.budgets import check_clip_size
-from ...core.errors import InputError
+from ...core.errors import InputError, damaged
 from ...core.frame_buffer import Progress
 from ...core.geometry import turn_normals, unit_vectors
 from ...core.mesh import Material, Mesh, Part
@@ -121,10 +121,7 @@ def check_package(path: Path) -> None:
     except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
         raise InputError(f"{path}: expected a .usdz package, found {error}; export it again") from error
     if broken is not None:
-        raise InputError(
-            f"{path}: expected the checksum of {broken[:80]!r} in it, found another; "
-            "the file is damaged, export it again"
-        )
+        raise damaged(path, f"the checksum of {broken[:80]!r} in it", "another")
 
 
 def _time_range(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) -> tuple[float, float, float]:
@@ -250,10 +247,7 @@ def _read_prim(
     vertices = mesh_prim.points(xforms)
     if len(corners) and (corners.min() < 0 or corners.max() >= len(vertices)):
         worst = int(corners.max() if corners.max() >= len(vertices) else corners.min())
-        raise InputError(
-            f"{path}: expected points 0..{len(vertices) - 1} in the faces of {prim.GetPath()}, found {worst}; "
-            "the file is damaged, export it again"
-        )
+        raise damaged(path, f"points 0..{len(vertices) - 1} in the faces of {prim.GetPath()}", worst)
     binding_prims, labels = _material_subsets(prim, len(counts), path)
     order = _shown_polygons(prim, counts, labels)
     # Faces come out counter-clockwise seen from outside: left-handed orientation and a mirroring transform each
@@ -279,10 +273,8 @@ def _polygons(prim: Usd.Prim, time: Usd.TimeCode, path: Path) -> tuple[Int[np.nd
     """Read the corner count of each polygon and the vertex index of each corner."""
     counts, corners = (np.array(value or [], np.int64) for value in _topology(prim, time))
     if (counts < 0).any() or counts.sum() != len(corners):
-        raise InputError(
-            f"{path}: expected as many face vertices in {prim.GetPath()} as its faces have corners ({counts.sum()}), "
-            f"found {len(corners)}; the file is damaged, export it again"
-        )
+        expected = f"as many face vertices in {prim.GetPath()} as its faces have corners ({counts.sum()})"
+        raise damaged(path, expected, len(corners))
     return counts, corners
 
 
@@ -358,10 +350,8 @@ def _material_subsets(prim: Usd.Prim, polygons: int, path: Path) -> tuple[list[U
     for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
         indices = np.array(subset.GetIndicesAttr().Get(Usd.TimeCode.EarliestTime()) or [], np.int64)
         if len(indices) and (indices.min() < 0 or indices.max() >= polygons):
-            raise InputError(
-                f"{path}: expected faces 0..{polygons - 1} in {subset.GetPath()}, found {indices.min()} to "
-                f"{indices.max()}; the file is damaged, export it again"
-            )
+            found = f"{indices.min()} to {indices.max()}"
+            raise damaged(path, f"faces 0..{polygons - 1} in {subset.GetPath()}", found)
         labels[indices] = len(binding_prims)
         binding_prims.append(subset.GetPrim())
     return binding_prims, labels
