@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Float32, Integer
 
 from ...core.errors import InputError
 from .check import ARRAY_BUFFER, COMPONENT_TYPES, ELEMENT_ARRAY_BUFFER, is_supported
@@ -106,7 +106,7 @@ class Draft:
         matrices[:, 3] = [0, 0, 0, 1]  # exactly, as 3.7.3.1 demands, in spite of rounding
         return self.add_array(matrices.swapaxes(-1, -2).astype("<f4"), "MAT4")  # column-major (3.6.2.4)
 
-    def add_influences(self, joints: Int[np.ndarray, "N K"], weights: Float[np.ndarray, "N K"]) -> dict[str, int]:
+    def add_influences(self, joints: Integer[np.ndarray, "N K"], weights: Float[np.ndarray, "N K"]) -> dict[str, int]:
         """Append the joints, in their own type, and the weights of vertices in sets JOINTS_n and WEIGHTS_n.
 
         Returns:
