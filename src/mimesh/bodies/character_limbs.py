@@ -182,9 +182,17 @@ def attach_feet(
 def with_parents(
     rig: SkinnedCharacter, joints: dict[str, int], parents: list[int]
 ) -> tuple[SkinnedCharacter, dict[str, int], Int[np.ndarray, " J"]]:
-    """Give the joints of a rig other parents; returns the same as `attach_feet`."""
+    """Give the joints of a rig other parents, in the old order; returns the same as `attach_feet`."""
     order = np.array(parents_first(parents))
-    return _reorder_joints(rig, parents, order), {name: int(np.argsort(order)[j]) for name, j in joints.items()}, order
+    rank = np.append(np.argsort(order), len(order))  # the world stays the last
+    reordered = dataclasses.replace(
+        rig,
+        joint_names=tuple(rig.joint_names[j] for j in order),
+        parents=tuple(int(rank[parents[j]]) if parents[j] >= 0 else -1 for j in order),
+        T_world_joint=rig.T_world_joint[order],
+        joint_of=rank[rig.joint_of],
+    )
+    return reordered, {name: int(rank[j]) for name, j in joints.items()}, order
 
 
 def find_limbs(rig: SkinnedCharacter, joints: dict[str, int], path: object) -> dict[str, Limb]:
@@ -266,18 +274,6 @@ def _relative_movement(poses, point, joint, moved):
     homogeneous = np.append(point, 1.0)
     local = (np.linalg.inv(poses[:, joint]) @ poses[:, moved] @ homogeneous)[:, :3]
     return np.linalg.norm(local - np.median(local, axis=0), axis=1)
-
-
-def _reorder_joints(rig: SkinnedCharacter, parents: list[int], order: Int[np.ndarray, " J"]) -> SkinnedCharacter:
-    """Return the rig with other parents (given in the old order) and its joints in a new order."""
-    rank = np.append(np.argsort(order), len(order))  # the world stays the last
-    return dataclasses.replace(
-        rig,
-        joint_names=tuple(rig.joint_names[j] for j in order),
-        parents=tuple(int(rank[parents[j]]) if parents[j] >= 0 else -1 for j in order),
-        T_world_joint=rig.T_world_joint[order],
-        joint_of=rank[rig.joint_of],
-    )
 
 
 LIMBS = tuple(

@@ -348,11 +348,7 @@ def _clip_arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def _clips(path: Path, character: dict[str, np.ndarray]) -> dict[str, CharacterClip]:
-    """Read the clips of a character, whose checked arrays are given.
-
-    Raises:
-        InputError: not a file of the format, or clips of another skeleton.
-    """
+    """Read the clips of a character, whose checked arrays are given."""
     arrays = _clip_arrays(path)
     count = len(character["parents"])
     rest = local_frames(character["rest_matrices"].astype(np.float64), character["parents"])[:, :3, 3]

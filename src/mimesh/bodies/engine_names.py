@@ -54,13 +54,7 @@ class Scheme:
 
 
 def _bones(trunk: str, limbs: str, fingers: tuple[str, ...]) -> dict[str, str]:
-    """Build the table of a scheme from patterns; "-" stands for a joint that the scheme does not have.
-
-    Args:
-        trunk: bones of TRUNK.
-        limbs: patterns of LIMBS.
-        fingers: patterns of the fifteen finger joints of a side.
-    """
+    """Build the table of a scheme from patterns; "-" stands for a joint that the scheme does not have."""
     bones = dict(zip(TRUNK, trunk.split(), strict=True))
     ours = [f"Hand{finger}{k}" for finger in FINGERS for k in (1, 2, 3)]
     for side in SIDES:

@@ -28,7 +28,7 @@ from ..core.options import Layout
 from ..core.rig import Rig, descendants
 from ..core.skinning import blend_matrices, place_joints, skin_points
 from .engine_names import REQUIRED, SCHEMES, Scheme
-from .joint_names import FINGERS, without_side
+from .joint_names import FINGERS, ancestors, without_side
 
 A_ANGLE = 50.0
 """Degrees by which the arms of the A-pose are below the horizontal. Epic's documentation gives no angle; tutorials turn
@@ -128,11 +128,7 @@ def _bind(
     steps: Float[np.ndarray, "J 3"],
     leg_tolerance: float,
 ) -> AnimatedRig:
-    """Bind a rig in a rest pose, in which all joints have the given axes (columns: left, up, front of the file).
-
-    Args:
-        steps: how far each joint goes, in its own axes; vertices stay where they are.
-    """
+    """Bind a rig in a rest pose, its joints `steps` further, all with the given axes (columns: left, up, front)."""
     old, positions = skeleton.rig, skeleton.joint_positions()
     turn = _rest_turns(skeleton, rest, axes, leg_tolerance)  # of each joint, from the file's pose to the rest pose
     above = list(skeleton.parents[1:])
@@ -276,9 +272,12 @@ def _arrange(skeleton: AnimatedRig, scheme: Scheme) -> AnimatedRig:
     for j in (*named, *extra):
         name = scheme.bones.get(skeleton.names[j], skeleton.names[j])
         # Named bones come first, so the parent of one is a named bone; that of an extra bone may be either.
-        parent = _placed_ancestor(skeleton.parents, j, placed)
+        parent = next((placed[above] for above in ancestors(skeleton.parents, j)[1:] if above in placed), -1)
         if name in scheme.inserted and parent >= 0:
-            bones.append(_half_way(bones[parent], parent, scheme.inserted[name], rig.joints[j], skeleton))
+            # Half way to the joint at rest is a bone that moves with the bone above.
+            above, step = bones[parent], (rig.joints[j] - bones[parent].joint) / 2
+            path = above.path + skeleton.rotation[:, above.source] @ rig.rotation[above.source].T @ step
+            bones.append(_Bone(scheme.inserted[name], parent, above.source, above.joint + step, path, False))
             parent = len(bones) - 1
         placed[j] = len(bones)
         bones.append(_Bone(name, parent, j, rig.joints[j], positions[:, j], True))
@@ -289,21 +288,6 @@ def _arrange(skeleton: AnimatedRig, scheme: Scheme) -> AnimatedRig:
     rotation = skeleton.rotation[:, source]
     moved = {"rotation": rotation, "root": paths[:, 0], "positions": paths}
     return replace(skeleton, names=names, parents=parents, rig=new, person=None, **moved)
-
-
-def _placed_ancestor(parents: tuple[int, ...], joint: int, placed: dict[int, int]) -> int:
-    """Find the bone of the nearest ancestor of a joint that has one; -1 for the root."""
-    above = parents[joint]
-    while above >= 0 and above not in placed:
-        above = parents[above]
-    return placed[above] if above >= 0 else -1
-
-
-def _half_way(above: _Bone, parent: int, name: str, end: Float[np.ndarray, " 3"], skeleton: AnimatedRig) -> _Bone:
-    """Make a bone half way from the bone above it to a joint at rest, which moves with the bone above."""
-    step = (end - above.joint) / 2
-    motion = skeleton.rotation[:, above.source] @ skeleton.rig.rotation[above.source].T
-    return _Bone(name, parent, above.source, above.joint + step, above.path + motion @ step, False)
 
 
 def _with_root(skeleton: AnimatedRig, name: str, up: Float[np.ndarray, " 3"], moves: bool) -> AnimatedRig:

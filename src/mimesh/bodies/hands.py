@@ -130,8 +130,10 @@ def hand_frames(
     wrist, knuckles = f"{side}Hand", [side + knuckle for knuckle in KNUCKLES if side + knuckle in rest]
     if wrist not in rest:
         rest = {**rest, wrist: rest[f"{side}ForeArm"]}
-    if len(knuckles) >= FEWEST_KNUCKLES and _at_one_place([rest[name] for name in knuckles], rest[wrist]):
-        knuckles = [after for name in knuckles if (after := f"{name[:-1]}2") in rest]
+    if len(knuckles) >= FEWEST_KNUCKLES:
+        spread, reach = (rest[knuckles[0]] - rest[name] for name in (knuckles[-1], wrist))
+        if np.linalg.norm(spread) < ONE_PLACE * np.linalg.norm(reach):
+            knuckles = [after for name in knuckles if (after := f"{name[:-1]}2") in rest]
     if len(knuckles) < FEWEST_KNUCKLES:
         hand = hand @ straight_hand(side)
     else:
@@ -171,11 +173,6 @@ def straight_hands(joints: Sequence[str], above: Sequence[tuple[str, ...]]) -> F
         if sum(side + knuckle in joints for knuckle in KNUCKLES) < FEWEST_KNUCKLES:
             turns[[f"{side}Hand" in names for names in above]] = straight_hand(side)
     return turns
-
-
-def _at_one_place(knuckles: list[Float[np.ndarray, " 3"]], wrist: Float[np.ndarray, " 3"]) -> bool:
-    """Tell whether knuckles are so near to each other that they show no direction."""
-    return bool(np.linalg.norm(knuckles[0] - knuckles[-1]) < ONE_PLACE * np.linalg.norm(knuckles[0] - wrist))
 
 
 def _palm(at: Mapping[str, Float[np.ndarray, " 3"]], wrist: str, knuckles: list[str]) -> Float[np.ndarray, "3 3"]:

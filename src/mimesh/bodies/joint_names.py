@@ -442,12 +442,7 @@ def _below(chain: list[int], top: int) -> list[int]:
 
 
 def _without_neck(chest: list[int], plain: list[str], above_legs: list[int]) -> list[int]:
-    """Leave out joints called neck that carry both arms; they stay where the trunk has no others.
-
-    Args:
-        chest: the common ancestors of both arms, nearest first.
-        above_legs: the hips and their ancestors.
-    """
+    """Leave out joints called neck that carry both arms; they stay where the trunk has no others."""
     below = [j for j in chest if "neck" not in plain[j]]
     return chest if not below or below[0] in above_legs else below
 

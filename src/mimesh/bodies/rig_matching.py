@@ -237,11 +237,16 @@ class RigMatch:
 
 def match_rigs(identity: Creature, driving: Creature) -> RigMatch:
     """Match the joints of two creatures."""
+    from scipy.optimize import linear_sum_assignment
+
     mine, theirs = identity.chains, driving.chains
     costs = np.array([[chain_cost(u, v) for v in theirs] for u in mine]).reshape(len(mine), len(theirs))
     pairs: dict[int, int] = {}
     for _ in range(ROUNDS):
-        pairs = _assigned(costs + _hanging(mine, theirs, pairs))
+        # Chains are assigned one to one, so that the sum of the costs is smallest; one without a match costs UNLIKE.
+        hung = costs + _hanging(mine, theirs, pairs)
+        rows, columns = linear_sum_assignment(np.minimum(hung - UNLIKE, 0.0))
+        pairs = {u: v for u, v in zip(rows.tolist(), columns.tolist(), strict=True) if hung[u, v] < UNLIKE}
     follows = np.zeros((len(identity.parents), len(driving.parents)))
     for u, v in pairs.items():
         follows[np.ix_(mine[u].joints, theirs[v].joints)] = chain_shares(mine[u], theirs[v])
@@ -290,14 +295,6 @@ def chain_shares(u: Chain, v: Chain) -> Float[np.ndarray, "N M"]:
     overlap = np.minimum(high[:, None], other_high) - np.maximum(low[:, None], other_low)
     shares = np.maximum(overlap, 0.0)
     return shares / shares.sum(axis=1, keepdims=True)
-
-
-def _assigned(costs: Float[np.ndarray, "U V"]) -> dict[int, int]:
-    """Assign chains one to one so that the sum of the costs is smallest; one without a match costs UNLIKE."""
-    from scipy.optimize import linear_sum_assignment
-
-    rows, columns = linear_sum_assignment(np.minimum(costs - UNLIKE, 0.0))
-    return {int(u): int(v) for u, v in zip(rows, columns, strict=True) if costs[u, v] < UNLIKE}
 
 
 def _hanging(mine: tuple[Chain, ...], theirs: tuple[Chain, ...], pairs: dict[int, int]) -> Float[np.ndarray, "U V"]:

@@ -34,6 +34,11 @@ class RefusedMeshError(InputError):
     """A mesh that a method would tear: of two meshes one is a person, say, and the other one no person."""
 
 
+def damaged(path: object, expected: str, found: object) -> InputError:
+    """Return the error for a file that contradicts its standard, or itself."""
+    return InputError(f"{path}: expected {expected}, found {found}; the file is damaged, export it again")
+
+
 def one_line(message: str) -> str:
     """Join the lines of a message, and leave out the middle of a long one: its end says what to do."""
     line = " ".join(message.splitlines())

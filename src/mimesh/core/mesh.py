@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from .arguments import as_faces, as_floats, as_frames, as_vertices, check_kind
 from .budgets import FACES, VERTICES, check_clip_size
-from .errors import InputError, option
+from .errors import InputError, damaged, option
 from .frame_buffer import Frames, PosedFrames, Progress, each_frame, store_frames
 from .geometry import face_areas, first_of_each, turn_normals
 from .person_motion import JointSource
@@ -238,9 +238,7 @@ def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
     check_numbers(mesh, path)
     largest = np.abs(vertices).max()
     if largest > LARGEST:
-        raise InputError(
-            f"{path}: expected coordinates up to {LARGEST:g}, found {largest:g}; the file is damaged, export it again"
-        )
+        raise damaged(path, f"coordinates up to {LARGEST:g}", f"{largest:g}")
     _check_corners(mesh.corner_uv, "texture coordinates", path)
     _check_corners(mesh.corner_normals, "normals", path)
     colors = mesh.vertex_colors

@@ -15,7 +15,7 @@ from ..bodies.character_pool import Pool, PoolCharacter, read_pool
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted
 from ..io.formats import JOINTED
-from ..io.gltf.character import read_rigged_animal, read_rigged_character
+from ..io.gltf.character import read_rigged_character
 
 LICENCE_NAMES = ("license", "licence", "copying")
 """Beginnings of the names of licence files, in lower case."""
@@ -35,7 +35,7 @@ def read_character_folder(
     Raises:
         InputError: neither a pool nor a rigged file.
     """
-    folder, read = Path(folder), read_rigged_animal if body == "quadruped" else read_rigged_character
+    folder = Path(folder)
     paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in JOINTED and path.is_file())
     has_index = (folder / INDEX).is_file()
     if not has_index and not paths:
@@ -45,13 +45,14 @@ def read_character_folder(
         )
     pool = read_pool(folder, split, progress if not paths else None, body) if has_index else Pool((), {})
     characters, refused = list(pool.characters), dict(pool.refused)
-    elsewhere = _files_of_other_splits(folder / INDEX, split) if has_index else {}
+    rows = json.loads((folder / INDEX).read_text(encoding="utf-8")) if has_index else []
+    elsewhere = {str(row["file"]): f"the split {row['split']} of the index" for row in rows if row["split"] != split}
     for path in counted(paths, len(paths), progress):
         name = str(path.relative_to(folder))
         try:
             if path.stem in elsewhere:
                 raise InputError(f"{path}: expected one of the split {split}, found {elsewhere[path.stem]}")
-            characters.append(read(path, pack_of(path, folder), licence_of(path, folder)))
+            characters.append(read_rigged_character(path, pack_of(path, folder), licence_of(path, folder), body))
         except DAMAGED as error:
             plain = str(error) if isinstance(error, InputError) else f"expected a sound file, found {error!r:.80}"
             refused[name] = plain.removeprefix(f"{path}: ").removeprefix(f"{path.stem}: ")
@@ -75,12 +76,6 @@ def without_repeated_clips(characters: Iterable[PoolCharacter]) -> list[PoolChar
             seen.update(keys.values())
         kept.append(dataclasses.replace(character, clips=clips))
     return kept
-
-
-def _files_of_other_splits(index: Path, split: str) -> dict[str, str]:
-    """Read the split of each file that an index, which has been read before, lists in another one."""
-    rows = json.loads(index.read_text(encoding="utf-8"))
-    return {str(row["file"]): f"the split {row['split']} of the index" for row in rows if row["split"] != split}
 
 
 def pack_of(path: Path, folder: Path) -> str:

@@ -103,7 +103,9 @@ def role(protocol: str, split: str, kind: str) -> str:
 def frozen_sets() -> dict[tuple[str, str, str], FrozenSet]:
     """Read the stored sets, by protocol, split and kind."""
     entries = json.loads((resources.files("mimesh.evaluate") / FILE).read_text())
-    return {(entry["protocol"], entry["split"], entry["kind"]): _from_json(entry) for entry in entries}
+    lists = [{key: tuple(value) for key, value in entry.items() if isinstance(value, list)} for entry in entries]
+    sets = (FrozenSet(**entry | tuples) for entry, tuples in zip(entries, lists, strict=True))
+    return {(stored.protocol, stored.split, stored.kind): stored for stored in sets}
 
 
 def _arrays(name: str, value: Any) -> list[tuple[str, np.ndarray]]:
@@ -118,8 +120,3 @@ def _arrays(name: str, value: Any) -> list[tuple[str, np.ndarray]]:
     if isinstance(value, Clip):
         return [(f"{name}.vertices", np.asarray(value.vertices))]
     return [(name, value)] if isinstance(value, np.ndarray) else []
-
-
-def _from_json(entry: dict[str, Any]) -> FrozenSet:
-    angles = entry.get("degrees_to_training")
-    return FrozenSet(**{**entry, "first": tuple(entry["first"]), "degrees_to_training": angles and tuple(angles)})

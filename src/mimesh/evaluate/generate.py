@@ -71,7 +71,9 @@ def write_split(
         pairs: number of pairs of each kind; 0 for the protocol's own.
     """
     chosen.check(split)
-    counts = {kind: chosen.count(kind, pairs, split) for kind in chosen.kinds if _has_truth(chosen, split, kind)}
+    # The first pair of a kind says whether true results are known: all pairs of a kind agree.
+    first = {kind: chosen.unshuffled_pair(split, kind, 0, chosen.rng(split, kind, 0)) for kind in chosen.kinds}
+    counts = {kind: chosen.count(kind, pairs, split) for kind in chosen.kinds if first[kind].truth_known}
     done = 0
     for kind, count in counts.items():
         triples, heights, written = [], {}, {}
@@ -87,16 +89,8 @@ def write_split(
     return {"files": sum(path.is_file() for folder in folders for path in folder.rglob("*")) + 2 * len(counts)}
 
 
-def _has_truth(protocol: Protocol, split: str, kind: str) -> bool:
-    """Return whether the true results of a kind are known, as the first pair says: all pairs of a kind agree."""
-    return protocol.unshuffled_pair(split, kind, 0, protocol.rng(split, kind, 0)).truth_known
-
-
 def _write_pair(pair: Pair, folder: Path, written: dict[str, int]) -> tuple[str, str, str]:
-    """Write identity, driving mesh or clip, and truth of a pair and return their names relative to the list.
-
-    `written` has a checksum of what each file of the folder holds, by its name, and is added to.
-    """
+    """Write identity, driving and truth of a pair; returns their names. `written`: checksums of the folder's files."""
     folder.mkdir(parents=True, exist_ok=True)
     truth = Mesh(pair.truth, pair.identity.faces, name=pair.truth_name)
     parts: tuple[Mesh | Clip, ...] = (pair.identity, pair.driving, truth)

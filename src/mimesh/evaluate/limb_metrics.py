@@ -196,8 +196,11 @@ def cut_limb(
     share = (weights[corners] * barycentric).sum(axis=1)
     if not (lengths * share).any():
         return None
-    distance = _radial(points, limb.start, limb.end)
-    near = distance <= MAX_RADIUS * _lower_quartile(distance, lengths * share)
+    offset, axis = points - limb.start, unit_vectors(line)
+    distance = np.linalg.norm(offset - (offset @ axis)[:, None] * axis, axis=1)
+    order, weight = np.argsort(distance), np.cumsum((lengths * share)[np.argsort(distance)])
+    lower_quartile = distance[order][np.searchsorted(weight, weight[-1] / 4)]
+    near = distance <= MAX_RADIUS * lower_quartile
     corners, barycentric, points, cut = corners[near], barycentric[near], points[near], cut[near]
     lengths, share = lengths[near], share[near]
     weight = lengths * share**MOTION_POWER
@@ -240,19 +243,6 @@ def _measurable(points, weight, cut):
     return (
         len(np.unique(cut[weight > 0])) >= MIN_CUTS and len(deviation) > 1 and deviation[1] > MIN_WIDTH * deviation[0]
     )
-
-
-def _radial(points, start, end):
-    """Compute the distance of points from a line through two points."""
-    offset, axis = points - start, unit_vectors(end - start)
-    return np.linalg.norm(offset - (offset @ axis)[:, None] * axis, axis=1)
-
-
-def _lower_quartile(values, weight):
-    """Compute the weighted lower quartile of values."""
-    order = np.argsort(values)
-    total = np.cumsum(weight[order])
-    return values[order][np.searchsorted(total, total[-1] / 4)]
 
 
 def angle_deg(

@@ -35,7 +35,7 @@ from typing import TypeVar
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, same_mesh
 from ..io import clip_suffixes, load_clip, load_mesh, mesh_suffixes
 from ..io.atomic import together, whole_file
 from ..io.text import decoded
@@ -101,13 +101,15 @@ class ListedPairs(Protocol):
 
     def _pair(self, kind: str, triple: Triple, identity: Mesh, driving: Mesh, truth: Mesh) -> Pair:
         height = self._height(kind, triple, identity)
+        # The driving mesh corresponds by number where it has the identity's triangles.
+        same = len(identity.faces) > 0 and same_mesh(driving, identity)
         return Pair(
             identity=_plain(identity, triple),
             driving=_plain(driving, triple),
             truth=truth.vertices,
             height=height,
             metres=1.0 if METRES[0] <= height <= METRES[1] else HEIGHT / height,
-            aligned=driving.vertices if _corresponds(driving, identity) else None,
+            aligned=driving.vertices if same else None,
             truth_name=triple.paths[2].stem,
             groups=(_person(triple.names[0]), _person(triple.names[1])),
         )
@@ -136,14 +138,15 @@ class ListedPairs(Protocol):
         """Return the files of all lists, those in folders of frames and the heights by their paths in the folder."""
         lists = find_lists(self.source)
         named = [path for triples in self.lists.values() for triple in triples for path in triple.paths]
-        found = [file for path in named for file in _files_in(path)]
+        found = [file for path in named for file in (files_below(path) if path.is_dir() else [path])]
         heights = [path for path in map(heights_file, lists) if path.is_file()]
         base = self.data or lists[0].parent
         return {str(path.relative_to(base) if path.is_relative_to(base) else path): path for path in (*heights, *found)}
 
     def checksums(self) -> dict[str, str]:
-        """Return a checksum of each list, by kind."""
-        return {path.stem: list_checksum(path) for path in find_lists(self.source)}
+        """Return the first 16 hex digits of the SHA-256 of each list's bytes, by kind."""
+        digests = {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in find_lists(self.source)}
+        return {kind: f"sha256 {digest[:16]}" for kind, digest in digests.items()}
 
 
 @dataclass(frozen=True)
@@ -179,7 +182,11 @@ def listed_pairs(
             raise InputError(f"{option}: expected a positive number, found {value:g}; give another")
     name = source.resolve().name + ("/" if source.is_dir() else "")
     pairs = ListedPairs(name, 1, (), 0, 0.0, source=source, data=data, height=height, fps=fps)
-    has_clips = {kind: _has_frames(triples[0]) for kind, triples in pairs.lists.items()}
+    truths = {kind: (triples[0], triples[0].paths[2]) for kind, triples in pairs.lists.items()}
+    # A clip is a folder, or a file of several frames.
+    has_clips = {
+        kind: path.is_dir() or len(_read(triple, load_clip, path)) > 1 for kind, (triple, path) in truths.items()
+    }
     if len(set(has_clips.values())) > 1:
         meshes, clips = (next(kind for kind, found in has_clips.items() if found is clip) for clip in (False, True))
         raise InputError(
@@ -190,12 +197,6 @@ def listed_pairs(
     fields = {field.name: getattr(pairs, field.name) for field in dataclasses.fields(pairs)}
     longest = max(map(len, pairs.lists.values()))
     return chosen(**{**fields, "kinds": tuple(pairs.lists), "pairs": longest})
-
-
-def _has_frames(triple: Triple) -> bool:
-    """Return whether the true result of a line is a clip: a folder, or a file of several frames."""
-    path = triple.paths[2]
-    return path.is_dir() or len(_read(triple, load_clip, path)) > 1
 
 
 def _read(triple: Triple, read: Callable[[Path], T], path: Path) -> T:
@@ -241,12 +242,6 @@ def _check_frames(triple: Triple, clip: Clip, truth: Clip) -> None:
         )
 
 
-def _corresponds(driving: Mesh, identity: Mesh) -> bool:
-    """Return whether a driving mesh has the identity's triangles, so that its vertices correspond by number."""
-    same_count = len(driving.vertices) == len(identity.vertices)
-    return same_count and len(identity.faces) > 0 and np.array_equal(driving.faces, identity.faces)
-
-
 def _person(name: str) -> str:
     """Return the person of a file called <person>_<pose>, else the file: pairs that share one are not independent."""
     return found[1] if (found := _LAYOUT.fullmatch(_stem(name))) else _stem(name)
@@ -263,11 +258,9 @@ def _stem(name: str) -> str:
     return re.sub(r"\.[A-Za-z]\w*$", "", last)
 
 
-def _files_in(path: Path) -> list[Path]:
-    """Return the files of a folder in a fixed order, or the file that is given."""
-    if not path.is_dir():
-        return [path]
-    return sorted(Path(parent, name) for parent, _, names in os.walk(path, followlinks=True) for name in names)
+def files_below(folder: Path) -> list[Path]:
+    """List the files of a folder and of its subfolders, links to folders included, in a fixed order."""
+    return sorted(Path(parent, name) for parent, _, names in os.walk(folder, followlinks=True) for name in names)
 
 
 SUFFIX = ".txt"
@@ -374,11 +367,6 @@ def heights_file(path: Path) -> Path:
     return path.with_name(path.stem + HEIGHTS)
 
 
-def list_checksum(path: Path) -> str:
-    """Return the first 16 hex digits of the SHA-256 of a list's bytes."""
-    return f"sha256 {hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"
-
-
 def _names(line: str) -> list[str]:
     """Split a line at its blanks, up to a comment; what stands in double quotes is one name."""
     names = []
@@ -394,11 +382,7 @@ def _quoted(name: str) -> str:
 
 
 def _find(name: str, folder: Path, where: str) -> Path:
-    """Find the file or folder of a name: as it is, else with the suffix of a mesh or clip.
-
-    Raises:
-        InputError: there is none, or the name without suffix fits several files.
-    """
+    """Find the file or folder of a name: as it is, else with the suffix of a mesh or clip."""
     suffixes = dict.fromkeys((*mesh_suffixes(), *clip_suffixes()))
     for spelled in (name, name.replace("\\", "/")) if name else ():
         path = folder / spelled

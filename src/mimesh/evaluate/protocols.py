@@ -240,18 +240,15 @@ class Noise(Corrupted):
         return remesh_driving(pair, remesh.half(human(), pair.driving.vertices, rng))
 
     def noisy_pair(self, pair: Pair, amplitude: float, rng: np.random.Generator) -> Pair:
-        """Add uniform noise to the driving vertices, and the same noise to those that the baseline `copy` gets."""
-        vertices = with_noise(pair.driving.vertices, amplitude, rng)
+        """Add uniform noise to the driving vertices, and the same noise to those that the baseline `copy` gets.
+
+        It changes coordinates by up to `amplitude` times the mesh's radius (about the centroid).
+        """
+        vertices = pair.driving.vertices
+        radius = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).max()
+        vertices = vertices + amplitude * radius * rng.uniform(-1, 1, vertices.shape)
         driving = dataclasses.replace(pair.driving, vertices=vertices)
         return dataclasses.replace(pair, driving=driving, aligned=vertices)
-
-
-def with_noise(
-    vertices: Float[np.ndarray, "V 3"], amplitude: float, rng: np.random.Generator
-) -> Float[np.ndarray, "V 3"]:
-    """Add uniform noise to the coordinates of points, up to `amplitude` times their radius (about the centroid)."""
-    radius = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).max()
-    return vertices + amplitude * radius * rng.uniform(-1, 1, vertices.shape)
 
 
 MESHINGS = {"decimated": remesh.decimated, "retriangulated": remesh.retriangulated, "subdivided": remesh.subdivided}

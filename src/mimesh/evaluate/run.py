@@ -7,7 +7,6 @@ import dataclasses
 import datetime
 import hashlib
 import json
-import os
 import re
 import zlib
 from collections.abc import Callable, Mapping
@@ -32,9 +31,9 @@ from ..methods.find import (
     weights_path,
 )
 from .characters import Characters, characters, cross_body
-from .clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair, ClipsAniformer
+from .clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
-from .listed_pairs import ListedClips, ListedPairs, listed_pairs
+from .listed_pairs import ListedPairs, files_below, listed_pairs
 from .measure import EXTRA_INPUTS, Runtime, measure, measure_clip, open_network, run_on_clip, run_on_pair
 from .metrics import VERSION, pmd
 from .pairs import Pair
@@ -177,18 +176,14 @@ def _on_one_line(found: re.Match[str]) -> str:
     return re.sub(r"\n\s*", "", re.sub(r",\n\s*", ", ", found[0]))
 
 
-def is_of_clips(protocol: Protocol) -> bool:
-    """Return whether the trials of a protocol are clips."""
-    return isinstance(protocol, ClipsAniformer | ListedClips)
-
-
 def measure_trial(protocol: Protocol, trial: Pair, method: str, options: dict[str, Any]) -> dict[str, Any]:
     """Measure a method on one trial, a pair of meshes or a clip, and return its metrics with what identifies it."""
     labels = {"pair": pair_checksum(trial), "identity": trial.groups[0], "driving": trial.groups[1]}
     if isinstance(trial, RigTrial):
         return labels | measure_rig(trial, method)
-    measurement: Callable[..., dict[str, Any]] = measure_clip if is_of_clips(protocol) else measure
-    return labels | measurement(trial, method, **options)
+    if isinstance(trial, ClipPair):
+        return labels | measure_clip(trial, method, **options)
+    return labels | measure(trial, method, **options)
 
 
 class PartialReport:
@@ -255,8 +250,7 @@ def data_facts(protocol: Protocol, split: str, data: Path | None) -> dict[str, A
 
 def folder_checksum(folder: Path) -> str:
     """Return `files_checksum` of a folder and its subfolders; raise InputError if there are no files."""
-    # Protocols read through links to folders, which `Path.rglob` does not.
-    files = sorted(Path(parent, name) for parent, _, names in os.walk(folder, followlinks=True) for name in names)
+    files = files_below(folder)
     if not files:
         raise InputError(f"{folder}: expected a folder with files, found none; check --data")
     return files_checksum({str(path.relative_to(folder)): path for path in files})

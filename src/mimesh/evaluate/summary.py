@@ -59,10 +59,7 @@ def summary(method: str, kind: str, figures: list[dict[str, Any]], body: str = "
 
 
 def _distribution(name: str, figures: list[dict[str, Any]]) -> dict[str, float]:
-    """Compute mean, half of its 95 % interval, median, 90th percentile and maximum of a metric, by the key's ending.
-
-    One pair has no interval.
-    """
+    """Compute mean, half of its 95 % interval (none of one pair), median, 90th percentile and maximum, by key's end."""
     values = np.array([metrics[name] for metrics in figures])
     groups = [[metrics.get(label, str(k)) for k, metrics in enumerate(figures)] for label in ("identity", "driving")]
     return {

@@ -79,10 +79,7 @@ def _write_joint(
     order: list[int],
     indent: str = "",
 ) -> None:
-    """Append a joint and its descendants to the lines of the hierarchy, and their indices to `order`.
-
-    `order` is depth first, the order in which BVH lists the channels of each frame.
-    """
+    """Append a joint and its descendants to the lines of the hierarchy, and their indices, depth first, to `order`."""
     order.append(j)
     parent, children = parents[j], [k for k, other in enumerate(parents) if other == j]
     offset = rest[j] - (rest[parent] if parent >= 0 else 0.0)

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.budgets import lift_limits, limits_are_lifted
-from ..core.errors import LONGEST_MESSAGE, InputError, naming_options, on_command_line, one_line
+from ..core.errors import LONGEST_MESSAGE, InputError, damaged, naming_options, on_command_line, one_line
 from ..core.frame_buffer import Progress
 from ..core.system import end_with_parent, limit_process, limit_processor_time
 from .atomic import scratch_folder, temporary_folder
@@ -147,10 +147,7 @@ def child_result(
             raise InputError(f"{name}: expected a file that can be read, found {_reason(code, message, limits)}")
         size = target.stat().st_size if target.is_file() else 0
         if not 0 < size <= limits.output:
-            raise InputError(
-                f"{name}: expected up to {limits.output // MIB:,} MiB from its decoder, found {size:,} bytes; "
-                "the file is damaged, export it again"
-            )
+            raise damaged(name, f"up to {limits.output // MIB:,} MiB from its decoder", f"{size:,} bytes")
         yield target
 
 

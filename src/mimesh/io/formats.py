@@ -20,10 +20,7 @@ from .atomic import scratch_folder, whole_file
 
 
 def _of(module: str, function: str) -> Callable[..., Any]:
-    """Return a function of a module of this package, which is imported when the function is called.
-
-    Most runs need one or two of the formats.
-    """
+    """Return a function of a module that is imported when the function is called: most runs need few formats."""
 
     def call(*arguments: Any) -> Any:
         return getattr(importlib.import_module(f".{module}", __package__), function)(*arguments)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core.budgets import CORNERS
-from ..core.errors import InputError
+from ..core.errors import InputError, damaged
 from ..core.geometry import finite_or_zero, unit_vectors, vertex_normals
 from ..core.mesh import Material, Mesh, Part
 from ..core.printable import plain
@@ -249,10 +249,7 @@ def _find_keywords(lines: Sequence[bytes]) -> dict[bytes, list[int]]:
 
 
 def _logical_lines(data: bytes) -> list[bytes]:
-    """Split a file into lines with their line ends; a line that ends in a backslash is joined with the next.
-
-    Comments are not continued.
-    """
+    """Split a file into lines with their ends; one that ends in a backslash is joined with the next, but no comment."""
     lines = data.splitlines(keepends=True)
     if b"\\\n" not in data and b"\\\r" not in data:
         return lines
@@ -269,10 +266,7 @@ def _logical_lines(data: bytes) -> list[bytes]:
 def _read_corners(
     lines: Sequence[bytes], index: Sequence[int], path: Path
 ) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, "C 3"]]:
-    """Read the corner count of each face line, and the vertex, texture and normal index of every corner as written.
-
-    A missing index is 0.
-    """
+    """Read the corner count of each face line, and the three indices of every corner as written, 0 for none."""
     kept = without_comments([lines[i] for i in index])
     triangles = equal_rows(kept, 3)
     if triangles is not None:
@@ -292,10 +286,8 @@ def _read_corners(
             _parse_corners(row)
         except (ValueError, IndexError, OverflowError) as error:
             found = b" ".join(row).decode("utf-8", "replace")[:60]
-            raise InputError(
-                f"{path}: expected face corners such as 1, 1/2 or 1/2/3 in line {line_number(lines, i)}, "
-                f"found {found!r}; the file is damaged, export it again"
-            ) from error
+            expected = f"face corners such as 1, 1/2 or 1/2/3 in line {line_number(lines, i)}"
+            raise damaged(path, expected, repr(found)) from error
     raise AssertionError("corners that fail together fail alone")
 
 

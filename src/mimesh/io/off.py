@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Int
 
 from ..core.budgets import CORNERS
-from ..core.errors import InputError
+from ..core.errors import InputError, damaged
 from ..core.geometry import unit_vectors
 from ..core.mesh import Mesh
 from .atomic import whole_file
@@ -96,10 +96,8 @@ def _read_faces(
     for i, row, polygon in zip(index, rows, polygons, strict=True):
         if len(polygon) != int(row[0]) or (polygon and not 0 <= min(polygon) <= max(polygon) < vertex_count):
             found = b" ".join(row).decode("utf-8", "replace")[:60]
-            raise InputError(
-                f"{path}: expected a corner count and indices in 0..{vertex_count - 1}, "
-                f"found {found!r} in line {line_number(lines, i)}; the file is damaged, export it again"
-            )
+            found = f"{found!r} in line {line_number(lines, i)}"
+            raise damaged(path, f"a corner count and indices in 0..{vertex_count - 1}", found)
     sizes = np.array([len(polygon) for polygon in polygons], int)
     CORNERS.check(int(sizes.max(initial=0)), path)
     return np.array(list(chain.from_iterable(polygons)), np.int64)[fan_corners(sizes)[0]], sizes

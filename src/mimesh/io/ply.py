@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.budgets import CORNERS, ELEMENTS
-from ..core.errors import InputError
+from ..core.errors import InputError, damaged
 from ..core.geometry import finite_or_zero, unit_vectors
 from ..core.mesh import Material, Mesh, Part
 from .atomic import whole_file
@@ -105,10 +105,7 @@ def read_ply(path: Path) -> Mesh:
         raise InputError(f"{path}: expected a mesh, found a Gaussian splat, no mesh; make a mesh of it and give that")
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
         worst = faces.max() if faces.max() >= len(vertices) else faces.min()
-        raise InputError(
-            f"{path}: expected face indices in 0..{len(vertices) - 1}, found {worst}; "
-            "the file is damaged, export it again"
-        )
+        raise damaged(path, f"face indices in 0..{len(vertices) - 1}", worst)
     normals = _vectors(columns, ("nx", "ny", "nz"))
     normals = unit_vectors(finite_or_zero(normals)) if normals is not None else None
     return Mesh(
@@ -351,10 +348,7 @@ def _read_uniform(element: _Element, body: np.ndarray, start: int) -> tuple[list
 
 
 def _read_rows(element: _Element, body: np.ndarray, start: int) -> tuple[list[_Column], int] | None:
-    """Read an element row by row, for lists of any length; None where the body ends too early.
-
-    Returns the columns, and the place after the element.
-    """
+    """Read an element row by row; returns its columns and the place after it, None where the body ends too early."""
     values: list[list[np.ndarray]] = [[np.zeros(0, p.dtype)] for p in element.properties]
     counts: list[list[int]] = [[] for _ in element.properties]
     for _ in range(element.length if element.properties else 0):

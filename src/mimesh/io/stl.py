@@ -32,7 +32,10 @@ def read_stl(path: Path) -> Mesh:
     Raises:
         InputError: the file is truncated, or is no STL file.
     """
-    soup, parts = _read_soup(path)
+    data = path.read_bytes()
+    # Some exporters begin the free header of a binary file with `solid`, too: such a file has the size of a binary one.
+    is_text = data.lstrip()[:5].lower() == b"solid" and len(data) != _binary_size(data)
+    soup, parts = _read_text(data, path) if is_text else (_read_binary(data, path), ())
     merged, index = weld(soup)
     # `weld` sorts by position; renumber the vertices by the first corner that uses each.
     _, first, unique_index = np.unique(index, return_index=True, return_inverse=True)
@@ -51,20 +54,6 @@ def write_stl(mesh: Mesh, path: Path) -> None:
     records["corners"] = mesh.vertices[mesh.faces]
     with whole_file(path) as temporary:
         temporary.write_bytes(bytes(80) + len(records).to_bytes(4, "little") + records.tobytes())
-
-
-def _read_soup(path: Path) -> tuple[Float[np.ndarray, "C 3"], tuple[Part, ...]]:
-    """Read the corners of all triangles, and the solids of a text file as parts."""
-    data = path.read_bytes()
-    return _read_text(data, path) if _is_text(data) else (_read_binary(data, path), ())
-
-
-def _is_text(data: bytes) -> bool:
-    """Return whether a file is text: it begins with `solid`, and its size is not that of a binary file.
-
-    Some exporters also begin the free header of binary files with `solid`.
-    """
-    return data.lstrip()[:5].lower() == b"solid" and len(data) != _binary_size(data)
 
 
 def _binary_size(data: bytes) -> int:

@@ -95,12 +95,11 @@ def load(path: Path) -> Checkpoint:
     """
     try:
         with safe_open(path, "pt") as file:
-            header = json.loads((file.metadata() or {})["mimesh"])
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
+        header = read_header(path)
     except (OSError, SafetensorError, KeyError) as error:
         raise InputError(f"{path}: expected a checkpoint of `mimesh train`, found none ({error})") from error
-    config = recorded_config(json.loads(header["config"]), str(path))
-    position = json.loads(header["state"])
+    config, position = recorded_config(header["config"], str(path)), header["state"]
     if position.pop("version", 1) != VERSION:
         position |= {"best": float("inf"), "metrics": {}}
     position |= {key: tuple(position.get(key, ())) for key in ("before", "changes")}

@@ -265,7 +265,13 @@ def _joints_and_path(
     if "poses" in arrays:
         rotvec = _rows(arrays["poses"], "poses", 3 * len(JOINTS), path)
     else:
-        root, body = (_rows(_get(arrays, name, path), name, n, path) for name, n in (("root_orient", 3), _BODY))
+        for name in ("root_orient", "pose_body"):
+            if name not in arrays:
+                found = ", ".join(arrays) or "none of them"
+                raise InputError(
+                    f"{path}: expected poses, or root_orient and pose_body, found {found}; save '{name}' as well"
+                )
+        root, body = (_rows(arrays[name], name, n, path) for name, n in (("root_orient", 3), _BODY))
         parts = {"root_orient": root[:, :3], "pose_body": body[:, : _BODY[1]]}
         # Hands follow the body in SMPL+H; jaw and eyes come between them in SMPL-X.
         parts |= {name: _rows(arrays[name], name, n, path)[:, :n] for name, n in PARTS.items() if name in arrays}
@@ -303,14 +309,6 @@ def _lacking(arrays: dict[str, np.ndarray]) -> tuple[str, ...]:
     if not any(name in arrays for name in RATES):
         notes += (f"no frame rate: {DEFAULT_RATE:g} per second are taken, {option('fps', ...)} gives another",)
     return notes
-
-
-def _get(arrays: dict[str, np.ndarray], name: str, path: Path) -> np.ndarray:
-    """Look up an array; raise InputError if it is missing."""
-    if name not in arrays:
-        found = ", ".join(arrays) or "none of them"
-        raise InputError(f"{path}: expected poses, or root_orient and pose_body, found {found}; save '{name}' as well")
-    return arrays[name]
 
 
 def _rows(values: np.ndarray, name: str, width: int, path: Path) -> Float[np.ndarray, "T C"]:

@@ -191,11 +191,7 @@ def _channel(word: str, path: Path) -> tuple[str, int]:
 def _read_rows(
     text: str, line: int, channels: int, path: Path
 ) -> tuple[float, Float[np.ndarray, "T C"], tuple[str, ...]]:
-    """Parse the MOTION section: frame rate, one row of channel values per frame, and notes.
-
-    Args:
-        line: that the text begins in, from 1.
-    """
+    """Parse the MOTION section, which begins in a line (from 1): frame rate, a row of values per frame, and notes."""
     notes = ()
     if MINUS.search(text):
         text = MINUS.sub(" -", text)

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from ..bodies import RiggedBody
 from ..bodies.hands import hand_frames
 from ..bodies.joint_names import captured_fingers, finger_joints, followed_fingers, named_joints, require_joints
-from ..core.errors import InputError
+from ..core.errors import InputError, damaged
 from ..core.geometry import rotation_between, unit_vectors
 from ..core.mesh import LARGEST
 from ..core.normalization import turn
@@ -71,10 +71,8 @@ def retarget_skeleton(
     require_joints(index, NEEDED, source.joint_names, name or source.name)
     rest, (rotation, position) = source.rest(), source.world()
     if not all(np.abs(values).max() <= LARGEST for values in (rest, rotation, position)):
-        raise InputError(
-            f"{name or source.name}: expected positions and rotations of joints that are finite and up to {LARGEST:g}, "
-            "found others; the file is damaged, export it again"
-        )
+        expected = f"positions and rotations of joints that are finite and up to {LARGEST:g}"
+        raise damaged(name or source.name, expected, "others")
     zero_length = [joint for joint, tail in BONES.items() if not (rest[index[tail]] - rest[index[joint]]).any()]
     if zero_length:
         raise InputError(
@@ -101,12 +99,13 @@ def retarget_skeleton(
     path = position[:, index["Hips"]] @ axes.T * scale
     if grounded:
         at_rest = None
-        if (
-            stands_at_rest and standing and np.ptp(path, axis=0).max() > 0
-        ):  # hips that never move say nothing about the floor
+        # Hips that never move say nothing about the floor.
+        if stands_at_rest and standing and np.ptp(path, axis=0).max() > 0:
             hips = (source.offsets[0] + rest[index["Hips"]]) @ axes.T * scale
-            turned = [axes @ rest_rotation[joint] if joint in index else None for joint in body.joint_names]
-            at_rest = _rest_height(turned, hips, body)
+            turned = np.empty((1, *target.shape[1:]))  # joints that the source lacks go with their parents
+            for j, (joint, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
+                turned[:, j] = axes @ rest_rotation[joint] if joint in index else turned[:, parent]
+            at_rest = float(lowest(body, local_rotations(turned, body.parents), hips[None])[0])
         path = on_floor(path, target, body, at_rest)
     return Motion(name or source.name, body.joint_names, local_rotations(target, body.parents), path, source.fps)
 
@@ -221,14 +220,6 @@ def _hand_rotations(rest, index, rest_rotation):
         frames = hand_frames(placed, np.eye(3), side)
         found |= {name: rest_rotation[hand] @ frames[name] for name in joints}
     return found
-
-
-def _rest_height(turned, hips, body):
-    """Return the height of the body's lowest vertex in a source's rest pose; joints of None go with their parents."""
-    target = np.empty((1, len(turned), 3, 3))
-    for j, parent in enumerate(body.parents):
-        target[:, j] = target[:, parent] if turned[j] is None else turned[j]
-    return float(lowest(body, local_rotations(target, body.parents), hips[None])[0])
 
 
 def on_floor(

@@ -92,11 +92,8 @@ def rig_of_bones(
 
 def _person(rig: SkinnedCharacter, upright: Float[np.ndarray, "3 3"], front: str | None, name: str) -> HumanoidRig:
     facing = "+z" if front else standing_facing(rig.turned(upright), {}, "+z", name, fallen=True)
-
-    def poses() -> np.ndarray:
-        return np.zeros((0, len(rig.parents), 4, 4))
-
-    return humanoid_rig(rig, facing_rotation(facing) @ upright, {}, poses, name)[0]
+    no_poses = np.zeros((0, len(rig.parents), 4, 4))
+    return humanoid_rig(rig, facing_rotation(facing) @ upright, {}, lambda: no_poses, name)[0]
 
 
 def _animal(rig: SkinnedCharacter, upright: Float[np.ndarray, "3 3"], front: str | None, name: str) -> HumanoidRig:

@@ -54,7 +54,8 @@ class Corrections:
         corrected = (self.identity, self.driving)
         names = {name for corrections in corrected if corrections is not None for name in corrections.positions}
         of_bodies = {body: set(load_body(body).joint_names) for body in HIDDEN}
-        unique = [body for body, own in of_bodies.items() if names & own.difference(*_others(of_bodies, body))]
+        owners = [[body for body, own in of_bodies.items() if name in own] for name in names]
+        unique = sorted({bodies[0] for bodies in owners if len(bodies) == 1})
         return unique[0] if len(unique) == 1 else None
 
     @classmethod
@@ -144,10 +145,6 @@ def shown_bones(name: str = "human") -> dict[str, str | None]:
 def correctable_joints() -> tuple[str, ...]:
     """List the joints of all shipped bodies."""
     return tuple(dict.fromkeys(name for body in HIDDEN for name in load_body(body).joint_names))
-
-
-def _others(of_bodies: dict[str, set[str]], body: str) -> list[set[str]]:
-    return [names for other, names in of_bodies.items() if other != body]
 
 
 def _read(given: GivenJoints, source: str) -> JointCorrections | None:

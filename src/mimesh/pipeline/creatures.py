@@ -12,7 +12,7 @@ from ..bodies.rig_matching import Creature, CreatureMotion, RigMatch, match_rigs
 from ..core.errors import InputError, option
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import ORIENTATIONS, ROTATIONS, parse_axis
-from ..io.gltf.animation import AnimatedValues, sample_nodes
+from ..io.gltf.animation import AnimatedValues, sample_joints
 from ..io.gltf.own_rig import FileRig, GltfJoints, has_rig, read_file_rig
 from ..mime.model import Mime
 from .file_rigs import Rigs, read_rigs
@@ -61,8 +61,7 @@ class MatchedCreatures:
             InputError: the driving has NaN or infinity.
         """
         document, nodes = self.joints.document, self.driving.nodes
-        blocks = sample_nodes(document, self.joints.channels, self.joints.times)
-        world = np.concatenate([matrices[:, nodes] for _, matrices in blocks])
+        world = sample_joints(document, self.joints.channels, self.joints.times, nodes)
         if not np.isfinite(world).all():
             raise InputError(f"{document.path}: expected finite joints, found NaN or infinity; export it again")
         rest = self.driving.scene.T_world_node[nodes]

@@ -96,27 +96,24 @@ def rig_facts(mesh: Mesh, find: FindJoints | None = None) -> RigFacts | None:
     except NO_PERSON as error:
         with contextlib.suppress(InputError):
             animal = read_own_rig(at_rest, body="quadruped").humanoid
-            stands = (
-                f"up {axis_name(animal.turn[1])}, front {axis_name(animal.turn[2])}, a four-legged animal by its rig"
-            )
-            known = f"{len(animal.character.parents)} joints, {len(animal.joints)} of a four-legged animal known"
-            return RigFacts(True, known, stands)
+            return _facts(animal, "a four-legged animal", f"{len(animal.joints)} of a four-legged animal known")
         if not isinstance(error, UnnamedJoints):
             return RigFacts(False, str(error))
         if find is None:
             return RigFacts(True, UNNAMED)
         try:
-            return _person_facts(read_own_rig(at_rest, find).humanoid, " whose names say nothing")
+            person = read_own_rig(at_rest, find).humanoid
+            return _facts(person, "a person", known_joints(person.joints), " whose names say nothing")
         except InputError as not_found:
             return RigFacts(False, str(not_found))
     except InputError as error:
         return RigFacts(False, str(error))
-    return _person_facts(humanoid)
+    return _facts(humanoid, "a person", known_joints(humanoid.joints))
 
 
-def _person_facts(humanoid: HumanoidRig, names: str = "") -> RigFacts:
-    stands = f"up {axis_name(humanoid.turn[1])}, front {axis_name(humanoid.turn[2])}, a person by its rig"
-    return RigFacts(True, f"{len(humanoid.character.parents)} joints{names}, {known_joints(humanoid.joints)}", stands)
+def _facts(rig: HumanoidRig, kind: str, known: str, names: str = "") -> RigFacts:
+    stands = f"up {axis_name(rig.turn[1])}, front {axis_name(rig.turn[2])}, {kind} by its rig"
+    return RigFacts(True, f"{len(rig.character.parents)} joints{names}, {known}", stands)
 
 
 def known_joints(names: Iterable[str]) -> str:

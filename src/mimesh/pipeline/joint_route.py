@@ -218,10 +218,7 @@ class JointRoute(Placed):
         return {key: None if speed is None else speed / height for key, speed in zip(keys, speeds, strict=True)}
 
     def _influence_deviation(self, limited: Retarget, posed: PosedJoints) -> float:
-        """Measure how far vertices are from where all their weights take them, in at most KEYFRAMES frames.
-
-        In sizes of the mesh: the longest side of the bounding box.
-        """
+        """Measure how far vertices are from where all their weights take them, over the longest side of the mesh."""
         largest = 0.0
         for t in evenly_spread(len(self.clip), KEYFRAMES):
             pose = posed.rotation[t], posed.root[t]

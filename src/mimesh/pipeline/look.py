@@ -350,8 +350,13 @@ def reorient(
     if not (confidence.fitted and others):
         return decided
     coarse = coarse_mesh(mesh)
-    fits = [(other, _fit(mime, coarse, other)) for other in (decided, *others)]
-    best, nearest = min(fits, key=lambda found: _shape_cost(found[1]))
+    facing = [facing_front(mime, coarse, other, known=True)[0] for other in (decided, *others)]
+    fits = [
+        (other, mime.fit(normalised(coarse, front))) for other, front in zip((decided, *others), facing, strict=True)
+    ]
+    # The entropy of the weights (nats) is larger where the shapes of body and surface differ.
+    costs = [fit.weight_entropy + SHAPE_WEIGHT * fit.features()["fit_distance"] for _, fit in fits]
+    best, nearest = fits[int(np.argmin(costs))]
     refused = fits[0][1].misfit > REJECTION_THRESHOLD
     return decided if refused and nearest.misfit > MAX_OTHER_KIND else _present_or(norm, best)
 
@@ -379,17 +384,6 @@ def standing_orientations(predictions: list[OrientedPrediction]) -> list[Normali
         for prediction in best.values()
         if prediction.entropy <= lowest + OPEN and axis_name(prediction.hips[:, 1]) == "+y"
     ]
-
-
-def _fit(mime: Mime, mesh: Mesh, norm: Normalization) -> Confidence:
-    """Fit a body to a mesh in an orientation, in which it faces the front."""
-    facing, _ = facing_front(mime, mesh, norm, known=True)
-    return mime.fit(normalised(mesh, facing))
-
-
-def _shape_cost(fit: Confidence) -> float:
-    """Return the entropy of the weights (nats), larger where the shapes of body and surface differ."""
-    return fit.weight_entropy + SHAPE_WEIGHT * fit.features()["fit_distance"]
 
 
 class OrientedPrediction(NamedTuple):

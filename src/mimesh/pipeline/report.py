@@ -226,7 +226,8 @@ def quality(identity: Mesh, moved: LazyFrames) -> dict[str, Any]:
     most = max(2, min(MOST_FRAMES, MOST_POINTS // len(identity.vertices)))
     for vertices in moved.at(evenly_spread(len(moved), most)):
         posed = edge_lengths(vertices, pairs)
-        stretches.append(_largest_stretches(edge_stretch(lengths, posed)))
+        stretch = edge_stretch(lengths, posed)
+        stretches.append((stretch.max(initial=1.0), np.quantile(stretch, 0.99) if stretch.size else 1.0))
         if (share := torn_share(lengths, posed)) > torn:
             torn, most_torn = share, posed
     largest, p99 = np.max(stretches, axis=0)
@@ -251,11 +252,6 @@ def edge_stretch(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> 
     # Twice as long and half as long are the same stretch; the bound keeps collapsed edges finite.
     ratio = np.maximum(new[measured] / old[measured], 1e-6)
     return np.maximum(ratio, 1 / ratio)
-
-
-def _largest_stretches(stretch: Float[np.ndarray, " S"]) -> tuple[float, float]:
-    """Return the largest stretch of a frame and its 99th percentile."""
-    return float(stretch.max(initial=1.0)), float(np.quantile(stretch, 0.99)) if stretch.size else 1.0
 
 
 def torn_share(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> float:

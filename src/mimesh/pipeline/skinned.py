@@ -197,10 +197,7 @@ def _save_on_own_rig(
 
 
 def _own_deviation(result: ClipResult) -> float:
-    """Measure the largest distance of a vertex, over the mesh's size, between an animation of nodes and its result.
-
-    Only CHECKED_FRAMES frames are compared.
-    """
+    """Measure how far vertices of an animation of nodes are from its result at most, over the mesh's size."""
     own, chosen = result.own, evenly_spread(len(result.frames), CHECKED_FRAMES)
     assert own is not None
     pairs = zip(own.vertices(chosen), result.frames.at(chosen), strict=True)

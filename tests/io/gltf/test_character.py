@@ -19,7 +19,7 @@ from mimesh.bodies import load_body
 from mimesh.bodies.joint_names import other_side
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh
-from mimesh.io.gltf.character import read_rigged_animal, read_rigged_character
+from mimesh.io.gltf.character import read_rigged_character
 from mimesh.io.gltf.own_rig import read_own_rig
 from mimesh.io.gltf.vrm import VRM_BONES
 
@@ -156,7 +156,7 @@ def frames(made, count: int = 3):
 def test_an_animal_is_read_with_its_joints_and_clips(detached, tmp_path):
     made = animal(0, bones(4), detached)
     motion = frames(made)
-    found = read_rigged_animal(made.write(tmp_path / "cow.glb", {"go": motion}), "pack")
+    found = read_rigged_character(made.write(tmp_path / "cow.glb", {"go": motion}), "pack", body="quadruped")
     assert (found.meta.body_class, found.meta.facing, found.meta.pack) == ("quadruped", "+z", "pack")
     assert list(found.clips) == ["go"]
     for name in ("LeftForearm", "RightShin", "LeftToes", "Neck1", "Head", "Tail3"):
@@ -168,11 +168,11 @@ def test_an_animal_is_read_with_its_joints_and_clips(detached, tmp_path):
 
 def test_an_animal_is_turned_to_face_z(tmp_path):
     made = animal(0)
-    straight = read_rigged_animal(made.write(tmp_path / "a.glb", {"go": frames(made, 2)}))
+    straight = read_rigged_character(made.write(tmp_path / "a.glb", {"go": frames(made, 2)}), body="quadruped")
     for degrees, facing in ((180, "-z"), (90, "+x")):
         turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
         path = made.write(tmp_path / "b.glb", {"go": frames(made, 2)}, turn=turn)
-        turned = read_rigged_animal(path)
+        turned = read_rigged_character(path, body="quadruped")
         assert (turned.meta.facing, list(turned.clips)) == (facing, ["go"])
         assert turned.joints == straight.joints
         np.testing.assert_allclose(turned.rig.joints, straight.rig.joints, atol=1e-5)
@@ -192,4 +192,4 @@ def test_a_person_and_an_animal_are_no_rigs_of_the_other_body(tmp_path):
     with pytest.raises(InputError, match=r"man\.glb: expected"):
         read_own_rig(load_mesh(rigs.character(tmp_path / "man.glb")), body="quadruped")
     with pytest.raises(InputError, match=r"man\.glb: expected"):
-        read_rigged_animal(tmp_path / "man.glb")
+        read_rigged_character(tmp_path / "man.glb", body="quadruped")

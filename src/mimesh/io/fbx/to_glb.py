@@ -27,13 +27,13 @@ import numpy as np
 import ufbx
 from jaxtyping import Float, Int
 
-from ...core.errors import InputError
+from ...core.errors import InputError, damaged
 from ...core.geometry import continuous_quaternions
 from ..beside import is_there
 from ..gltf.animation import AnimationChannel, add_animation
 from ..gltf.check import ARRAY_BUFFER
 from ..gltf.document import image_type
-from ..gltf.draft import Draft, NumberTooLarge, accessor_bounds
+from ..gltf.draft import PER_SET, Draft, NumberTooLarge, accessor_bounds
 from ..gltf.scene import DEFAULT_TRS
 from ..polygons import fan_corners
 from ..timing import DEFAULT_FPS, HIGHEST_FPS, LONGEST, frame_count
@@ -57,8 +57,6 @@ OPTIONS = {
 SAME = 1e-6
 """Largest difference, relative to values above 1, between a channel and the node's own value that counts as none."""
 PATHS = ("translation", "rotation", "scale")
-INFLUENCES = 4
-"""Influences of a vertex in one pair of attributes JOINTS_n and WEIGHTS_n (glTF 2.0, 3.7.3.1)."""
 ROUGHNESS = 0.9
 """Roughness of materials that state none, as in other files that this package writes."""
 MOST_PIXELS = 2**28
@@ -81,9 +79,7 @@ def write_glb(source: Path, target: Path) -> None:
     try:
         _draft(scene, source).save(target.with_suffix(".glb"))
     except NumberTooLarge as error:
-        raise InputError(
-            f"{source}: expected finite numbers up to 3.4e38, found others; the file is damaged, export it again"
-        ) from error
+        raise damaged(source, "finite numbers up to 3.4e38", "others") from error
     target.with_suffix(".glb").rename(target)
 
 
@@ -153,10 +149,7 @@ def _node(node: Any) -> dict[str, Any]:
 def _add_meshes(
     draft: Draft, nodes: list[Any], materials: MaterialWriter
 ) -> dict[int, tuple[list[int], MorphChannels]]:
-    """Add the meshes of all visible nodes, or of all where none is visible.
-
-    Returns for each mesh with blend shapes the nodes that show it, and the shapes.
-    """
+    """Add the meshes of visible nodes, else of all; returns for each with blend shapes its nodes, and the shapes."""
     shown = [(index, node, mesh) for index, node in enumerate(nodes) if (mesh := own(node.mesh)) is not None]
     visible = [entry for entry in shown if entry[1].visible]
     splits: dict[int, SeamSplit | None] = {}
@@ -256,10 +249,7 @@ class MorphChannels:
 
 
 def _piecewise_weights(weights: Float[np.ndarray, " T"], knots: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T K"]:
-    """Return the weights of the shapes of a channel: the result is linear between zero and the shapes, and beyond.
-
-    At weight `knots[k]` shape k has weight 1 and all others 0; at weight 0 all have 0.
-    """
+    """Return the weights of a channel's shapes: linear between zero and the shapes, shape k alone at `knots[k]`."""
     order = np.argsort(np.append(knots, 0.0), kind="stable")
     places = np.append(knots, 0.0)[order]
     upper = np.clip(np.searchsorted(places, weights, side="right"), 1, len(knots))
@@ -369,15 +359,8 @@ def _add_skin(
         return None
     matrices = np.stack(matrices) @ np.linalg.inv(T_world_mesh)
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), np.finfo(float).tiny)
-    attributes = {}
-    kind, component = ("<u1", 5121) if len(joints) < 256 else ("<u2", 5123)
-    for number in range(chosen.shape[1] // INFLUENCES):
-        columns = slice(number * INFLUENCES, (number + 1) * INFLUENCES)
-        index = np.ascontiguousarray(chosen[split.position_of, columns].astype(kind))
-        accessor = {"componentType": component, "count": len(index), "type": "VEC4"}
-        view = draft.add_view(index, target=ARRAY_BUFFER)
-        attributes[f"JOINTS_{number}"] = draft.add_accessor({"bufferView": view, **accessor})
-        attributes[f"WEIGHTS_{number}"] = draft.add_floats(weights[split.position_of, columns], ARRAY_BUFFER)
+    chosen = chosen.astype("<u1" if len(joints) < 256 else "<u2")
+    attributes = draft.add_influences(chosen[split.position_of], weights[split.position_of])
     skins = draft.gltf.setdefault("skins", [])
     skins.append({"inverseBindMatrices": draft.add_matrices(matrices), "joints": joints})
     return attributes, len(skins) - 1
@@ -404,7 +387,7 @@ def _influences(
     """Return joints and weights of all influences of each position, largest first, K a multiple of four."""
     of_vertex, pairs = array(deformer.vertices, 3)[:count], array(deformer.weights, 2)
     numbers = of_vertex[:, 1].astype(np.int64)
-    columns = np.arange(-(-max(int(numbers.max(initial=0)), 1) // INFLUENCES) * INFLUENCES)
+    columns = np.arange(-(-max(int(numbers.max(initial=0)), 1) // PER_SET) * PER_SET)
     index = of_vertex[:, :1].astype(np.int64) + columns
     used = columns < numbers[:, None]
     rows = pairs[np.where(used, index, 0)] if len(pairs) else np.zeros((*index.shape, 2))

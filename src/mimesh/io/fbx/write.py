@@ -232,12 +232,7 @@ def _nearest_joints(document: Document, nodes: list[int], joints: set[int]) -> d
 
 
 def _plain_materials(draft: Draft, document: Document) -> dict[str, list[dict[str, Any]]]:
-    """Rename the materials and images of a draft, and list what the script is to make of each.
-
-    Returns:
-        "materials", each with "key" (its name in the draft), "name", "color" (RGB), "alpha" and "image" (the key of the
-        base colour's image, or None); "images", each with "key" and the file name "name".
-    """
+    """Rename the materials and images of a draft, and list what the script is to make of each."""
     images = [{"key": IMAGE.format(number), "name": name} for number, name in enumerate(_image_names(document))]
     materials = []
     for number, entry in enumerate(draft.gltf.get("materials", [])):

@@ -153,10 +153,11 @@ def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
     """List what is lost or changed when the file is written again, one line each."""
     gltf = document.gltf
     notes = []
-    dropped = [_count_text(len(gltf.get(f"{name}s", [])), name) for name in ("skin", "animation")]
-    dropped.append("the blend shapes" * any("targets" in primitive for primitive in list_primitives(gltf)))
-    if any(dropped):
-        notes.append(f"dropped {' and '.join(filter(None, dropped))} that the file had")
+    counts = {name: len(gltf.get(f"{name}s", [])) for name in ("skin", "animation")}
+    dropped = [f"the {name}" if count == 1 else f"{count} {name}s" for name, count in counts.items() if count]
+    dropped += ["the blend shapes"] * any("targets" in primitive for primitive in list_primitives(gltf))
+    if dropped:
+        notes.append(f"dropped {' and '.join(dropped)} that the file had")
     # Instances of one mesh get copies when written, because each is deformed on its own.
     nodes = list(dict.fromkeys(span.node for span in rest.vertex_ranges))
     meshes = {gltf["nodes"][node]["mesh"] for node in nodes}
@@ -168,7 +169,3 @@ def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
         if not is_supported(str(name)):
             notes.append(f"kept the data of extension {name} as it is: it does not follow the new shape")
     return tuple(notes)
-
-
-def _count_text(number: int, name: str) -> str:
-    return "" if not number else f"the {name}" if number == 1 else f"{number} {name}s"

@@ -18,11 +18,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...core.budgets import FRAMES, KEYS, POSED_JOINTS
-from ...core.errors import InputError, option
+from ...core.errors import InputError, damaged, option
 from ...core.geometry import continuous_quaternions
 from ...core.rig import local_rotations
 from ..timing import LONGEST, RATES, frame_count, lie_on, sample_rate, usual_rate
-from .check import damaged
 from .document import Document, read_floats
 from .draft import Draft
 from .read import RestScene, VertexRange, get_primitive

@@ -32,16 +32,22 @@ from ...bodies.character_limbs import (
     name_limb_joints,
     name_sided_joints,
 )
-from ...bodies.character_pool import CharacterClip, CharacterMeta, PoolCharacter, facing_rotation, sampled_poses
+from ...bodies.character_pool import (
+    CLASSES,
+    CharacterClip,
+    CharacterMeta,
+    PoolCharacter,
+    facing_rotation,
+    sampled_poses,
+)
 from ...bodies.joint_names import ancestors, without_fingers
 from ...bodies.skinned_character import SkinnedCharacter
-from ...core.errors import InputError
+from ...core.errors import InputError, damaged
 from ...core.geometry import nearest_rotation
 from ...core.mesh import Mesh, check_mesh
 from ...motions.animal_rig import animal_facing
 from ...motions.posed_rest import action_front, on_all_fours, rests_in_action
 from .animation import animated_nodes, animation_names, frame_times, read_channels, sample_joints
-from .check import damaged
 from .document import Document, open_document
 from .motion import PLAYED_PATHS, bind_poses, is_motion, rest_matrices
 from .read import RestScene, read_rest, rig_on_nodes, skin_joints
@@ -74,44 +80,35 @@ AXES = {"+z": (0, 1), "-z": (0, -1), "+x": (1, 0), "-x": (-1, 0)}
 """Horizontal direction (x, z) of each facing."""
 
 
-def read_rigged_character(path: str | Path, pack: str = "", licence: str = "") -> PoolCharacter:
-    """Read a character, turned to face +z, with all of its clips.
+def read_rigged_character(path: str | Path, pack: str = "", licence: str = "", body: str = "human") -> PoolCharacter:
+    """Read a character, turned to face +z, with all of its clips, which are in its file.
 
     Args:
         licence: of files that do not state one.
+        body: `human`, or `quadruped` of an animal, which has no limbs.
 
     Raises:
-        InputError: a damaged file, no mesh, no limbs by name, or a character that does not stand upright.
+        InputError: a damaged file, no mesh, no limbs by name, a character that does not stand upright, or an animal
+            without four legs on one skeleton.
     """
-    path = Path(path)
-    document, mesh, scene = _open_rigged(path)
-    standing = read_standing(mesh, document, scene)
-    turn, nodes = standing.turn, standing.nodes
-    rig = carried_part(standing.rig).turned(turn)
-    joints = name_limb_joints(rig, path, without_fingers(standing.known))
-    clips = read_clips(document, standing.scene.T_world_node[nodes], nodes, rig.parents)
-    file_parents, poses = rig.parents, sampled_poses(clips, rig, turn)
-    rig, joints, order = attach_feet(rig, joints, poses, path)
-    meta = _meta(document, pack, licence, "humanoid", standing.facing, bool(clips))
-    return PoolCharacter(meta, rig, joints, find_limbs(rig, joints, path), clips, file_parents, order, turn)
-
-
-def _open_rigged(path: Path) -> tuple[Document, Mesh, RestScene]:
-    """Open the file of a character, and read its scene at rest."""
+    path, of_animal = Path(path), body == "quadruped"
     document = open_document(path)
     if is_motion(document):
         raise InputError(f"{path}: expected a rigged mesh, found animations without a mesh; give them with --clips")
     mesh, scene = read_rest(document)
-    return document, check_mesh(mesh, path), scene
-
-
-def _meta(document: Document, pack: str, licence: str, body_class: str, facing: str, has_clips: bool) -> CharacterMeta:
-    """Describe a character of a file, which holds its own clips."""
-    path, (maker, stated) = document.path, read_origin(document)
-    clips_file = str(path) if has_clips else ""
-    return CharacterMeta(
-        path.stem, pack, maker, stated or licence or NOT_STATED, "", body_class, "train", facing, clips_file
-    )
+    standing = (read_standing_animal if of_animal else read_standing)(check_mesh(mesh, path), document, scene)
+    turn, nodes = standing.turn, standing.nodes
+    rig = carried_part(standing.rig).turned(turn)
+    clips, file_parents = read_clips(document, standing.scene.T_world_node[nodes], nodes, rig.parents), rig.parents
+    (maker, stated), clips_file = read_origin(document), str(path) if clips else ""
+    licence = stated or licence or NOT_STATED
+    meta = CharacterMeta(path.stem, pack, maker, licence, "", CLASSES[body], "train", standing.facing, clips_file)
+    if of_animal:
+        joints, order = name_animal_joints(rig, path), np.arange(len(rig.parents))
+        return PoolCharacter(meta, rig, joints, {}, clips, file_parents, order, turn)
+    joints = name_limb_joints(rig, path, without_fingers(standing.known))
+    rig, joints, order = attach_feet(rig, joints, sampled_poses(clips, rig, turn), path)
+    return PoolCharacter(meta, rig, joints, find_limbs(rig, joints, path), clips, file_parents, order, turn)
 
 
 def read_clips(
@@ -407,26 +404,6 @@ def carried_part(rig: SkinnedCharacter) -> SkinnedCharacter:
     return rig.part(faces)
 
 
-def read_rigged_animal(path: str | Path, pack: str = "", licence: str = "") -> PoolCharacter:
-    """Read an animal, turned to face +z, with all of its clips.
-
-    Args:
-        licence: of files that do not state one.
-
-    Raises:
-        InputError: a damaged file, no mesh, or no four legs on one skeleton.
-    """
-    path = Path(path)
-    document, mesh, scene = _open_rigged(path)
-    standing = read_standing_animal(mesh, document, scene)
-    turn, nodes = standing.turn, standing.nodes
-    rig = carried_part(standing.rig).turned(turn)
-    clips = read_clips(document, standing.scene.T_world_node[nodes], nodes, rig.parents)
-    meta = _meta(document, pack, licence, "quadruped", standing.facing, bool(clips))
-    joints, order = name_animal_joints(rig, path), np.arange(len(rig.parents))
-    return PoolCharacter(meta, rig, joints, {}, clips, rig.parents, order, turn)
-
-
 def read_standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> StandingCharacter:
     """Read the rig of a scene in its bind pose, or in the pose of the file's nodes where it stands in none.
 
@@ -435,11 +412,11 @@ def read_standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> St
     Raises:
         InputError: there are no four legs on one skeleton.
     """
+
+    def standing(scene: RestScene) -> StandingCharacter:
+        rig, nodes = rig_at_rest(mesh, document, scene)
+        return StandingCharacter(rig, nodes, animal_facing(carried_part(rig), document.path), {}, scene)
+
     with contextlib.suppress(InputError):
-        return _standing_animal(mesh, document, dataclasses.replace(scene, T_world_node=rest_matrices(document)))
-    return _standing_animal(mesh, document, scene)
-
-
-def _standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> StandingCharacter:
-    rig, nodes = rig_at_rest(mesh, document, scene)
-    return StandingCharacter(rig, nodes, animal_facing(carried_part(rig), document.path), {}, scene)
+        return standing(dataclasses.replace(scene, T_world_node=rest_matrices(document)))
+    return standing(scene)

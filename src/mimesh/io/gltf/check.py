@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...core.budgets import DEPTH, FACES, JOINTS, MORPHED, SHOWN, VERTICES
-from ...core.errors import InputError
+from ...core.errors import InputError, damaged
 
 COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """NumPy dtype of each `componentType` (3.6.2.2 Accessor Data Types); buffers are little endian."""
@@ -274,11 +274,6 @@ def list_primitives(gltf: dict[str, Any]) -> list[dict[str, Any]]:
 def attribute_accessors(primitive: dict[str, Any]) -> list[int]:
     """List the accessors of a primitive's attributes, and of those of its morph targets."""
     return [index for owner in (primitive["attributes"], *primitive.get("targets", [])) for index in owner.values()]
-
-
-def damaged(path: object, expected: str, found: object) -> InputError:
-    """Return the error for a file that contradicts the standard, or itself."""
-    return InputError(f"{path}: expected {expected}, found {found}; the file is damaged, export it again")
 
 
 def _check_version(gltf: dict[str, Any], path: Path) -> None:

@@ -55,10 +55,7 @@ def add_morph_animation(
 def _frame_deltas(
     groups: list[PrimitiveGroup], mesh: Mesh, clip: Clip, base: Float[np.ndarray, "V 3"], progress: Progress | None
 ) -> Iterator[list[Deltas]]:
-    """Yield for each frame the differences of its attributes from those of `base`, one entry a group.
-
-    Attributes of the base are rounded to float32 first, as the file has them, so that rounding errors do not add up.
-    """
+    """Yield how the attributes of each frame differ from those of `base`, rounded to float32 as the file has them."""
     normals_of = None
     if any(group.has_normals for group in groups):
         assert mesh.corner_normals is not None
@@ -91,10 +88,7 @@ def _one_target_per_frame(frames: Iterable[list[Deltas]], groups: list[Primitive
 def _local_attributes(
     group: PrimitiveGroup, vertices: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "C 3"] | None
 ) -> Deltas:
-    """Return positions and normals of a group's elements in the frame of its node, from world ones of the Mesh.
-
-    Elements that no face uses get a zero normal, so that their delta is zero.
-    """
+    """Return positions and normals of a group's elements in their node's frame; a normal without a face is zero."""
     linear, origin = group.T_world_local[:3, :3], group.T_world_local[:3, 3]
     local = {"POSITION": (vertices[group.vertex_of] - origin) @ np.linalg.inv(linear).T}
     if group.has_normals and normals is not None:

@@ -88,7 +88,9 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
         unweighted_parts(mine, identity.rest)
     except InputError:
         return None
-    joints = _joint_nodes(mine)
+    # Of a file without skins, joints are the nodes that animations move.
+    in_skins = {node for skin in mine.gltf.get("skins", []) for node in skin["joints"]}
+    joints = sorted(in_skins or animated_nodes(mine, PLAYED_PATHS))
     pairs = _pairs(mine, theirs, joints)
     if len(pairs) < max(len(joints), 2):
         return None
@@ -195,12 +197,6 @@ def _since_rest(
 
     own, other = (Rotation.from_matrix(nearest_rotation(rest[:3, :3])) for rest in (mine, theirs))
     return normalized_quaternions((own * other.inv() * Rotation.from_quat(quaternions)).as_quat())
-
-
-def _joint_nodes(document: Document) -> list[int]:
-    """List the nodes that are joints of skins; of a file without skins, those that animations move."""
-    joints = {node for skin in document.gltf.get("skins", []) for node in skin["joints"]}
-    return sorted(joints or animated_nodes(document, PLAYED_PATHS))
 
 
 def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int]:

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
 from ...core.budgets import EMPTY, JOINED, UNPACKED
-from ...core.errors import InputError
+from ...core.errors import InputError, damaged
 from ...core.frame_buffer import LARGE
 from ..beside import find_beside
 from ..fbx import fbx_as_glb
@@ -34,7 +34,6 @@ from .check import (
     attribute_accessors,
     check_document,
     check_sizes,
-    damaged,
     element_size,
     list_primitives,
 )

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Integer
 
 from ...core.errors import InputError
 from .check import ARRAY_BUFFER, COMPONENT_TYPES, ELEMENT_ARRAY_BUFFER, is_supported
@@ -22,6 +22,8 @@ from .document import BINARY_CHUNK, JSON_CHUNK, Document, element_bytes, image_t
 
 ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 """Accessor `type` by number of components."""
+PER_SET = 4
+"""Joints and weights in each of JOINTS_n and WEIGHTS_n, which are always VEC4 (3.7.3.3 Skinned Mesh Attributes)."""
 LARGEST_GLB = 2**32 - 1
 """Largest number of bytes that the header of a GLB file can state (4.4.2 Header)."""
 ENCODE_BLOCK = 3 * 2**20
@@ -103,6 +105,19 @@ class Draft:
         matrices = matrices.copy()
         matrices[:, 3] = [0, 0, 0, 1]  # exactly, as 3.7.3.1 demands, in spite of rounding
         return self.add_array(matrices.swapaxes(-1, -2).astype("<f4"), "MAT4")  # column-major (3.6.2.4)
+
+    def add_influences(self, joints: Integer[np.ndarray, "N K"], weights: Float[np.ndarray, "N K"]) -> dict[str, int]:
+        """Append the joints, in their own type, and the weights of vertices in sets JOINTS_n and WEIGHTS_n.
+
+        Returns:
+            The accessors by attribute name.
+        """
+        attributes = {}
+        for number in range(joints.shape[1] // PER_SET):
+            columns = slice(number * PER_SET, (number + 1) * PER_SET)
+            attributes[f"JOINTS_{number}"] = self.add_array(joints[:, columns], "VEC4", ARRAY_BUFFER)
+            attributes[f"WEIGHTS_{number}"] = self.add_floats(weights[:, columns], ARRAY_BUFFER)
+        return attributes
 
     def add_indices(self, indices: np.ndarray) -> int:
         """Append an index accessor, 16 bits wide where that is enough; returns its index.

@@ -249,13 +249,10 @@ def _drop_skins_and_animations(copier: AccessorCopier) -> None:
 def _edit_primitives(
     edit: _Edit, node: int, vertex_ranges: list[VertexRange], T_world_local: Float[np.ndarray, "4 4"]
 ) -> tuple[list[dict[str, Any]], list[PrimitiveGroup]]:
-    """Rewrite the primitives of `node` without skinning, for a node with world transform `T_world_local`.
+    """Rewrite the primitives of `node` without skinning; returns them, and the groups of those that show the Mesh.
 
     Those of `vertex_ranges` get the vertices of the new mesh. Others (lines, points) keep their world positions, and
     are copied unchanged where these need no new accessors.
-
-    Returns:
-        The JSON of all primitives of the node's mesh, and the groups of those that show the Mesh.
     """
     old = edit.document.gltf["meshes"][edit.document.gltf["nodes"][node]["mesh"]]["primitives"]
     new: dict[int, dict[str, Any]] = {}
@@ -318,10 +315,7 @@ def _corner_of_elements(edit: _Edit, span: VertexRange, members: list[int]) -> I
 def _new_normals(
     edit: _Edit, span: VertexRange, primitive: int, corner_of: Int[np.ndarray, " N"]
 ) -> Float[np.ndarray, "N 3"] | None:
-    """Return the normals of a range's elements in world coordinates; None where the file has none.
-
-    Elements that no face uses keep those they had at rest.
-    """
+    """Return the new world normals of a range's elements, those at rest where no face uses one; None without any."""
     normals = read_rest_normals(edit.document, span.node, primitive, edit.rest.T_world_node)
     if normals is not None and edit.mesh.corner_normals is not None:
         used = corner_of >= 0
@@ -335,10 +329,7 @@ def _add_attributes(
     points: Float[np.ndarray, "N 3"] | None,
     normals: Float[np.ndarray, "N 3"] | None,
 ) -> dict[str, int]:
-    """Add accessors, in the frame of a node, for positions and normals in world coordinates, as far as there are any.
-
-    Returns their indices by attribute name.
-    """
+    """Add accessors, in a node's frame, of world positions and normals, if there are any; returns their indices."""
     draft, linear, attributes = edit.copier.draft, T_world_local[:3, :3], {}
     if points is not None:
         local = (points - T_world_local[:3, 3]) @ np.linalg.inv(linear).T

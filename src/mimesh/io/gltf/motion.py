@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...bodies.joint_names import ancestors
+from ...core.errors import damaged
 from ...core.geometry import MIRROR, nearest_rotation, rotation_between
 from ...core.normalization import ORIENTATIONS, ROTATIONS, axis_name
 from ...core.rig import local_rotations
@@ -27,7 +28,6 @@ from ...motions.bvh import Bvh
 from ...motions.rest_calibration import nearest_axes
 from ..timing import DEFAULT_FPS
 from .animation import AnimationChannel, animated_nodes, frame_rate, frame_times, sample_nodes, select_channels
-from .check import damaged
 from .document import Document
 from .scene import joint_matrices, node_name, node_parents, scene_nodes, sort_parents_first, used_skins, world_matrices
 from .vrm import is_vrm_animation, vrm_bones

@@ -497,8 +497,6 @@ def _place_root_bone(source: GltfSource, name: str, person: Mapping[str, int], m
     """Find the place of a root bone, or the joint of the file that is one.
 
     Args:
-        name: of the bone.
-        person: node of each joint of the person, by our name.
         moving: nodes that the new animations move.
     """
     document, world = source.document, source.rest.T_world_node
@@ -541,11 +539,7 @@ def _staying(
     moving: Collection[int],
     weighted: Collection[int],
 ) -> dict[int, Float[np.ndarray, "3 3"]]:
-    """Find the topmost nodes below a root bone that must not go along with it.
-
-    Returns:
-        Node -> the matrix that takes directions of the world to the frame of its parent.
-    """
+    """Find the topmost nodes below a root bone that stay: node -> matrix from world directions to its parent."""
     nodes, world = source.document.gltf["nodes"], source.rest.T_world_node
     found = {}
     for node in children:

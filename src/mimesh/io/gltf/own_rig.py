@@ -13,7 +13,7 @@ from ...bodies.character_limbs import FindJoints, moves_vertices
 from ...bodies.character_pool import sampled_poses
 from ...bodies.joint_names import ancestors
 from ...bodies.skinned_character import SkinnedCharacter
-from ...core.errors import InputError
+from ...core.errors import InputError, damaged
 from ...core.geometry import continuous_quaternions, nearest_rotation
 from ...core.mesh import Mesh
 from ...core.normalization import axis_name
@@ -23,7 +23,6 @@ from ...motions.bvh import SCALED
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
 from .animation import AnimatedValues, AnimationChannel, animated_nodes, sample_joints
 from .character import names_person, read_clips, read_standing, read_standing_animal, rig_at_rest
-from .check import damaged
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS, front_before_placing, rest_matrices
@@ -265,10 +264,7 @@ def _rigged_source(mesh: Mesh) -> GltfSource:
 def _check_skin(
     rig: SkinnedCharacter, nodes: list[int], document: Document, scene: RestScene
 ) -> tuple[frozenset[int], tuple[str, ...]]:
-    """Check that vertices have joints and weights, and that the joints that move them can be animated.
-
-    Returns the nodes of joints that move nothing and cannot be animated, and notes of what is left as it is.
-    """
+    """Check joints and weights; returns nodes that move nothing and cannot be animated, and notes of what stays."""
     path, local, moving = document.path, local_matrices(document)[nodes], moves_vertices(rig)
     check_weights(0.0, _unjointed(rig), path)
     # A rigid part may be scaled unequally, unless others hang on it: these would be sheared.
@@ -376,14 +372,10 @@ def node_tracks(
         "rotation": (continuous_quaternions(rotation, own["rotation"]), angle / 2),
         "scale": (scale, angle * np.abs(scale).max()),
     }
-    return {
-        path: _constant_if_still(track, tolerance)
-        for path, (track, tolerance) in values.items()
-        if np.linalg.norm(track - own[path], axis=1).max() > tolerance
-    }
-
-
-def _constant_if_still(track: Float[np.ndarray, "T C"], tolerance: float) -> Float[np.ndarray, "T C"]:
-    """Take the first value in all frames if the others differ by rounding errors alone: it has one key then."""
-    still = np.linalg.norm(track - track[0], axis=1).max() <= tolerance
-    return np.broadcast_to(track[0], track.shape) if still else track
+    found = {}
+    for path, (track, tolerance) in values.items():
+        if np.linalg.norm(track - own[path], axis=1).max() > tolerance:
+            # What differs by rounding alone has the first value in all frames: it has one key then.
+            still = np.linalg.norm(track - track[0], axis=1).max() <= tolerance
+            found[path] = np.broadcast_to(track[0], track.shape) if still else track
+    return found

@@ -247,10 +247,7 @@ def _read_corner_normals(
 def _read_vertex_colors(
     document: Document, vertex_ranges: tuple[VertexRange, ...], count: int
 ) -> Float[np.ndarray, "V 4"] | None:
-    """Read COLOR_0 of all vertices, white where a primitive has none; None where no primitive has any.
-
-    Where several primitives give one vertex different colours, the last one is taken.
-    """
+    """Read COLOR_0 of all vertices, of the last primitive that has any, else white; None where no primitive has any."""
     colors = np.ones((count, 4))
     found = False
     for span in vertex_ranges:

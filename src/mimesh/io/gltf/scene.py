@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ...core.errors import damaged
 from ...core.geometry import finite_or_zero, nearest_rotation
-from .check import damaged
 from .document import Document, read_accessor, read_floats
 
 if TYPE_CHECKING:

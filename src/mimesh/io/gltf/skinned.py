@@ -24,13 +24,10 @@ from ...core.animated_rig import AnimatedRig, RigAnimation
 from ..timing import DEFAULT_FPS
 from .animation import AnimationChannel, add_animation, local_quaternions, rotation_channels
 from .build import build_document, stage_transform
-from .check import ARRAY_BUFFER
-from .draft import Draft
+from .draft import PER_SET, Draft
 from .edit import GltfSource, PrimitiveGroup, edit_document, with_normals
 from .scene import DEFAULT_TRS
 
-PER_SET = 4
-"""Joints and weights in each of JOINTS_n and WEIGHTS_n, which are always VEC4 (glTF 2.0, 3.7.3.3)."""
 STILL = 1e-7
 """Largest change of a joint's position in the frame of its parent that is not written, in sizes of the mesh: float32
 stores positions no better."""
@@ -99,11 +96,8 @@ def _add_weights(draft: Draft, groups: list[PrimitiveGroup], skeleton: AnimatedR
         group_joints, group_weights = joints[group.vertex_of], weights[group.vertex_of].astype("<f4")
         # Joints of weight zero should be 0 (glTF 2.0, 3.7.3.3 Skinned Mesh Attributes).
         group_joints = np.where(group_weights > 0, group_joints, 0).astype("<u2" if wide else "u1")
-        attributes = {}
-        for number in range(-(-int((group_weights > 0).sum(axis=1).max()) // PER_SET)):
-            columns = slice(number * PER_SET, (number + 1) * PER_SET)
-            attributes[f"JOINTS_{number}"] = draft.add_array(group_joints[:, columns], "VEC4", ARRAY_BUFFER)
-            attributes[f"WEIGHTS_{number}"] = draft.add_floats(group_weights[:, columns], ARRAY_BUFFER)
+        used = -(-int((group_weights > 0).sum(axis=1).max()) // PER_SET) * PER_SET
+        attributes = draft.add_influences(group_joints[:, :used], group_weights[:, :used])
         for primitive in group.primitives:
             primitive["attributes"] = {**primitive["attributes"], **attributes}
 

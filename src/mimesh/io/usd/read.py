@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade
 
 from ...core.budgets import check_clip_size
-from ...core.errors import InputError
+from ...core.errors import InputError, damaged
 from ...core.frame_buffer import Progress
 from ...core.geometry import turn_normals, unit_vectors
 from ...core.mesh import Material, Mesh, Part
@@ -121,10 +121,7 @@ def check_package(path: Path) -> None:
     except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
         raise InputError(f"{path}: expected a .usdz package, found {error}; export it again") from error
     if broken is not None:
-        raise InputError(
-            f"{path}: expected the checksum of {broken[:80]!r} in it, found another; "
-            "the file is damaged, export it again"
-        )
+        raise damaged(path, f"the checksum of {broken[:80]!r} in it", "another")
 
 
 def _time_range(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) -> tuple[float, float, float]:
@@ -156,7 +153,12 @@ def _frames(
     moves = [bool(mesh_prim.sample_times()) for mesh_prim in mesh_prims]
     first_points = [mesh_prim.points(xforms) for mesh_prim in mesh_prims]
     topologies = [_topology(mesh_prim.prim, Usd.TimeCode(time_codes[0])) for mesh_prim in mesh_prims]
-    varying = [k for k, mesh_prim in enumerate(mesh_prims) if _topology_may_change(mesh_prim.prim)]
+    varying = [
+        k
+        for k, mesh in enumerate(UsdGeom.Mesh(mesh_prim.prim) for mesh_prim in mesh_prims)
+        if mesh.GetFaceVertexCountsAttr().ValueMightBeTimeVarying()
+        or mesh.GetFaceVertexIndicesAttr().ValueMightBeTimeVarying()
+    ]
     for frame, time_code in enumerate(time_codes):
         xforms.SetTime(Usd.TimeCode(time_code))
         points = [mesh_prim.points(xforms) if moves[k] else first_points[k] for k, mesh_prim in enumerate(mesh_prims)]
@@ -174,11 +176,6 @@ def _topology_error(path: Path, prim: Usd.Prim, frame: int, found: str) -> Input
         f"{path}: expected one topology for the whole clip, found {found} in frame {frame} of {prim.GetPath()}; "
         "export without changing topology"
     )
-
-
-def _topology_may_change(prim: Usd.Prim) -> bool:
-    mesh = UsdGeom.Mesh(prim)
-    return any(a.ValueMightBeTimeVarying() for a in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()))
 
 
 def _topology(prim: Usd.Prim, time: Usd.TimeCode):
@@ -244,19 +241,13 @@ def _writing_notes(stage: Usd.Stage, mesh_prims: list[MeshPrim]) -> tuple[str, .
 def _read_prim(
     mesh_prim: MeshPrim, xforms: UsdGeom.XformCache, materials: MaterialCache, path: Path
 ) -> tuple[Mesh, Int[np.ndarray, " P"]]:
-    """Read one prim in world coordinates at the time of `xforms`, and the corner count of each of its polygons.
-
-    Faces are sorted so that each part is one consecutive run.
-    """
+    """Read a prim in world coordinates at the time of `xforms`, sorted by part, and the corners of each polygon."""
     prim, time = mesh_prim.prim, xforms.GetTime()
     counts, corners = _polygons(prim, time, path)
     vertices = mesh_prim.points(xforms)
     if len(corners) and (corners.min() < 0 or corners.max() >= len(vertices)):
         worst = int(corners.max() if corners.max() >= len(vertices) else corners.min())
-        raise InputError(
-            f"{path}: expected points 0..{len(vertices) - 1} in the faces of {prim.GetPath()}, found {worst}; "
-            "the file is damaged, export it again"
-        )
+        raise damaged(path, f"points 0..{len(vertices) - 1} in the faces of {prim.GetPath()}", worst)
     binding_prims, labels = _material_subsets(prim, len(counts), path)
     order = _shown_polygons(prim, counts, labels)
     # Faces come out counter-clockwise seen from outside: left-handed orientation and a mirroring transform each
@@ -282,10 +273,8 @@ def _polygons(prim: Usd.Prim, time: Usd.TimeCode, path: Path) -> tuple[Int[np.nd
     """Read the corner count of each polygon and the vertex index of each corner."""
     counts, corners = (np.array(value or [], np.int64) for value in _topology(prim, time))
     if (counts < 0).any() or counts.sum() != len(corners):
-        raise InputError(
-            f"{path}: expected as many face vertices in {prim.GetPath()} as its faces have corners ({counts.sum()}), "
-            f"found {len(corners)}; the file is damaged, export it again"
-        )
+        expected = f"as many face vertices in {prim.GetPath()} as its faces have corners ({counts.sum()})"
+        raise damaged(path, expected, len(corners))
     return counts, corners
 
 
@@ -301,10 +290,7 @@ def _shown_polygons(prim: Usd.Prim, counts, labels) -> Int[np.ndarray, " P"]:
 
 
 def _fans(counts, order, flip: bool) -> tuple[Int[np.ndarray, "F 3"], Int[np.ndarray, " F"]]:
-    """Triangulate the polygons `order` as fans, with reversed winding if `flip`.
-
-    Returns the index in `faceVertexIndices` of each triangle corner, and the polygon of each triangle.
-    """
+    """Triangulate the polygons `order` as fans; returns indices of the triangles' corners, and their polygons."""
     sizes = counts[order]
     step = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)  # 0, 1, 2, ... within each polygon
     if flip:
@@ -338,21 +324,14 @@ def _normals(mesh_prim: MeshPrim, xforms, vertices, faces, corners, polygon_of, 
 def _parts(binding_prims: list[Usd.Prim], labels: Int[np.ndarray, " F"], materials: MaterialCache) -> tuple[Part, ...]:
     """Return a part for each run of consecutive faces with equal labels."""
     ends = [*np.flatnonzero(np.diff(labels, prepend=-1)).tolist(), len(labels)]
-    return tuple(
-        Part(
-            _display_name(binding_prims[labels[start]]), start, stop, _material(binding_prims[labels[start]], materials)
-        )
-        for start, stop in itertools.pairwise(ends)
-    )
-
-
-def _material(prim: Usd.Prim, materials: MaterialCache) -> Material | None:
-    bound = _bound_material(prim)
-    if bound is None:
-        return None
-    if bound.GetPath() not in materials:
-        materials[bound.GetPath()] = _read_material(bound)
-    return materials[bound.GetPath()]
+    parts = []
+    for start, stop in itertools.pairwise(ends):
+        prim = binding_prims[labels[start]]
+        bound = _bound_material(prim)
+        if bound is not None and bound.GetPath() not in materials:
+            materials[bound.GetPath()] = _read_material(bound)
+        parts.append(Part(_display_name(prim), start, stop, bound and materials[bound.GetPath()]))
+    return tuple(parts)
 
 
 def _display_name(prim: Usd.Prim) -> str:
@@ -371,10 +350,8 @@ def _material_subsets(prim: Usd.Prim, polygons: int, path: Path) -> tuple[list[U
     for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
         indices = np.array(subset.GetIndicesAttr().Get(Usd.TimeCode.EarliestTime()) or [], np.int64)
         if len(indices) and (indices.min() < 0 or indices.max() >= polygons):
-            raise InputError(
-                f"{path}: expected faces 0..{polygons - 1} in {subset.GetPath()}, found {indices.min()} to "
-                f"{indices.max()}; the file is damaged, export it again"
-            )
+            found = f"{indices.min()} to {indices.max()}"
+            raise damaged(path, f"faces 0..{polygons - 1} in {subset.GetPath()}", found)
         labels[indices] = len(binding_prims)
         binding_prims.append(subset.GetPrim())
     return binding_prims, labels
@@ -428,15 +405,7 @@ def _corner_values(
     polygon: Int[np.ndarray, " K"],
     label: str,
 ) -> Float[np.ndarray, "K C"]:
-    """Expand values of any USD interpolation to one value per polygon corner.
-
-    Args:
-        interpolation: faceVarying (a value per corner), vertex or varying (per vertex), uniform (per polygon), else
-            constant.
-        corners: vertex index of each corner, the `faceVertexIndices` of the mesh.
-        polygon: polygon index of each corner.
-        label: what the values are, for the error message; path of the file first.
-    """
+    """Expand values of any USD interpolation to one value per polygon corner; `label` begins the error message."""
     if interpolation == UsdGeom.Tokens.faceVarying:
         index = np.arange(len(corners))
     elif interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying):
@@ -451,10 +420,7 @@ def _corner_values(
 
 
 def _primvar_values(prim: Usd.Prim, name: str, width: int) -> tuple[Float[np.ndarray, "N C"], str] | None:
-    """Read the values of a primvar, with its indices resolved, and their interpolation.
-
-    Returns None where there is no such primvar or its values do not have `width` components.
-    """
+    """Read the values of a primvar, its indices resolved, and their interpolation; None without any of that width."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
         return None
@@ -466,10 +432,7 @@ def _primvar_values(prim: Usd.Prim, name: str, width: int) -> tuple[Float[np.nda
 
 
 def _authored_normals(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[Float[np.ndarray, "N 3"], str] | None:
-    """Read the normals of a mesh in its local frame and their interpolation; None where it has none.
-
-    `primvars:normals` takes precedence over the attribute `normals`, as UsdGeomPointBased documents.
-    """
+    """Read the local normals of a mesh and their interpolation, `primvars:normals` first; None where it has none."""
     primvar = _primvar_values(prim, "normals", 3)
     if primvar is not None:
         return primvar

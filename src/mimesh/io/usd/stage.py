@@ -239,13 +239,10 @@ def _check_references(path: Path) -> None:
                 raise InputError(
                     f"{path}: expected the names of files that came with it, found {name[:80]!r}; give them together"
                 )
-            if file and _is_layer(found):
+            if (
+                file and Sdf.FileFormat.FindByExtension(found.rstrip("]")) is not None
+            ):  # "a.usdz[b.usda]" is a layer, too
                 pending.append(found)
-
-
-def _is_layer(name: str) -> bool:
-    """Return whether a name, also one inside a package ("a.usdz[b.usda]"), has the suffix of a layer format."""
-    return Sdf.FileFormat.FindByExtension(name.rstrip("]")) is not None
 
 
 def _visible(stage: Usd.Stage, time: Usd.TimeCode) -> Iterator[Usd.Prim]:
@@ -253,17 +250,12 @@ def _visible(stage: Usd.Stage, time: Usd.TimeCode) -> Iterator[Usd.Prim]:
     prims = iter(Usd.PrimRange(stage.GetPseudoRoot(), ALL_PRIMS))
     for prim in prims:
         # An invisible prim hides all of its descendants.
-        hidden = prim.IsA(UsdGeom.Imageable) and _invisible(UsdGeom.Imageable(prim), time)
+        shown = UsdGeom.Imageable(prim)
+        hidden = prim.IsA(UsdGeom.Imageable) and shown.GetVisibilityAttr().Get(time) == UsdGeom.Tokens.invisible
         if hidden or prim.IsA(UsdGeom.PointInstancer):
             prims.PruneChildren()
-        elif prim.IsA(UsdGeom.Mesh):
-            purpose = UsdGeom.Imageable(prim).ComputePurpose()
-            if purpose in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
-                yield prim
-
-
-def _invisible(prim: UsdGeom.Imageable, time: Usd.TimeCode) -> bool:
-    return prim.GetVisibilityAttr().Get(time) == UsdGeom.Tokens.invisible
+        elif prim.IsA(UsdGeom.Mesh) and shown.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
+            yield prim
 
 
 def _has_points(prim: Usd.Prim) -> bool:

@@ -127,10 +127,7 @@ def _set_frames(usd_mesh: UsdGeom.Mesh, clip: Clip, normals: NormalFunction | No
 
 
 def _normal_function(usd_mesh: UsdGeom.Mesh, mesh: Mesh, corner_at: Int[np.ndarray, " C"]) -> NormalFunction | None:
-    """Return the function that computes the normals of a frame, and set their interpolation; None without normals.
-
-    Normals are written per vertex where all corners of each vertex share one, else per polygon corner (faceVarying).
-    """
+    """Return what computes a frame's normals, one a vertex if smooth, else one a corner, and set that; None without."""
     if mesh.corner_normals is None or not len(mesh.faces):
         return None
     rotated_normals = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
@@ -180,15 +177,7 @@ def _set_display_name(prim: Usd.Prim, name: str) -> None:
 def _add_subsets(
     mesh: Mesh, sizes: Int[np.ndarray, " P"], prim: Usd.Prim, names: _PrimNames, folder: Path, asset_folder: str
 ) -> None:
-    """Write a GeomSubset of family materialBind for each part that has faces, bound to the part's material.
-
-    Args:
-        sizes: corners of each polygon; a polygon of n corners is n - 2 consecutive faces of `mesh`.
-        prim: the mesh prim, parent of the subsets.
-        names: of the scope that materials are written below.
-        folder: where texture files are written.
-        asset_folder: how asset paths of the layer refer to `folder`.
-    """
+    """Write a GeomSubset of family materialBind for each part that has faces, bound to the part's material."""
     first = np.cumsum(sizes - 2) - (sizes - 2)  # each polygon's first face
     subset_names = _PrimNames(prim.GetPath())
     binding = UsdShade.MaterialBindingAPI.Apply(prim)

@@ -126,7 +126,8 @@ class VertexSampler:
         pick = uniform(rng, *index.shape) * (end - start)
         index = torch.stack([index, self.neighbours[start + pick.long()]], -1).flatten(1)
         driving = index if ordered else self._stratified_vertices(size, index.shape[1], rng)
-        return index, driving, pairs_of_rows(index), self.edges_of_mesh
+        edges = torch.arange(index.shape[1], device=self.device).view(1, -1, 2).expand(size, -1, -1)
+        return index, driving, edges, self.edges_of_mesh
 
     @property
     def edges_of_mesh(self) -> float:
@@ -237,8 +238,3 @@ def in_unit_sphere(
     centre = (whole.amax(1, keepdim=True) + whole.amin(1, keepdim=True)) / 2
     own = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
     return (points - centre) / (own if radius is None else radius), own
-
-
-def pairs_of_rows(index: Int[Tensor, "B N"]) -> Int[Tensor, "B E 2"]:
-    """List the edges among drawn vertices of which every second one is a neighbour of the one before it."""
-    return torch.arange(index.shape[1], device=index.device).view(1, -1, 2).expand(len(index), -1, -1)

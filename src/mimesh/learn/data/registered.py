@@ -297,10 +297,7 @@ def natural(name: str) -> list[tuple[int, int | str]]:
 
 
 def _candidates(folder: Path) -> Iterator[Path]:
-    """Walk through the files that may be meshes or clips, and the folders that hold some.
-
-    The mesh of a point cache, which has its name, is a part of that clip.
-    """
+    """Walk through files that may be meshes or clips, and folders of some; a point cache's mesh is part of the clip."""
     for path in sorted(folder.rglob("*")):
         if any(part.startswith(".") for part in path.relative_to(folder).parts):
             continue
