@@ -47,7 +47,10 @@ def main() -> None:
     args = parser.parse_args()
     for entry in args.weights:
         name, _, path = entry.partition("=")
-        ship_hands(Path(path)) if name == "hands" else ship(name, Path(path))
+        if name == "hands":
+            ship_hands(Path(path))
+        else:
+            ship(name, Path(path))
     for path in sorted(ZOO.glob("*.onnx")):
         facts = json.loads(path.with_suffix(".json").read_text())
         if facts["config"].get("network") == "hands":

@@ -167,8 +167,8 @@ class RiggedMesh:
             'mixamorig:Hips'
         """
         self._check_layout(layout)
-        axes = {"up": self.report["up"], "front": self.report["front"]}
-        laid_out = engine_rig(self.skeleton, layout.names, layout.root_bone, layout.rest, **axes)
+        up, front = self.report["up"], self.report["front"]
+        laid_out = engine_rig(self.skeleton, layout.names, layout.root_bone, layout.rest, up=up, front=front)
         rest = laid_out.rig
         return dataclasses.replace(laid_out, rotation=rest.rotation[None], root=rest.joints[:1], positions=None)
 
