@@ -109,7 +109,7 @@ def test_the_body_of_a_driving_is_found_in_any_axes(driving):
         mesh = dataclasses.replace(drawn.mesh, vertices=np.asarray(drawn.vertices[0], float))
         norm = Normalization.fit(mesh, *axes)
         mesh = dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices))
-        grids.append(JointMotion.of_file(drawn.skeleton.person(), mesh, drawn.fps, norm, 0).grid)
+        grids.append(JointMotion.of_file(drawn.skeleton.person(), mesh, drawn.fps, norm).grid)
     assert grids[0].parts == grids[1].parts
     np.testing.assert_allclose(grids[1].rest, grids[0].rest, atol=EXACT)
 
