@@ -169,3 +169,12 @@ def test_a_capture_moves_the_same_body_as_the_clip_did(tmp_path):
         millimetres.append(1e3 * np.linalg.norm((mine - centres[0]) @ turn.T - (truth - centres[1]), axis=1))
     assert np.mean(millimetres) < 5
     assert np.max(millimetres) < 25
+
+
+def test_without_feet_nothing_is_said_of_when_they_are_on_the_ground():
+    """Scans often end above the floor."""
+    clip = walk(frames=8, faces=3000)
+    low = clip.mesh.vertices[:, 1] < clip.mesh.vertices[:, 1].min() + 0.2
+    legless = Mesh(clip.mesh.vertices, clip.mesh.faces[~low[clip.mesh.faces].any(axis=1)])
+    report = mimesh.capture(Clip(legless, clip.vertices, clip.fps)).report
+    assert "contacts" not in report

@@ -259,6 +259,8 @@ def _contacts(track: JointTrack, motion: JointMotion) -> dict[str, dict[str, lis
     if track.soles is None or len(track.soles) < FEWEST_FRAMES:
         return {}
     feet = [ankle for ankle, sole in zip(motion.ankles, motion.soles, strict=False) if sole is not None]
+    if not feet:
+        return {}
     found = find_contacts(track.without_hands(track.soles.shape[1] - len(feet)), motion.leg)
     intervals = [[] for _ in feet] if found is None else found.intervals(track.fps)
     return {"contacts": dict(zip(feet, intervals, strict=True))}
