@@ -108,7 +108,9 @@ class BodyGrid:
         place = {name: joints[j] for j, name in reversed(list(enumerate(names)))}  # the topmost joint of a name
         if not place.keys() >= NEEDED:
             return None
-        part_of = np.array([part_of_joint(name) for name in names])[weights.argmax(axis=1)]
+        # Of the joints of a part together: with twist bones a limb has several.
+        labels, column = np.unique([part_of_joint(name) for name in names], return_inverse=True)
+        part_of = labels[(weights @ np.eye(len(labels))[column]).argmax(axis=1)]
         arm = float(np.mean([np.linalg.norm(place[f"{side}Hand"] - place[f"{side}Arm"]) for side in SIDES]))
         parts, found, sizes, count = {}, [], [], 0
         for part in PARTS:
