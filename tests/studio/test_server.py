@@ -11,6 +11,7 @@ from studio_client import HOST, PORT, TOKEN
 from waiting import wait_until
 
 from mimesh import load_mesh, save_mesh, transfer
+from mimesh.core.errors import InputError
 from mimesh.studio import make_session
 
 LIMIT = 2**20
@@ -248,6 +249,17 @@ def test_unknown_numbers_are_refused_but_the_pose_of_a_removed_mesh_is_no_error(
     assert client.post("/api/uploads/9/unknown").status_code == 404
     # Another page may just have removed the mesh; browsers log every other status as an error.
     response = client.post("/api/meshes/99/pose", json={"frame": 0})
+    assert (response.status_code, response.content) == (204, b"")
+
+
+def test_the_pose_of_a_mesh_that_is_refused_is_no_error_beside_that_of_its_row(session, client, monkeypatch):
+    def refuse(item):
+        raise InputError("a dog, and a person: expected two of a kind; give another driving")
+
+    upload(client, "identity", {"a.obj": TRIANGLE})
+    (mesh,) = wait_until_idle(client)["identities"]
+    monkeypatch.setattr(session, "_prepare", refuse)
+    response = client.post(f"/api/meshes/{mesh['number']}/pose", json={"frame": 0})
     assert (response.status_code, response.content) == (204, b"")
 
 

@@ -189,10 +189,10 @@ class Routes:
         self._session.stop(request.path_params["number"])
 
     async def pose(self, request: Request) -> Response:
-        """Send the positions of a mesh in one frame, (V, 3) little-endian float32; nothing (204) if it was cancelled.
+        """Send the positions of a mesh in one frame, (V, 3) little-endian float32; nothing (204) if there are none.
 
-        Cancelled by a newer request, or because the mesh has been removed, perhaps by another page. Browsers log every
-        response above 400 as an error, and this is none.
+        It was cancelled by a newer request, or because the mesh has been removed, perhaps by another page; or the mesh
+        is refused, which its row says. Browsers log every response above 400 as an error, and these are none.
         """
         frame = (await _json(request)).get("frame", 0)
         if isinstance(frame, bool) or not isinstance(frame, int):
@@ -200,7 +200,7 @@ class Routes:
         try:
             pose = self._session.pose(request.path_params["number"], frame)
             vertices = await self._unless_closing(asyncio.wrap_future(pose))
-        except Cancelled:
+        except (Cancelled, InputError):
             return Response(status_code=204)
         return Response(np.asarray(vertices, "<f4").tobytes(), media_type="application/octet-stream")
 
