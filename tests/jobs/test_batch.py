@@ -229,6 +229,13 @@ def test_ctrl_c_prints_what_was_done(files, capfd, monkeypatch):
     assert stopped.value.result.counts == facts["counts"]
 
 
+def test_files_that_are_in_several_jobs_are_looked_at_once(files, capfd, monkeypatch):
+    looked = []
+    monkeypatch.setattr("mimesh.jobs.table.check_readable", looked.append)
+    assert run(["batch", "ids/*.obj", "poses", "-o", OUTPUTS, "--transfer", "-m", "copy"]) == 0
+    assert len(looked) == len(set(looked)) == 4
+
+
 def test_what_is_not_installed_is_told_once_and_before_the_work(files, capfd, monkeypatch):
     for name in ("a", "b"):
         Path("ids", f"{name}.fbx").write_bytes(b"")

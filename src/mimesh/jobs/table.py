@@ -10,7 +10,7 @@ import glob
 import os
 import string
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from contextvars import copy_context
 from dataclasses import dataclass
@@ -387,9 +387,10 @@ def check_jobs(jobs: Sequence[BatchJob], more_inputs: Sequence[Path], more_outpu
         InputError: some jobs cannot be done; the message names up to MOST_SHOWN errors and says how many there are.
     """
     places: defaultdict[str, list[tuple[str, str]]] = defaultdict(list)
+    not_installed = cache(_not_installed)  # pairs have the same files again and again, which may have to be opened
     for job in jobs:
         try:
-            _check_job(job)
+            _check_job(job, not_installed)
         except InputError as error:
             message = " ".join(str(error).split())
             # What is not installed is one error, whichever file needs it.
@@ -404,14 +405,24 @@ def check_jobs(jobs: Sequence[BatchJob], more_inputs: Sequence[Path], more_outpu
         raise InputError(f"{'; '.join(errors[:MOST_SHOWN])}{more} (nothing was started)")
 
 
-def _check_job(job: BatchJob) -> None:
+def _not_installed(path: Path) -> str:
+    """Tell what lacks that reads a file; "" where nothing does."""
+    try:
+        check_readable(path)
+    except NotInstalledError as error:
+        return str(error)
+    return ""
+
+
+def _check_job(job: BatchJob, not_installed: Callable[[Path], str]) -> None:
     """Raise InputError if a file of a job does not exist, what its formats need, or an option cannot be used."""
     if job.identity and not Path(job.identity).is_file():
         raise InputError(f"{job.identity}: expected the file of the mesh, found none; check the path")
     for path in job.inputs().values():
         if not path.exists():
             raise InputError(f"{path}: expected a file, found nothing of that name; check the path")
-        check_readable(path)
+        if message := not_installed(path):
+            raise NotInstalledError(message)
     values, output = option_values(job.command, job.options), Path(job.output)
     if (
         job.output.endswith(SEPARATORS)

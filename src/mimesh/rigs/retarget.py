@@ -116,7 +116,7 @@ class JointMotion:
                 turned, places = motion.rest
                 mesh = Mesh(at_rest, mesh.faces)
                 rig = Rig(norm.rotation @ turned, norm.apply(places), motion.weights)
-            skin = Mesh(mesh.vertices, mesh.faces), rig
+            skin = mesh, rig
         leg = motion.leg / norm.radius
         return cls(motion.joints, None, leg, vertices, soles, ankles, track, body, rest, floor, skin)
 

@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 
 from ...core.budgets import UNPACKED
-from ...core.errors import NotInstalledError
+from ...core.errors import NotInstalledError, damaged
 from ..atomic import scratch_folder
 from ..child_process import Limits, child_result
-from .check import COMPONENT_COUNTS, COMPONENT_TYPES, DRACO, MESHOPT, damaged, element_size, list_primitives
+from .check import COMPONENT_COUNTS, COMPONENT_TYPES, DRACO, MESHOPT, element_size, list_primitives
 
 DECODER = "mimesh.io.gltf.compression:decode"
 PACKAGES = {"draco": ("DracoPy", "Draco"), "meshopt": ("meshopt", "meshopt compression")}
