@@ -1,6 +1,6 @@
 """Install a wheel under several Python and NumPy versions, run the demo and a transfer, and compare the results.
 
-    python benchmarks/pythons.py dist/mimesh-0.1.0-py3-none-any.whl --python python3.11 --python python3.12 \
+    python benchmarks/pythons.py dist/mimesh-0.2.0-py3-none-any.whl --python python3.11 --python python3.12 \
         --numpy 1.26 --numpy 2 -o benchmarks/pythons.json
 
 Each combination gets a new environment with the newest releases of everything else. Only binary packages are installed,

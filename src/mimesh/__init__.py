@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from .pipeline.rigging import RiggedMesh, rig
     from .pipeline.skinned import save_skinned
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "CapturedClip",
     "Clip",
