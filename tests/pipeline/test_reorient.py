@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from mimesh.core.mesh import Mesh
 from mimesh.core.normalization import Normalization
 from mimesh.methods.find import find_mime
-from mimesh.mime.model import Mime
+from mimesh.mime.model import FittedJoints, Mime
 from mimesh.pipeline.look import coarse_mesh, reorient
 from mimesh.rigs.confidence import Confidence
 
@@ -66,7 +66,7 @@ def test_of_orientations_that_are_about_as_decided_the_one_of_the_nearest_shape_
 
     def fit_body(_, mesh):
         distance = upright if mesh.vertices[HEAD, 1] > 0.5 else upside_down
-        return Confidence(20.0, 0.85, {}, fit_distance=distance)
+        return FittedJoints(np.eye(3)[None], np.zeros((1, 3)), Confidence(20.0, 0.85, {}, fit_distance=distance))
 
     monkeypatch.setattr(Mime, "quick_predict", quick_predict)
     monkeypatch.setattr(Mime, "fit", fit_body)
@@ -84,8 +84,9 @@ def test_a_coarse_surface_of_a_dense_mesh_is_looked_at():
     assert coarse_mesh(MESH) is MESH
     assert len(coarse.vertices) < len(dense.vertices) / 3
     assert KDTree(coarse.vertices).query(vertices)[0].max() < 0.1 * np.ptp(vertices[:, 1])
-    confidence = MIME.fit(MESH)
-    assert confidence == MIME.predict_rig(MESH)[1]
+    fitted, (rig, confidence) = MIME.fit(MESH), MIME.predict_rig(MESH)
+    assert fitted.confidence == confidence
+    assert (fitted.joints == rig.joints).all()
 
 
 def test_axes_are_kept_where_no_others_are_better(monkeypatch):

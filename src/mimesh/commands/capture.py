@@ -33,9 +33,9 @@ def capture(
     By default the output is CLIP.bvh beside CLIP. A .glb or .fbx has the joints alone, a
     .vrma plays on any VRM. Joints that the file has are taken as they are.
     """
-    from ..io import load_driving
     from ..pipeline.capturing import JOINT_FILES
     from ..pipeline.capturing import capture as capture_joints
+    from ..pipeline.read import load_moving
     from ..tools.convert import frames_at
     from .clips import check_suffix
 
@@ -45,11 +45,13 @@ def capture(
     refuse_existing(output.no_clobber, target)
     hints, corrected = with_joint_files(hints, clip, None, joints, model)
     with progress(f"reading {clip.name}", output.silent) as advance:
-        whole = load_driving(clip, fps=taken.fps, animation=single("--animation", taken.animation), progress=advance)
-    frames = FrameRange(taken.start, taken.stop, taken.step)
+        animation, told = single("--animation", taken.animation), (hints.up, hints.front, hints.body)
+        whole = hints.joints is not None  # corrected joints may be in a frame that is not taken
+        read = load_moving(clip, slice(None) if whole else taken.slice, told, taken.fps, animation, advance)
+    frames = FrameRange(taken.start, taken.stop, taken.step) if whole else FrameRange()
     with progress("finding joints", output.silent) as advance:
         captured = capture_joints(
-            whole, model, hints=hints, frames=frames, smooth=motion.smooth, seed=seed, progress=advance
+            read, model, hints=hints, frames=frames, smooth=motion.smooth, seed=seed, progress=advance
         )
     replaced = target.is_file()
     captured.save(target)

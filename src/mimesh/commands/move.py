@@ -230,9 +230,10 @@ class ClipJob:
 
         # Corrected joints may be in a frame that is not taken.
         whole, taken = self.hints.driving_joints is not None, self.taken
+        told = (self.hints.driving_up, self.hints.driving_front, self.hints.body)
         with progress(f"reading {self.clip.path.name}", silent) as advance:
             (clip, of_clip), seconds = _timed(
-                lambda: read_driving(self.clip, taken.body_model, taken.fps, taken.slice, advance, whole)
+                lambda: read_driving(self.clip, taken.body_model, taken.fps, taken.slice, advance, whole, told)
             )
         mesh = self.identity
         check_rig_layout(mesh, clip, self.model, self.hints, self.motion, self.layout)

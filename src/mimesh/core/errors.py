@@ -30,6 +30,10 @@ class NotInstalledError(InputError):
     """A package or program that a format needs is not installed."""
 
 
+class OtherTopologyError(InputError):
+    """A frame of a clip that has other triangles than the first."""
+
+
 class RefusedMeshError(InputError):
     """A mesh that a method would tear: of two meshes one is a person, say, and the other one no person."""
 

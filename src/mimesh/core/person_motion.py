@@ -75,7 +75,7 @@ class KnownJoints:
 
     def cut(self, frames: slice) -> KnownJoints:
         """Select frames of the clip."""
-        return KnownJoints(self.motion.cut(frames))
+        return replace(self, motion=self.motion.cut(frames))
 
     def person(self) -> PersonMotion:
         """Return the joints."""

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.budgets import check_clip_size
-from ..core.errors import InputError
+from ..core.errors import InputError, OtherTopologyError
 from ..core.frame_buffer import Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh
 from .atomic import whole_folder
@@ -38,7 +38,8 @@ def read_sequence(
         read: reads one mesh file.
 
     Raises:
-        InputError: no numbered meshes, two series of equal length, or a frame of another topology.
+        OtherTopologyError: a frame of another topology.
+        InputError: no numbered meshes, or two series of equal length.
     """
     paths = find_frames(folder, suffixes)
     first = read(paths[0])
@@ -136,14 +137,15 @@ def read_frame(path: Path, first: Mesh, first_path: Path, read: Callable[[Path],
     """Read the vertices of a mesh that has the topology of a first one, by the format's fast path where possible.
 
     Raises:
-        InputError: the frame cannot be read, or its topology differs from that of the first frame.
+        OtherTopologyError: its topology differs from that of the first frame.
+        InputError: the frame cannot be read.
     """
     points = read_obj_points(path, first.source) if isinstance(first.source, ObjSource) else None
     if points is not None and np.isfinite(points).all():
         return points
     mesh = read(path)
     if len(mesh.vertices) != len(first.vertices) or not np.array_equal(mesh.faces, first.faces):
-        raise InputError(
+        raise OtherTopologyError(
             f"{path}: expected the topology of {first_path.name} ({len(first.vertices)} vertices, {len(first.faces)} "
             f"triangles), found {len(mesh.vertices)} vertices and {len(mesh.faces)} triangles"
             f"{' in another order' if mesh.faces.shape == first.faces.shape else ''}; export all frames from one mesh"

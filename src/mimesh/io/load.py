@@ -29,6 +29,8 @@ STAND_INS = {
     b"<html": "a web page; download the file itself",
 }
 """First bytes, in lower case, of text that downloads leave in place of a file, and what to do."""
+FRAMES_OF_FOLDERS = MESH_READERS.keys() - MOTIONS - BODY_MODELS
+"""Suffixes of the numbered meshes of a folder that is a clip."""
 ZIPPED = {".npz", ".usdz", *BODY_MODELS}
 """Suffixes of formats that are such archives, or refused by their own readers."""
 
@@ -167,8 +169,7 @@ def _whole_clip(path: Path, fps: float | None, animation: str | None, progress: 
         if path.is_dir():
             from .frame_folder import read_sequence
 
-            suffixes = MESH_READERS.keys() - MOTIONS - BODY_MODELS
-            clip = read_sequence(path, fps or DEFAULT_FPS, suffixes, _load_frame, progress)
+            clip = read_sequence(path, fps or DEFAULT_FPS, FRAMES_OF_FOLDERS, _load_frame, progress)
             # The clip takes the name of the folder, not that of its first frame.
             clip = dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=path.name))
         elif suffix in ANIMATED:

@@ -76,6 +76,16 @@ class CapturedMotion(JointMotion):
 
 
 @dataclass(frozen=True, eq=False)
+class FittedJoints:
+    """The joints of a mesh, without what they move."""
+
+    rotation: Float[np.ndarray, "J 3 3"]
+    """World rotation of each joint from the body at rest."""
+    joints: Float[np.ndarray, "J 3"]
+    confidence: Confidence
+
+
+@dataclass(frozen=True, eq=False)
 class Mime:
     """A loaded network that finds the joints of one shipped body, ready for any mesh."""
 
@@ -227,10 +237,11 @@ class Mime:
         return dataclasses.replace(rig, weights=rig.weights.take(group, axis=0)), _without_shares(confidence, mesh)
 
     @kept(most=KEPT_RIGS)
-    def fit(self, mesh: Mesh) -> Confidence:
-        """Say how well the body fits a normalised mesh, as `predict_rig` does, which also weighs the vertices."""
+    def fit(self, mesh: Mesh) -> FittedJoints:
+        """Find the joints of a normalised mesh as `predict_rig` does, which also weighs the vertices."""
         mesh = face_outward(mesh)
-        return _without_shares(self._consensus(mesh, weighted=False)[1], mesh)
+        rig, confidence = self._consensus(mesh, weighted=False)
+        return FittedJoints(rig.rotation, rig.joints, _without_shares(confidence, mesh))
 
     @kept(most=KEPT_QUICK)
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:

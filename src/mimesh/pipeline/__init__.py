@@ -135,7 +135,8 @@ def animate(
     timer = Timer()
     with timer.step("load"):
         identity = read_mesh(identity, "identity")
-        clip, whole = read_frames(driving, frames, animation, whole=hints.driving_joints is not None)
+        told = (hints.driving_up, hints.driving_front, hints.body)
+        clip, whole = read_frames(driving, frames, animation, hints.driving_joints is not None, told)
     chosen = _model(model, (identity, clip.mesh), options)
     known = _known(hints, chosen, clip, whole)
     with timer.step("prepare"):

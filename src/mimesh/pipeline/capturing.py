@@ -22,7 +22,7 @@ from ..core.foot_planting import FEWEST_FRAMES, find_contacts
 from ..core.frame_buffer import Progress
 from ..core.geometry import turned
 from ..core.joint_tracks import JointTrack
-from ..core.mesh import Clip, Mesh, cut_clip
+from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, turn
 from ..core.options import FrameRange, Hints
 from ..core.rig import local_rotations
@@ -42,7 +42,7 @@ from .look import Look
 from .odd_frames import far_frames_note
 from .parts import find_part
 from .placed import check_identity, first_frame
-from .read import read_clip
+from .read import read_frames
 from .report import CaptureReport, facing, facing_note
 from .result import Timer
 from .vrma import check_joints, since_t_pose
@@ -178,10 +178,10 @@ def capture(
     timer = Timer()
     hints.check_single()
     with timer.step("load"):
-        whole = read_clip(clip, frames.fps, animation, "clip")
+        told = (hints.up, hints.front, hints.body)
+        taken, whole = read_frames(clip, frames, animation, hints.joints is not None, told, "clip")
         if hints.rig == "mimesh":
-            whole = dataclasses.replace(whole, skeleton=None)
-        taken = cut_clip(whole, frames.start, frames.stop, frames.step)
+            taken = dataclasses.replace(taken, skeleton=None)
     first = first_frame(taken)
     check_identity(first)
     of_driving = {"driving_up": hints.up, "driving_front": hints.front, "driving_joints": hints.joints}

@@ -27,10 +27,10 @@ from ..core.normalization import Normalization
 from ..core.options import MotionOptions
 from ..core.threads import both
 from ..methods.find import NETWORK_OF_BODY
-from ..mime.model import CapturedMotion, Mime
+from ..mime.model import CapturedMotion, FittedJoints, Mime
 from ..mime.prediction import face_outward
 from ..rigs.character import Character
-from ..rigs.retarget import JointMotion, Retarget
+from ..rigs.retarget import JointMotion, Retarget, ScannedJoints
 from .corrections import Corrections
 from .file_rigs import Rigs, heading_note, read_rigs
 from .known import Known
@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
     from .parts import MeshPart
 
-Found = TypeVar("Found", Character, JointMotion)
+Found = TypeVar("Found", Character, JointMotion, FittedJoints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,11 +397,18 @@ def find_motion(
     def motion(norm: Normalization) -> JointMotion:
         if rigs.driving is not None:
             mesh = face_outward(normalised(subject.mesh, norm))
-            return JointMotion.of_file(rigs.driving, mesh, clip.fps, norm)
+            found = JointMotion.of_file(rigs.driving, mesh, clip.fps, norm)
+            scanned = isinstance(clip.skeleton, ScannedJoints)
+            return dataclasses.replace(found, confidence=clip.skeleton.confidence) if scanned else found
         corrected, keyframes = corrections.of_driving(keyframes_of(clip, norm), mime.joints, norm)
         return mime.capture(keyframes, corrected)
 
     return _settled(mime, subject, seen, motion)
+
+
+def find_pose(mime: Mime, subject: Subject, seen: Look) -> tuple[FittedJoints, Normalization]:
+    """Find the joints on the surface of a mesh, whatever its file has, without what they move."""
+    return _settled(mime, subject, seen, lambda norm: mime.fit(normalised(subject.mesh, norm)))
 
 
 def _settled(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from ..core.mesh import Clip
 from ..core.options import Hints
 from ..core.person_motion import PersonMotion
+from ..rigs.retarget import ScannedJoints
 from .corrections import NO_CORRECTIONS, Corrections
 from .read import driving_axes
 
@@ -42,7 +43,9 @@ class Known:
             InputError: a file of joints that cannot be read, or a frame that the clip does not have.
         """
         corrections = Corrections.read(hints.joints, hints.driving_joints, clip if whole is None else whole)
-        return cls(hints.axes, hints.rig, hints.body, corrections, (hints.part, hints.driving_part))
+        # Those of scans were taken into account when their joints were found.
+        axes = (*hints.axes[:2], None, None) if isinstance(clip.skeleton, ScannedJoints) else hints.axes
+        return cls(axes, hints.rig, hints.body, corrections, (hints.part, hints.driving_part))
 
     def with_heading(self, clip: Clip, driving: PersonMotion | None = None) -> Known:
         """Fill in the driving's axes by where it faces in the first frame of the clip, if its joints tell that.

@@ -352,7 +352,8 @@ def reorient(
     coarse = coarse_mesh(mesh)
     facing = [facing_front(mime, coarse, other, known=True)[0] for other in (decided, *others)]
     fits = [
-        (other, mime.fit(normalised(coarse, front))) for other, front in zip((decided, *others), facing, strict=True)
+        (other, mime.fit(normalised(coarse, front)).confidence)
+        for other, front in zip((decided, *others), facing, strict=True)
     ]
     # The entropy of the weights (nats) is larger where the shapes of body and surface differ.
     costs = [fit.weight_entropy + SHAPE_WEIGHT * fit.features()["fit_distance"] for _, fit in fits]

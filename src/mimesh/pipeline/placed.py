@@ -191,7 +191,7 @@ def first_frame(clip: Clip) -> Mesh:
 
 def keyframes_of(clip: Clip, norm: Normalization) -> Clip:
     """Return at most KEYFRAMES frames of a clip, evenly spread and normalised, the first one first."""
-    vertices = norm.apply(clip.vertices[evenly_spread(len(clip), KEYFRAMES)])
+    vertices = norm.apply(np.asarray(clip.vertices[evenly_spread(len(clip), KEYFRAMES)]))
     return Clip(dataclasses.replace(clip.mesh, vertices=vertices[0], up="+y"), vertices, clip.fps)
 
 

@@ -6,10 +6,14 @@ import dataclasses
 from pathlib import Path
 
 from ..core.arguments import described
-from ..core.errors import InputError
+from ..core.errors import InputError, OtherTopologyError
+from ..core.frame_buffer import Progress
 from ..core.mesh import UNNAMED, Clip, Mesh, check_clip, check_mesh, cut_clip
 from ..core.options import FrameRange
 from ..io import load_driving, load_mesh
+
+Told = tuple[str | None, str | None, str]
+"""Up and front of the first scan, and whose joints scans have; None and "auto" are detected."""
 
 
 def read_mesh(mesh: Mesh | str | Path, role: str) -> Mesh:
@@ -40,14 +44,44 @@ def read_clip(clip: Clip | str | Path, fps: float | None, animation: str | int |
 
 
 def read_frames(
-    clip: Clip | str | Path, frames: FrameRange, animation: str | int | None, whole: bool
+    clip: Clip | str | Path,
+    frames: FrameRange,
+    animation: str | int | None,
+    whole: bool,
+    told: Told,
+    role: str = "driving",
 ) -> tuple[Clip, Clip]:
     """Read some frames of a clip; returns these, and the clip that they are of: the whole one if it is asked for."""
     if not whole and not isinstance(clip, Clip):
-        taken = load_driving(Path(clip), fps=frames.fps, animation=animation, frames=frames.slice)
+        taken = load_moving(Path(clip), frames.slice, told, frames.fps, animation)
         return taken, taken
-    read = read_clip(clip, frames.fps, animation)
+    if isinstance(clip, Clip):
+        read = read_clip(clip, frames.fps, animation, role)
+    else:
+        read = load_moving(Path(clip), slice(None), told, frames.fps, animation)
     return cut_clip(read, frames.start, frames.stop, frames.step), read
+
+
+def load_moving(
+    path: Path,
+    frames: slice,
+    told: Told,
+    fps: float | None = None,
+    animation: str | int | None = None,
+    progress: Progress | None = None,
+    scans: slice | None = None,
+) -> Clip:
+    """Read frames of a clip as `load_driving` does; meshes of different topologies are scans (`scans`).
+
+    Args:
+        scans: those to take of scans; None: `frames`.
+    """
+    try:
+        return load_driving(path, fps=fps, animation=animation, progress=progress, frames=frames)
+    except OtherTopologyError:
+        from .scans import scanned_clip
+
+        return scanned_clip(path, frames if scans is None else scans, told, fps, progress)
 
 
 def driving_axes(clip: Clip, up: str | None, front: str | None) -> tuple[str | None, str | None]:

@@ -33,7 +33,7 @@ from ..core.frame_buffer import Progress, counted, each_frame, evenly_spread
 from ..core.joint_tracks import JointTrack, root_path
 from ..core.mesh import Clip, Mesh, check_size
 from ..core.normalization import Normalization
-from ..core.person_motion import PersonMotion
+from ..core.person_motion import KnownJoints, PersonMotion
 from ..core.rig import Rig
 from ..core.soles import Feet, SolePoints, Soles, body_points, find_soles, floor_height, sole_height
 from ..core.surface_points import SurfacePoints
@@ -53,6 +53,14 @@ SurfaceMotion = Callable[[SurfacePoints], Float[np.ndarray, "T N 3"]]
 FLOOR_FRAMES = 120
 """Largest number of frames, evenly spread, in which the floor of a clip is looked for where its frames are made one by
 one."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScannedJoints(KnownJoints):
+    """The joints of a clip of scans, which were found in each of them (`pipeline.scans`)."""
+
+    confidence: Confidence
+    """How certainly; the median over the scans."""
 
 
 @dataclass(frozen=True, eq=False)

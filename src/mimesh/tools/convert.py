@@ -34,6 +34,7 @@ from ..io.timing import DEFAULT_FPS
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
+    from ..pipeline.read import Told
 
 USUAL = ConvertOptions()
 ALL = "all"
@@ -299,24 +300,28 @@ def read_driving(
     frames: slice,
     progress: Progress | None = None,
     whole: bool = False,
+    told: Told = (None, None, "auto"),
 ) -> tuple[Clip, tuple[str, ...]]:
     """Read a driving clip with notes on what was taken of its file, beside those of the clip itself.
 
     Args:
-        frames: those to take; of a motion file no others are posed.
+        frames: those to take; of a motion file no others are posed, of scans no others are read.
         whole: check `frames`, and return all.
+        told: what is known of scans.
 
     Raises:
         InputError: a file cannot be read, or no frame is left.
     """
     from ..motions.on_body import is_motion_file
     from ..pipeline.odd_frames import LONE_FRAMES, first_frame_note
+    from ..pipeline.read import load_moving
+    from ..rigs.retarget import ScannedJoints
 
     path = chosen.path
     early = body_model is None and path.is_file() and is_motion_file(path) and not whole
     if body_model is None:
         taken = frames if early else slice(None)
-        clip = load_driving(path, fps=fps, animation=chosen.animation, progress=progress, frames=taken)
+        clip = load_moving(path, taken, told, fps, chosen.animation, progress, slice(None) if whole else frames)
         notes: tuple[str, ...] = ()
     else:
         clip, notes = read_clip(path, body_model, fps, chosen.animation, progress)
@@ -326,6 +331,7 @@ def read_driving(
         # The capture is kept in memory: nothing is read again.
         first = load_driving(path, fps=fps, frames=slice(0, LONE_FRAMES)) if early else clip
         notes += first_frame_note(first, 0, path.name)
+    early = early or (isinstance(clip.skeleton, ScannedJoints) and not whole)
     check_cut(clip.mesh.name, len(clip), slice(None) if early else frames)
     return (clip if early or whole else cut_clip(clip, frames.start, frames.stop, frames.step)), notes
 

@@ -1,0 +1,156 @@
+"""Scans: a folder of meshes of one person or animal that have no topology in common becomes a clip.
+
+Joints are found on each scan alone. The one on which they were found most certainly is skinned, and moves as the joints
+do in all of them. From then on it is a clip whose joints are known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core.budgets import check_clip_size
+from ..core.frame_buffer import PosedFrames, Progress, counted
+from ..core.geometry import angles_between
+from ..core.joint_tracks import JointTrack
+from ..core.mesh import Clip, Mesh, check_cut
+from ..core.normalization import Normalization
+from ..core.person_motion import PersonMotion
+from ..core.rig import Rig, leg_length
+from ..core.skinning import SkinnedMesh, place_joints
+from ..io import load_mesh
+from ..io.frame_folder import find_frames
+from ..io.load import FRAMES_OF_FOLDERS
+from ..io.timing import DEFAULT_FPS
+from ..methods.find import find_mime
+from ..mime.model import FittedJoints, Mime
+from ..rigs.confidence import Confidence
+from ..rigs.retarget import ScannedJoints
+from .joint_route import find_pose, found_alone
+from .look import Subject, known_look, normalised
+from .read import Told
+
+NEIGHBOURS, MISREAD = 2, 2.0
+"""Scans before and after each that a rotation is compared with; and the ratio of its distance from theirs to the least
+of these from which on it is replaced."""
+SMOOTH = 0.03
+"""Standard deviation (seconds) of the Gaussian filter over joints, which are found in each scan alone."""
+NAMED = 5
+"""Scans that a note names."""
+
+
+class Scan(NamedTuple):
+    """The joints of a scan, y up, in the unit of its file."""
+
+    rotation: Float[np.ndarray, "J 3 3"]
+    joints: Float[np.ndarray, "J 3"]
+    confidence: Confidence
+    norm: Normalization
+    """Of the file."""
+
+
+def scanned_clip(
+    folder: Path, frames: slice, told: Told, fps: float | None = None, progress: Progress | None = None
+) -> Clip:
+    """Find the joints in the numbered meshes of a folder, and make a clip of one of these, y up, in their unit.
+
+    In the first frame it faces +z, or as near to that as a turn by right angles takes it.
+
+    Args:
+        frames: those to take.
+        told: what is known of the first of them.
+        fps: frames a second of the folder; None: 30.
+        progress: called with (meshes read, meshes in all).
+
+    Raises:
+        InputError: a mesh cannot be read, or no frame is left.
+        RefusedMeshError: the first mesh shows neither a person nor a four-legged animal.
+    """
+    paths = find_frames(folder, FRAMES_OF_FOLDERS)
+    check_cut(folder.name, len(paths), frames)
+    paths = paths[frames]
+    network, found = _found(paths, told, progress)
+    scans = list(found)
+    uncertainty = np.array([scan.confidence.uncertainty for scan in scans])
+    best = int(uncertainty.argmin())
+    shown, parents = load_mesh(paths[best]), network.parents
+    check_clip_size(len(paths), len(shown.vertices), folder)
+
+    rotation, joints = (np.stack(arrays) for arrays in list(zip(*scans, strict=True))[:2])
+    # Bones have their median length: those that are found differ a little.
+    bones = np.median(_bones(rotation, joints, parents), axis=0)
+    weights = network.predict_rig(normalised(shown, scans[best].norm))[0].weights
+    at_rest = Rig(rotation[best], place_joints(joints[best, 0], bones, rotation[best], parents), weights)
+    skinned = SkinnedMesh.of(shown.vertices @ scans[0].norm.axes.T, at_rest, parents)
+
+    kept = _likeliest(rotation)
+    rotation, root = rotation[kept, np.arange(len(parents))], joints[kept[:, 0], 0]
+    rate = (fps or DEFAULT_FPS) / (frames.step or 1)
+    track = JointTrack(rotation, place_joints(root, bones, rotation, parents), rate).smoothed(SMOOTH)
+    rotation, root = track.rotation, track.positions[:, 0]
+    positions = place_joints(root, bones, rotation, parents)
+    leg = leg_length(at_rest.joints, network.legs)
+    motion = PersonMotion(network.joints, rotation, positions, leg, weights)
+    vertices: Any = PosedFrames(skinned, rotation, root)
+    mesh = Mesh(np.asarray(vertices[0], np.float64), shown.faces, folder.name, up="+y")
+    median = scans[int(np.argsort(uncertainty)[len(scans) // 2])].confidence
+    notes = _notes(folder.name, paths, best, uncertainty)
+    return Clip(mesh, vertices, rate, rotation[:, 0, :, 2], ScannedJoints(motion, median), notes)
+
+
+def _found(paths: list[Path], told: Told, progress: Progress | None) -> tuple[Mime, Iterator[Scan]]:
+    """Return the network of the body that the first scan shows, and the joints of all."""
+    up, front, body = told
+    mime, first = find_mime("mime"), Subject(load_mesh(paths[0]), (up, front))
+    seen, pose, norm = found_alone(mime, first, body, lambda network, look: find_pose(network, first, look))
+    network, axes = mime.of_body(seen.body), norm.axes
+
+    def scans() -> Iterator[Scan]:
+        yield _scan(pose, norm, axes)
+        for path in paths[1:]:
+            subject = Subject(load_mesh(path), (norm.up, None))
+            yield _scan(*find_pose(network, subject, known_look(network, subject)), axes)
+
+    return network, counted(scans(), len(paths), progress)
+
+
+def _scan(pose: FittedJoints, norm: Normalization, axes: Float[np.ndarray, "3 3"]) -> Scan:
+    """Return joints that were found in a normalised mesh in the axes of the clip; `axes` turns those of files there."""
+    return Scan(axes @ norm.rotation.T @ pose.rotation, norm.undo(pose.joints) @ axes.T, pose.confidence, norm)
+
+
+def _bones(
+    rotation: Float[np.ndarray, "T J 3 3"], joints: Float[np.ndarray, "T J 3"], parents: tuple[int, ...]
+) -> Float[np.ndarray, "T B 3"]:
+    """Return the vector from each joint's parent to the joint, in the parent's frame, in every frame."""
+    above = list(parents[1:])
+    return np.einsum("tjkl,tjk->tjl", rotation[:, above], joints[:, 1:] - joints[:, above])
+
+
+def _likeliest(rotation: Float[np.ndarray, "T J 3 3"]) -> Int[np.ndarray, "T J"]:
+    """Choose for each frame and joint the frame nearby with the likeliest rotation: itself, unless it was misread."""
+    count, joints = rotation.shape[:2]
+    kept = np.tile(np.arange(count)[:, None], (1, joints))
+    for t in range(count):
+        near = np.arange(max(0, t - NEIGHBOURS), min(count, t + NEIGHBOURS + 1))
+        apart = angles_between(rotation[near, None], rotation[near]).sum(axis=1)  # from all others, (N, J)
+        misread = apart[near == t][0] > MISREAD * apart.min(axis=0)
+        kept[t] = np.where(misread, near[apart.argmin(axis=0)], t)
+    return kept
+
+
+def _notes(name: str, paths: list[Path], best: int, uncertainty: Float[np.ndarray, " T"]) -> tuple[str, ...]:
+    """Tell what was made of the scans, and in which of them joints were not found with certainty."""
+    note = (
+        f"{name} has meshes of different topologies: joints were found in each of the {len(paths)}, and "
+        f"{paths[best].name} is moved by them"
+    )
+    doubtful = [path.name for path, doubt in zip(paths, uncertainty, strict=True) if doubt > 1]
+    if not doubtful:
+        return (note,)
+    names = ", ".join(doubtful[:NAMED]) + (" and others" if len(doubtful) > NAMED else "")
+    return note, f"joints were not found with certainty in {len(doubtful)} of {len(paths)} scans: {names}"
