@@ -6,7 +6,8 @@ do in all of them. From then on it is a clip whose joints are known.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -77,29 +78,33 @@ def scanned_clip(
     scans = list(found)
     uncertainty = np.array([scan.confidence.uncertainty for scan in scans])
     best = int(uncertainty.argmin())
-    shown, parents = load_mesh(paths[best]), network.parents
+    shown = load_mesh(paths[best])
     check_clip_size(len(paths), len(shown.vertices), folder)
+    weights = network.predict_rig(normalised(shown, scans[best].norm))[0].weights
+    upright = Mesh(shown.vertices @ scans[0].norm.axes.T, shown.faces, folder.name, up="+y")
+    moving = _moved(upright, weights, scans, best, network, (fps or DEFAULT_FPS) / (frames.step or 1))
+    return dataclasses.replace(moving, notes=_notes(folder.name, paths, best, uncertainty))
 
+
+def _moved(
+    shown: Mesh, weights: Float[np.ndarray, "V J"], scans: Sequence[Scan], best: int, network: Mime, fps: float
+) -> Clip:
+    """Move the scan that was read best, y up, by the joints of all."""
+    parents, uncertainty = network.parents, [scan.confidence.uncertainty for scan in scans]
     rotation, joints = (np.stack(arrays) for arrays in list(zip(*scans, strict=True))[:2])
     # Bones have their median length: those that are found differ a little.
     bones = np.median(_bones(rotation, joints, parents), axis=0)
-    weights = network.predict_rig(normalised(shown, scans[best].norm))[0].weights
     at_rest = Rig(rotation[best], place_joints(joints[best, 0], bones, rotation[best], parents), weights)
-    skinned = SkinnedMesh.of(shown.vertices @ scans[0].norm.axes.T, at_rest, parents)
-
     kept = _likeliest(rotation)
     rotation, root = rotation[kept, np.arange(len(parents))], joints[kept[:, 0], 0]
-    rate = (fps or DEFAULT_FPS) / (frames.step or 1)
-    track = JointTrack(rotation, place_joints(root, bones, rotation, parents), rate).smoothed(SMOOTH)
+    track = JointTrack(rotation, place_joints(root, bones, rotation, parents), fps).smoothed(SMOOTH)
     rotation, root = track.rotation, track.positions[:, 0]
-    positions = place_joints(root, bones, rotation, parents)
     leg = leg_length(at_rest.joints, network.legs)
-    motion = PersonMotion(network.joints, rotation, positions, leg, weights)
-    vertices: Any = PosedFrames(skinned, rotation, root)
-    mesh = Mesh(np.asarray(vertices[0], np.float64), shown.faces, folder.name, up="+y")
+    motion = PersonMotion(network.joints, rotation, place_joints(root, bones, rotation, parents), leg, weights)
+    vertices: Any = PosedFrames(SkinnedMesh.of(shown.vertices, at_rest, parents), rotation, root)
     median = scans[int(np.argsort(uncertainty)[len(scans) // 2])].confidence
-    notes = _notes(folder.name, paths, best, uncertainty)
-    return Clip(mesh, vertices, rate, rotation[:, 0, :, 2], ScannedJoints(motion, median), notes)
+    first = shown.with_vertices(np.asarray(vertices[0], np.float64))
+    return Clip(first, vertices, fps, rotation[:, 0, :, 2], ScannedJoints(motion, median))
 
 
 def _found(paths: list[Path], told: Told, progress: Progress | None) -> tuple[Mime, Iterator[Scan]]:
