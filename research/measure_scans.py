@@ -82,7 +82,7 @@ def measure(character: Path, clip: Path, count: int, folder: Path) -> dict[str, 
     height, faces = np.ptp(vertices[0, :, 1]), moved.clip.mesh.faces.astype(np.int32)
     folder.mkdir(exist_ok=True)
     for t, points in enumerate(vertices):
-        points, triangles = fast_simplification.simplify(points, faces, 1 - rng.uniform(*KEPT))
+        points, triangles = fast_simplification.simplify(points, faces, 1 - rng.uniform(*KEPT))[:2]
         noisy = points + rng.normal(0, NOISE * height, points.shape)
         mimesh.save_mesh(mimesh.Mesh(noisy, triangles.astype(np.int64)), folder / f"{t:04d}.ply")
     plain = mimesh.Mesh(vertices[0].astype(float), moved.clip.mesh.faces)

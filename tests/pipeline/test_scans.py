@@ -17,7 +17,7 @@ from mimesh.motions.motion import motion_clip
 from mimesh.motions.procedural import walk_motion
 from mimesh.pipeline.scans import _likeliest
 
-FRAMES, FPS = 5, 10.0
+FRAMES, FPS = 4, 10.0
 
 
 def write_scans(folder, clip, turn=None, seed=0):
@@ -103,7 +103,7 @@ def test_a_mesh_moves_as_by_frames_of_one_topology(walk, scans):
 
 def test_only_the_frames_taken_are_read(scans, tmp_path):
     shutil.copytree(scans, tmp_path / "some")
-    for name in ("scan_01.ply", "scan_03.ply", "scan_04.ply"):
+    for name in ("scan_01.ply", "scan_03.ply"):
         (tmp_path / "some" / name).write_bytes((scans / name).read_bytes()[:100])
     (tmp_path / "some" / "scan_01.ply").write_bytes((scans / "scan_00.ply").read_bytes())
     found = mimesh.capture(tmp_path / "some", frames=mimesh.FrameRange(stop=3, step=2, fps=FPS))
