@@ -35,8 +35,7 @@ from ..mime.model import Mime
 from ..motions.bone_motion import BoneMotion
 from ..rigs.character import names_above
 from ..rigs.retarget import JointMotion, body_parents
-from .file_rigs import read_rigs
-from .joint_route import FoundMotion, find_motion, found_alone
+from .joint_route import FoundMotion, find_motion, found_alone, rigs_alone
 from .known import Known
 from .look import Look
 from .odd_frames import far_frames_note
@@ -191,14 +190,14 @@ def capture(
         taken = part.clip(taken)
         known, first = dataclasses.replace(known, corrections=known.corrections.of_part(part.index)), first_frame(taken)
     with timer.step("prepare"):
-        rigs = read_rigs(first, taken, known)
+        network = find_mime(model, seed)
+        rigs = rigs_alone(network, first, taken, known)
         known = known.with_heading(taken, rigs.driving)
         subject = rigs.subjects(first, first, known.axes)[1]
 
         def find(network: Mime, seen: Look) -> tuple[JointMotion, Normalization]:
             return find_motion(network, taken, subject, seen, rigs, known.corrections)
 
-        network = find_mime(model, seed)
         seen, motion, norm = found_alone(network, subject, known.asked_body, find)
     with timer.step("drive"):
         track = motion.over(taken, norm, SolePoints.of(motion.soles, motion.surface), progress)

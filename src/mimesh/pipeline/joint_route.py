@@ -328,6 +328,15 @@ def _found(
     )
 
 
+def rigs_alone(mime: Mime, identity: Mesh, clip: Clip, known: Known) -> Rigs:
+    """Read the rig of a single mesh or clip; joints whose names say nothing are found as for a transfer."""
+    rigs = read_rigs(identity, clip, known)
+    if not any(rigs.unnamed) or not finds_joints(mime):
+        return rigs
+    find = joint_finder(mime, known.axes[:2]), joint_finder(mime, known.axes[2:])
+    return read_rigs(identity, clip, known, find=find).with_notes((identity.name, clip.mesh.name), rigs)
+
+
 def found_alone(
     mime: Mime, subject: Subject, asked: str, find: Callable[[Mime, Look], tuple[Found, Normalization]]
 ) -> tuple[Look, Found, Normalization]:
