@@ -34,6 +34,7 @@ def capture(
     .vrma plays on any VRM. Joints that the file has are taken as they are.
     """
     from ..io import load_driving
+    from ..motions.retarget import NEEDED
     from ..pipeline.capturing import JOINT_FILES
     from ..pipeline.capturing import capture as capture_joints
     from ..tools.convert import frames_at
@@ -57,5 +58,8 @@ def capture(
     facts = joint_facts(captured, target, replaced, len(captured.names), corrected)
     facts |= {"frames": count, "fps": captured.fps}
     length = f", {frames_at(count, captured.fps)}"
-    then = ("animate", "hero.glb", str(target)) if captured.body == "human" else ("look", str(target))
+    if captured.body != "human":
+        then = ("look", str(target))
+    else:
+        then = ("animate", "hero.glb", str(target if set(captured.names).issuperset(NEEDED) else clip))
     return print_joint_facts(facts, output, then, length)
