@@ -161,7 +161,10 @@ def test_a_second_signal_acts_at_once():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
-            stop.__exit__(None)
+            stop.__exit__(None, None, None)
+        with pytest.raises(KeyboardInterrupt), StopRequest(None):
+            signal.raise_signal(signal.SIGINT)
+            raise RuntimeError("the compiler was interrupted, too")
     finally:
         signal.signal(signal.SIGINT, before)
 
