@@ -162,9 +162,12 @@ def test_a_second_signal_acts_at_once():
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
             stop.__exit__(None, None, None)
-        with pytest.raises(KeyboardInterrupt), StopRequest(None):
-            signal.raise_signal(signal.SIGINT)
-            raise RuntimeError("the compiler was interrupted, too")
+        stop = StopRequest(None)
+        stop.__enter__()
+        signal.raise_signal(signal.SIGINT)
+        failure = RuntimeError("the compiler was interrupted, too")
+        with pytest.raises(KeyboardInterrupt):
+            stop.__exit__(RuntimeError, failure, None)
     finally:
         signal.signal(signal.SIGINT, before)
 
