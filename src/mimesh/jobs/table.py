@@ -155,8 +155,8 @@ def _all_pairs(identities: Any, drivings: Any, output: str | Path | None, comman
     """Return a row for each identity with each driving, or with all if `output` has the name of the identity alone."""
     if not _listed(identities):
         raise InputError(
-            "batch: expected paths of meshes beside those of drivings, found none; give at least one, or put the drivings "
-            "into the rows of jobs"
+            "batch: expected paths of meshes beside those of drivings, found none; give at least one, or put the "
+            "drivings into the rows of jobs"
         )
     if output is None:
         raise InputError(
