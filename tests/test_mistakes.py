@@ -238,6 +238,7 @@ def test_notes_name_arguments():
         (("reference", ...), "reference=...", "--reference"),
         (("model", "mime"), 'model="mime"', "-m mime"),
         (("model",), "model", "--model"),
+        (("ground", False), "ground=False", "--no-ground"),
     ],
 )
 def test_options_are_named_as_the_front_end_has_them(named, python, command_line):

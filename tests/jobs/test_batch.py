@@ -165,6 +165,7 @@ NUMBERED = "ids poses -o out/{number}.obj "
         (NUMBERED + "-O up=w", "--up: expected one of"),
         ("ids poses -o poses/{number}.obj -O reference=no.obj", "no.obj: expected a file"),
         ("ids nothing* -o out/{number}.obj", "nothing*: expected driving files"),
+        ("ids/no.obj poses -o out/{number}.obj", "mimesh convert --help` names, found no such file"),
         ("ids", "expected a table of jobs"),
         ("no.csv", "no.csv: expected a table"),
     ],
@@ -366,6 +367,8 @@ def test_a_pattern_of_the_identity_alone_makes_one_file_of_all_clips(tmp_path, m
     assert is_done()
     save_clip(walk(frames=4, faces=600), "clips/walk.npz")
     assert not is_done()
+    with pytest.raises(mimesh.InputError, match="expected paths of meshes beside those of drivings, found none"):
+        mimesh.batch([], ["poses"], "out/{number}.obj")
     with pytest.raises(mimesh.InputError, match="expected one driving for transfer, found 2"):
         read_jobs([row], None, None, {}, "transfer")
 

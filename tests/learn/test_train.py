@@ -161,7 +161,13 @@ def test_a_second_signal_acts_at_once():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
-            stop.__exit__(None)
+            stop.__exit__(None, None, None)
+        stop = StopRequest(None)
+        stop.__enter__()
+        signal.raise_signal(signal.SIGINT)
+        failure = RuntimeError("the compiler was interrupted, too")
+        with pytest.raises(KeyboardInterrupt):
+            stop.__exit__(RuntimeError, failure, None)
     finally:
         signal.signal(signal.SIGINT, before)
 

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import rigs
 from people import walk
 from zoo import ring
 
@@ -138,6 +139,17 @@ def test_joints_of_a_character_become_a_t_pose_in_any_order(captured, clip, tmp_
         if name in place and name != "Hips":
             ours, theirs = joint - captured.rest[0], place[name] - place["Hips"]
             assert np.linalg.norm(ours - theirs) < 0.06 * np.ptp(captured.rest[:, 1]), name
+
+
+def test_a_note_names_the_joints_without_which_a_capture_moves_others_no_more(captured, tmp_path):
+    """Figures of blocks have one joint for an arm."""
+    blocks = rigs.figure().without("LeftForeArm", "RightForeArm")
+    path = rigs.character(tmp_path / "blocks.glb", person=blocks, clips={"move": rigs.exercise(blocks)})
+    found = mimesh.capture(path)
+    assert any("has no joints for LeftForeArm, RightForeArm: " in note for note in found.notes)
+    with pytest.raises(InputError, match="found none for LeftForeArm, RightForeArm"):
+        mimesh.load_clip(found.save(tmp_path / "blocks.bvh"))
+    assert not any("has no joints" in note for note in captured.notes)
 
 
 def test_smoothing_and_corrections_are_those_of_animate(captured, clip):

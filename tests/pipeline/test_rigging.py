@@ -19,6 +19,7 @@ from mimesh.core.errors import InputError, RefusedMeshError
 from mimesh.core.frame_buffer import LazyFrames
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.io.gltf.document import open_document
+from mimesh.io.gltf.draft import Draft
 from mimesh.io.gltf.own_rig import has_rig
 from mimesh.io.gltf.scene import node_parents, world_matrices
 from mimesh.io.gltf.vrm import PUBLIC_LICENSE, read_origin, vrm_bones
@@ -79,11 +80,16 @@ def test_bones_are_called_and_bound_as_a_program_expects(rigged, tmp_path):
         rigged.save(tmp_path / "rigged.obj")
 
 
+def check_origin(place: dict[str, np.ndarray], vertices: np.ndarray) -> None:
+    """The origin of a VRM is on the ground below the hips (tpose.md)."""
+    np.testing.assert_allclose([*place["Hips"][[0, 2]], vertices[:, 1].min()], 0, atol=1e-5)
+
+
 @pytest.mark.parametrize(("up", "front"), [("+y", "+z"), ("+z", "-y")])
 def test_a_vrm_is_a_person_in_the_t_pose_in_the_axes_of_vrm(up, front, tmp_path):
     mesh = person(0)
     turn = ROTATIONS[ORIENTATIONS.index((up, front))]
-    rigged = mimesh.rig(mesh.with_vertices(mesh.vertices @ turn), hints=mimesh.Hints(up=up, front=front))
+    rigged = mimesh.rig(mesh.with_vertices((mesh.vertices + [1, 2, 3]) @ turn), hints=mimesh.Hints(up=up, front=front))
     path = rigged.save(tmp_path / "hero.vrm", names="mixamo", author=["A", "B"], license=CC0)
     document = open_document(path)
     meta = document.gltf["extensions"]["VRMC_vrm"]["meta"]
@@ -97,13 +103,18 @@ def test_a_vrm_is_a_person_in_the_t_pose_in_the_axes_of_vrm(up, front, tmp_path)
         np.testing.assert_allclose(arm / np.linalg.norm(arm), [sign, 0, 0], atol=1e-6)
         np.testing.assert_allclose(leg / np.linalg.norm(leg), [0, -1, 0], atol=1e-6)
     vertices = mimesh.load_mesh(path).vertices
+    check_origin(place, vertices)
     assert np.ptp(vertices[:, 0]) > 0.9 * np.ptp(vertices[:, 1])
     assert np.ptp(vertices[:, 1]) == pytest.approx(np.ptp(BODY.vertices[:, 1]), rel=0.1)
     assert mimesh.rig(path).source == "file"
 
 
 def test_a_vrm_keeps_the_file_with_its_own_bones_in_the_t_pose(tmp_path):
-    path, _, _ = rigs.of_kind(tmp_path / "own.glb", "A-pose")
+    def away(draft: Draft) -> None:
+        draft.gltf["nodes"].append({"translation": [1, 2, 3], "children": draft.gltf["scenes"][0]["nodes"]})
+        draft.gltf["scenes"][0]["nodes"] = [len(draft.gltf["nodes"]) - 1]
+
+    path, _, _ = rigs.of_kind(tmp_path / "own.glb", "A-pose", change=away)
     kept = mimesh.rig(path)
     document = open_document(kept.save(tmp_path / "own.vrm", author="A", license=PUBLIC_LICENSE))
     assert "animations" not in document.gltf
@@ -114,6 +125,7 @@ def test_a_vrm_keeps_the_file_with_its_own_bones_in_the_t_pose(tmp_path):
         arm, leg = place[f"{side}Hand"] - place[f"{side}Arm"], place[f"{side}Foot"] - place[f"{side}UpLeg"]
         np.testing.assert_allclose(arm / np.linalg.norm(arm), [sign, 0, 0], atol=1e-5)
         np.testing.assert_allclose(leg / np.linalg.norm(leg), [0, -1, 0], atol=1e-5)
+    check_origin(place, mimesh.load_mesh(tmp_path / "own.vrm").vertices)
     # A VRM stays the one that it is, with its own meta.
     again = open_document(mimesh.rig(tmp_path / "own.vrm").save(tmp_path / "again.vrm"))
     assert again.gltf["extensions"] == document.gltf["extensions"]

@@ -18,6 +18,8 @@ from mimesh.core.options import Hints, MotionOptions
 from mimesh.core.rig import homogeneous
 from mimesh.io.gltf.draft import Draft
 from mimesh.pipeline import animate
+from mimesh.pipeline.capturing import capture
+from mimesh.pipeline.rigging import rig
 from mimesh.tools.inspect import inspect_file
 
 FACES = 3000
@@ -73,6 +75,25 @@ def test_the_joints_of_a_driving_are_used_without_names(driving, tmp_path):
     apart = second.clip.vertices - first.clip.vertices
     assert np.abs(apart - apart.mean(axis=(0, 1))).max() < 1e-4
     assert np.abs(apart).max() < 0.004  # the soles of a mesh that was found and of one that is named
+
+
+def test_rigs_and_captures_are_those_of_joints_with_names(tmp_path):
+    clips = {"move": rigs.exercise(stubless())}
+    first, second = (
+        rigs.character(tmp_path / f"{k}.glb", faces=FACES, clips=clips, name=name, person=stubless())
+        for k, name in enumerate((renamed("mixamo"), nameless))
+    )
+    rigged = rig(second)
+    assert rigged.source == "file"
+    assert any(FOUND in note for note in rigged.notes)
+    joints = rig(first).joints
+    assert rigged.joints.keys() <= joints.keys()
+    for name, place in rigged.joints.items():
+        np.testing.assert_allclose(place, joints[name], atol=1e-5)
+    captured, expected = capture(second), capture(first)
+    assert any(FOUND in note for note in captured.notes)
+    shared = [expected.names.index(name) for name in captured.names]
+    np.testing.assert_allclose(captured.rotation, expected.rotation[:, shared], atol=1e-4)
 
 
 @pytest.mark.slow

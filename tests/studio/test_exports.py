@@ -172,6 +172,7 @@ def test_messages_name_fields_of_the_page(tmp_path):
         (("rest", "T"), "“rest pose: T”"),
         (("rig", "mimesh"), "“bones: found on the surface”"),
         (("driving_up", ...), "up of the driving"),
+        (("ground", False), "“feet on the ground: off”"),
     ):
         assert field_name(*named) == expected
     assert for_page(f"{tmp_path}/exports/3/files/a.vrma: expected", tmp_path) == "a.vrma: expected"

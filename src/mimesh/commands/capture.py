@@ -33,6 +33,7 @@ def capture(
     By default the output is CLIP.bvh beside CLIP. A .glb or .fbx has the joints alone, a
     .vrma plays on any VRM. Joints that the file has are taken as they are.
     """
+    from ..motions.retarget import NEEDED
     from ..pipeline.capturing import JOINT_FILES
     from ..pipeline.capturing import capture as capture_joints
     from ..pipeline.read import load_moving
@@ -59,5 +60,8 @@ def capture(
     facts = joint_facts(captured, target, replaced, len(captured.names), corrected)
     facts |= {"frames": count, "fps": captured.fps}
     length = f", {frames_at(count, captured.fps)}"
-    then = ("animate", "hero.glb", str(target)) if captured.body == "human" else ("look", str(target))
+    if captured.body != "human":
+        then = ("look", str(target))
+    else:
+        then = ("animate", "hero.glb", str(target if set(captured.names).issuperset(NEEDED) else clip))
     return print_joint_facts(facts, output, then, length)

@@ -61,15 +61,18 @@ def did_you_mean(word: str, known: Iterable[str], similarity: float = 0.6) -> st
 
 
 def python_name(name: str, value: object = None) -> str:
-    """Name an argument of Python: root, root=..., root="drop"."""
+    """Name an argument of Python: root, root=..., root="drop", ground=False."""
     if value is None:
         return name
-    return f"{name}=..." if value is ... else f"{name}={value}" if str(value).isdigit() else f'{name}="{value}"'
+    bare = isinstance(value, bool) or str(value).isdigit()
+    return f"{name}=..." if value is ... else f"{name}={value}" if bare else f'{name}="{value}"'
 
 
 def command_line_name(name: str, value: object = None) -> str:
-    """Name an option of the command line: --root, --root drop."""
+    """Name an option of the command line: --root, --root drop, --no-ground."""
     flag = "-m" if name == "model" and value is not None else "--" + name.replace("_", "-")
+    if value is False:
+        return flag.replace("--", "--no-", 1)
     return flag if value is None or value is ... else f"{flag} {value}"
 
 

@@ -172,6 +172,7 @@ def save_vrm(
     bones: Mapping[str, int],
     meta: VrmMeta,
     turn: Float[np.ndarray, "3 3"],
+    origin: Float[np.ndarray, " 3"],
     path: str | Path,
 ) -> None:
     """Write a person in the T-pose as VRM 1.0: a skinned mesh at rest, or the own file of a mesh in its first frame.
@@ -179,6 +180,7 @@ def save_vrm(
     Args:
         bones: humanoid bone -> joint of the skinned mesh, or node of the file.
         turn: rotation from the axes of the rig to y up, +z front.
+        origin: point of the rig on the ground below the hips, which is the origin of the file.
 
     Raises:
         InputError: a path that cannot be written to.
@@ -197,7 +199,7 @@ def save_vrm(
             bones = {bone: nodes[joint] for bone, joint in bones.items()}
         else:
             write_own_pose(rig, glb)
-        write_vrm(glb, bones, meta, turn, temporary)
+        write_vrm(glb, bones, meta, turn, origin, temporary)
 
 
 def save_whole(source: Path, path: Path, animation: str | None = None) -> None:

@@ -154,7 +154,10 @@ def _listed(paths: Any) -> list[str]:
 def _all_pairs(identities: Any, drivings: Any, output: str | Path | None, command: str) -> list[Row]:
     """Return a row for each identity with each driving, or with all if `output` has the name of the identity alone."""
     if not _listed(identities):
-        raise InputError("batch: expected no drivings beside rows of jobs, found both; put them in the rows")
+        raise InputError(
+            "batch: expected paths of meshes beside those of drivings, found none; give at least one, or put the "
+            "drivings into the rows of jobs"
+        )
     if output is None:
         raise InputError(
             f"{option('output')}: expected a pattern for the outputs of all pairs, found none; "
@@ -258,8 +261,9 @@ def find_files(text: str, suffixes: Sequence[str], what: str) -> list[str]:
         found = glob.glob(text, recursive=True)
         found = [name for name in found if Path(name).is_dir() or Path(name).suffix.lower() in suffixes]
     if not found:
+        missing = "none" if path.exists() or glob.has_magic(text) else "no such file"
         raise InputError(
-            f"{text}: expected {what} of a format that `mimesh convert --help` names, found none; give a file, a "
+            f"{text}: expected {what} of a format that `mimesh convert --help` names, found {missing}; give a file, a "
             "folder of files, or a pattern in quotes ('characters/*.glb')"
         )
     return sorted(found)

@@ -260,8 +260,8 @@ class StopRequest:
     """Tells when a training has to end before its schedule does: after a time limit, or on SIGTERM or SIGINT.
 
     A signal is only recorded, so that the current step can be finished and saved; at the end of the block it becomes a
-    KeyboardInterrupt. A second one acts at once. Outside the main thread, which alone may handle signals, only the
-    time limit counts.
+    KeyboardInterrupt. So does an exception after it: Ctrl-C interrupts the compiler of a first step, too, which fails.
+    A second one acts at once. Outside the main thread, which alone may handle signals, only the time limit counts.
     """
 
     def __init__(self, max_minutes: float | None) -> None:
@@ -281,10 +281,10 @@ class StopRequest:
             self.handlers = {s: signal.signal(s, self._record) for s in (signal.SIGTERM, signal.SIGINT)}
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
         self._restore()
-        if kind is None and self.signal is not None:
-            raise KeyboardInterrupt
+        if self.signal is not None and (kind is None or issubclass(kind, Exception)):
+            raise KeyboardInterrupt from error
 
     def _record(self, number: int, _: object) -> None:
         self.signal = signal.Signals(number)

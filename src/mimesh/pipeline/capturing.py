@@ -17,7 +17,7 @@ from jaxtyping import Float
 from ..bodies.hands import straight_hands
 from ..bodies.joint_names import parents_first
 from ..core.arguments import public
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.foot_planting import FEWEST_FRAMES, find_contacts
 from ..core.frame_buffer import Progress
 from ..core.geometry import turned
@@ -33,10 +33,10 @@ from ..io.gltf.joints import write_gltf_joints
 from ..methods.find import find_mime
 from ..mime.model import Mime
 from ..motions.bone_motion import BoneMotion
+from ..motions.retarget import NEEDED
 from ..rigs.character import names_above
 from ..rigs.retarget import JointMotion, body_parents
-from .file_rigs import read_rigs
-from .joint_route import FoundMotion, find_motion, found_alone
+from .joint_route import FoundMotion, find_motion, found_alone, rigs_alone
 from .known import Known
 from .look import Look
 from .odd_frames import far_frames_note
@@ -191,14 +191,14 @@ def capture(
         taken = part.clip(taken)
         known, first = dataclasses.replace(known, corrections=known.corrections.of_part(part.index)), first_frame(taken)
     with timer.step("prepare"):
-        rigs = read_rigs(first, taken, known)
+        network = find_mime(model, seed)
+        rigs = rigs_alone(network, first, taken, known)
         known = known.with_heading(taken, rigs.driving)
         subject = rigs.subjects(first, first, known.axes)[1]
 
         def find(network: Mime, seen: Look) -> tuple[JointMotion, Normalization]:
             return find_motion(network, taken, subject, seen, rigs, known.corrections)
 
-        network = find_mime(model, seed)
         seen, motion, norm = found_alone(network, subject, known.asked_body, find)
     with timer.step("drive"):
         track = motion.over(taken, norm, SolePoints.of(motion.soles, motion.surface), progress)
@@ -211,6 +211,12 @@ def capture(
         notes = motion.confidence.notes(first.name, alone=True) + notes
     elif hints.up is None:
         report["up_from"] = "joints"
+    missing = dict.fromkeys(joint for joint in NEEDED if joint not in motion.joints)
+    if seen.body == "human" and missing:
+        notes += (
+            f"{first.name} has no joints for {', '.join(missing)}: files of its joints alone do not move others; give "
+            f"the clip itself as the driving, or find joints on its surface with {option('rig', 'mimesh')}",
+        )
     return _captured(found, first.name, seen.body, report, timer, notes)
 
 

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from ..bodies.anatomy import body_of_joints
 from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import AnimatedRig
-from ..core.errors import InputError, RefusedMeshError, on_command_line, option
+from ..core.errors import InputError, RefusedMeshError, option
 from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import LazyFrames, Progress, evenly_spread
 from ..core.joint_tracks import JointTrack
@@ -262,7 +262,7 @@ def no_path_note(name: str) -> str:
     """Tell what is done with a driving that has no path of the hips."""
     return (
         f"{name} does not move its hips from their place: the lowest sole stands on the floor in every frame; "
-        f"{'--no-ground' if on_command_line() else 'ground=False'} leaves the hips at one height"
+        f"{option('ground', False)} leaves the hips at one height"
     )
 
 
@@ -326,6 +326,15 @@ def _found(
         lambda: find_character(mime, subjects[0], looks[0], rigs, corrections),
         lambda: find_motion(mime, clip, subjects[1], looks[1], rigs, corrections),
     )
+
+
+def rigs_alone(mime: Mime, identity: Mesh, clip: Clip, known: Known) -> Rigs:
+    """Read the rig of a single mesh or clip; joints whose names say nothing are found as for a transfer."""
+    rigs = read_rigs(identity, clip, known)
+    if not any(rigs.unnamed) or not finds_joints(mime):
+        return rigs
+    find = joint_finder(mime, known.axes[:2]), joint_finder(mime, known.axes[2:])
+    return read_rigs(identity, clip, known, find=find).with_notes((identity.name, clip.mesh.name), rigs)
 
 
 def found_alone(

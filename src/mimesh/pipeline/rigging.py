@@ -33,8 +33,7 @@ from ..io.gltf.skinned import write_gltf_rig
 from ..methods.find import find_mime
 from ..mime.model import Mime
 from ..rigs.character import Character
-from .file_rigs import read_rigs
-from .joint_route import FoundCharacter, found_character
+from .joint_route import FoundCharacter, found_character, rigs_alone
 from .known import Known
 from .look import normalised
 from .parts import find_part
@@ -219,7 +218,7 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
     whole, part = mesh, find_part(mesh, known.parts[0])
     if part is not None:
         mesh, known = part.mesh, dataclasses.replace(known, corrections=known.corrections.of_part(None))
-    rigs = read_rigs(mesh, Clip.still(mesh), known)
+    rigs = rigs_alone(mime, mesh, Clip.still(mesh), known)
     subject = rigs.subjects(mesh, mesh, known.axes)[0]
     seen, plain, norm = found_character(mime, subject, known.asked_body, rigs, known.corrections)
     character = plain

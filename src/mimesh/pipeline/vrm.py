@@ -73,9 +73,11 @@ def save_as_vrm(
     turn = ROTATIONS[ORIENTATIONS.index((report["up"], report["front"]))]
     if own is not None:
         joints = check_joints(own.person, path)  # the T-pose needs these, too
-        posed, _ = _own_t_pose(rigged, own, layout)
+        animation, posed = _own_t_pose(rigged, own, layout)
         bones = {bone: own.person[joint] for bone, joint in zip(bone_names(joints), joints, strict=True)}
-        save_vrm(posed, bones, meta, turn, path)
+        hips = posed.joint_positions()[0, (posed.person or {})["Hips"]]
+        origin = _below(hips, next(animation.vertices()), turn)
+        save_vrm(animation, bones, meta, turn, origin, path)
         return
     rig = engine_rig(_upright(rigged.skeleton, turn), layout.names, layout.root_bone, "T", leg_tolerance=0.0)
     bone_of = SCHEMES[layout.names].bones
@@ -85,7 +87,15 @@ def save_as_vrm(
     }
     joints = check_joints(known, path)
     bones = {bone: known[joint] for bone, joint in zip(bone_names(joints), joints, strict=True)}
-    save_vrm(rig, bones, meta, np.eye(3), path)
+    origin = _below(rig.rig.joints[known["Hips"]], rig.mesh.vertices, np.eye(3))
+    save_vrm(rig, bones, meta, np.eye(3), origin, path)
+
+
+def _below(
+    hips: Float[np.ndarray, " 3"], vertices: Float[np.ndarray, "V 3"], turn: Float[np.ndarray, "3 3"]
+) -> Float[np.ndarray, " 3"]:
+    """Return the point on the ground below the hips, where `turn` takes up to y."""
+    return hips + ((vertices - hips) @ turn[1]).min() * turn[1]
 
 
 def _upright(skeleton: AnimatedRig, turn: Float[np.ndarray, "3 3"]) -> AnimatedRig:

@@ -141,6 +141,7 @@ def check_joints(known: dict[str, int], path: Path) -> tuple[str, ...]:
     missing += [] if any(joint in known for joint in TRUNK) else ["Spine"]
     if missing:
         raise InputError(
-            f"{path}: expected the bones that VRM requires, found none for {', '.join(missing)}; write a .glb"
+            f"{path}: expected the bones that VRM requires, found none for {', '.join(missing)}; write a .glb, or find "
+            f"joints on the surface with {option('rig', 'mimesh')}"
         )
     return bone_joints(known)

@@ -12,6 +12,7 @@ FIELDS = {
     "body": "both meshes are",
     "smooth": "smoothing",
     "root": "root motion",
+    "ground": "feet on the ground",
     "fps": "frame rate",
     "output_fps": "frame rate",
     "driving_up": "up of the driving",
@@ -24,6 +25,7 @@ FIELDS = {
 }
 """Option -> the field of the page that it is, where that has another name."""
 CHOICES = {
+    "False": "off",
     "own": "of the file",
     "mimesh": "found on the surface",
     "human": "a person",

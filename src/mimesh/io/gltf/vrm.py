@@ -219,7 +219,14 @@ def write_vrma(motions: Sequence[BoneMotion], path: Path) -> None:
     draft.save(path)
 
 
-def write_vrm(glb: Path, bones: Mapping[str, int], meta: VrmMeta, turn: Float[np.ndarray, "3 3"], path: Path) -> None:
+def write_vrm(
+    glb: Path,
+    bones: Mapping[str, int],
+    meta: VrmMeta,
+    turn: Float[np.ndarray, "3 3"],
+    origin: Float[np.ndarray, " 3"],
+    path: Path,
+) -> None:
     """Write a glTF file of a person in the T-pose as VRM 1.0, without animations, which VRM has none of.
 
     Bones that hang on another one than VRM demands (`misplaced_bones`) are moved below that, and stay where they are.
@@ -228,6 +235,8 @@ def write_vrm(glb: Path, bones: Mapping[str, int], meta: VrmMeta, turn: Float[np
         glb: the file.
         bones: humanoid bone -> node.
         turn: rotation from the axes of the file to y up, +z front, as VRM has them.
+        origin: point of the file on the ground below the hips. VRM has it at zero (tpose.md: soles at y = 0, left and
+            right symmetric at x = 0).
         path: where to write.
     """
     from scipy.spatial.transform import Rotation
@@ -241,12 +250,16 @@ def write_vrm(glb: Path, bones: Mapping[str, int], meta: VrmMeta, turn: Float[np
     extension = {"specVersion": "1.0", "meta": meta.json(), "humanoid": humanoid}
     gltf["extensionsUsed"] = [*gltf.get("extensionsUsed", []), "VRMC_vrm"]
     gltf["extensions"] = {**gltf.get("extensions", {}), "VRMC_vrm": extension}
-    if not np.allclose(turn, np.eye(3)):
-        scene = gltf["scenes"][gltf.get("scene", 0)]
-        gltf["nodes"].append(
-            {"name": "axes", "rotation": Rotation.from_matrix(turn).as_quat().tolist(), "children": scene["nodes"]}
-        )
-        scene["nodes"] = [len(gltf["nodes"]) - 1]
+    scene = gltf["scenes"][gltf.get("scene", 0)]
+    gltf["nodes"].append(
+        {
+            "name": "axes",
+            "rotation": Rotation.from_matrix(turn).as_quat().tolist(),
+            "translation": (-turn @ origin).tolist(),
+            "children": scene["nodes"],
+        }
+    )
+    scene["nodes"] = [len(gltf["nodes"]) - 1]
     draft.save(path)
 
 
