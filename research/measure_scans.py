@@ -2,8 +2,8 @@
 
     python research/measure_scans.py POOL CLIPS [-o benchmarks/scans.json] [--characters 4] [--frames 40]
 
-POOL is a pool of rigged characters; those of its split val follow each motion capture (.bvh) of the folder CLIPS on
-their own rigs, 25 frames a second. As scans their frames are decimated to 25 to 60 % of the triangles, other ones in
+POOL is a pool of rigged characters; realistic ones of its split val follow each motion capture (.bvh) of the folder
+CLIPS on their own rigs, 25 frames a second. As scans their frames are decimated to 25 to 60 % of the triangles, other ones in
 each, with noise of 0.2 % of the height. Directions of upper and lower arms and legs are compared with those of the rig.
 """
 
@@ -47,8 +47,7 @@ def main() -> None:
     parser.add_argument("--characters", type=int, default=4)
     parser.add_argument("--frames", type=int, default=40)
     args = parser.parse_args()
-    needed = {f"{side}{name}" for side in SIDES for pair in LIMBS.items() for name in pair}
-    pool = tuple(c for c in read_pool(args.pool, "val").characters if needed <= c.joints.keys())
+    pool = tuple(c for c in read_pool(args.pool, "val").characters if c.meta.kind == "realistic")
     clips, rows = sorted(args.clips.glob("*.bvh")), []
     with tempfile.TemporaryDirectory() as folder, progress("clips", quiet=False) as advance:
         paths = write_pool(list(choose_characters(pool, args.characters)), Path(folder))
