@@ -3,8 +3,9 @@
     python research/measure_scans.py POOL CLIPS [-o benchmarks/scans.json] [--characters 4] [--frames 40]
 
 POOL is a pool of rigged characters; realistic ones of its split val follow each motion capture (.bvh) of the folder
-CLIPS on their own rigs, 25 frames a second. As scans their frames are decimated to 25 to 60 % of the triangles, other ones in
-each, with noise of 0.2 % of the height. Directions of upper and lower arms and legs are compared with those of the rig.
+CLIPS on their own rigs, 25 frames a second. As scans their frames are decimated to 25 to 60 % of the triangles, other
+ones in each, with noise of 0.2 % of the height. Directions of upper and lower arms and legs are compared with those of
+the rig.
 """
 
 from __future__ import annotations
