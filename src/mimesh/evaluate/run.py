@@ -272,7 +272,7 @@ def find_protocol(
     `data` is the folder that those of FOLDERS read, or that of a list's files.
 
     Raises:
-        InputError: no such protocol or list, no folder where one is needed, or an option that lists alone have.
+        InputError: no such protocol or list, no folder where one is needed, or an option that has no effect.
     """
     if name not in (*WITHOUT_FOLDER, *FOLDERS) and Path(name).exists():
         return listed_pairs(Path(name), data, height, fps)
@@ -287,6 +287,8 @@ def find_protocol(
     if name not in WITHOUT_FOLDER:
         known = ", ".join((*WITHOUT_FOLDER, *FOLDERS))
         raise InputError(f"{name}: expected a protocol ({known}) or the path of a list, found neither; check the name")
+    if data is not None:
+        raise InputError(f"--data: expected none with {name}, which reads no folder, found {data}; leave it out")
     return WITHOUT_FOLDER[name]
 
 
