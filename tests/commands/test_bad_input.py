@@ -161,6 +161,7 @@ REFUSED = {
     RENDER + "x.png --truth other.obj": "expected the truth to have 8 vertices, found 4",
     "evaluate nonsense -m copy": "nonsense",
     "evaluate human-npt -m nonsense --pairs 1": "nonsense",
+    "evaluate human-npt -m ,": "--model: expected one model or more",
     "evaluate cross-body -m npt": "--data",
     "evaluate cross-body -m npt --data .": "expected",
     "evaluate characters -m npt": "--data",

@@ -89,11 +89,13 @@ def evaluate_command(
         runtime: what runs networks instead of onnxruntime, with its name for the report; not for characters.
 
     Raises:
-        InputError: an unknown protocol, split or method, or missing data.
+        InputError: an unknown protocol, split or method, no method, or missing data.
     """
     chosen = find_protocol(protocol, data, measuring.height, measuring.fps)
     if split not in SPLITS:
         raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
+    if not methods:
+        raise InputError("--model: expected one model or more, with commas between, found none; name some")
     for method in methods:
         check_method(method)
     chosen.check(split)
