@@ -136,3 +136,18 @@ def test_folders_without_people_and_other_methods_are_refused(folder, tmp_path):
         evaluate_command("rigs", ["mime"])
     with pytest.raises(InputError, match="expected a folder of rigged characters"):
         evaluate_command("rigs", ["mime"], data=tmp_path)
+
+
+def test_methods_without_joints_are_not_applicable(folder):
+    rows = evaluate_command("rigs", ["copy", "npt", "identity"], split="val", pairs=1, data=folder)["results"]
+    assert [(row["pairs"], row.get("failures"), row["not_applicable"]) for row in rows] == [(0, None, 1)] * 3
+    assert "expected a model with joints (mime), found npt" in rows[1]["why"]
+
+
+def test_packs_take_turns_where_files_of_two_have_one_name(tmp_path):
+    for pack, names in (("a", ["first", "hero"]), ("b", ["hero"])):
+        (tmp_path / pack).mkdir()
+        for name in names:
+            rigged_files.character(tmp_path / pack / f"{name}.glb")
+    found = [(one.meta.pack, one.meta.file) for one in rigs.rigs(tmp_path).pool("val").characters]
+    assert found == [("a", "first"), ("b", "hero"), ("a", "hero")]

@@ -65,6 +65,8 @@ def test_train_writes_best_last_and_logs_and_tells_what_it_will_reach(trained):
 
 
 def test_a_time_limit_stops_and_saves(tmp_path):
+    assert StopRequest(0.0)()
+    assert not StopRequest(None)()
     endless = dataclasses.replace(TINY, pairs=10**9, validate_every=10**9)
     folder = train(endless, tmp_path / "run", max_minutes=0.005)
     state = checkpoint.load(folder / "last.safetensors")
@@ -81,7 +83,7 @@ def test_a_time_limit_stops_and_saves(tmp_path):
 def test_a_time_limit_is_not_overrun_by_a_validation(tmp_path, pairs):
     """A validation that is due where the time ends is left to the training that is resumed, which does it first."""
     config = dataclasses.replace(TINY, pairs=pairs, validate_every=2)
-    folder = train(config, tmp_path / "run", max_minutes=1e-9)
+    folder = train(config, tmp_path / "run", max_minutes=0.0)
     state = checkpoint.load(folder / "last.safetensors")
     assert (state.step, state.validated, state.metrics) == (1, 0, {})
     assert "validation that was due is left" in (folder / "log.jsonl").read_text()
@@ -195,7 +197,7 @@ def test_precision_is_measured_where_it_is_not_given(monkeypatch):
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
 def test_checkpoint_and_log_say_the_precision(tmp_path, precision, monkeypatch):
     monkeypatch.setattr("mimesh.learn.loop.choose_precision", lambda *_: (precision, "because"))
-    folder = train(dataclasses.replace(TINY, pairs=2, optimizer="muon"), tmp_path / "run", max_minutes=1e-9)
+    folder = train(dataclasses.replace(TINY, pairs=2, optimizer="muon"), tmp_path / "run", max_minutes=0.0)
     assert checkpoint.load(folder / "last.safetensors").precision == precision
     line = log_of(folder)[0]
     assert (line["kind"], line["precision"], line["text"]) == ("precision", precision, "because")

@@ -31,13 +31,6 @@ Figures = Annotated[
     Path | None,
     typer.Option("--output", "-o", help="Keep the figures as JSON; stopped, the same command goes on where it was."),
 ]
-Data = Annotated[
-    Path | None,
-    typer.Option(
-        help="Folder: rigged characters for cross-body, a pool of them for characters.",
-        metavar="DIR",
-    ),
-]
 
 
 @with_options
@@ -101,7 +94,6 @@ def table(
     ],
     output: Figures = None,
     pairs: Pairs = 0,
-    data: Data = None,
     train: Annotated[bool, typer.Option("--train", help="Train the networks of the rows first.")] = False,
     seeds: Annotated[int, typer.Option(help="Train each row so many times; prints mean and deviation.", min=1)] = 1,
     minutes: Annotated[
@@ -149,7 +141,7 @@ def table(
 
         trained = train_table(name, networks, minutes, seeds, long, lambda text: say(text, error=True), left_out)
     with progress("pairs", quiet or json) as advance:
-        figures, text = table_command(name, output, pairs, advance, data, trained, left_out)
+        figures, text = table_command(name, output, pairs, advance, trained, left_out)
     if json:
         print_json({**figures, "left_out": list(missing)})
     elif not quiet:
@@ -164,7 +156,10 @@ def generate(
         str, typer.Option(help="test, val, or train (human-npt: 6,400 files, 4 GB; --pairs: poses).")
     ] = "test",
     pairs: Pairs = 0,
-    data: Data = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder: rigged characters for cross-body, a pool of them for characters.", metavar="DIR"),
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,11 +25,13 @@ from ..bodies.character_pool import Pool, PoolCharacter
 from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.errors import InputError
 from ..core.mesh import Mesh
-from ..core.options import Hints
+from ..core.options import Hints, needs_joints
 from ..core.rig import Rig, nearest_columns
 from ..core.skinning import SkinnedMesh
+from ..methods.find import moves_joints
 from .character_folder import read_character_folder
 from .characters import character_label
+from .measure import EXTRA_INPUTS
 from .pairs import Pair
 from .protocols import Protocol
 from .rig_metrics import bones_to_bones, joints_to_bones, joints_to_joints, limb_radius, matched_share, weights_apart
@@ -171,24 +173,25 @@ def rigs(data: str | Path) -> RiggedPeople:
 @lru_cache(maxsize=2)
 def _read(data: Path, split: str) -> Pool:
     pool = read_character_folder(data, split)
-    rank, before = {}, Counter[str]()
+    packs: dict[str, list[PoolCharacter]] = {}
     for character in pool.characters:
-        rank[character.meta.file] = before[character.meta.pack]
-        before[character.meta.pack] += 1
-    turns = sorted(pool.characters, key=lambda character: rank[character.meta.file])
+        packs.setdefault(character.meta.pack, []).append(character)
+    turns = (character for turn in zip_longest(*packs.values()) for character in turn if character is not None)
     return dataclasses.replace(pool, characters=tuple(turns))
 
 
 def measure_rig(trial: RigTrial, method: str) -> dict[str, Any]:
     """Find the rig of a character and compare it with its maker's (metrics: docs/conventions.md).
 
-    {"failed": reason} if the mesh is refused.
+    {"failed": reason} if the mesh is refused, {"why": reason} for a method that finds no joints.
 
     Args:
         method: "mime", or the path of an .onnx file that was trained as `mime` is.
     """
     from ..pipeline.rigging import rig
 
+    if method in EXTRA_INPUTS or not moves_joints(method):
+        return {"why": str(needs_joints("model", method))}
     started = time.perf_counter()
     try:
         rigged = rig(trial.identity, method, hints=UPRIGHT)

@@ -89,11 +89,13 @@ def evaluate_command(
         runtime: what runs networks instead of onnxruntime, with its name for the report; not for characters.
 
     Raises:
-        InputError: an unknown protocol, split or method, or missing data.
+        InputError: an unknown protocol, split or method, no method, or missing data.
     """
     chosen = find_protocol(protocol, data, measuring.height, measuring.fps)
     if split not in SPLITS:
         raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
+    if not methods:
+        raise InputError("--model: expected one model or more, with commas between, found none; name some")
     for method in methods:
         check_method(method)
     chosen.check(split)
@@ -272,7 +274,7 @@ def find_protocol(
     `data` is the folder that those of FOLDERS read, or that of a list's files.
 
     Raises:
-        InputError: no such protocol or list, no folder where one is needed, or an option that lists alone have.
+        InputError: no such protocol or list, no folder where one is needed, or an option that has no effect.
     """
     if name not in (*WITHOUT_FOLDER, *FOLDERS) and Path(name).exists():
         return listed_pairs(Path(name), data, height, fps)
@@ -287,6 +289,8 @@ def find_protocol(
     if name not in WITHOUT_FOLDER:
         known = ", ".join((*WITHOUT_FOLDER, *FOLDERS))
         raise InputError(f"{name}: expected a protocol ({known}) or the path of a list, found neither; check the name")
+    if data is not None:
+        raise InputError(f"--data: expected none with {name}, which reads no folder, found {data}; leave it out")
     return WITHOUT_FOLDER[name]
 
 

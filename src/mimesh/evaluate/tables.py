@@ -193,7 +193,6 @@ def table_command(
     out: Path | None = None,
     pairs: int = 0,
     progress: Progress | None = None,
-    data: Path | None = None,
     trained: Mapping[str, Sequence[str]] = NONE_TRAINED,
     without: Sequence[str] = (),
 ) -> tuple[dict[str, Any], str]:
@@ -204,12 +203,12 @@ def table_command(
         without: methods whose rows are left out, `rows_without_weights` for example.
 
     Raises:
-        InputError: no such table or row, a missing network of a row, or missing data.
+        InputError: no such table or row, or a missing network of a row.
     """
     table = find_table(name, without)
     methods = list(dict.fromkeys(method for row in table.rows for method in trained.get(row.method, [row.method])))
     check_weights(*methods)
-    report = evaluate_command(table.protocol, methods, out, pairs=pairs, progress=progress, data=data)
+    report = evaluate_command(table.protocol, methods, out, pairs=pairs, progress=progress)
     return report, paper_table(name, report, trained=trained, without=without)
 
 

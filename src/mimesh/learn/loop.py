@@ -265,7 +265,7 @@ class StopRequest:
     """
 
     def __init__(self, max_minutes: float | None) -> None:
-        self.deadline = time.monotonic() + 60 * max_minutes if max_minutes else float("inf")
+        self.deadline = time.monotonic() + 60 * (float("inf") if max_minutes is None else max_minutes)
         self.signal: signal.Signals | None = None
         self.handlers: dict[signal.Signals, Any] = {}
 

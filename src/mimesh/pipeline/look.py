@@ -483,8 +483,8 @@ def joint_finder(mime: Mime, axes: UpFront) -> FindJoints:
             if confidence.recognised:
                 return match_joints(shown, dataclasses.replace(body, joints=norm.undo(body.joints)), rig.mesh.name)
         raise InputError(
-            f"{rig.mesh.name}: expected joints with the names of a person's, or the shape of a person, found neither; "
-            "rename the joints, for example LeftUpLeg, LeftArm"
+            f"{rig.mesh.name}: expected thighs and upper arms that move vertices and have the names of a person's, or "
+            "the shape of a person, found neither; rename the joints, for example LeftUpLeg, LeftArm"
         )
 
     return find

@@ -352,7 +352,6 @@ def _smoothed(found: Corrections, fps: float, cyclic: bool) -> Corrections:
 
     if not cyclic:
         return gaussian_filter1d(found, SECONDS * fps, axis=1, mode="nearest")
-    period = gaussian_filter1d(
-        found[:, :-1], SECONDS * fps, axis=1, mode="wrap"
-    )  # the last frame is the first one again
+    # The last frame is the first one again.
+    period = gaussian_filter1d(found[:, :-1], SECONDS * fps, axis=1, mode="wrap")
     return np.concatenate([period, period[:, :1]], axis=1)
