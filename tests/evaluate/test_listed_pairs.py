@@ -439,7 +439,9 @@ def test_a_report_of_another_question_is_not_replaced_and_its_figures_are_not_us
     evaluate_command(given, ["copy", "identity"], out)  # of the same pairs: more methods
     for other in ({"pairs": 2}, {"measuring": MeasureOptions(ensemble=2)}):
         with pytest.raises(InputError, match="expected no file, or a report of the same test set"):
-            evaluate_command(given, ["copy"], out, **other)
+            evaluate_command(given, ["copy", "identity"], out, **other)
+    with pytest.raises(InputError, match="found one with identity; choose another name"):
+        evaluate_command(given, ["copy"], out)
     out.write_text("notes of mine")
     with pytest.raises(InputError, match="choose another name"):
         evaluate_command(given, ["copy"], out)

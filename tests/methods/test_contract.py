@@ -11,6 +11,7 @@ from grouped_options import grouped
 from networks import write_mime_network, write_network, write_sequence_network
 from people import person, walk
 
+import mimesh
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.methods.aniformer import OVERLAP
@@ -162,3 +163,22 @@ def test_frames_are_read_one_at_a_time(model):
     for t, vertices in enumerate(drive(frames())):
         assert len(read) <= t + 1 + ahead
         assert vertices.shape == IDENTITY.vertices.shape
+
+
+@pytest.mark.parametrize(
+    ("made", "found"),
+    [
+        (lambda vertices: vertices[:-1], r"in frame 0, found some of shape"),
+        (lambda vertices: vertices * np.nan, r"in frame 0, found NaN or infinity"),
+        (None, r"a frame for each of the driving's, found none"),
+    ],
+)
+def test_frames_of_a_programs_own_method_are_checked(made, found):
+    class Own:
+        name, rough = "own", False
+
+        def prepare(self, identity, driving):
+            return lambda frames: iter([made(identity.vertices)] if made else [])
+
+    with pytest.raises(mimesh.InputError, match=rf"own: expected .*{found}"):
+        mimesh.transfer(IDENTITY, IDENTITY, Own())

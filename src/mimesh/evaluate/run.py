@@ -115,7 +115,7 @@ def evaluate_command(
     question = {**config, "protocol": settings(chosen), "metrics": VERSION, "machine": machine(), **libraries()}
     question["commit"] = made["commit"]
     if out is not None:
-        keep_other_report(out, chosen.name, config)
+        keep_other_report(out, chosen.name, config, methods)
     ledger = PartialReport(out and out.with_name(out.name + ".partial"), question)
     counts = {kind: chosen.count(kind, pairs, split) for kind in chosen.kinds}
     total, done, rows, sets = sum(counts.values()) * len(methods), 0, [], {}
@@ -152,18 +152,22 @@ def evaluate_command(
     return report
 
 
-def keep_other_report(out: Path, protocol: str, config: dict[str, Any]) -> None:
-    """Raise InputError if a report would replace one of another test set or of other options."""
+def keep_other_report(out: Path, protocol: str, config: dict[str, Any], methods: list[str]) -> None:
+    """Raise InputError if a report would replace one of another test set or of other options, or lose a method."""
     if not out.exists():
         return
+    lost: set[str] = set()
     try:
         before = json.loads(out.read_text())
         same = (before["protocol"], before["provenance"]["config"]) == (protocol, json.loads(json.dumps(config)))
+        lost = {row["method"] for row in before["results"]} - set(methods)
     except (OSError, ValueError, KeyError, TypeError):
         same = False
-    if not same:
+    if not same or lost:
+        found = f"one with {', '.join(sorted(lost))}" if same else "another"
         raise InputError(
-            f"{out}: expected no file, or a report of the same test set and options, found another; choose another name"
+            f"{out}: expected no file, or a report of the same test set, options and methods, found {found}; choose "
+            "another name"
         )
 
 

@@ -11,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 from jaxtyping import Float
 
+from ..core.errors import InputError
 from ..core.frame_buffer import LazyFrames, Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
@@ -108,10 +109,24 @@ class VertexRoute(Placed):
 
     def _placed(self, driving: Iterable[Float[np.ndarray, "U 3"]], timer: Timer) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield frames at the identity's place: the first one has its position."""
-        frames = (vertices @ self.turn.T for vertices in self._refined(self.drive(driving), timer))
+        frames = (vertices @ self.turn.T for vertices in self._refined(self._checked(self.drive(driving)), timer))
         first = next(frames)
         shift = self.shift(first, None)
         return (self.norms[0].undo(vertices + shift) for vertices in itertools.chain([first], frames))
+
+    def _checked(self, frames: Iterable[Float[np.ndarray, "V 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield the frames of the method, which may be a program's own; raise InputError where they cannot be used."""
+        shape, count = self.rest.vertices.shape, 0
+        for count, vertices in enumerate(frames, 1):
+            if np.shape(vertices) != shape or not np.isfinite(vertices).all():
+                found = f"some of shape {np.shape(vertices)}" if np.shape(vertices) != shape else "NaN or infinity"
+                raise InputError(
+                    f"{self.method.name}: expected finite points of shape {shape} in frame {count - 1}, found {found}; "
+                    "correct the method"
+                )
+            yield vertices
+        if not count:
+            raise InputError(f"{self.method.name}: expected a frame for each of the driving's, found none; correct it")
 
     def _refined(self, frames: Iterable[Float[np.ndarray, "V 3"]], timer: Timer) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield the frames refined. Their time is moved from the step "drive", inside which this runs, to "refine"."""
