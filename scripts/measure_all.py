@@ -1,9 +1,10 @@
 """Measure all methods on all test sets, write docs/results and the tables of the docs. Resumable; hours on two cores.
 
-    python scripts/measure_all.py [--characters DIR] [--people DIR] [PROTOCOL ...]
+    python scripts/measure_all.py [--characters DIR] [--people DIR] [--methods mime,mime-network] [PROTOCOL ...]
 
 Run it in the root of a checkout, which contains `ablations/`. characters are measured if --characters is a pool of
-rigged characters, cross-body if --people is a folder of them. Existing reports are replaced.
+rigged characters, cross-body if --people is a folder of them. Of existing reports the rows of these methods are
+replaced.
 Several of these can run at the same time, on different protocols.
 """
 
@@ -34,12 +35,17 @@ def main() -> None:
     parser.add_argument("protocols", nargs="*", metavar="PROTOCOL", help=", ".join((*WITHOUT_FOLDER, *FOLDERS)))
     parser.add_argument("--characters", type=Path, help="pool of rigged characters, for characters")
     parser.add_argument("--people", type=Path, help="rigged characters, for cross-body")
+    parser.add_argument("--methods", default="", help="only these of the usual ones, such as mime,mime-network")
     args = parser.parse_args()
+    chosen = set(args.methods.split(",")) if args.methods else None
     folders = {"characters": args.characters, "cross-body": args.people}
     for name in args.protocols or (*WITHOUT_FOLDER, *(name for name in FOLDERS if folders[name])):
         out = write_results.RESULTS / f"{name}.json"
+        measured = [method for method in methods(name) if chosen is None or method in chosen]
+        if not measured:
+            continue
         with progress(name, quiet=False) as advance:
-            evaluate_command(name, methods(name), out, progress=advance, data=folders.get(name))
+            evaluate_command(name, measured, out, progress=advance, data=folders.get(name))
         print(f"{name}: measured")
     write_results.main()
 

@@ -151,7 +151,8 @@ def rows_csv(reports: dict[str, dict[str, Any]]) -> str:
         for row in report["results"]:
             start = {"report": stem, "protocol": report["protocol"], "kind": row["split"]}
             start["role"] = role(report["protocol"], "test", row["split"])
-            lines.append(start | {k: v for k, v in row.items() if k not in ("split", "each")} | origin)
+            figures = {k: v for k, v in row.items() if k not in ("split", "each", "origin")}
+            lines.append(start | figures | origin | row.get("origin", {}))
     text = io.StringIO()
     writer = csv.DictWriter(text, dict.fromkeys(name for line in lines for name in line), lineterminator="\n")
     writer.writeheader()

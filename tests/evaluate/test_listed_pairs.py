@@ -436,12 +436,15 @@ def test_a_report_of_another_question_is_not_replaced_and_its_figures_are_not_us
     (out.parent / "figures.json.partial").write_text(f'{{"split": "test"}}\n{kept}\n')
     assert evaluate_command(given, ["copy"], out)["results"][0]["pmd_e4"] > 0
     assert (out.parent / "figures.json.partial.old").exists()
-    evaluate_command(given, ["copy", "identity"], out)  # of the same pairs: more methods
+    of_copy = json.loads(out.read_text())
+    evaluate_command(given, ["identity"], out)  # of the same pairs: more methods
+    rows = json.loads(out.read_text())["results"]
+    assert [row["method"] for row in rows] == ["identity", "copy"]
+    origin = {name: of_copy["provenance"][name] for name in ("commit", "machine", "date")}
+    assert rows[1] == {"origin": origin, **of_copy["results"][0]}
     for other in ({"pairs": 2}, {"measuring": MeasureOptions(ensemble=2)}):
         with pytest.raises(InputError, match="expected no file, or a report of the same test set"):
-            evaluate_command(given, ["copy", "identity"], out, **other)
-    with pytest.raises(InputError, match="found one with identity; choose another name"):
-        evaluate_command(given, ["copy"], out)
+            evaluate_command(given, ["copy"], out, **other)
     out.write_text("notes of mine")
     with pytest.raises(InputError, match="choose another name"):
         evaluate_command(given, ["copy"], out)

@@ -77,9 +77,10 @@ def evaluate_command(
 ) -> dict[str, Any]:
     """Measure methods on a protocol (`mimesh evaluate`) and return the report: one row per method and kind of pair.
 
-    With `out` the report is also written as JSON, and the metrics of finished pairs are stored next to it
-    (`<out>.partial`) until the report is complete, so that an interrupted run can be continued: with the same commit
-    of the code, without changes to it, and for methods whose weights are the same.
+    With `out` the report is also written as JSON, with the rows that one of this name has of other methods. The metrics
+    of finished pairs are stored next to it (`<out>.partial`) until the report is complete, so that an interrupted run
+    can be continued: with the same commit of the code, without changes to it, and for methods whose weights are the
+    same.
 
     Args:
         protocol: a name, or the path of a list of files or of a folder of lists (`listed_pairs`).
@@ -111,11 +112,11 @@ def evaluate_command(
     if runtime:
         options |= {"runtime": runtime}
         config |= {"runtime": runtime_name}
-    made = provenance(config)
+    made, before = provenance(config), {}
     question = {**config, "protocol": settings(chosen), "metrics": VERSION, "machine": machine(), **libraries()}
     question["commit"] = made["commit"]
     if out is not None:
-        keep_other_report(out, chosen.name, config, methods)
+        before = report_before(out, chosen.name, config)
     ledger = PartialReport(out and out.with_name(out.name + ".partial"), question)
     counts = {kind: chosen.count(kind, pairs, split) for kind in chosen.kinds}
     total, done, rows, sets = sum(counts.values()) * len(methods), 0, [], {}
@@ -145,6 +146,7 @@ def evaluate_command(
         "left_out": chosen.left_out(split),
         "results": rows,
     }
+    report["results"] += rows_kept(before, report)
     if out is not None:
         with whole_file(out) as temporary:
             temporary.write_text(report_text(report), encoding="utf-8", newline="\n")
@@ -152,23 +154,40 @@ def evaluate_command(
     return report
 
 
-def keep_other_report(out: Path, protocol: str, config: dict[str, Any], methods: list[str]) -> None:
-    """Raise InputError if a report would replace one of another test set or of other options, or lose a method."""
+def report_before(out: Path, protocol: str, config: dict[str, Any]) -> dict[str, Any]:
+    """Read the report that is to be replaced; {} if there is none.
+
+    Raises:
+        InputError: it is none of the same test set and options.
+    """
     if not out.exists():
-        return
-    lost: set[str] = set()
+        return {}
     try:
         before = json.loads(out.read_text())
         same = (before["protocol"], before["provenance"]["config"]) == (protocol, json.loads(json.dumps(config)))
-        lost = {row["method"] for row in before["results"]} - set(methods)
     except (OSError, ValueError, KeyError, TypeError):
         same = False
-    if not same or lost:
-        found = f"one with {', '.join(sorted(lost))}" if same else "another"
+    if not same:
         raise InputError(
-            f"{out}: expected no file, or a report of the same test set, options and methods, found {found}; choose "
-            "another name"
+            f"{out}: expected no file, or a report of the same test set and options, found another; choose another name"
         )
+    return before
+
+
+def rows_kept(before: dict[str, Any], report: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows of other methods than those of a new report, with their "origin": commit, machine and date.
+
+    Those of other pairs or another version of the metrics are left out.
+    """
+
+    def measured_on(of: dict[str, Any]) -> tuple[int, list[str]]:
+        return of["metrics"], [facts["sha256"] for facts in of["sets"].values()]
+
+    if not before or measured_on(before) != measured_on(report):
+        return []
+    origin = {name: before["provenance"][name] for name in ("commit", "machine", "date")}
+    measured = {row["method"] for row in report["results"]}
+    return [{"origin": origin} | row for row in before["results"] if row["method"] not in measured]
 
 
 def report_text(report: dict[str, Any]) -> str:
