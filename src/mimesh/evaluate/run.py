@@ -162,6 +162,7 @@ def report_before(out: Path, protocol: str, config: dict[str, Any]) -> dict[str,
     """
     if not out.exists():
         return {}
+    before: dict[str, Any] = {}
     try:
         before = json.loads(out.read_text())
         same = (before["protocol"], before["provenance"]["config"]) == (protocol, json.loads(json.dumps(config)))

@@ -62,6 +62,9 @@ LIE = ("quadruped",)
 of leaping ones point up or down. Of people figures of blocks became worse (docs/log/animals.md)."""
 
 
+CLEARLY = 0.95
+"""Ratio of the costs of two fits from which down on the one that does not start from what was predicted is taken."""
+
 Positions = Mapping[str, Float[np.ndarray, " 3"]]
 """Joint -> position, normalised."""
 
@@ -239,8 +242,12 @@ class Mime:
     @kept(most=KEPT_RIGS)
     def fit(self, mesh: Mesh) -> FittedJoints:
         """Find the joints of a normalised mesh as `predict_rig` does, which also weighs the vertices."""
+        return self.fit_near(mesh, None)
+
+    def fit_near(self, mesh: Mesh, near: Pose | None) -> FittedJoints:
+        """Find joints as `fit` does; the body is fitted from the pose `near`, too, and the better fit is taken."""
         mesh = face_outward(mesh)
-        rig, confidence = self._consensus(mesh, weighted=False)
+        rig, confidence = self._consensus(mesh, weighted=False, near=near)
         return FittedJoints(rig.rotation, rig.joints, _without_shares(confidence, mesh))
 
     @kept(most=KEPT_QUICK)
@@ -255,12 +262,13 @@ class Mime:
         return self._consensus(mesh)
 
     def _consensus(
-        self, mesh: Mesh, targets: JointTargets | None = None, weighted: bool = True
+        self, mesh: Mesh, targets: JointTargets | None = None, weighted: bool = True, near: Pose | None = None
     ) -> tuple[Rig, Confidence]:
         """Predict the joints of a mesh and the skinning weights of its distinct positions: a consensus of ENSEMBLE.
 
         Args:
             weighted: whether the weights are needed; without, there are none.
+            near: see `fit_near`.
         """
         ranked = canonical_order(mesh.vertices)
         vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
@@ -280,7 +288,7 @@ class Mime:
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
         confidence = self.network.confidence(rigs, mean, mean.weights[len(vertices) :])
         measured = slice(len(vertices), None)
-        rig, confidence, fit = self._with_body(mean, confidence, sample, rigs, queries, measured, targets)
+        rig, confidence, fit = self._with_body(mean, confidence, sample, rigs, queries, measured, targets, near)
         weights, nearest, known = rig.weights[: len(vertices)], None, 0.0
         if not weighted:
             return dataclasses.replace(rig, weights=weights), confidence
@@ -309,6 +317,7 @@ class Mime:
         queries: NetworkPoints,
         measured: slice,
         targets: JointTargets | None,
+        near: Pose | None = None,
     ) -> tuple[Rig, Confidence, BodyFit | None]:
         """Fit the body to the consensus of predictions; with some joints at their targets if they are known or found.
 
@@ -316,11 +325,12 @@ class Mime:
             queries: the points that have the weights of the rig.
             measured: those of them that are spread evenly over the surface.
             targets: joints that the user has corrected; None: a shin may be found on the other leg.
+            near: see `fit_near`.
         """
         if targets is not None:
             rig, confidence, fit = self._with_corrections(rig, confidence, sample, queries, targets)
             return rig, self._with_weights(confidence, rig.weights[measured]), fit
-        fitted, sure, fit = self._with_fit(rig, confidence, sample, predictions)
+        fitted, sure, fit = self._with_fit(rig, confidence, sample, predictions, near)
         if fit is None or self.body != "human":
             return fitted, sure, fit
         # What is found is as uncertain as what was predicted: weights are not measured again.
@@ -331,7 +341,12 @@ class Mime:
         return fitted, sure, fit
 
     def _with_fit(
-        self, rig: Rig, confidence: Confidence, sample: SurfaceSample, predictions: Sequence[Rig]
+        self,
+        rig: Rig,
+        confidence: Confidence,
+        sample: SurfaceSample,
+        predictions: Sequence[Rig],
+        near: Pose | None,
     ) -> tuple[Rig, Confidence, BodyFit | None]:
         """Replace the joints of a rig, the consensus of predictions, by those of the body fitted to its surface.
 
@@ -340,6 +355,9 @@ class Mime:
         if not self.fits_body:
             return rig, confidence, None
         fit = fit_predictions(sample, rig, predictions, self.body)
+        if near is not None:
+            other = fit_body(sample, *near, name=self.body)
+            fit = other if other.cost < CLEARLY * fit.cost else fit
         return (
             dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints),
             self._measured(confidence, fit, sample),

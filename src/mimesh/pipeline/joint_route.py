@@ -30,7 +30,7 @@ from ..methods.find import NETWORK_OF_BODY
 from ..mime.model import CapturedMotion, FittedJoints, Mime
 from ..mime.prediction import face_outward
 from ..rigs.character import Character
-from ..rigs.retarget import JointMotion, Retarget, ScannedJoints
+from ..rigs.retarget import JointMotion, Pose, Retarget, ScannedJoints
 from .corrections import Corrections
 from .file_rigs import Rigs, heading_note, read_rigs
 from .known import Known
@@ -406,18 +406,27 @@ def find_motion(
     def motion(norm: Normalization) -> JointMotion:
         if rigs.driving is not None:
             mesh = face_outward(normalised(subject.mesh, norm))
-            found = JointMotion.of_file(rigs.driving, mesh, clip.fps, norm)
-            scanned = isinstance(clip.skeleton, ScannedJoints)
-            return dataclasses.replace(found, confidence=clip.skeleton.confidence) if scanned else found
+            found, skeleton = JointMotion.of_file(rigs.driving, mesh, clip.fps, norm), clip.skeleton
+            confidence = skeleton.confidence if isinstance(skeleton, ScannedJoints) else None
+            return dataclasses.replace(found, confidence=confidence)
         corrected, keyframes = corrections.of_driving(keyframes_of(clip, norm), mime.joints, norm)
         return mime.capture(keyframes, corrected)
 
     return _settled(mime, subject, seen, motion)
 
 
-def find_pose(mime: Mime, subject: Subject, seen: Look) -> tuple[FittedJoints, Normalization]:
-    """Find the joints on the surface of a mesh, whatever its file has, without what they move."""
-    return _settled(mime, subject, seen, lambda norm: mime.fit(normalised(subject.mesh, norm)))
+def find_pose(mime: Mime, subject: Subject, seen: Look, near: Pose | None = None) -> tuple[FittedJoints, Normalization]:
+    """Find the joints on the surface of a mesh, whatever its file has, without what they move.
+
+    Args:
+        near: rotations and positions in the axes of the file that they may be near to.
+    """
+
+    def fitted(norm: Normalization) -> FittedJoints:
+        start = near and (norm.rotation @ near[0], norm.apply(near[1]))
+        return mime.fit_near(normalised(subject.mesh, norm), start)
+
+    return _settled(mime, subject, seen, fitted)
 
 
 def _settled(

@@ -28,7 +28,7 @@ from ..io.frame_folder import find_frames
 from ..io.load import FRAMES_OF_FOLDERS
 from ..io.timing import DEFAULT_FPS
 from ..methods.find import find_mime
-from ..mime.model import FittedJoints, Mime
+from ..mime.model import Mime
 from ..rigs.confidence import Confidence
 from ..rigs.retarget import ScannedJoints
 from .joint_route import find_pose, found_alone
@@ -115,17 +115,15 @@ def _found(paths: list[Path], told: Told, progress: Progress | None) -> tuple[Mi
     network, axes = mime.of_body(seen.body), norm.axes
 
     def scans() -> Iterator[Scan]:
-        yield _scan(pose, norm, axes)
+        near = norm.rotation.T @ pose.rotation, norm.undo(pose.joints)
+        yield Scan(axes @ near[0], near[1] @ axes.T, pose.confidence, norm)
         for path in paths[1:]:
             subject = Subject(load_mesh(path), (norm.up, None))
-            yield _scan(*find_pose(network, subject, known_look(network, subject)), axes)
+            fitted, own = find_pose(network, subject, known_look(network, subject), near)
+            near = own.rotation.T @ fitted.rotation, own.undo(fitted.joints)
+            yield Scan(axes @ near[0], near[1] @ axes.T, fitted.confidence, own)
 
     return network, counted(scans(), len(paths), progress)
-
-
-def _scan(pose: FittedJoints, norm: Normalization, axes: Float[np.ndarray, "3 3"]) -> Scan:
-    """Return joints that were found in a normalised mesh in the axes of the clip; `axes` turns those of files there."""
-    return Scan(axes @ norm.rotation.T @ pose.rotation, norm.undo(pose.joints) @ axes.T, pose.confidence, norm)
 
 
 def _bones(
