@@ -60,7 +60,9 @@ def world(motion):
 
 
 def test_a_clip_still_needs_one_topology(scans):
-    with pytest.raises(OtherTopologyError, match=r"expected the topology of scan_00\.ply"):
+    with pytest.raises(
+        OtherTopologyError, match=r"expected the topology of scan_00\.ply.*or give the folder to animate"
+    ):
         mimesh.load_clip(scans)
 
 

@@ -44,7 +44,8 @@ def read_sequence(
     paths = find_frames(folder, suffixes)
     first = read(paths[0])
     check_clip_size(len(paths), len(first.vertices), folder)
-    later = (read_frame(path, first, paths[0], read) for path in paths[1:])
+    advice = "export all frames from one mesh, or give the folder to animate or capture, which take scans"
+    later = (read_frame(path, first, paths[0], read, advice) for path in paths[1:])
     frames = itertools.chain([first.vertices], later)
     return Clip(first, store_frames(frames, len(paths), len(first.vertices), progress=progress), fps)
 
@@ -133,7 +134,13 @@ def _series(path: Path) -> str:
     return _NUMBER.sub("#", path.stem) + path.suffix.lower()
 
 
-def read_frame(path: Path, first: Mesh, first_path: Path, read: Callable[[Path], Mesh]) -> Float[np.ndarray, "V 3"]:
+def read_frame(
+    path: Path,
+    first: Mesh,
+    first_path: Path,
+    read: Callable[[Path], Mesh],
+    advice: str = "export all frames from one mesh",
+) -> Float[np.ndarray, "V 3"]:
     """Read the vertices of a mesh that has the topology of a first one, by the format's fast path where possible.
 
     Raises:
@@ -148,6 +155,6 @@ def read_frame(path: Path, first: Mesh, first_path: Path, read: Callable[[Path],
         raise OtherTopologyError(
             f"{path}: expected the topology of {first_path.name} ({len(first.vertices)} vertices, {len(first.faces)} "
             f"triangles), found {len(mesh.vertices)} vertices and {len(mesh.faces)} triangles"
-            f"{' in another order' if mesh.faces.shape == first.faces.shape else ''}; export all frames from one mesh"
+            f"{' in another order' if mesh.faces.shape == first.faces.shape else ''}; {advice}"
         )
     return mesh.vertices
