@@ -154,7 +154,7 @@ class Characters(Wide):
 
 def characters(data: str | Path) -> Characters:
     """Return the protocol for a pool of characters; `check` tells whether a split can be generated."""
-    return Characters("characters", 1, (*KINDS, *(ACROSS + kind for kind in KINDS)), pairs=36, spread=0.0,
+    return Characters("characters", 2, (*KINDS, *(ACROSS + kind for kind in KINDS)), pairs=36, spread=0.0,
                       data=Path(data))  # fmt: skip
 
 
