@@ -10,7 +10,6 @@ from ..core.options import Hints
 from ..core.person_motion import PersonMotion
 from ..rigs.retarget import ScannedJoints
 from .corrections import NO_CORRECTIONS, Corrections
-from .read import driving_axes
 
 if TYPE_CHECKING:
     from ..motions.humanoid_rig import HumanoidRig
@@ -61,3 +60,13 @@ class Known:
     def asked_body(self) -> str:
         """The body that the user says, or that alone has a joint of a corrected name; else "auto"."""
         return (self.corrections.body or self.body) if self.body == "auto" else self.body
+
+
+def driving_axes(clip: Clip, up: str | None, front: str | None) -> tuple[str | None, str | None]:
+    """Return up and front of the driving's first frame: those given, else by its joints, else None (to be detected)."""
+    if up is not None or front is not None or clip.headings is None:
+        return up, front
+    x, y, z = clip.headings[0]
+    if abs(y) > max(abs(x), abs(z)):  # lying or bowing: the front of the hips points up or down
+        return "+y", None
+    return "+y", ("+" if max(x, z, key=abs) > 0 else "-") + ("x" if abs(x) > abs(z) else "z")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..core.arguments import described
 from ..core.errors import InputError, OtherTopologyError
@@ -12,8 +13,8 @@ from ..core.mesh import UNNAMED, Clip, Mesh, check_clip, check_mesh, cut_clip
 from ..core.options import FrameRange
 from ..io import load_driving, load_mesh
 
-Told = tuple[str | None, str | None, str]
-"""Up and front of the first scan, and whose joints scans have; None and "auto" are detected."""
+if TYPE_CHECKING:
+    from .scans import Told
 
 
 def read_mesh(mesh: Mesh | str | Path, role: str) -> Mesh:
@@ -82,13 +83,3 @@ def load_moving(
         from .scans import scanned_clip
 
         return scanned_clip(path, frames if scans is None else scans, told, fps, progress)
-
-
-def driving_axes(clip: Clip, up: str | None, front: str | None) -> tuple[str | None, str | None]:
-    """Return up and front of the driving's first frame: those given, else by its joints, else None (to be detected)."""
-    if up is not None or front is not None or clip.headings is None:
-        return up, front
-    x, y, z = clip.headings[0]
-    if abs(y) > max(abs(x), abs(z)):  # lying or bowing: the front of the hips points up or down
-        return "+y", None
-    return "+y", ("+" if max(x, z, key=abs) > 0 else "-") + ("x" if abs(x) > abs(z) else "z")

@@ -33,8 +33,9 @@ from ..rigs.confidence import Confidence
 from ..rigs.retarget import ScannedJoints
 from .joint_route import find_pose, found_alone
 from .look import Subject, known_look, normalised
-from .read import Told
 
+Told = tuple[str | None, str | None, str]
+"""Up and front of the first scan, and whose joints scans have; None and "auto" are detected."""
 NEIGHBOURS, MISREAD = 2, 2.0
 """Scans before and after each that a rotation is compared with; and the ratio of its distance from theirs to the least
 of these from which on it is replaced."""
@@ -110,7 +111,7 @@ def _moved(
 def _found(paths: list[Path], told: Told, progress: Progress | None) -> tuple[Mime, Iterator[Scan]]:
     """Return the network of the body that the first scan shows, and the joints of all."""
     up, front, body = told
-    mime, first = find_mime("mime"), Subject(load_mesh(paths[0]), (up, front))
+    mime, first = find_mime("mime"), Subject(_named(paths[0]), (up, front))
     seen, pose, norm = found_alone(mime, first, body, lambda network, look: find_pose(network, first, look))
     network, axes = mime.of_body(seen.body), norm.axes
 
@@ -118,12 +119,17 @@ def _found(paths: list[Path], told: Told, progress: Progress | None) -> tuple[Mi
         near = norm.rotation.T @ pose.rotation, norm.undo(pose.joints)
         yield Scan(axes @ near[0], near[1] @ axes.T, pose.confidence, norm)
         for path in paths[1:]:
-            subject = Subject(load_mesh(path), (norm.up, None))
+            subject = Subject(_named(path), (norm.up, None))
             fitted, own = find_pose(network, subject, known_look(network, subject), near)
             near = own.rotation.T @ fitted.rotation, own.undo(fitted.joints)
             yield Scan(axes @ near[0], near[1] @ axes.T, fitted.confidence, own)
 
     return network, counted(scans(), len(paths), progress)
+
+
+def _named(path: Path) -> Mesh:
+    """Read a scan, and name it with its folder, in messages."""
+    return dataclasses.replace(load_mesh(path), name=f"{path.parent.name}/{path.name}")
 
 
 def _bones(

@@ -32,10 +32,9 @@ from ..mime.model import Mime
 from ..motions.animal_clips import ANIMAL_MOTIONS, animal_clip
 from ..pipeline.capturing import CapturedClip, capture
 from ..pipeline.corrections import Corrections, correctable_joints, shown_bones
-from ..pipeline.known import Known
+from ..pipeline.known import Known, driving_axes
 from ..pipeline.look import OTHER
 from ..pipeline.parts import PartRoute, named_parts
-from ..pipeline.read import driving_axes
 from ..pipeline.report import facing
 from ..pipeline.result import ClipResult, Timer
 from ..pipeline.rigging import RiggedMesh, rig

@@ -34,7 +34,7 @@ from ..io.timing import DEFAULT_FPS
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
-    from ..pipeline.read import Told
+    from ..pipeline.scans import Told
 
 USUAL = ConvertOptions()
 ALL = "all"
