@@ -47,7 +47,7 @@ def main() -> None:
         with progress(name, quiet=False) as advance:
             evaluate_command(name, measured, out, progress=advance, data=folders.get(name))
         print(f"{name}: measured")
-    write_results.main()
+    write_results.main([])
 
 
 def methods(protocol: str) -> list[str]:

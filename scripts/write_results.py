@@ -100,11 +100,15 @@ README_METHODS = {
 """Method -> its name in the README's table."""
 
 
-def main() -> None:
-    """Write the tables between their marks, and the CSV file."""
+def main(arguments: list[str] | None = None) -> None:
+    """Write the tables between their marks, and the CSV file.
+
+    Args:
+        arguments: those of the command line; None: of this process.
+    """
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--curves", type=Path, metavar="FOLDER", help="with NAME.json and NAME-log.jsonl of networks")
-    folder = parser.parse_args().curves
+    folder = parser.parse_args(arguments).curves
     curves = json.loads(CURVES.read_text(encoding="utf-8")) if folder is None else read_curves(folder)
     reports = read_reports(RESULTS)
     tables = {
