@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from pathlib import Path
 
@@ -55,7 +56,8 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def protocol(folder) -> Characters:
-    return characters(folder)
+    # The version seeds the draw: bounds on bent limbs were set on that of the first.
+    return dataclasses.replace(characters(folder), version=1)
 
 
 def direction(limb: Limb, transforms: np.ndarray) -> np.ndarray:
@@ -158,7 +160,7 @@ def test_limbs_of_another_skeleton_stand_as_in_the_driving_mesh(kind, protocol):
         for part in ("LeftArm", "RightUpLeg"):
             one, other = whole_limb(identity, pose, part), whole_limb(driving, pair.driving_character.transforms, part)
             # In a bent limb the direction depends on the lengths of both halves, which differ between characters.
-            assert np.degrees(np.arccos(min(float(one @ other), 1.0))) < 35
+            assert np.degrees(np.arccos(one @ other)) < 20
 
 
 def whole_limb(character: PoolCharacter, transforms: np.ndarray, upper: str) -> np.ndarray:

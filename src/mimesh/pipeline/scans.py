@@ -94,7 +94,7 @@ def _moved(
     parents, uncertainty = network.parents, [scan.confidence.uncertainty for scan in scans]
     rotation, joints = (np.stack(arrays) for arrays in list(zip(*scans, strict=True))[:2])
     # Bones have their median length: those that are found differ a little.
-    bones = np.median(_bones(rotation, joints, parents), axis=0)
+    bones = np.median([Rig(scan.rotation, scan.joints, weights).bones(parents) for scan in scans], axis=0)
     at_rest = Rig(rotation[best], place_joints(joints[best, 0], bones, rotation[best], parents), weights)
     kept = _likeliest(rotation)
     rotation, root = rotation[kept, np.arange(len(parents))], joints[kept[:, 0], 0]
@@ -132,14 +132,6 @@ def _named(path: Path) -> Mesh:
     return dataclasses.replace(load_mesh(path), name=f"{path.parent.name}/{path.name}")
 
 
-def _bones(
-    rotation: Float[np.ndarray, "T J 3 3"], joints: Float[np.ndarray, "T J 3"], parents: tuple[int, ...]
-) -> Float[np.ndarray, "T B 3"]:
-    """Return the vector from each joint's parent to the joint, in the parent's frame, in every frame."""
-    above = list(parents[1:])
-    return np.einsum("tjkl,tjk->tjl", rotation[:, above], joints[:, 1:] - joints[:, above])
-
-
 def _likeliest(rotation: Float[np.ndarray, "T J 3 3"]) -> Int[np.ndarray, "T J"]:
     """Choose for each frame and joint the frame nearby with the likeliest rotation: itself, unless it was misread."""
     count, joints = rotation.shape[:2]
@@ -158,8 +150,8 @@ def _notes(name: str, paths: list[Path], best: int, uncertainty: Float[np.ndarra
         f"{name} has meshes of different topologies: joints were found in each of the {len(paths)}, and "
         f"{paths[best].name} is moved by them"
     )
-    doubtful = [path.name for path, doubt in zip(paths, uncertainty, strict=True) if doubt > 1]
-    if not doubtful:
+    uncertain = [path.name for path, value in zip(paths, uncertainty, strict=True) if value > 1]
+    if not uncertain:
         return (note,)
-    names = ", ".join(doubtful[:NAMED]) + (" and others" if len(doubtful) > NAMED else "")
-    return note, f"joints were not found with certainty in {len(doubtful)} of {len(paths)} scans: {names}"
+    names = ", ".join(uncertain[:NAMED]) + (" and others" if len(uncertain) > NAMED else "")
+    return note, f"joints were not found with certainty in {len(uncertain)} of {len(paths)} scans: {names}"
