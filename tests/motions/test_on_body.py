@@ -23,7 +23,7 @@ from mimesh.motions.bvh import load_bvh
 from mimesh.motions.motion import BONES, joint_tracks
 from mimesh.motions.on_body import is_motion_file, motion_of_file, on_body
 from mimesh.motions.retarget import rests_standing
-from mimesh.pipeline.read import driving_axes
+from mimesh.pipeline.known import driving_axes
 from mimesh.tools.inspect import inspect_file
 
 STANDING = ("t", "a", "lowered")
