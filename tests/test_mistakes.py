@@ -186,6 +186,7 @@ def outcomes(tmp_path_factory) -> dict[str, tuple[str, str]]:
     return {name: (kind, message) for name, kind, message in map(json.loads, done.stdout.splitlines())}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_raises_an_error_that_names_no_option(name, outcomes):
     kind, message = outcomes[name]

@@ -100,6 +100,7 @@ def test_several_clips_become_animations_of_one_file(files, call, capsys):
     assert f"next: open {pages[0]}.html in a browser" in text
 
 
+@pytest.mark.slow
 def test_only_the_first_of_many_clips_get_pictures_and_pages(files, call):
     report = written(files, call, *["walk.glb"] * 5, "-o", "many.glb", "--stop", "2")["report"]
     names = [f"many-{name}.preview" for name in ("walk", "walk-2", "walk-3")]
@@ -112,6 +113,7 @@ def test_only_the_first_of_many_clips_get_pictures_and_pages(files, call):
     assert not [note for note in report["notes"] if note.startswith("pictures")]
 
 
+@pytest.mark.slow
 def test_engine_names_root_bone_rest_and_rate(files, call):
     options = ("--names", "unreal", "--root-bone", "--rest", "A", "--output-fps", "60")
     text = animate(files, call, "walk.glb", "-o", "j.glb", "--no-preview", "--stop", "3", *options, model="mime").out

@@ -25,6 +25,7 @@ def keys(facts: dict) -> set[str]:
     return {key for key in facts if key != "report"} | {f"report.{key}" for key in facts["report"]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["rig", "capture"])
 def test_printed_keys_are_those_of_the_page(command, tmp_path, monkeypatch, call):
     monkeypatch.chdir(tmp_path)

@@ -51,6 +51,7 @@ def edge_lengths(vertices, faces):
     return np.linalg.norm(np.diff(vertices[faces[:, :2]], axis=1)[:, 0], axis=1)
 
 
+@pytest.mark.slow
 @ALL_KINDS
 def test_truth_and_extra_inputs_are_aligned(protocol, kind):
     """A wrong order is wrong by far more than another person, and tears edges; markers are corresponding vertices; the

@@ -114,6 +114,7 @@ def test_without_clips_no_deformation_is_measured(folder):
     assert deformation_error(dataclasses.replace(trial, character=character), ListedRig.of_maker(character)) is None
 
 
+@pytest.mark.slow
 def test_characters_of_a_folder_are_measured_without_their_rigs(folder, tmp_path):
     report = evaluate_command("rigs", ["mime"], tmp_path / "rigs.json", "val", data=folder, dump=tmp_path / "worst")
     (row,) = report["results"]

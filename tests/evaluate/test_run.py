@@ -173,6 +173,7 @@ def shortened(trial, frames):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", ["identity", "truth"])
 def test_clip_of_a_network_equals_its_single_frames(trial, scale, tmp_path):
     """Prepared once, the network gives each frame the result that it gives that frame alone."""

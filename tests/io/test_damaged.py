@@ -58,6 +58,7 @@ STAGES = {
 }
 
 
+@pytest.mark.slow
 @matrix("name", STAGES, quick=["no UTF-8", "huge counts"])
 def test_damage_of_usd_is_named(name, tmp_path):
     pytest.importorskip("pxr")

@@ -133,6 +133,7 @@ def test_too_small_disk_is_named(read, tmp_path):
     assert not list((tmp_path / "tmp").iterdir())
 
 
+@pytest.mark.slow
 def test_the_library_is_not_loaded_by_the_reading_process_and_a_clip_outlives_its_file(tmp_path):
     pytest.importorskip("pxr")
     save_mesh(grid(), tmp_path / "a.usda")

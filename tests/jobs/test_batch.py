@@ -230,6 +230,7 @@ def test_ctrl_c_prints_what_was_done(files, capfd, monkeypatch):
     assert stopped.value.result.counts == facts["counts"]
 
 
+@pytest.mark.slow
 def test_files_that_are_in_several_jobs_are_looked_at_once(files, capfd, monkeypatch):
     looked = []
     monkeypatch.setattr("mimesh.jobs.table.check_readable", looked.append)
@@ -314,6 +315,7 @@ def test_patterns_and_folders(files):
     assert filled("{identity}-{driving}-{number:03}.glb", both, 7) == "a.b-walk-007.glb"
 
 
+@pytest.mark.slow
 def test_meshes_are_rigged_and_clips_captured_and_not_again(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     for shape in range(2):
@@ -341,6 +343,7 @@ def test_meshes_are_rigged_and_clips_captured_and_not_again(tmp_path, monkeypatc
     ]
 
 
+@pytest.mark.slow
 def test_a_pattern_of_the_identity_alone_makes_one_file_of_all_clips(tmp_path, monkeypatch):
     """As a game has its characters: one file, one animation for each motion."""
     pytest.importorskip("onnx")
@@ -403,6 +406,7 @@ def test_a_job_is_done_again_when_a_file_changes_that_its_input_names(files):
         assert fingerprint(job) != before, path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["emptied", "removed", "replaced"])
 def test_a_job_is_done_again_when_its_output_is_not_what_it_wrote(files, change):
     assert run([*POSES, "1", "-q"]) == 0
@@ -417,6 +421,7 @@ def test_a_job_is_done_again_when_its_output_is_not_what_it_wrote(files, change)
     assert (output.read_bytes(), left()) == (kept, 0)
 
 
+@pytest.mark.slow
 def test_without_clobbering_only_what_others_made_is_kept(files, capfd):
     words = [*POSES, "1", "-q", "-O", "no-clobber=yes"]
     assert run(words) == 0

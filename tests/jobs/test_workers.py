@@ -51,6 +51,7 @@ def test_every_job_is_done_once():
     assert [outcome["value"] for outcome in outcomes(tasks(*names, identities=7), 2)] == names
 
 
+@pytest.mark.slow
 def test_a_crash_costs_one_job_and_the_worker_is_replaced():
     before, crashed, after = outcomes(tasks("a", "crash", "b"), 1)
     assert (before["value"], after["value"]) == ("a", "b")

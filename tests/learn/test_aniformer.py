@@ -44,6 +44,7 @@ def source(request):
     return WindowSource(request.param, shipped_body(), torch.device("cpu"), 3, 3)
 
 
+@pytest.mark.slow
 def test_truth_is_aligned_in_every_frame_and_driving_shuffled_on_its_own_alike_in_all(source):
     batch = source.batch(4, 0)
     for t in range(3):
@@ -117,6 +118,7 @@ def test_weights_of_a_vertex_are_trained_where_that_vertex_is_drawn(tmp_path):
     assert torch.allclose(by_number, in_order, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_weights_of_a_vertex_need_the_vertices_of_the_meshes(tmp_path):
     config = load_config("table", "aniformer", ["model.vertices=100", "data.pairing=order"])
     with pytest.raises(InputError, match=r"model.vertices: expected 0 or 6890"):

@@ -35,6 +35,7 @@ def saved(tmp_path_factory):
     return run, path
 
 
+@pytest.mark.slow
 def test_a_compact_checkpoint_is_half_as_large_and_continues(saved, tmp_path):
     _, path = saved
     save_compact(path, tmp_path / "last.safetensors")

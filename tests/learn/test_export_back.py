@@ -30,6 +30,7 @@ def test_an_exported_network_is_read_back(exported, read_back, network):
     assert (start.pairs, start.spent()) == (trained.pairs, trained.spent())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bits", STORED_BITS)
 def test_stored_weights_are_near_and_stored_again_they_are_the_same(tmp_path, bits):
     """Rows of int8 are rounded to themselves; small tensors are left as they are."""

@@ -50,6 +50,7 @@ def test_an_identity_at_rest_is_moved_to_the_truth_exactly(pool, source, low_pol
     assert torch.equal(own.points, source.batch(12, 0).identity.points) == (low_poly == 0.0)
 
 
+@pytest.mark.slow
 def test_joints_that_are_not_known_have_no_loss(source):
     from mimesh.learn.mime import MimeNetwork
 

@@ -26,6 +26,7 @@ def source(request):
     return PairSource(request.param, shipped_body(), torch.device("cpu"), seed=3)
 
 
+@pytest.mark.slow
 def test_truth_is_aligned_with_the_identity_and_driving_shuffled_on_its_own(source):
     batch = source.batch(3, 0)
     assert (length_changes(batch.identity, batch.truth, batch.edges) < 0.05).all()
@@ -53,6 +54,7 @@ def test_meshes_are_in_the_unit_sphere(source):
             torch.testing.assert_close(mesh.amax(1), -mesh.amin(1), atol=1e-5, rtol=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "data"),
     [

@@ -82,6 +82,7 @@ def test_maxpool_variant_is_c2(public):
     torch.testing.assert_close(model(identity, driving), expected, **TOLERANCE)
 
 
+@pytest.mark.slow
 @torch.no_grad()
 def test_public_aniformer_is_its_layout():
     """In float64: attention by unscaled products over 1,024 channels multiplies the rounding of float32."""

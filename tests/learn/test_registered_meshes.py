@@ -143,6 +143,7 @@ def test_a_step_is_a_pure_function(meshes, clips, vertices):
     assert_steps_are_pure(MeshWindowSource(config, read(clips, 3), CPU, 3))
 
 
+@pytest.mark.slow
 def test_not_every_person_needs_every_pose(files, tmp_path):
     """Person 0 alone has pose 0; person 2 has pose 1 only, which is its own identity."""
     write_meshes(tmp_path, 3, 3, leave_out=[(1, 0), (2, 0), (2, 2)])

@@ -44,6 +44,7 @@ def test_resume_continues_exactly(tmp_path, optimizer):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
 
 
+@pytest.mark.slow
 def test_train_writes_best_last_and_logs_and_tells_what_it_will_reach(trained):
     state = checkpoint.load(trained / "best.safetensors")
     header = checkpoint.read_header(trained / "last.safetensors")
@@ -194,6 +195,7 @@ def test_precision_is_measured_where_it_is_not_given(monkeypatch):
     assert choose_precision("bf16", cpu) == ("bf16", "matrix products in bf16, as configured")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
 def test_checkpoint_and_log_say_the_precision(tmp_path, precision, monkeypatch):
     monkeypatch.setattr("mimesh.learn.loop.choose_precision", lambda *_: (precision, "because"))

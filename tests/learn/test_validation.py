@@ -18,6 +18,7 @@ CONFIGS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("network", CONFIGS)
 def test_each_frame_is_compared_with_its_own_truth(network, monkeypatch):
     """A network that gives the truth makes no error, and one that is a frame late makes some."""

@@ -56,6 +56,7 @@ def surface(arrays: dict, take: dict, joints: int) -> np.ndarray:
     return np.stack([x, z, -y], axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("joints", "shapes"), [(24, 10), (52, 16)])
 def test_an_archive_becomes_the_recorded_surface(joints, shapes, tmp_path, capsys):
     arrays, take = smpl_arrays(joints, shapes, faces=FACES), recording(joints)
@@ -222,6 +223,7 @@ def test_other_files_take_no_body_model(small, tmp_path, capsys):
     assert "expected an output apart from the inputs" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".pkl", ".npz"])
 def test_a_body_model_is_a_mesh_at_rest(suffix, tmp_path, capsys):
     arrays = smpl_arrays(faces=FACES)
@@ -292,6 +294,7 @@ MADE_WITH = [
 ]
 
 
+@pytest.mark.slow
 @matrix(
     ("changes", "gender", "betas", "rate"), MADE_WITH, quick=lambda case: not case[0] or "mocap_framerate" in case[0]
 )

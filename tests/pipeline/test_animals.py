@@ -294,6 +294,7 @@ def test_a_person_and_an_animal_without_rigs_are_refused():
         mimesh.transfer(person, surfaces(0).driving, hints=mimesh.Hints(up="+y", driving_up="+y"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".bvh", ".glb"])
 def test_joints_of_an_animal_alone_move_another_animal(tmp_path, suffix):
     walk = dance(LEG_BONES)

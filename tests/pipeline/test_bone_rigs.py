@@ -86,6 +86,7 @@ def path(tmp_path_factory) -> Path:
     return rigs.of_kind(tmp_path_factory.mktemp("own") / "own.glb", "T-pose", moving=False)[0]
 
 
+@pytest.mark.slow
 def test_bones_of_a_driving_mesh_are_used(path, model, driving):
     expected = animate(str(path), str(driving), model)
     clip, joints = joints_of(driving)

@@ -86,6 +86,7 @@ def test_the_unit_of_a_file_becomes_metres(captured, tmp_path):
         np.testing.assert_allclose(read[1].offsets, read[0].offsets, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_feet_are_on_the_ground_by_turns():
     """Of a walk each foot stands for most of a step, and one of the two always."""
     seconds, fps = 2.0, 30.0
@@ -128,6 +129,7 @@ def test_joints_of_a_file_are_taken_as_they_are(captured, tmp_path):
     assert np.median(angles_between(again.rotation, captured.rotation)) < 1
 
 
+@pytest.mark.slow
 def test_joints_of_a_character_become_a_t_pose_in_any_order(captured, clip, tmp_path):
     """Its file lists children before parents."""
     moving = mimesh.animate(clip.mesh, clip).save_skinned(tmp_path / "moving.glb", names="unreal")
@@ -159,6 +161,7 @@ def test_smoothing_and_corrections_are_those_of_animate(captured, clip):
         mimesh.capture(clip, hints=mimesh.Hints(joints={"Elbow": [0, 0, 0]}))
 
 
+@pytest.mark.slow
 def test_what_is_no_body_is_refused():
     with pytest.raises(RefusedMeshError, match=r"^ring: expected a person or a four-legged animal"):
         mimesh.capture(Clip.still(ring()))

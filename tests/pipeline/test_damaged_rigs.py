@@ -217,6 +217,7 @@ def whole(driving, model, tmp_path_factory) -> np.ndarray:
     return animate(str(path), str(driving), model).clip.vertices
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("oddity", SOUND)
 def test_odd_rigs_move_as_others(oddity, whole, model, driving, tmp_path):
     path = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"), **SOUND[oddity])

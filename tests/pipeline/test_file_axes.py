@@ -81,6 +81,7 @@ def test_a_given_front_and_the_up_axis_of_the_file_need_no_detection(tmp_path):
     assert (norm.up, norm.front, norm.up_from, norm.detected, norm.margin) == ("+y", "+x", "file", False, 1.0)
 
 
+@pytest.mark.slow
 def test_results_of_files_stand_upright_and_the_report_says_why(tmp_path):
     mesh = saved(boxes_person(0.5), tmp_path / "a.glb")
     report = transfer(mesh, mesh, "copy").report

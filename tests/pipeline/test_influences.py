@@ -12,6 +12,8 @@ from mimesh.io.gltf.document import open_document, read_accessor
 from mimesh.pipeline import animate
 from mimesh.pipeline.rigging import rig
 
+pytestmark = pytest.mark.usefixtures("kept")
+
 
 @pytest.mark.parametrize("skinned", [True, None])
 def test_skinned_frames_are_those_of_the_file(skinned, tmp_path):

@@ -128,6 +128,7 @@ def test_the_heading_of_a_capture_stays(angle, hero, model, tmp_path):
     assert degrees(turns(result)["Hips"][0], turned) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [30, 90, 180])
 def test_the_heading_of_a_node_above_a_rigged_driving_stays(angle, hero, model, tmp_path):
     turned = np.eye(4)
@@ -174,6 +175,7 @@ def way_above(name: str):
     return change
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.01, 1.0, 100.0])
 @pytest.mark.parametrize("name", ["armature", "Armature.001"])
 def test_the_way_of_a_node_above_the_joints_is_taken_over(name, size, model, tmp_path):

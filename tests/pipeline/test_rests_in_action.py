@@ -62,6 +62,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("rests")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ACTIONS)
 def test_a_rig_bound_in_an_action_moves_as_one_bound_in_a_t_pose(folder, name):
     _, truth = moved(folder, "T", {})

@@ -36,11 +36,13 @@ def difference(captured: mimesh.CapturedClip, clip, mesh, **motion) -> float:
     return float(np.abs(direct.clip.vertices - retargeted.clip.vertices).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", [{}, {"root": "drop", "ground": False}, {"smooth": 0.1}])
 def test_a_bare_mesh_moves_as_by_animate(captured, motion):
     assert difference(captured, walk(faces=600), person(0), **motion) == 0.0
 
 
+@pytest.mark.slow
 def test_a_mesh_with_a_rig_moves_on_it(captured, tmp_path):
     path = own_rig(tmp_path)
     assert difference(captured, walk(faces=600), path) == 0.0

@@ -69,6 +69,7 @@ def numbered(name: str) -> str:
     return f"bone_{ALL.index(name) * 7 % 31}" if name in ALL else name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missing", ["", "Thumb", "Pinky"])
 def test_fingers_without_names_are_found_by_place(missing, model, tmp_path):
     """Hands turn as those whose fingers have names, and their fingers bend as these do; the outer one is the little."""

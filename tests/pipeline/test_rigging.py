@@ -197,6 +197,7 @@ def test_the_rig_of_a_file_is_kept_with_all_else_or_replaced(tmp_path):
     assert len(open_document(replaced.save(tmp_path / "new.glb")).gltf["skins"]) == 1
 
 
+@pytest.mark.slow
 def test_hands_that_show_fingers_get_joints_of_them():
     body = body_with_fingers()
     mesh = dataclasses.replace(body.mesh(), up="+y")

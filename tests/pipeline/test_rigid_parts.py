@@ -79,6 +79,7 @@ def boxes(path: Path, kind: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["nodes", "skin", "vrm", "scaled", "meshes below"])
 def test_parts_turn_rigidly_to_the_directions_of_the_driving(kind, model, tmp_path):
     path = boxes(tmp_path / ("a.vrm" if kind == "vrm" else "a.glb"), kind)

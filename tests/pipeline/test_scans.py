@@ -84,6 +84,7 @@ def test_the_note_names_what_is_moved(captured):
     assert captured.report["confidence"] > 0.5
 
 
+@pytest.mark.slow
 def test_other_axes_and_another_unit_give_the_same_motion(walk, captured, tmp_path):
     upright = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
     write_scans(tmp_path / "turned", walk[0], 100 * np.linalg.inv(upright))
@@ -112,6 +113,7 @@ def test_only_the_frames_taken_are_read(scans, tmp_path):
     assert (len(found.root), found.fps) == (2, FPS / 2)
 
 
+@pytest.mark.slow
 def test_corrected_joints_are_those_of_the_first_scan(scans, captured):
     """They are found on the mesh that is moved, as those of any other clip."""
     left = captured.found.track.positions[0, captured.names.index("LeftHand")]
@@ -132,6 +134,7 @@ def test_animals(tmp_path):
     assert len(found.root) == len(chosen)
 
 
+@pytest.mark.slow
 def test_things_are_refused(tmp_path):
     (tmp_path / "boxes").mkdir()
     rng = np.random.default_rng(0)

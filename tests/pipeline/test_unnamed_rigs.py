@@ -53,6 +53,7 @@ def named(driving, tmp_path_factory) -> np.ndarray:
     return animate(str(path), driving, motion=STRAIGHT).clip.vertices
 
 
+@pytest.mark.slow
 @matrix("quarters", [0, 1, 2], quick=[1])
 def test_an_identity_moves_as_if_its_joints_had_names(quarters, driving, named, tmp_path):
     turn = Rotation.from_euler("y", 90 * quarters, degrees=True).as_matrix()
@@ -77,6 +78,7 @@ def test_the_joints_of_a_driving_are_used_without_names(driving, tmp_path):
     assert np.abs(apart).max() < 0.004  # the soles of a mesh that was found and of one that is named
 
 
+@pytest.mark.slow
 def test_rigs_and_captures_are_those_of_joints_with_names(tmp_path):
     clips = {"move": rigs.exercise(stubless())}
     first, second = (
@@ -124,6 +126,7 @@ def test_facts_are_those_of_the_joints_that_the_surface_shows(tmp_path):
     assert facts.stands == "up +y, front +x, a person by its rig"
 
 
+@pytest.mark.slow
 def test_facts_tell_that_no_joints_are_found(tmp_path):
     person = rigs.figure()
     flat = dataclasses.replace(person, vertices=person.vertices * [1, 0.05, 1], joints=person.joints * [1, 0.05, 1])

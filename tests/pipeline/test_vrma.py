@@ -53,6 +53,7 @@ def test_an_animation_turns_the_bones_of_a_vrm_exactly(version, tmp_path):
     assert np.abs((moved - moved[0]) @ turn.T - (hips - hips[0])).max() < 1e-5
 
 
+@pytest.mark.slow
 @matrix("version", [0, 1], quick=[0])
 def test_a_written_animation_is_the_motion_of_the_vrm(version, tmp_path):
     path, rig, nodes = vrm(tmp_path / "a.vrm", version)
@@ -92,6 +93,7 @@ def limbs(motion):
     }
 
 
+@pytest.mark.slow
 @matrix("facing", [1.0, -1.0], quick=[-1.0])
 def test_other_rigs_are_written_from_a_t_pose(facing, tmp_path):
     """Of a character with lowered arms and random axes of its joints; limbs point where the character's do."""
@@ -164,6 +166,7 @@ def test_joints_that_vrm_requires_must_be_there(model, tmp_path):
         result.save(tmp_path / "walk.vrma")
 
 
+@pytest.mark.slow
 def test_several_clips_are_several_animations(tmp_path):
     path, rig, _ = vrm(tmp_path / "a.vrm")
     results = [mimesh.animate(path, vrma(tmp_path / f"{seed}.vrma", bone_positions(rig), seed)[0]) for seed in (1, 2)]

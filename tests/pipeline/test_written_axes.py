@@ -40,6 +40,7 @@ def volume(mesh: Mesh, vertices: np.ndarray) -> float:
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("up", LYING)
 @pytest.mark.parametrize("suffix", [".obj", ".ply", ".stl"])
 def test_results_stand_in_gltf_and_lie_as_they_did_elsewhere(up, suffix, model, tmp_path):

@@ -137,6 +137,7 @@ def test_a_cycle_ends_as_it_begins():
     np.testing.assert_array_equal(found[0], found[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("whole", [True, False])
 def test_arms_of_a_mesh_whose_limbs_are_not_found_with_certainty_are_left_as_they_are(whole):
     """Clothes have no head and no legs."""

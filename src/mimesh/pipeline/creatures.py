@@ -108,7 +108,7 @@ def matched_creatures(
     least, advice = SURE_ACROSS if mixed else SURE, ""
     if matched.match.confidence < least:
         shown = [
-            {own} if own is not None else looks_like(mime, mesh, axes)
+            {own} if own is not None else set(looks_like(mime, mesh, axes))
             for own, mesh, axes in zip(rigs.bodies, (identity, clip.mesh), of_meshes, strict=True)
         ]
         if shown[0] & shown[1]:  # the joints are found on the surface, and a note says why

@@ -12,7 +12,7 @@ animal, a mesh that is not clearly a person is one (`agreed`).
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -460,9 +460,10 @@ def predicted_body(mime: Mime, mesh: Mesh, axes: UpFront) -> tuple[Normalization
     return norm, body, confidence
 
 
-def looks_like(mime: Mime, mesh: Mesh, axes: UpFront) -> set[str]:
-    """List the bodies that a mesh is recognised as."""
-    return {body for body in mime.bodies if predicted_body(mime.of_body(body), mesh, axes)[2].whole}
+def looks_like(mime: Mime, mesh: Mesh, axes: UpFront) -> Iterator[str]:
+    """Yield the bodies that a mesh is recognised as."""
+    coarse = coarse_mesh(mesh)
+    return (body for body in mime.bodies if predicted_body(mime.of_body(body), coarse, axes)[2].whole)
 
 
 def finds_joints(mime: Mime) -> bool:

@@ -109,6 +109,6 @@ def _reference(identity: Mesh, clip: Clip, rigs: Rigs, mime: Mime, known: Known)
 
     if known.body == OTHER:
         return nearest_frame(identity, clip)
-    if looks_like(mime, identity, known.axes[:2]) or looks_like(mime, first_frame(clip), known.axes[2:]):
-        return None
-    return nearest_frame(identity, clip)
+    shown = ((identity, known.axes[:2]), (first_frame(clip), known.axes[2:]))
+    recognised = any(body for mesh, axes in shown for body in looks_like(mime, mesh, axes))
+    return None if recognised else nearest_frame(identity, clip)

@@ -267,6 +267,7 @@ def test_motion_file_loads_as_a_clip_of_the_shipped_body(rigged, body, motion, t
     np.testing.assert_allclose(np.ptp(twice.vertices[::2] - clip.vertices, axis=(0, 1)), 0.0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_motion_is_selected_by_animation_name(rigged, tmp_path):
     def modify(gltf):
         first = gltf["animations"][0]

@@ -219,6 +219,7 @@ TIMES = {
 COPIES = [("STEP", "sparse"), ("LINEAR", "off the grid"), ("CUBICSPLINE", "later")]
 
 
+@pytest.mark.slow
 @matrix(
     ("interpolation", "times"),
     [*COPIES, ("STEP", "every frame"), ("LINEAR", "later"), ("CUBICSPLINE", "off the grid")],
