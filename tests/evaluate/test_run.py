@@ -293,6 +293,7 @@ def test_worst_pairs_are_drawn(tmp_path):
     assert path.stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_results_without_an_error_are_drawn_too(tmp_path):
     evaluate_command("human-npt", ["truth"], pairs=1, dump=tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["truth-seen-1.png", "truth-unseen-1.png"]

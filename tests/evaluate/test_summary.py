@@ -21,6 +21,7 @@ def row(errors, **more):
     return summary("copy", "seen", [figures(error, **more) for error in errors])
 
 
+@pytest.mark.slow
 def test_a_report_has_the_figures_of_every_pair_their_statistics_and_provenance(tmp_path):
     out, calls = tmp_path / "figures.json", []
     options = {"split": "val", "pairs": 2, "progress": lambda done, total: calls.append((done, total))}

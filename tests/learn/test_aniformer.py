@@ -85,6 +85,7 @@ def test_a_still_clip_stays_still(monkeypatch):
     assert batch.driving.diff(dim=1).abs().max() < 1e-5
 
 
+@pytest.mark.slow
 def test_a_step_is_a_pure_function(source):
     assert_steps_are_pure(source)
 

@@ -55,6 +55,7 @@ def test_a_compact_checkpoint_is_half_as_large_and_continues(saved, tmp_path):
     assert {p.dtype for p in model.parameters()} == {torch.float32}
 
 
+@pytest.mark.slow
 def test_weights_alone_are_a_start_for_another_training(saved, tmp_path):
     _, path = saved
     save_compact(path, tmp_path / "weights.safetensors", weights_only=True)

@@ -41,6 +41,7 @@ def test_copies_of_weights_in_16_bits_are_not_counted_for_every_pair():
     assert half < full
 
 
+@pytest.mark.slow
 def test_operations_add_up_over_changes_and_earlier_trainings(tmp_path):
     """Meshes of more vertices towards the end count as such; so do the pairs of a training that this one began with."""
     short = dataclasses.replace(TINY, pairs=4)

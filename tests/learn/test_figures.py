@@ -81,6 +81,7 @@ def test_packs_take_turns(pool):
     assert share[2:].min() > 0
 
 
+@pytest.mark.slow
 def test_large_heads_have_more_of_the_points(source):
     figures = source.figures.figures.draw(64, torch.Generator().manual_seed(1))
     head = BODY.joint("Head")

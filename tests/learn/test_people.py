@@ -102,6 +102,7 @@ def test_a_share_of_driving_meshes_is_posed_anyhow_within_the_joint_limits():
     assert 0.05 < same.float().mean() < 0.15
 
 
+@pytest.mark.slow
 def test_ordered_pairs_are_of_the_same_vertices():
     device, body = torch.device("cpu"), shipped_body()
     for vertices in (64, 0):

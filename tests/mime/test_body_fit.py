@@ -306,6 +306,7 @@ def test_a_turned_limb_has_a_gap(size):
     assert turned["right foreleg"] == pytest.approx(gaps["right foreleg"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_turned_limb_is_found():
     right = standing(40.0)
     surface, wrong = surface_of(right), with_turned(right, "LeftThigh", [-0.8, 0, 0])

@@ -50,6 +50,7 @@ def test_formats_without_an_up_axis_leave_it_to_the_shape(suffix, tmp_path):
     assert (norm.up, norm.up_from) == ("-y", "shape")
 
 
+@pytest.mark.slow
 @matrix(("authored", "up"), [("Y", "+y"), ("Z", "+z"), (None, None)], quick=[("Z", "+z")])
 def test_usd_says_up_where_the_stage_does(authored, up, tmp_path):
     pytest.importorskip("pxr")

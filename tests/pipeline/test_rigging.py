@@ -224,6 +224,7 @@ def test_corrected_joints_stay_where_they_are_put(rigged):
     np.testing.assert_allclose(corrected.joints["LeftForeArm"], elbow, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_is_no_body_is_refused_unless_the_user_insists():
     with pytest.raises(
         RefusedMeshError, match=r"^ring: expected a person or a four-legged animal, found a shape"

@@ -66,6 +66,7 @@ def test_a_clip_still_needs_one_topology(scans):
         mimesh.load_clip(scans)
 
 
+@pytest.mark.slow
 def test_the_motion_is_that_of_the_person(captured, walk):
     truth = world(walk[1])
     limbs = [captured.names.index(f"{side}{name}") for side in ("Left", "Right") for name in ("UpLeg", "Leg", "Arm")]

@@ -174,6 +174,7 @@ def with_tail(length: float):
     return change
 
 
+@pytest.mark.slow
 @matrix(("length", "body"), [(0.8, "auto"), (2.5, "auto"), (2.5, "human")], quick=[(0.8, "auto")])
 def test_a_person_with_a_long_tail_keeps_its_rig(length, body, driving, named, tmp_path):
     """Whose names say nothing; the tail hides its shape, which is found without it."""

@@ -91,6 +91,7 @@ def test_range_of_frames_is_converted(tmp_path):
     np.testing.assert_array_equal(load_clip(tmp_path / "b.npz").vertices, clip().vertices[1::2])
 
 
+@pytest.mark.slow
 @matrix("suffix", MOVIES, quick=MOVIES[:1])
 def test_movies_have_all_frames(suffix, tmp_path):
     save_clip(clip(3), tmp_path / "a.npz")

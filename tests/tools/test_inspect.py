@@ -172,6 +172,7 @@ def test_notes_of_the_file_are_passed_on():
     assert "on writing" in facts.text()
 
 
+@pytest.mark.slow
 def test_missing_images_are_a_warning_also_with_a_rig(tmp_path):
     sample = samples.hero()
     sample.gltf["images"] = [{"uri": f"maps/{name}.png"} for name in ("a%20b", "c", "c", "d", "e")]
