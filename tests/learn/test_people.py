@@ -1,5 +1,6 @@
 """People, poses and vertices for training: normalisation of subsets, even coverage of the body."""
 
+import pytest
 import torch
 
 from mimesh.learn.data import endless
