@@ -150,13 +150,21 @@ def test_legs_that_cannot_bend_stand_by_the_height_of_the_root(bones):
     assert np.ptp(errors[1]) < 0.03 * leg
 
 
-def test_a_surface_without_feet_has_no_soles():
+@pytest.mark.parametrize("end", ["LeftFoot", "LeftLeg", "LeftUpLeg"])
+def test_a_leg_that_ends_early_stands_on_its_lowest_part(end):
+    """Figures of blocks and stylised ones have legs without feet: without soles these floated where they sat."""
     vertices, rig = rig_of(np.zeros(0))
-    above = rig.weights[:, [BODY.joint("LeftFoot"), BODY.joint("LeftToeBase")]].sum(axis=1) < 0.01
+    joint = BODY.joint(end)
+    above = rig.weights[:, descendants([joint], BODY.parents)].sum(axis=1) < 0.01
     kept = dataclasses.replace(rig, weights=rig.weights[above])
     left, right = find_soles(vertices[above], kept, LEGS, BODY.parents)
-    assert left is None
     assert right is not None
+    if end == "LeftUpLeg":
+        assert left is None
+        return
+    of_leg = kept.weights[:, descendants([BODY.parents[joint]], BODY.parents)].sum(axis=1) > 0.5
+    bone = rig.joints[BODY.parents[joint], 1] - rig.joints[joint, 1]
+    assert (vertices[above][left][..., 1] < vertices[above][of_leg, 1].min() + 0.3 * bone).all()
 
 
 def test_contacts_of_a_walk_are_those_of_its_gait():

@@ -206,7 +206,7 @@ def find_soles(
     arms: tuple[tuple[int, ...], ...] = (),
 ) -> Soles:
     """Find the contact points of the foot of each leg, and of the hand of each arm; see `sole_points`."""
-    feet = tuple(sole_points(points, rig, leg[-1], parents, len(leg) == 3) if leg else None for leg in legs)
+    feet = tuple(_foot_points(points, rig, leg, parents) for leg in legs)
     return feet + tuple(_palm_points(points, rig, arm, parents) if len(arm) == 3 else None for arm in arms)
 
 
@@ -225,6 +225,14 @@ def body_points(
         of_joint = np.flatnonzero(strongest == joint)
         chosen.append(of_joint[(points[of_joint] @ DIRECTIONS.T).argmax(axis=0)])
     return np.unique(np.concatenate(chosen)) if chosen else np.zeros(0, int)
+
+
+def _foot_points(
+    points: Float[np.ndarray, "N 3"], rig: Rig, leg: tuple[int, ...], parents: tuple[int, ...]
+) -> Int[np.ndarray, "C M"] | None:
+    """Find the contact points of a foot; of a leg that ends at its ankle, those of the lowest part of the leg."""
+    found = (sole_points(points, rig, leg[k], parents, whole=k == 2) for k in reversed(range(len(leg))))
+    return next((soles for soles in found if soles is not None), None)
 
 
 def _palm_points(
