@@ -45,6 +45,7 @@ from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError, damaged
 from ...core.geometry import nearest_rotation
 from ...core.mesh import Mesh, check_mesh
+from ...core.rig import homogeneous
 from ...motions.animal_rig import animal_facing
 from ...motions.posed_rest import action_front, on_all_fours, rests_in_action
 from .animation import animated_nodes, animation_names, frame_times, read_channels, sample_joints
@@ -128,10 +129,8 @@ def read_clips(
         world = sample_joints(document, channels, times, nodes)
         if not np.isfinite(world).all():
             continue
-        local = np.tile(np.eye(4), (*world.shape[:2], 1, 1))
-        local[..., :3, :3] = nearest_rotation(world[..., :3, :3] @ rest_inverse) @ rest_rotation
-        local[..., :3, 3] = world[..., :3, 3]
-        rigid = local.copy()
+        rigid = homogeneous(nearest_rotation(world[..., :3, :3] @ rest_inverse) @ rest_rotation, world[..., :3, 3])
+        local = rigid.copy()
         for j, parent in enumerate(parents):
             if parent >= 0:
                 local[:, j] = np.linalg.inv(rigid[:, parent]) @ rigid[:, j]
@@ -247,9 +246,7 @@ def rig_at_rest(
     rig, nodes = rig_on_nodes(mesh, document, scene, joint_nodes.union(bones))
     if not all(np.isfinite(array).all() for array in (rig.points, rig.T_world_joint)):
         raise damaged(path, "a rest pose of finite numbers", "NaN or infinity")
-    frames = np.tile(np.eye(4), (len(nodes), 1, 1))
-    frames[:, :3, :3] = nearest_rotation(rig.T_world_joint[:, :3, :3])
-    frames[:, :3, 3] = rig.joints
+    frames = homogeneous(nearest_rotation(rig.T_world_joint[:, :3, :3]), rig.joints)
     at_rest = dataclasses.replace(mesh, vertices=(rig.weights[..., None] * rig.points).sum(axis=1))
     return dataclasses.replace(rig, mesh=at_rest, T_world_joint=frames), nodes
 

@@ -105,7 +105,8 @@ def decompress(
     _plan_meshopt(work, gltf, binary, views, path)
     dead = {primitive["extensions"][DRACO]["bufferView"] for primitive in _draco_primitives(gltf)}
     dead -= {accessor.get("bufferView") for accessor in gltf["accessors"]}
-    if not (work.jobs or dead or any(_is_meshopt(view) for view in gltf["bufferViews"])):
+    by_meshopt = [view for view in gltf["bufferViews"] if view.get("extensions", {}).keys() & {*MESHOPT}]
+    if not (work.jobs or dead or by_meshopt):
         return gltf, binary
     UNPACKED.check(work.size, path, sum(map(len, work.blobs)))
     decoded = _decode(work, path) if work.jobs else b""
@@ -116,10 +117,6 @@ def decompress(
     for view in work.views:
         view["byteOffset"] += start
     return gltf, b"".join([*kept, decoded])
-
-
-def _is_meshopt(view: dict[str, Any]) -> bool:
-    return any(name in view.get("extensions", {}) for name in MESHOPT)
 
 
 def _draco_primitives(gltf: dict[str, Any]) -> list[dict[str, Any]]:

@@ -98,7 +98,11 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
         _parent_frames(document, pairs_of)
         for document, pairs_of in ((mine, list(pairs)), (theirs, list(pairs.values())))
     )
-    turned = np.abs(_unit_axes(my_rest) - _unit_axes(their_rest)).max(axis=(1, 2), initial=0)
+    my_axes, their_axes = (
+        rest[:, :3, :3] / np.maximum(np.linalg.norm(rest[:, :3, :3], axis=1, keepdims=True), 1e-12)
+        for rest in (my_rest, their_rest)
+    )
+    turned = np.abs(my_axes - their_axes).max(axis=(1, 2), initial=0)
     lengths = [np.linalg.norm(rest[:, :3, 3], axis=1) for rest in (my_rest, their_rest)]
     longest = max(lengths[0].max(initial=0), 1e-12)
     moved = np.abs(my_rest[:, :3, 3] - their_rest[:, :3, 3]).max(initial=0) / longest
@@ -128,11 +132,14 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
                 tracks[node, path] = np.broadcast_to(value, (len(driving.times), value.shape[1]))
     beside = _other_sources(mine, theirs, values, pairs)
     above = _moving_above(driving, pairs)
-    if above and not (same_rest and _has_above(mine, above, beside)):
+    # Whether all moving nodes above the joints are copied to nodes above the same joints of mine.
+    parents, target = node_parents(mine), {other: node for (node, _), (other, _) in beside.items()}
+    has_above = all(target.get(moved) in ancestors(parents, top) for moved, tops in above.items() for top in tops)
+    if above and not (same_rest and has_above):
         # The topmost joints take the motion of nodes above them that the identity lacks, or has under other names.
         beside = {key: source for key, source in beside.items() if source[0] not in above}
         for top in set().union(*above.values()):
-            carried = _carried(mine, top, tracks, _motion_above(driving, pairs[top], scale))
+            carried = _carried(mine, top, tracks, driving, pairs[top], scale)
             sources = {key: source for key, source in sources.items() if key[0] != top}
             tracks = {key: track for key, track in tracks.items() if key[0] != top} | carried
     for key, source in beside.items():
@@ -158,23 +165,17 @@ def _moving_above(driving: GltfJoints, pairs: dict[int, int]) -> dict[int, set[i
     return found
 
 
-def _has_above(mine: Document, above: dict[int, set[int]], beside: Mapping[tuple[int, str], tuple[int, str]]) -> bool:
-    """Tell whether all moving nodes above the joints are copied to nodes above the same joints of mine."""
-    parents, target = tuple(node_parents(mine)), {other: node for (node, _), (other, _) in beside.items()}
-    return all(target.get(moved) in ancestors(parents, top) for moved, tops in above.items() for top in tops)
+def _carried(
+    mine: Document, node: int, tracks: AnimatedValues, driving: GltfJoints, other: int, scale: float
+) -> AnimatedValues:
+    """Compute the values of a joint with tracks whose parent stays, so that it moves as if it had the driving's.
 
-
-def _motion_above(driving: GltfJoints, other: int, scale: float) -> Float[np.ndarray, "T 4 4"]:
-    """Compute how the node above a joint moves, in its own frame at rest; steps are scaled."""
+    That one, the node above the driving's joint, moves in its own frame at rest; its steps are scaled.
+    """
     above = node_parents(driving.document)[other]
-    rest = world_matrices(driving.document)[above]
-    moved = np.linalg.inv(rest) @ sample_joints(driving.document, driving.channels, driving.times, [above])[:, 0]
+    moved = sample_joints(driving.document, driving.channels, driving.times, [above])[:, 0]
+    moved = np.linalg.inv(world_matrices(driving.document)[above]) @ moved
     moved[:, :3, 3] *= scale
-    return moved
-
-
-def _carried(mine: Document, node: int, tracks: AnimatedValues, moved: Float[np.ndarray, "T 4 4"]) -> AnimatedValues:
-    """Compute the values of a joint with tracks whose parent stays, so that it moves as with a parent that `moved`."""
     own = node_properties(mine.gltf["nodes"][node])
     local = moved @ local_matrix({**own, **{path: tracks[node, path] for path in own if (node, path) in tracks}})
     return {(node, path): values for path, values in node_tracks(own, local, 0.0, 0.0).items()}
@@ -205,7 +206,7 @@ def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int
     Of several with one name below one joint, the first is that of the first, if both files have as many.
     """
     my_names, their_names = _names(mine), _names(theirs)
-    my_parents, their_parents = tuple(node_parents(mine)), tuple(node_parents(theirs))
+    my_parents, their_parents = node_parents(mine), node_parents(theirs)
     if my_names == their_names and my_parents == their_parents:
         return {node: node for node in joints}
     pairs: dict[int, int] = {}
@@ -247,11 +248,6 @@ def _parent_frames(document: Document, nodes: list[int]) -> Float[np.ndarray, "K
         np.linalg.pinv(world[parent[node]]) @ world[node] if parent[node] in chosen else static[node] for node in nodes
     ]
     return np.array(frames).reshape(-1, 4, 4)
-
-
-def _unit_axes(frames: Float[np.ndarray, "K 4 4"]) -> Float[np.ndarray, "K 3 3"]:
-    linear = frames[:, :3, :3]
-    return linear / np.maximum(np.linalg.norm(linear, axis=1, keepdims=True), 1e-12)
 
 
 def _same_above(mine: Document, theirs: Document, pairs: dict[int, int]) -> bool:

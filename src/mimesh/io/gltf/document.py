@@ -81,8 +81,13 @@ def open_document(path: Path) -> Document:
     check_sizes(gltf, len(binary), path)
     images = _read_images(gltf, binary, files)
     document = Document(path, gltf, binary, images, files)
-    for index in sorted(_used_accessors(gltf)):
-        element_bytes(document, index)  # reports a damaged accessor on reading, not later on writing
+    # Damaged accessors of primitives and skins are reported on reading, not later on writing; those of animations when
+    # an animation is read.
+    used = {skin["inverseBindMatrices"] for skin in gltf.get("skins", []) if "inverseBindMatrices" in skin}
+    for primitive in list_primitives(gltf):
+        used.update(attribute_accessors(primitive), [primitive["indices"]] if "indices" in primitive else [])
+    for index in sorted(used):
+        element_bytes(document, index)
     return document
 
 
@@ -192,15 +197,6 @@ class MappedFiles:
         # URIs are percent-encoded, but some exporters write names without encoding.
         name = find_beside(self.document.parent, (unquote(uri), uri))
         return None if name is None else self.read(self.document.parent / name)
-
-
-def _used_accessors(gltf: dict[str, Any]) -> set[int]:
-    """List the accessors of all primitives and skins; those of animations are checked when an animation is read."""
-    used = {skin["inverseBindMatrices"] for skin in gltf.get("skins", []) if "inverseBindMatrices" in skin}
-    for primitive in list_primitives(gltf):
-        used.update(attribute_accessors(primitive))
-        used |= {primitive["indices"]} if "indices" in primitive else set()
-    return used
 
 
 def _read_sparse_indices(document: Document, sparse: dict[str, Any], index: int, count: int) -> np.ndarray:

@@ -49,11 +49,6 @@ class Spool:
         self.bounds.append(accessor_bounds(values))
         self.nbytes += self.file.write(values.data)
 
-    def copy_to(self, file: io.BufferedIOBase) -> None:
-        """Copy all arrays into an open file."""
-        self.file.seek(0)
-        shutil.copyfileobj(self.file, file)
-
 
 class Draft:
     """A glTF document under construction: its JSON and the chunks of its one buffer. Entries are only appended."""
@@ -70,7 +65,10 @@ class Draft:
 
         Views start at multiples of 4 bytes (glTF 2.0, 3.6.2.4 Data Alignment). `properties` that are None are left out.
         """
-        chunk = content if isinstance(content, Spool) else _as_bytes(content)
+        chunk = content
+        if not isinstance(chunk, Spool):  # a view of the bytes, without a copy where they are contiguous
+            chunk = np.ascontiguousarray(chunk).data if isinstance(chunk, np.ndarray) else memoryview(chunk)
+            chunk = chunk.cast("B") if chunk.nbytes else memoryview(b"")
         present = {name: value for name, value in properties.items() if value is not None}
         self.gltf["bufferViews"].append({"buffer": 0, "byteOffset": self.size, "byteLength": chunk.nbytes, **present})
         # The chunk itself is written when the document is saved.
@@ -169,7 +167,8 @@ class Draft:
     def _write(self, file: io.BufferedIOBase) -> None:
         for chunk in self.chunks:
             if isinstance(chunk, Spool):
-                chunk.copy_to(file)
+                chunk.file.seek(0)
+                shutil.copyfileobj(chunk.file, file)
             else:
                 file.write(chunk)
 
@@ -236,12 +235,6 @@ class AccessorCopier:
 
 class NumberTooLarge(InputError):
     """A number that glTF has no type for."""
-
-
-def _as_bytes(content: bytes | memoryview | np.ndarray) -> memoryview:
-    """Return a view of the bytes of `content`, without a copy where it is contiguous."""
-    chunk = np.ascontiguousarray(content).data if isinstance(content, np.ndarray) else memoryview(content)
-    return chunk.cast("B") if chunk.nbytes else memoryview(b"")
 
 
 def _as_float32(values: Float[np.ndarray, "N C"]) -> Float32[np.ndarray, "N C"]:

@@ -241,8 +241,7 @@ def read_inverse_bind_matrices(document: Document, skin: int) -> Float[np.ndarra
     Those of `unbound_joints` are such that the nodes, as they are in the file, are the bind pose.
     """
     matrices = _stored_bind_matrices(document, skin)
-    unbound = unbound_joints(document, skin)
-    if unbound:
+    if unbound := unbound_joints(document, skin):
         nodes = np.array(document.gltf["skins"][skin]["joints"])[unbound]
         matrices[unbound] = np.linalg.pinv(world_matrices(document)[nodes])
     return matrices
@@ -325,8 +324,15 @@ def local_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
     if "matrix" in node:
         return with_last_row(np.array(node["matrix"], np.float64).reshape(4, 4).T)
     values = {path: np.array(node.get(path, default), np.float64) for path, default in DEFAULT_TRS.items()}
+    x, y, z, w = np.moveaxis(normalized_quaternions(values["rotation"]), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    rotation = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
     matrix = np.zeros((*np.broadcast_shapes(*(value.shape[:-1] for value in values.values())), 4, 4))
-    matrix[..., :3, :3] = _rotation_matrix(values["rotation"]) * values["scale"][..., None, :]
+    matrix[..., :3, :3] = rotation * values["scale"][..., None, :]
     matrix[..., :3, 3] = values["translation"]
     matrix[..., 3, 3] = 1.0
     return matrix
@@ -340,17 +346,6 @@ def with_last_row(matrices: Float[np.ndarray, "*N 4 4"]) -> Float[np.ndarray, "*
     result = matrices.copy()
     result[..., 3, :] = [0.0, 0.0, 0.0, 1.0]
     return result
-
-
-def _rotation_matrix(quat_xyzw: Float[np.ndarray, "*T 4"]) -> Float[np.ndarray, "*T 3 3"]:
-    """Return the rotation matrices of quaternions, which are scaled to unit length first."""
-    x, y, z, w = np.moveaxis(normalized_quaternions(quat_xyzw), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def node_parents(document: Document) -> list[int]:

@@ -23,8 +23,8 @@ from ...bodies.engine_names import SCHEMES
 from ...motions.bone_motion import TRUNK, BoneMotion, misplaced_bones
 from .document import Document, open_document
 from .draft import AccessorCopier
-from .joints import joint_animation, joints_draft
 from .scene import DEFAULT_TRS, node_parents, node_properties, world_matrices
+from .skinned import joint_animation, joints_draft
 
 ANIMATION = "VRMC_vrm_animation"
 """Extension of VRM animations."""

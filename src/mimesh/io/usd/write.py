@@ -30,7 +30,6 @@ from ..atomic import scratch_folder
 from ..mtl import write_image
 from ..polygons import polygon_corners, polygon_sizes, smooth_normals
 from .source import UsdSource
-from .stage import DEFAULT_TIME
 
 # usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
@@ -117,7 +116,7 @@ def _set_frames(usd_mesh: UsdGeom.Mesh, clip: Clip, normals: NormalFunction | No
     """Write points, extent and normals of every frame, and release them from memory every `PAGED` frames."""
     layer = usd_mesh.GetPrim().GetStage().GetRootLayer()
     for number, vertices in enumerate(each_frame(clip.vertices, progress)):
-        time = Usd.TimeCode(number) if len(clip) > 1 else DEFAULT_TIME
+        time = Usd.TimeCode(number) if len(clip) > 1 else Usd.TimeCode.Default()
         usd_mesh.GetPointsAttr().Set(_vectors(vertices), time)
         usd_mesh.GetExtentAttr().Set(_vectors(np.stack([vertices.min(axis=0), vertices.max(axis=0)])), time)
         if normals is not None:
