@@ -18,6 +18,7 @@ from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip, stored_clip
 from ..core.system import refuse_pipe
+from .atomic import writing
 from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, JOINTED, MESH_READERS, MOTIONS, PICTURES, found_suffix
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
@@ -317,17 +318,9 @@ def _reading(path: Path) -> Iterator[None]:
     try:
         if path.is_file() and path.stat().st_size == 0:
             raise InputError(f"{path}: expected a mesh, found an empty file of 0 bytes; export it again")
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"), writing(path, "a readable file", "check its permissions"):
             yield
-    except UnicodeEncodeError as error:
-        raise InputError(
-            f"{path}: expected a path of text for {path.suffix}, found bytes that are none; choose another name"
-        ) from error
     except MemoryError as error:
         raise InputError(
             f"{path}: expected a file that fits into memory, found a larger one; split it, or take fewer frames"
-        ) from error
-    except OSError as error:
-        raise InputError(
-            f"{path}: expected a readable file, found '{error.strerror}'; check its permissions"
         ) from error

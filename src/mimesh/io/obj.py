@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -21,8 +22,9 @@ from .atomic import whole_file
 from .beside import is_there
 from .colors import linear_rgba, srgb_rgba
 from .polygons import fan_corners, polygon_sizes, polygons_of, scatter_corners
-from .text import decoded, encoded, equal_rows, line_number, read_numbers, replace_rows, utf8_content, without_comments
+from .text import decoded, encoded, equal_rows, line_number, read_numbers, replace_rows, without_comments
 
+UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _KEYWORDS = (b"v", b"vt", b"vn", b"f", b"o", b"g", b"usemtl", b"mtllib")
 """Statements that are read; all others are only kept in the source."""
 _MISSING_INDICES = (b"/0/0", b"/0", b"")
@@ -224,8 +226,9 @@ def _read_source(path: Path) -> ObjSource:
 
 def _read_text(path: Path) -> bytes:
     """Read a file; UTF-16 with a byte order mark, as some shells write it, becomes UTF-8."""
+    data = path.read_bytes()
     try:
-        return utf8_content(path.read_bytes())
+        return data.decode("utf-16").encode("utf-8") if data.startswith(UTF16_MARKS) else data
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path}: expected text in UTF-8 or UTF-16, found damage at byte {error.start}; export it again"

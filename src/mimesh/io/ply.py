@@ -128,7 +128,10 @@ def write_ply(mesh: Mesh, path: Path) -> None:
     """
     sizes, normals = polygon_sizes(mesh), smooth_normals(mesh)
     count = "uchar" if 2 * sizes.max(initial=0) < 256 else "int"  # type of list lengths; texcoord has two per corner
-    kind, dtype = ("float", "<f4") if _fits_single(mesh.vertices) else ("double", "<f8")
+    with np.errstate(over="ignore"):
+        error = np.abs(mesh.vertices.astype(np.float32) - mesh.vertices).max(initial=0.0)
+    single = error <= ROUNDING * np.ptp(mesh.vertices, axis=0).max(initial=0.0)
+    kind, dtype = ("float", "<f4") if single else ("double", "<f8")
     columns = {"xyz": (mesh.vertices, dtype, [f"property {kind} {axis}" for axis in "xyz"])}
     if normals is not None:
         columns["normal"] = (normals, "<f4", [f"property float n{axis}" for axis in "xyz"])
@@ -147,13 +150,6 @@ def write_ply(mesh: Mesh, path: Path) -> None:
     with whole_file(path) as temporary:
         text = encoded("\n".join([*header, "end_header", ""]))
         temporary.write_bytes(text + rows.tobytes() + _polygon_bytes(mesh, sizes, count))
-
-
-def _fits_single(vertices: Float[np.ndarray, "V 3"]) -> bool:
-    """Whether single precision moves no vertex by more than `ROUNDING` of the mesh's longest side."""
-    with np.errstate(over="ignore"):
-        error = np.abs(vertices.astype(np.float32) - vertices).max(initial=0.0)
-    return bool(error <= ROUNDING * np.ptp(vertices, axis=0).max(initial=0.0))
 
 
 def _texture_comment(mesh: Mesh, path: Path) -> list[str]:

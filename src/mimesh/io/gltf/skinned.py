@@ -26,7 +26,7 @@ from ..timing import DEFAULT_FPS
 from .animation import AnimationChannel, add_animation, local_quaternions, rotation_channels
 from .build import build_document, stage_transform
 from .draft import PER_SET, Draft
-from .edit import GltfSource, PrimitiveGroup, edit_document, with_normals
+from .edit import PrimitiveGroup, with_normals
 from .scene import DEFAULT_TRS
 
 STILL = 1e-7
@@ -45,10 +45,7 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path, animated:
     """
     skeleton = animations[0].skeleton
     mesh = with_normals(skeleton.mesh)
-    if isinstance(mesh.source, GltfSource):
-        draft, groups = edit_document(mesh.source, mesh, skinned=True)
-    else:
-        draft, groups = build_document(mesh, mesh)
+    draft, groups = build_document(mesh, mesh, skinned=True)
     if not draft.gltf.get("scenes"):  # readers show all roots then, but no longer once there is a scene
         children = {child for node in draft.gltf["nodes"] for child in node.get("children", [])}
         draft.gltf["scenes"] = [{"nodes": [n for n in range(len(draft.gltf["nodes"])) if n not in children]}]

@@ -269,7 +269,8 @@ def _move_bones(gltf: dict[str, Any], document: Document, joints: Mapping[str, i
     moved = misplaced_bones(joints, parents)
     for joint, above in moved.items():
         node = joints[joint]
-        for owner, key in [(nodes[parents[node]], "children")] if parents[node] >= 0 else _listed(gltf, node):
+        of_scenes = [(scene, "nodes") for scene in gltf["scenes"] if node in scene.get("nodes", [])]
+        for owner, key in [(nodes[parents[node]], "children")] if parents[node] >= 0 else of_scenes:
             owner[key] = [child for child in owner[key] if child != node]
             if not owner[key]:
                 del owner[key]
@@ -281,8 +282,3 @@ def _move_bones(gltf: dict[str, Any], document: Document, joints: Mapping[str, i
         nodes[node] = kept | {key: value.tolist() for key, value in placed.items()}
     for skin in gltf.get("skins", []) if moved else ():
         skin.pop("skeleton", None)  # optional, and perhaps no longer above all joints (glTF 2.0, 5.28.2)
-
-
-def _listed(gltf: dict[str, Any], node: int) -> list[tuple[dict[str, Any], str]]:
-    """List the scenes that have a node as a root, with the property that says so."""
-    return [(scene, "nodes") for scene in gltf["scenes"] if node in scene.get("nodes", [])]
