@@ -21,7 +21,7 @@ from . import mtl
 from .atomic import whole_file
 from .beside import is_there
 from .colors import linear_rgba, srgb_rgba
-from .polygons import fan_corners, polygon_sizes, polygons_of, scatter_corners
+from .polygons import fan_corners, polygon_sizes, polygons_of
 from .text import decoded, encoded, equal_rows, line_number, read_numbers, replace_rows, without_comments
 
 UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -90,7 +90,9 @@ class ObjSource:
         triangles, _ = fan_corners(self.sizes)
         before = np.zeros((len(self.corners), 3))
         before[used] = self.normals[old]
-        wanted = scatter_corners(corner_normals, triangles, before)[used]
+        wanted = before.copy()
+        wanted[triangles.ravel()] = corner_normals.reshape(-1, 3)  # corners that no triangle has stay
+        wanted = wanted[used]
         if not (np.abs(wanted - before[used]) > 1e-6).any():
             return
         key = np.concatenate([old[:, None], np.round(wanted, 6)], axis=1)

@@ -183,7 +183,11 @@ def joined_animations(document: Document) -> tuple[Draft, dict[str, Any]]:
             joined.append(AnimationChannel(key[0], key[1], np.concatenate(times), values))
         draft.gltf["animations"] = [add_animation(draft, "all", joined)]
         moving |= {node for node, path in moved if path != "weights"}
-    _make_joints(draft, document, moving | _below_joints(document))
+    # Nodes below joints that show nothing are bones, too, which move no vertex, or places for props.
+    nodes, parents = document.gltf.get("nodes", []), node_parents(document)
+    joints = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
+    bare = [k for k, node in enumerate(nodes) if not {"mesh", "camera", "extensions"} & node.keys()]
+    _make_joints(draft, document, moving | {node for node in bare if joints.intersection(ancestors(parents, node))})
     return draft, {"fps": fps, "clips": clips}
 
 
@@ -209,14 +213,6 @@ def _make_joints(draft: Draft, document: Document, bones: set[int]) -> None:
     inverse = draft.add_matrices(np.stack([inverse_bind[joint] for joint in joints]))
     skin = {"name": "Armature", "joints": joints, "inverseBindMatrices": inverse}
     draft.gltf["skins"] = [*skins, skin]
-
-
-def _below_joints(document: Document) -> set[int]:
-    """List the nodes below joints that show nothing: bones that move no vertex, and places for props."""
-    nodes, parents = document.gltf.get("nodes", []), tuple(node_parents(document))
-    joints = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
-    bare = [k for k, node in enumerate(nodes) if not {"mesh", "camera", "extensions"} & node.keys()]
-    return {node for node in bare if joints.intersection(ancestors(parents, node))}
 
 
 def _nearest_joints(document: Document, nodes: list[int], joints: set[int]) -> dict[int, int | None]:

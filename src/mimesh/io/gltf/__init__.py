@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +92,11 @@ def read_gltf_clip(
     document = open_document(path)
     if is_motion(document):
         clip = on_body(read_skeleton(document, fps, animation), path).clip()
-        return dataclasses.replace(clip, skeleton=_joints(document, animation, clip))
+        person = None if clip.skeleton is None else clip.skeleton.person()
+        channels, times = select_channels(document, animation), np.arange(len(clip)) / clip.fps
+        own_fps = frame_rate([channel for channel in channels if channel.path in PLAYED_PATHS]) or DEFAULT_FPS
+        joints = GltfJoints(document, channels, times, None, person, whole=clip.fps == own_fps)
+        return dataclasses.replace(clip, skeleton=joints)
     mesh = _read_mesh(document)
     assert isinstance(mesh.source, GltfSource)
     if animation is None and not mesh.source.animations:
@@ -116,14 +120,6 @@ def still_joints(mesh: Mesh) -> GltfJoints | None:
     if not isinstance(source, GltfSource) or not np.array_equal(mesh.vertices, source.vertices):
         return None
     return GltfJoints(source.document, [], np.zeros(1), mesh)
-
-
-def _joints(document: Document, animation: str | None, clip: Clip) -> GltfJoints:
-    """Return the joints of a clip without a mesh, which the shipped body plays."""
-    channels, times = select_channels(document, animation), np.arange(len(clip)) / clip.fps
-    person = None if clip.skeleton is None else clip.skeleton.person()
-    whole = clip.fps == (frame_rate([channel for channel in channels if channel.path in PLAYED_PATHS]) or DEFAULT_FPS)
-    return GltfJoints(document, channels, times, None, person, whole=whole)
 
 
 def write_gltf(mesh: Mesh, path: Path) -> None:
@@ -154,7 +150,11 @@ def write_gltf_clip(clip: Clip, path: Path, progress: Progress | None = None) ->
     draft, groups = build_document(mesh, base)
     if len(clip) > 1:
         deltas = _frame_deltas(groups, mesh, clip, base.vertices, progress)
-        attributes = _one_target_per_frame(itertools.islice(deltas, 1, None), groups)  # frame 0 has no target
+        attributes: list[dict[str, Spool]] = [{} for _ in groups]
+        for of_frame in itertools.islice(deltas, 1, None):  # frame 0 has no target
+            for of_group, spools in zip(of_frame, attributes, strict=True):
+                for name, values in of_group.items():
+                    spools.setdefault(name, Spool()).append(values)
         for group, spools in zip(groups, attributes, strict=True):
             targets = _add_targets(draft, spools)
             for primitive in group.primitives:
@@ -212,16 +212,6 @@ def _frame_deltas(
             {name: values - of_base[name] for name, values in attributes.items()}
             for attributes, of_base in zip(attributes_of(vertices), base_attributes, strict=True)
         ]
-
-
-def _one_target_per_frame(frames: Iterable[list[Deltas]], groups: list[PrimitiveGroup]) -> list[dict[str, Spool]]:
-    """Store the deltas of each frame as one morph target; returns a spool for each group and attribute."""
-    spools: list[dict[str, Spool]] = [{} for _ in groups]
-    for frame in frames:
-        for deltas, spool in zip(frame, spools, strict=True):
-            for name, values in deltas.items():
-                spool.setdefault(name, Spool()).append(values)
-    return spools
 
 
 def _local_attributes(

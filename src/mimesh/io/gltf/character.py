@@ -346,23 +346,17 @@ def find_facing(rig: SkinnedCharacter, joints: dict[str, int], rule: str) -> str
     by_names = _nearest_axis(front)
     if by_names == rule:
         return rule
-    toes = sum(
-        (_toes(rig, joints[f"{side}Foot"]) for side in ("Left", "Right") if f"{side}Foot" in joints), np.zeros(2)
-    )
+    toes = np.zeros(2)
+    for foot in (joints[f"{side}Foot"] for side in SIDES if f"{side}Foot" in joints):
+        carried = carried_vertices(rig, foot)
+        if carried.any():  # horizontal vector from the ankle to the middle of the foot
+            points = rig.mesh.vertices[carried]
+            toes += ((points.min(axis=0) + points.max(axis=0)) / 2 - rig.joints[foot])[[0, 2]]
     ahead = toes @ AXES[by_names]
     if abs(ahead) > 2 * SHORTEST_TOES * np.ptp(rig.mesh.vertices[:, 1]):
         return by_names if ahead > 0 else _nearest_axis(-np.array(AXES[by_names]))
     # Feet do not say: sides that the viewer sees are more frequent than files that break the rule.
     return rule if np.dot(AXES[rule], AXES[by_names]) < 0 else by_names
-
-
-def _toes(rig: SkinnedCharacter, foot: int) -> Float[np.ndarray, " 2"]:
-    """Compute the horizontal vector (x, z) from an ankle to the middle of the foot; zero for a foot without surface."""
-    carried = carried_vertices(rig, foot)
-    if not carried.any():
-        return np.zeros(2)
-    points = rig.mesh.vertices[carried]
-    return ((points.min(axis=0) + points.max(axis=0)) / 2 - rig.joints[foot])[[0, 2]]
 
 
 def _nearest_axis(direction: np.ndarray) -> str:

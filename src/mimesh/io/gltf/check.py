@@ -50,23 +50,18 @@ REQUIRED = {
 }
 """Properties that objects must have."""
 
-NON_NEGATIVE_INTEGERS = (
-    "accessors [] componentType",
-    "accessors [] count",
-    "accessors [] byteOffset",
-    "accessors [] sparse count",
-    "accessors [] sparse indices byteOffset",
-    "accessors [] sparse indices componentType",
-    "accessors [] sparse values byteOffset",
-    "bufferViews [] byteOffset",
-    "bufferViews [] byteLength",
-    "bufferViews [] byteStride",
-    "buffers [] byteLength",
-    "meshes [] primitives [] mode",
-    f"{DRACO_OBJECT} attributes {{}}",
-    *(f"{place} {key}" for place in MESHOPT_OBJECTS for key in ("byteOffset", "byteLength", "byteStride", "count")),
-)
-"""Locations of integers of 0 or more."""
+NON_NEGATIVE_INTEGERS = {
+    "accessors []": "componentType count byteOffset",
+    "accessors [] sparse": "count",
+    "accessors [] sparse indices": "byteOffset componentType",
+    "accessors [] sparse values": "byteOffset",
+    "bufferViews []": "byteOffset byteLength byteStride",
+    "buffers []": "byteLength",
+    "meshes [] primitives []": "mode",
+    f"{DRACO_OBJECT} attributes": "{}",
+    **dict.fromkeys(MESHOPT_OBJECTS, "byteOffset byteLength byteStride count"),
+}
+"""Integers of 0 or more: the locations that have them, and their names there."""
 
 NUMBER_LISTS = {
     "nodes [] matrix": 16,
@@ -97,14 +92,10 @@ STRINGS = (
 )
 """Locations of strings."""
 
+_EXTENDED = ("textures []", "materials []", "materials [] pbrMetallicRoughness baseColorTexture")
 OBJECTS = (
     "animations []",
-    "textures [] extensions",
-    "textures [] extensions {}",
-    "materials [] extensions",
-    "materials [] extensions {}",
-    "materials [] pbrMetallicRoughness baseColorTexture extensions",
-    "materials [] pbrMetallicRoughness baseColorTexture extensions {}",
+    *(f"{place} extensions{each}" for place in _EXTENDED for each in ("", " {}")),
     "meshes [] primitives [] extensions",
     "bufferViews [] extensions",
 )
@@ -199,7 +190,7 @@ def check_document(gltf: Any, path: Path) -> None:
             for name in names:
                 _expect(isinstance(item, dict) and name in item, path, f"'{name}' in each of '{location}'", item)
     for locations, fits, kind in (
-        (NON_NEGATIVE_INTEGERS, _is_index, "a count"),
+        ([f"{at} {key}" for at, keys in NON_NEGATIVE_INTEGERS.items() for key in keys.split()], _is_index, "a count"),
         (STRINGS, lambda value: isinstance(value, str), "text"),
         (OBJECTS, lambda value: isinstance(value, dict), "an object"),
     ):

@@ -290,17 +290,16 @@ def decode(source: Path, target: Path) -> None:
     with target.open("wb") as file:
         for job in json.loads(content[8:start]):
             blob, start = content[start : start + job["bytes"]], start + job["bytes"]
-            results = _decode_draco(job, blob, source) if job["codec"] == "draco" else [_decode_meshopt(job, blob)]
+            if job["codec"] == "draco":
+                results = _decode_draco(job, blob, source)
+            else:  # the contents of a buffer view
+                import meshopt
+
+                kind = None if job["filter"] == "NONE" else job["filter"]
+                decoded = meshopt.decode_gltf_buffer(blob, job["count"], job["stride"], job["mode"], kind)
+                results = [decoded.tobytes()]
             for result in results:
                 file.write(result + bytes(-len(result) % 4))
-
-
-def _decode_meshopt(job: dict[str, Any], blob: bytes) -> bytes:
-    """Decode the contents of a buffer view."""
-    import meshopt
-
-    kind = None if job["filter"] == "NONE" else job["filter"]
-    return meshopt.decode_gltf_buffer(blob, job["count"], job["stride"], job["mode"], kind).tobytes()
 
 
 def _decode_draco(job: dict[str, Any], blob: bytes, source: Path) -> list[bytes]:

@@ -83,6 +83,8 @@ class NamedWeights:
 
 def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
     """Copy the animation of a driving clip to the nodes of another file; None if that has another skeleton."""
+    from scipy.spatial.transform import Rotation
+
     mine, theirs = identity.document, driving.document
     try:
         unweighted_parts(mine, identity.rest)
@@ -122,7 +124,12 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
             if path == "translation" and not same_rest:
                 value = my_rest[k, :3, 3] + scale * (value - their_rest[k, :3, 3])
             if path == "rotation" and not same_rest:
-                value = _since_rest(value, my_rest[k], their_rest[k])
+                # Turned from its own rest pose as far as the driving's joint is turned from its one.
+                mine_at, theirs_at = (
+                    Rotation.from_matrix(nearest_rotation(rest[k, :3, :3])) for rest in (my_rest, their_rest)
+                )
+                since_rest = mine_at * theirs_at.inv() * Rotation.from_quat(value)
+                value = normalized_quaternions(since_rest.as_quat())
             if path == "rotation":
                 value = continuous_quaternions(value, own[path])
             sources[node, path] = (other, path)
@@ -190,16 +197,6 @@ def copy_morphs(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
     return SharedMotion(tracks, True, True) if tracks else None
 
 
-def _since_rest(
-    quaternions: Float[np.ndarray, "T 4"], mine: Float[np.ndarray, "4 4"], theirs: Float[np.ndarray, "4 4"]
-) -> Float[np.ndarray, "T 4"]:
-    """Turn a joint from its own rest pose as far as the driving's joint is turned from its one."""
-    from scipy.spatial.transform import Rotation
-
-    own, other = (Rotation.from_matrix(nearest_rotation(rest[:3, :3])) for rest in (mine, theirs))
-    return normalized_quaternions((own * other.inv() * Rotation.from_quat(quaternions)).as_quat())
-
-
 def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int]:
     """Match joints to nodes of another file with the same name below joints with the same names.
 
@@ -218,8 +215,8 @@ def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int
         wanted = [my_names[n] for n in chain]
         same = [n for n in joints if my_names[n] == wanted[0]]
         others = [other for other, name in enumerate(their_names) if name == wanted[0]]
-        found = [o for o in others if _chain_names(their_names, their_parents, o, len(chain)) == wanted]
-        alike = [n for n in same if _chain_names(my_names, my_parents, n, len(chain)) == wanted]
+        found = [o for o in others if [their_names[n] for n in ancestors(their_parents, o)[: len(chain)]] == wanted]
+        alike = [s for s in same if [my_names[n] for n in ancestors(my_parents, s)[: len(chain)]] == wanted]
         if my_parents[node] in pairs:
             found = [other for other in found if their_parents[other] == pairs[my_parents[node]]]
             alike = [n for n in alike if my_parents[n] == my_parents[node]]
@@ -228,11 +225,6 @@ def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int
         if len(found) == len(alike):
             pairs[node] = found[alike.index(node)]
     return pairs
-
-
-def _chain_names(names: list[str], parents: tuple[int, ...], node: int, length: int) -> list[str]:
-    """List the names of so many nodes from a node up."""
-    return [names[n] for n in ancestors(parents, node)[:length]]
 
 
 def _names(document: Document) -> list[str]:
@@ -401,23 +393,15 @@ def _expression_weights(
             values[name] = (found > BINARY).astype(float) if expression.binary else found
     total: dict[tuple[int, int], np.ndarray] = {}
     for name, shown in values.items():
-        factor = _remaining(name, expressions, values)
+        # The share of an expression that others leave of it (VRM 1.0, Procedural override).
+        factor = np.ones_like(shown)
+        for key in (key for key, reducible in OVERRIDDEN.items() if name in reducible):
+            for other, weight in values.items():
+                if other not in OVERRIDDEN[key] and key in expressions[other].overrides:
+                    factor -= weight > NEGLIGIBLE if expressions[other].overrides[key] == "block" else weight
+        factor = np.maximum(factor, 0.0)
         # What has no intermediate values is suppressed by any reduction.
         reduced = shown * (factor >= 1.0 if expressions[name].binary else factor)
         for node, index, share in expressions[name].binds:
             total[node, index] = total.get((node, index), 0.0) + share * reduced
     return total
-
-
-def _remaining(
-    name: str, expressions: dict[str, Expression], values: dict[str, Float[np.ndarray, " T"]]
-) -> Float[np.ndarray, " T"]:
-    """Compute the share of an expression that others leave of it (VRM 1.0, Procedural override)."""
-    factor = np.ones_like(values[name])
-    for key, reduced in OVERRIDDEN.items():
-        if name not in reduced:
-            continue
-        for other, weights in values.items():
-            if other not in reduced and key in expressions[other].overrides:
-                factor -= weights > NEGLIGIBLE if expressions[other].overrides[key] == "block" else weights
-    return np.maximum(factor, 0.0)

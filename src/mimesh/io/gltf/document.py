@@ -371,25 +371,19 @@ def _rebase_range(
 
 
 def _read_images(gltf: dict[str, Any], binary: bytes | memoryview, files: MappedFiles) -> tuple[bytes | None, ...]:
-    """Read all images; those of one buffer view or file are read once."""
-    keys = [(image.get("bufferView"), image.get("uri", "")) for image in gltf.get("images", [])]
+    """Read all images; those of one buffer view or file are read once. None where a file is missing, or no image."""
+    images = gltf.get("images", [])
+    keys = [(image.get("bufferView"), image.get("uri", "")) for image in images]
     contents: dict[tuple[int | None, str], bytes | None] = {}
     size = 0
-    for key, image in zip(keys, gltf.get("images", []), strict=True):
-        if key not in contents:
-            content = contents[key] = _read_image(image, gltf, binary, files)
-            size += len(content) if content and key[0] is not None else 0
-            UNPACKED.check(size, files.document, len(binary))  # views may overlap
+    for number, uri in dict.fromkeys(keys):
+        if number is None:
+            content = bytes(files.fetch(uri) or b"")
+            # A document may refer to any file of the machine: one that is not an image must not be copied.
+            contents[number, uri] = content if content and image_type(content) else None
+            continue
+        view = gltf["bufferViews"][number]
+        contents[number, uri] = bytes(binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
+        size += view["byteLength"]
+        UNPACKED.check(size, files.document, len(binary))  # views may overlap
     return tuple(contents[key] for key in keys)
-
-
-def _read_image(
-    image: dict[str, Any], gltf: dict[str, Any], binary: bytes | memoryview, files: MappedFiles
-) -> bytes | None:
-    """Return the bytes of an image; None where its file does not exist or is not an image."""
-    if "bufferView" in image:
-        view = gltf["bufferViews"][image["bufferView"]]
-        return bytes(binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
-    content = bytes(files.fetch(image.get("uri", "")) or b"")
-    # A document may refer to any file of the machine: one that is not an image must not be copied into our output.
-    return content if content and image_type(content) else None

@@ -149,7 +149,15 @@ def edit_document(source: GltfSource, mesh: Mesh, skinned: bool = False) -> tupl
             entry["extras"] = {key: value for key, value in entry["extras"].items() if key != "targetNames"}
         meshes[mesh_index] = entry | {"primitives": primitives}
         groups += [dataclasses.replace(group, node=new_node) for group in node_groups]
-    _drop_skins_and_animations(copier)
+    gltf = copier.draft.gltf
+    gltf.pop("animations", None)
+    gltf |= without_extensions(gltf, [ANIMATION_POINTER])
+    if any("skin" in node for node in gltf["nodes"]):  # outside the scene
+        for skin in gltf["skins"]:
+            if "inverseBindMatrices" in skin:
+                skin["inverseBindMatrices"] = copier.copy_accessor(skin["inverseBindMatrices"], None)
+    else:
+        gltf.pop("skins", None)
     return copier.draft, groups
 
 
@@ -223,19 +231,6 @@ def _attach_mesh(edit: _Edit, node: int, mesh_index: int, T_world_local: Float[n
     return len(gltf["nodes"]) - 1
 
 
-def _drop_skins_and_animations(copier: AccessorCopier) -> None:
-    """Remove all animations, and all skins unless a node outside the scene still uses one."""
-    gltf = copier.draft.gltf
-    gltf.pop("animations", None)
-    gltf |= without_extensions(gltf, [ANIMATION_POINTER])
-    if any("skin" in node for node in gltf["nodes"]):
-        for skin in gltf["skins"]:
-            if "inverseBindMatrices" in skin:
-                skin["inverseBindMatrices"] = copier.copy_accessor(skin["inverseBindMatrices"], None)
-    else:
-        gltf.pop("skins", None)
-
-
 def _edit_primitives(
     edit: _Edit, node: int, vertex_ranges: list[VertexRange], T_world_local: Float[np.ndarray, "4 4"]
 ) -> tuple[list[dict[str, Any]], list[PrimitiveGroup]]:
@@ -254,7 +249,11 @@ def _edit_primitives(
             with_one_normal.setdefault(old[p]["attributes"].get("NORMAL"), []).append(p)
         for members in with_one_normal.values():
             corner_of = _corner_of_elements(edit, span, members)
-            normals = _new_normals(edit, span, members[0], corner_of)
+            # New world normals, those at rest where no face uses one.
+            normals = read_rest_normals(edit.document, span.node, members[0], edit.rest.T_world_node)
+            if normals is not None and edit.mesh.corner_normals is not None:
+                used = corner_of >= 0
+                normals[used] = edit.mesh.corner_normals.reshape(-1, 3)[corner_of[used]]
             attributes = shared | _add_attributes(edit, T_world_local, None if shared else points, normals)
             shared = {"POSITION": attributes["POSITION"]}
             new |= {p: _replace_attributes(edit.copier, old[p], attributes) for p in members}
@@ -295,17 +294,6 @@ def _corner_of_elements(edit: _Edit, span: VertexRange, members: list[int]) -> I
         start, stop = edit.rest.faces.get((span.node, primitive), (0, 0))
         corner_of[edit.mesh.faces[start:stop].ravel() - span.start] = np.arange(3 * start, 3 * stop)
     return corner_of
-
-
-def _new_normals(
-    edit: _Edit, span: VertexRange, primitive: int, corner_of: Int[np.ndarray, " N"]
-) -> Float[np.ndarray, "N 3"] | None:
-    """Return the new world normals of a range's elements, those at rest where no face uses one; None without any."""
-    normals = read_rest_normals(edit.document, span.node, primitive, edit.rest.T_world_node)
-    if normals is not None and edit.mesh.corner_normals is not None:
-        used = corner_of >= 0
-        normals[used] = edit.mesh.corner_normals.reshape(-1, 3)[corner_of[used]]
-    return normals
 
 
 def _add_attributes(

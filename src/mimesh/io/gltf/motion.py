@@ -239,10 +239,11 @@ def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
     """Find the nodes that are joints, each after its parent, and the parent joint of each; the one root has -1."""
     node_parent = node_parents(document)
     order = sort_parents_first(document, node_parent)
+    pivots = {node for node in order if FBX_PIVOT in str(document.gltf["nodes"][node].get("name", ""))}
     for node in order:
-        while node_parent[node] >= 0 and _is_pivot(document, node_parent[node]):
+        while node_parent[node] in pivots:
             node_parent[node] = node_parent[node_parent[node]]
-    order = [node for node in order if not _is_pivot(document, node)]
+    order = [node for node in order if node not in pivots]
     joints = set(_animated_bones(document).values())
     if not joints:
         joints = {node for skin in document.gltf.get("skins", []) for node in skin["joints"]}
@@ -264,10 +265,6 @@ def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
     root = index.get(WORLD_NODE, -1)
     parents = (index.get(node_parent[node], root) if node != WORLD_NODE else -1 for node in nodes)
     return nodes, tuple(parents)
-
-
-def _is_pivot(document: Document, node: int) -> bool:
-    return FBX_PIVOT in str(document.gltf["nodes"][node].get("name", ""))
 
 
 def _animated_bones(document: Document) -> dict[str, int]:

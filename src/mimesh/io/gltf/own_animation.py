@@ -178,7 +178,7 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
     Args:
         animations: of one file, with the same layout.
     """
-    root = _find_root_bone(animations)
+    root = _place_root_bone(animations)
     draft = _copied_file(animations, root)
     moved = [animation.tracks if root is None else root.tracks(animation.tracks) for animation in animations]
     if root is not None and animations[0].root_moves:
@@ -218,7 +218,7 @@ def cut_animation(source: GltfSource, animation: str | None, fps: float | None, 
 
 def write_own_rig(rig: OwnAnimation, path: Path) -> None:
     """Write the file of an identity with new names of its bones, and a root bone, as `with_layout` has set them."""
-    _copied_file([rig], _find_root_bone([rig])).save(path)
+    _copied_file([rig], _place_root_bone([rig])).save(path)
 
 
 def write_own_pose(animation: OwnAnimation, path: Path) -> None:
@@ -269,15 +269,6 @@ def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) 
     node, path = key
     value = read_morph_weights(document, node) if path == "weights" else node_properties(entry)[path]
     return np.array(value, float)[None]
-
-
-def _find_root_bone(animations: Sequence[OwnAnimation]) -> RootBone | None:
-    """Find the place of the root bone of a file, if there is to be one."""
-    first = animations[0]
-    if first.root_bone is None:
-        return None
-    moving = {key[0] for animation in animations for key in animation.tracks if animation.moves(key)}
-    return _place_root_bone(first.source, first.root_bone, first.joints, moving)
 
 
 def _copied_file(animations: Sequence[OwnAnimation], root: RootBone | None = None) -> Draft:
@@ -494,17 +485,22 @@ class RootBone:
             skin["skeleton"] = self.node
 
 
-def _place_root_bone(source: GltfSource, name: str, person: Mapping[str, int], moving: Collection[int]) -> RootBone:
-    """Find the place of a root bone, or the joint of the file that is one.
-
-    Args:
-        moving: nodes that the new animations move.
-    """
+def _place_root_bone(animations: Sequence[OwnAnimation]) -> RootBone | None:
+    """Find the place of the root bone of a file, if there is to be one, or the joint of the file that is one."""
+    source, name, person = animations[0].source, animations[0].root_bone, animations[0].joints
+    if name is None:
+        return None
+    moving = {key[0] for animation in animations for key in animation.tracks if animation.moves(key)}
     document, world = source.document, source.rest.T_world_node
     parents = tuple(node_parents(document))
     skins = [set(skin["joints"]) for skin in document.gltf.get("skins", [])]
     joints = set(person.values()).union(*(skin for skin in skins if skin.intersection(person.values())))
-    weighted = _weighted_nodes(source)
+    weighted: set[int] = set()  # joints with a vertex that has a weight for them
+    for span in source.rest.vertex_ranges:
+        for number in span.primitives:
+            binding = read_skin_binding(document, span.node, get_primitive(document, (span.node, number)))
+            if binding is not None:
+                weighted |= set(binding.nodes[binding.joints[binding.weights > 0]].tolist())
     size = np.ptp(source.vertices, axis=0).max()
     origin = world[person["Hips"], :3, 3].copy()
     origin[1] = source.vertices[:, 1].min()
@@ -549,18 +545,6 @@ def _staying(
         else:
             found |= _staying(source, nodes[node].get("children", []), world[node], moving, weighted)
     return found
-
-
-def _weighted_nodes(source: GltfSource) -> set[int]:
-    """List the joints with a vertex that has a weight for them."""
-    weighted: set[int] = set()
-    for span in source.rest.vertex_ranges:
-        for number in span.primitives:
-            primitive = get_primitive(source.document, (span.node, number))
-            binding = read_skin_binding(source.document, span.node, primitive)
-            if binding is not None:
-                weighted |= set(binding.nodes[binding.joints[binding.weights > 0]].tolist())
-    return weighted
 
 
 def _world(source: GltfSource, node: int) -> Float[np.ndarray, "4 4"]:

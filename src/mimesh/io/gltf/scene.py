@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ...core.errors import damaged
 from ...core.geometry import finite_or_zero, nearest_rotation
@@ -251,21 +251,13 @@ def unbound_joints(document: Document, skin: int) -> list[int]:
     """List the joints of a skin with an inverse bind matrix of zeros, or one of NaN that no vertex is bound to."""
     matrices = _stored_bind_matrices(document, skin)
     broken = ~np.isfinite(matrices).all(axis=(1, 2))
-    if broken.any():
-        broken &= ~_bound(document, skin)
-    return np.flatnonzero(broken | ~matrices[:, :3].any(axis=(1, 2))).tolist()
-
-
-def _bound(document: Document, skin: int) -> Bool[np.ndarray, " J"]:
-    """Tell which joints of a skin have weights."""
-    bound = np.zeros(len(document.gltf["skins"][skin]["joints"]), bool)
-    for node in document.gltf["nodes"]:
+    for node in document.gltf["nodes"] if broken.any() else ():
         if node.get("skin") == skin and "mesh" in node:
             for primitive in document.gltf["meshes"][node["mesh"]]["primitives"]:
                 if "JOINTS_0" in primitive["attributes"]:
                     joints, weights = read_influences(document, primitive)
-                    bound[joints[(weights > 0) & (joints < len(bound))]] = True
-    return bound
+                    broken[joints[(weights > 0) & (joints < len(broken))]] = False
+    return np.flatnonzero(broken | ~matrices[:, :3].any(axis=(1, 2))).tolist()
 
 
 def _stored_bind_matrices(document: Document, skin: int) -> Float[np.ndarray, "J 4 4"]:

@@ -62,7 +62,14 @@ def write_new(clip: Clip, path: Path, final: Path, progress: Progress | None = N
             packed_textures = folder / "textures"
             _write_binary(clip, binary, packed_textures, f"./{packed_textures.name}", progress)
             images = sorted(f"{packed_textures.name}/{image.name}" for image in packed_textures.glob("*"))
-            _pack(folder, [binary.name, *images], path)
+            names = [binary.name, *images]  # the first one is the root layer
+            size = sum((folder / name).stat().st_size for name in names)
+            if size > LARGEST:
+                found = f"{size / 2**30:.1f}"
+                raise InputError(f"{path}: expected at most 2 GiB in a package, found {found}; write .usdc instead")
+            with Sdf.ZipFileWriter.CreateNew(str(path)) as package:
+                for name in names:
+                    package.AddFile(str(folder / name), name)
         else:
             _write_binary(clip, binary, textures, f"./{textures.name}", progress)
             Sdf.Layer.FindOrOpen(str(binary)).Export(str(path))
@@ -186,7 +193,7 @@ def _add_subsets(
         if not len(polygons):
             continue
         name = subset_names.path(part.name).name
-        subset = binding.CreateMaterialBindSubset(name, Vt.IntArray.FromNumpy(polygons.astype(np.int32)))
+        subset = binding.CreateMaterialBindSubset(name, _integers(polygons))
         _set_display_name(subset.GetPrim(), part.name)
         if part.material is None:
             continue
@@ -241,13 +248,3 @@ def _shader(material: UsdShade.Material, name: str, shader_id: str) -> UsdShade.
     if shader_id == "UsdPreviewSurface":
         shader.CreateOutput("surface", Sdf.ValueTypeNames.Token)
     return shader
-
-
-def _pack(folder: Path, names: list[str], path: Path) -> None:
-    """Write the named files of a folder as a package; the first name must be the root layer."""
-    size = sum((folder / name).stat().st_size for name in names)
-    if size > LARGEST:
-        raise InputError(f"{path}: expected at most 2 GiB in a package, found {size / 2**30:.1f}; write .usdc instead")
-    with Sdf.ZipFileWriter.CreateNew(str(path)) as package:
-        for name in names:
-            package.AddFile(str(folder / name), name)
