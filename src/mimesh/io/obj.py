@@ -131,12 +131,21 @@ def read_obj(path: Path) -> Mesh:
     source = _read_source(path)
     triangles, polygon = fan_corners(source.sizes)
     faces, uv_index, normal_index = (source.corners[triangles, k] for k in range(3))
+    corner_uv = corner_normals = None
+    if (uv_index >= 0).any():
+        uv = finite_or_zero(read_numbers(source.lines, source.uv_lines.tolist(), 1, 2, path))
+        corner_uv = np.where(uv_index[..., None] >= 0, uv[uv_index], 0.0)
+    if (normal_index >= 0).any():
+        corner_normals = source.normals[normal_index]
+        if (normal_index < 0).any():
+            of_vertices = vertex_normals(source.vertices, faces)[faces]
+            corner_normals = np.where(normal_index[..., None] >= 0, corner_normals, of_vertices)
     return Mesh(
         source.vertices,
         faces,
         name=path.stem,
-        corner_uv=_read_uv(source, uv_index, path),
-        corner_normals=_corner_normals(source, faces, normal_index),
+        corner_uv=corner_uv,
+        corner_normals=corner_normals,
         vertex_colors=_vertex_colors(source, path),
         parts=_read_parts(source, polygon, path),
         source=source,
@@ -327,21 +336,6 @@ def _absolute_indices(
             "the file is damaged or cut short, export it again"
         )
     return index
-
-
-def _read_uv(source: ObjSource, index: Int[np.ndarray, "F 3"], path: Path) -> Float[np.ndarray, "F 3 2"] | None:
-    if not (index >= 0).any():
-        return None
-    uv = finite_or_zero(read_numbers(source.lines, source.uv_lines.tolist(), 1, 2, path))
-    return np.where(index[..., None] >= 0, uv[index], 0.0)
-
-
-def _corner_normals(source: ObjSource, faces, index: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "F 3 3"] | None:
-    if not (index >= 0).any():
-        return None
-    if (index >= 0).all():
-        return source.normals[index]
-    return np.where(index[..., None] >= 0, source.normals[index], vertex_normals(source.vertices, faces)[faces])
 
 
 def _vertex_colors(source: ObjSource, path: Path) -> Float[np.ndarray, "V 4"] | None:

@@ -105,13 +105,6 @@ def _unit(scene: Any) -> float:
     return float(ufbx.find_real(own(own(scene.settings).props), "UnitScaleFactor", 1.0)) / 100
 
 
-def _up_axis(scene: Any) -> str:
-    """Return the axis of the file that is up, such as +z."""
-    props = own(own(scene.settings).props)
-    axis, sign = (ufbx.find_int(props, name, 1) for name in ("UpAxis", "UpAxisSign"))
-    return ("-" if sign < 0 else "+") + "xyz"[axis if 0 <= axis < 3 else 1]
-
-
 def _draft(scene: Any, source: Path) -> Draft:
     """Return a glTF draft of a scene."""
     draft = Draft({"asset": {"version": "2.0", "generator": "mimesh"}, "scene": 0, "scenes": [{}]})
@@ -125,7 +118,10 @@ def _draft(scene: Any, source: Path) -> Draft:
         # A motion without a mesh: the skin says which nodes are joints, also those that no animation moves.
         draft.gltf["skins"] = [{"joints": bones}]
     _add_animations(draft, scene, nodes, morphs, source)
-    facts: dict[str, Any] = {"unit": _unit(scene), "up": _up_axis(scene)}
+    props = own(own(scene.settings).props)
+    axis, sign = (ufbx.find_int(props, name, 1) for name in ("UpAxis", "UpAxisSign"))
+    up = ("-" if sign < 0 else "+") + "xyz"[axis if 0 <= axis < 3 else 1]
+    facts: dict[str, Any] = {"unit": _unit(scene), "up": up}
     facts |= {"missingTextures": sorted(set(materials.missing))} if materials.missing else {}
     draft.gltf["asset"]["extras"] = {"fbx": facts}
     return draft
@@ -577,12 +573,12 @@ def _add_animations(
         for moved in (moved for moved in items(baked.nodes) if moved.typed_id > 0):
             node = nodes[moved.typed_id]
             frames = [ufbx.evaluate_transform(curves, node, time) for time in times]
-            for path in DEFAULT_TRS:
-                values = np.array([tuple(getattr(frame, path)) for frame in frames])
-                rest = np.array(getattr(node.local_transform, path))
-                if path == "rotation":
+            for target in DEFAULT_TRS:
+                values = np.array([tuple(getattr(frame, target)) for frame in frames])
+                rest = np.array(getattr(node.local_transform, target))
+                if target == "rotation":
                     values = continuous_quaternions(values, rest)
-                channels += _channel(node.typed_id - 1, path, seconds, values, rest)
+                channels += _channel(node.typed_id - 1, target, seconds, values, rest)
         for shown_by, of_mesh in morphs.values():
             if of_mesh.names:
                 weights = [[ufbx.evaluate_blend_weight(curves, c, time) for c in of_mesh.channels] for time in times]

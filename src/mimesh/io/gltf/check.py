@@ -182,7 +182,11 @@ def check_document(gltf: Any, path: Path) -> None:
         )
     if isinstance(gltf.get("nodes"), list):
         JOINTS.check(len(gltf["nodes"]), path)
-    _check_version(gltf, path)
+    # A reader of 2.0 may open any later 2.x: minor versions are compatible (3.2 Asset).
+    asset = gltf.get("asset")
+    version = asset.get("version") if isinstance(asset, dict) else None
+    if not str(version).startswith("2."):
+        raise InputError(f"{path}: expected glTF version 2.0, found {version}; export it again as glTF 2.0")
     _check_extensions(gltf, path)
     # In this order: required properties first, so that the checks after them need not ask whether these are there.
     for location, names in REQUIRED.items():
@@ -219,7 +223,14 @@ def check_sizes(gltf: dict[str, Any], size: int, path: Path) -> None:
         InputError: a number is above its budget, or too many nodes are below each other.
     """
     nodes, accessors = gltf.get("nodes", []), gltf.get("accessors", [])
-    _check_depth(nodes, path)
+    # How many nodes are below each other; loops are reported by those who walk the tree.
+    below = {child for node in nodes for child in node.get("children", [])}
+    reached, level, depth = set(range(len(nodes))) - below, set(range(len(nodes))) - below, 0
+    while level:
+        depth += 1
+        level = {child for index in level for child in nodes[index].get("children", [])} - reached
+        reached |= level
+    DEPTH.check(depth, path)
     parts = corners = morphed = 0
     for mesh, shown in Counter(node["mesh"] for node in nodes if "mesh" in node).items():
         deformed = set()  # primitives with the same vertices, one for each material, are deformed once
@@ -265,14 +276,6 @@ def list_primitives(gltf: dict[str, Any]) -> list[dict[str, Any]]:
 def attribute_accessors(primitive: dict[str, Any]) -> list[int]:
     """List the accessors of a primitive's attributes, and of those of its morph targets."""
     return [index for owner in (primitive["attributes"], *primitive.get("targets", [])) for index in owner.values()]
-
-
-def _check_version(gltf: dict[str, Any], path: Path) -> None:
-    # A reader of 2.0 may open any later 2.x: minor versions are compatible (3.2 Asset).
-    asset = gltf.get("asset")
-    version = asset.get("version") if isinstance(asset, dict) else None
-    if not str(version).startswith("2."):
-        raise InputError(f"{path}: expected glTF version 2.0, found {version}; export it again as glTF 2.0")
 
 
 def _check_extensions(gltf: dict[str, Any], path: Path) -> None:
@@ -342,16 +345,3 @@ def _expect(good: bool, path: Path, expected: str, found: Any) -> None:
         text = repr(found)
         text = text if len(text) <= 60 else text[:57] + "..."
         raise damaged(path, expected, text)
-
-
-def _check_depth(nodes: list[dict[str, Any]], path: Path) -> None:
-    """Check how many nodes are below each other; loops are reported by those who walk the tree."""
-    below = {child for node in nodes for child in node.get("children", [])}
-    level = {index for index in range(len(nodes)) if index not in below}
-    reached = set(level)
-    depth = 0
-    while level:
-        depth += 1
-        level = {child for index in level for child in nodes[index].get("children", [])} - reached
-        reached |= level
-    DEPTH.check(depth, path)

@@ -201,21 +201,16 @@ class AccessorCopier:
         if self.copies_all:
             return index
         if index not in self.new_index:
-            self.new_index[index] = self._copy(index, target)
+            accessor, not_copied = self.document.gltf["accessors"][index], ("bufferView", "byteOffset", "sparse")
+            properties = {key: value for key, value in accessor.items() if key not in not_copied}
+            if "bufferView" in accessor or "sparse" in accessor:
+                rows = element_bytes(self.document, index)
+                padding = -rows.shape[1] % 4 if target == ARRAY_BUFFER else 0
+                rows = np.pad(rows, ((0, 0), (0, padding)))
+                view = self.draft.add_view(rows, target=target, byteStride=rows.shape[1] if padding else None)
+                properties = {"bufferView": view, **properties}
+            self.new_index[index] = self.draft.add_accessor(properties)
         return self.new_index[index]
-
-    def _copy(self, index: int, target: int | None) -> int:
-        accessor = self.document.gltf["accessors"][index]
-        properties = {
-            key: value for key, value in accessor.items() if key not in ("bufferView", "byteOffset", "sparse")
-        }
-        if "bufferView" not in accessor and "sparse" not in accessor:
-            return self.draft.add_accessor(properties)
-        rows = element_bytes(self.document, index)
-        padding = -rows.shape[1] % 4 if target == ARRAY_BUFFER else 0
-        rows = np.pad(rows, ((0, 0), (0, padding)))
-        view = self.draft.add_view(rows, target=target, byteStride=rows.shape[1] if padding else None)
-        return self.draft.add_accessor({"bufferView": view, **properties})
 
     def _copy_images(self) -> None:
         """Copy all images into the buffer, those of files beside the document and of data: URIs too."""

@@ -248,7 +248,10 @@ def _edit_primitives(
         for p in span.primitives:
             with_one_normal.setdefault(old[p]["attributes"].get("NORMAL"), []).append(p)
         for members in with_one_normal.values():
-            corner_of = _corner_of_elements(edit, span, members)
+            corner_of = np.full(len(points), -1)  # of each vertex of the range, in the faces of these primitives
+            for p in members:
+                start, stop = edit.rest.faces.get((node, p), (0, 0))
+                corner_of[edit.mesh.faces[start:stop].ravel() - span.start] = np.arange(3 * start, 3 * stop)
             # New world normals, those at rest where no face uses one.
             normals = read_rest_normals(edit.document, span.node, members[0], edit.rest.T_world_node)
             if normals is not None and edit.mesh.corner_normals is not None:
@@ -285,15 +288,6 @@ def _rewrite_in_place(edit: _Edit, node: int, index: int, T_world_local: Float[n
     points = read_rest_positions(edit.document, node, index, T_world_node)
     normals = read_rest_normals(edit.document, node, index, T_world_node)
     return _replace_attributes(edit.copier, primitive, _add_attributes(edit, T_world_local, points, normals))
-
-
-def _corner_of_elements(edit: _Edit, span: VertexRange, members: list[int]) -> Int[np.ndarray, " N"]:
-    """Find a corner of the Mesh at each vertex of a range, in the faces of some primitives; -1 where there is none."""
-    corner_of = np.full(span.stop - span.start, -1)
-    for primitive in members:
-        start, stop = edit.rest.faces.get((span.node, primitive), (0, 0))
-        corner_of[edit.mesh.faces[start:stop].ravel() - span.start] = np.arange(3 * start, 3 * stop)
-    return corner_of
 
 
 def _add_attributes(

@@ -70,7 +70,7 @@ def read_skeleton(document: Document, fps: float | None = None, animation: str |
     channels = [channel for channel in select_channels(document, animation) if channel.path in PLAYED_PATHS]
     fps = fps or frame_rate(channels) or DEFAULT_FPS
     nodes, parents = _find_joints(document)
-    humanoid = _animated_bones(document)
+    humanoid = vrm_bones(document) if is_vrm_animation(document) else {}
     at_rest = world_matrices(document) if humanoid else rest_matrices(document)
     T_world_rest = _append_world(at_rest)[nodes]
     times = frame_times(document, channels, fps)
@@ -244,7 +244,7 @@ def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
         while node_parent[node] in pivots:
             node_parent[node] = node_parent[node_parent[node]]
     order = [node for node in order if node not in pivots]
-    joints = set(_animated_bones(document).values())
+    joints = set(vrm_bones(document).values()) if is_vrm_animation(document) else set()
     if not joints:
         joints = {node for skin in document.gltf.get("skins", []) for node in skin["joints"]}
         moving = animated_nodes(document, PLAYED_PATHS)
@@ -265,11 +265,6 @@ def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
     root = index.get(WORLD_NODE, -1)
     parents = (index.get(node_parent[node], root) if node != WORLD_NODE else -1 for node in nodes)
     return nodes, tuple(parents)
-
-
-def _animated_bones(document: Document) -> dict[str, int]:
-    """Return the node of each joint of a VRM animation; empty for other files."""
-    return vrm_bones(document) if is_vrm_animation(document) else {}
 
 
 def _append_world(T_world_node: Float[np.ndarray, "*T N 4 4"]) -> Float[np.ndarray, "*T M 4 4"]:

@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ...core.errors import damaged
 from ...core.geometry import finite_or_zero, nearest_rotation
@@ -250,7 +250,7 @@ def read_inverse_bind_matrices(document: Document, skin: int) -> Float[np.ndarra
 def unbound_joints(document: Document, skin: int) -> list[int]:
     """List the joints of a skin with an inverse bind matrix of zeros, or one of NaN that no vertex is bound to."""
     matrices = _stored_bind_matrices(document, skin)
-    broken = ~np.isfinite(matrices).all(axis=(1, 2))
+    broken: Bool[np.ndarray, " J"] = ~np.isfinite(matrices).all(axis=(1, 2))
     for node in document.gltf["nodes"] if broken.any() else ():
         if node.get("skin") == skin and "mesh" in node:
             for primitive in document.gltf["meshes"][node["mesh"]]["primitives"]:

@@ -232,7 +232,10 @@ def _read_prim(
 ) -> tuple[Mesh, Int[np.ndarray, " P"]]:
     """Read a prim in world coordinates at the time of `xforms`, sorted by part, and the corners of each polygon."""
     prim, time = mesh_prim.prim, xforms.GetTime()
-    counts, corners = _polygons(prim, time, path)
+    counts, corners = (np.array(value or [], np.int64) for value in _topology(prim, time))
+    if (counts < 0).any() or counts.sum() != len(corners):
+        expected = f"as many face vertices in {prim.GetPath()} as its faces have corners ({counts.sum()})"
+        raise damaged(path, expected, len(corners))
     vertices = mesh_prim.points(xforms)
     if len(corners) and (corners.min() < 0 or corners.max() >= len(vertices)):
         worst = int(corners.max() if corners.max() >= len(vertices) else corners.min())
@@ -256,15 +259,6 @@ def _read_prim(
         parts=_parts(binding_prims, labels[polygon], materials),
     )
     return mesh, counts[order]
-
-
-def _polygons(prim: Usd.Prim, time: Usd.TimeCode, path: Path) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, " C"]]:
-    """Read the corner count of each polygon and the vertex index of each corner."""
-    counts, corners = (np.array(value or [], np.int64) for value in _topology(prim, time))
-    if (counts < 0).any() or counts.sum() != len(corners):
-        expected = f"as many face vertices in {prim.GetPath()} as its faces have corners ({counts.sum()})"
-        raise damaged(path, expected, len(corners))
-    return counts, corners
 
 
 def _shown_polygons(prim: Usd.Prim, counts, labels) -> Int[np.ndarray, " P"]:
@@ -364,7 +358,12 @@ def _read_material(bound: UsdShade.Material) -> Material:
     image = _diffuse_texture(surface)
     if image is not None:
         color = _input_value(image, "scale", (1.0, 1.0, 1.0, 1.0))
-        texture = _read_asset(_input_value(image, "file", None))
+        # PNG or JPEG, also inside a package; other formats and missing files are left out.
+        asset = _input_value(image, "file", None)
+        place = Ar.ResolvedPath(asset.resolvedPath) if asset and asset.resolvedPath else None
+        opened = Ar.GetResolver().OpenAsset(place) if place else None
+        content = bytes(opened.GetBuffer()) if opened else b""
+        texture = content if image_suffix(content) else None
     opacity = _input_value(surface, "opacity", 1.0)
     red, green, blue = (float(value) for value in color[:3])
     return Material(_display_name(bound.GetPrim()), (red, green, blue, float(opacity)), texture)
@@ -457,13 +456,6 @@ def _producing_attribute(shader: UsdShade.Shader, name: str) -> Usd.Attribute | 
     shader_input = shader.GetInput(name)
     attributes = shader_input.GetValueProducingAttributes() if shader_input else []
     return attributes[0] if attributes else None
-
-
-def _read_asset(asset: Sdf.AssetPath | None) -> bytes | None:
-    """Read the PNG or JPEG file of an asset path, also inside a package; None for other formats and missing files."""
-    opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(asset.resolvedPath)) if asset and asset.resolvedPath else None
-    content = bytes(opened.GetBuffer()) if opened else b""
-    return content if image_suffix(content) else None
 
 
 def shown_meshes(stage: Usd.Stage, path: Path) -> list[Usd.Prim]:
@@ -591,31 +583,21 @@ class MeshPrim:
         points = UsdGeom.Mesh(self.prim).GetPointsAttr().Get(time)
         if not points:
             return np.zeros((0, 3))
-        if self.blend_shapes is not None:
-            self._add_blend_shapes(points, time)
+        animation = self.skeleton.GetAnimQuery() if self.skeleton is not None else None
+        weights = animation.ComputeBlendShapeWeights(time) if animation and self.blend_shapes is not None else None
+        if weights and self.blend_shapes is not None and self.skinning is not None:
+            # The animation may list blend shapes in another order than the mesh.
+            mapper = self.skinning.GetBlendShapeMapper()
+            self.blend_shapes.ComputeDeformedPoints(  # with their in-betweens; changes `points` in place
+                *self.blend_shapes.ComputeSubShapeWeights(mapper.Remap(weights) if mapper else weights),
+                self.blend_shapes.ComputeBlendShapePointIndices(),
+                self.blend_shapes.ComputeSubShapePointOffsets(),
+                points,
+            )
         if self.skeleton is not None and self.skinning is not None and self.is_skinned:
             joint_transforms = self.skeleton.ComputeSkinningTransforms(time)
             self.skinning.ComputeSkinnedPoints(joint_transforms, points, time)  # changes `points` in place
         return transform_points(self.T_world_points(xforms), np.array(points, np.float64))
-
-    def _add_blend_shapes(self, points, time: Usd.TimeCode) -> None:
-        """Add the weighted offsets of the blend shapes and of their in-betweens to `points`, in place."""
-        assert self.blend_shapes is not None
-        assert self.skeleton is not None
-        assert self.skinning is not None
-        animation = self.skeleton.GetAnimQuery()
-        weights = animation.ComputeBlendShapeWeights(time) if animation else None
-        if not weights:
-            return
-        # The animation may list blend shapes in another order than the mesh.
-        mapper = self.skinning.GetBlendShapeMapper()
-        weights = mapper.Remap(weights) if mapper else weights
-        self.blend_shapes.ComputeDeformedPoints(
-            *self.blend_shapes.ComputeSubShapeWeights(weights),
-            self.blend_shapes.ComputeBlendShapePointIndices(),
-            self.blend_shapes.ComputeSubShapePointOffsets(),
-            points,
-        )
 
 
 def find_skinning(stage: Usd.Stage, prims: list[Usd.Prim]) -> list[MeshPrim]:
