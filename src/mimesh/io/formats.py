@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import archive_names
 from .atomic import scratch_folder, whole_file
+from .beside import find_beside
 
 
 def _of(module: str, function: str) -> Callable[..., Any]:
@@ -193,3 +196,30 @@ def may_have_joints(mesh: Mesh) -> bool:
 def found_suffix(path: Path) -> str:
     """Say which suffix a path has, for messages."""
     return f"found '{path.suffix}'" if path.suffix else "found no suffix"
+
+
+def parts_beside(path: Path) -> list[Path]:
+    """List the files beside a mesh or clip that its geometry, materials or layers are in; textures are left out.
+
+    A layer of USD may name any other, so all in its folder are listed. A file that cannot be read has none.
+    """
+    from .obj import library_names
+
+    folder, suffix = path.parent, path.suffix.lower()
+    if suffix == ".obj":
+        lines = [line for line in path.read_bytes().splitlines() if line.lstrip().startswith(b"mtllib")]
+        names = library_names(lines, range(len(lines)), folder)
+    elif suffix == ".gltf":
+        try:
+            uris = [buffer.get("uri", "data:") for buffer in json.loads(path.read_bytes())["buffers"]]
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            return []
+        found = [find_beside(folder, (unquote(uri), uri)) for uri in uris if not uri.startswith("data:")]
+        names = [name for name in found if name]
+    elif suffix == CACHE:
+        names = [path.stem + other for other in FRAME_SUFFIXES]
+    elif suffix in (layers := [known for known in MESH_READERS if known.startswith(".usd")]):
+        names = [file.name for file in folder.glob("*") if file.suffix.lower() in layers and file != path]
+    else:
+        return []
+    return sorted(folder / name for name in names)

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import unquote
 
 import numpy as np
 from jaxtyping import Float
@@ -21,20 +19,7 @@ from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip, stored_clip
 from ..core.system import refuse_pipe
 from .atomic import writing
-from .beside import find_beside
-from .formats import (
-    ANIMATED,
-    BODY_MODELS,
-    CACHE,
-    CLIP_READERS,
-    FRAME_SUFFIXES,
-    JOINTED,
-    MESH_READERS,
-    MOTIONS,
-    PICTURES,
-    found_suffix,
-)
-from .obj import library_names
+from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, JOINTED, MESH_READERS, MOTIONS, PICTURES, found_suffix
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 PACKED = (b"PK\3\4", b"Rar!", b"7z\xbc\xaf")
@@ -339,28 +324,3 @@ def _reading(path: Path) -> Iterator[None]:
         raise InputError(
             f"{path}: expected a file that fits into memory, found a larger one; split it, or take fewer frames"
         ) from error
-
-
-def parts_beside(path: Path) -> list[Path]:
-    """List the files beside a mesh or clip that its geometry, materials or layers are in; textures are left out.
-
-    A layer of USD may name any other, so all in its folder are listed. A file that cannot be read has none.
-    """
-    folder, suffix = path.parent, path.suffix.lower()
-    if suffix == ".obj":
-        lines = [line for line in path.read_bytes().splitlines() if line.lstrip().startswith(b"mtllib")]
-        names = library_names(lines, range(len(lines)), folder)
-    elif suffix == ".gltf":
-        try:
-            uris = [buffer.get("uri", "data:") for buffer in json.loads(path.read_bytes())["buffers"]]
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            return []
-        found = [find_beside(folder, (unquote(uri), uri)) for uri in uris if not uri.startswith("data:")]
-        names = [name for name in found if name]
-    elif suffix == CACHE:
-        names = [path.stem + other for other in FRAME_SUFFIXES]
-    elif suffix in (layers := [known for known in MESH_READERS if known.startswith(".usd")]):
-        names = [file.name for file in folder.glob("*") if file.suffix.lower() in layers and file != path]
-    else:
-        return []
-    return sorted(folder / name for name in names)

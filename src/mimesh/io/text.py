@@ -26,7 +26,11 @@ def without_comments(lines: Iterable[bytes]) -> list[bytes]:
     text = b"".join(lines)
     if b"#" not in text and b"\\" not in text:
         return lines
-    return [line if b"#" not in line and b"\\" not in line else _cut_comment(line) for line in lines]
+    for i, line in enumerate(lines):
+        if b"#" in line or b"\\" in line:
+            line = re.sub(rb"\\(\r\n|\n|\r)", b" ", line)
+            lines[i] = (_WINDOWS_NAN.sub(b"nan", line) if b".#" in line else line).partition(b"#")[0]
+    return lines
 
 
 def equal_rows(lines: Sequence[bytes], count: int) -> list[bytes] | None:
@@ -112,11 +116,6 @@ def replace_rows(
         assert match, f"{lines[number]!r} was read as a word and three numbers"
         rest = lines[number][match.end() :]
         lines[number] = b"%b%a%b%a%b%a%b" % (match[1], x, match[2], y, match[3], z, rest)
-
-
-def _cut_comment(line: bytes) -> bytes:
-    line = re.sub(rb"\\(\r\n|\n|\r)", b" ", line)
-    return (_WINDOWS_NAN.sub(b"nan", line) if b".#" in line else line).partition(b"#")[0]
 
 
 def _are_numbers(words: Sequence[bytes]) -> bool:

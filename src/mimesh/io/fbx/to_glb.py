@@ -232,25 +232,22 @@ class MorphChannels:
     """Of each shape, at the positions of the mesh."""
 
     def target_weights(self, channel_weights: Float[np.ndarray, "T C"]) -> Float[np.ndarray, "T S"]:
-        """Return the weight of each morph target for weights of the channels."""
-        columns = [
-            _piecewise_weights(weights, knots) for weights, knots in zip(channel_weights.T, self.knots, strict=True)
-        ]
-        return np.concatenate([np.zeros((len(channel_weights), 0)), *columns], axis=1)
+        """Return the weight of each morph target for weights of the channels.
 
-
-def _piecewise_weights(weights: Float[np.ndarray, " T"], knots: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T K"]:
-    """Return the weights of a channel's shapes: linear between zero and the shapes, shape k alone at `knots[k]`."""
-    order = np.argsort(np.append(knots, 0.0), kind="stable")
-    places = np.append(knots, 0.0)[order]
-    upper = np.clip(np.searchsorted(places, weights, side="right"), 1, len(knots))
-    length = places[upper] - places[upper - 1]
-    share = np.where(length > 0, (weights - places[upper - 1]) / np.where(length > 0, length, 1.0), 0.0)
-    result = np.zeros((len(weights), len(places)))
-    rows = np.arange(len(weights))
-    result[rows, order[upper - 1]] = 1 - share
-    result[rows, order[upper]] = share
-    return result[:, :-1]  # the last one is the zero, which has no shape
+        It is linear between zero and the shapes of a channel; shape k acts alone at knot k.
+        """
+        columns, rows = [np.zeros((len(channel_weights), 0))], np.arange(len(channel_weights))
+        for weights, knots in zip(channel_weights.T, self.knots, strict=True):
+            order = np.argsort(np.append(knots, 0.0), kind="stable")
+            places = np.append(knots, 0.0)[order]
+            upper = np.clip(np.searchsorted(places, weights, side="right"), 1, len(knots))
+            length = places[upper] - places[upper - 1]
+            share = np.where(length > 0, (weights - places[upper - 1]) / np.where(length > 0, length, 1.0), 0.0)
+            of_shapes = np.zeros((len(weights), len(places)))
+            of_shapes[rows, order[upper - 1]] = 1 - share
+            of_shapes[rows, order[upper]] = share
+            columns.append(of_shapes[:, :-1])  # the last one is the zero, which has no shape
+        return np.concatenate(columns, axis=1)
 
 
 def _split_mesh(mesh: Any) -> SeamSplit | None:

@@ -217,7 +217,7 @@ def _make_joints(draft: Draft, document: Document, bones: set[int]) -> None:
 
 def _nearest_joints(document: Document, nodes: list[int], joints: set[int]) -> dict[int, int | None]:
     """Find for each node the nearest joint above it, or else below it, or else any; None where there are no joints."""
-    parent = tuple(node_parents(document))
+    parent = node_parents(document)
     chains = {joint: ancestors(parent, joint) for joint in sorted(joints)}
     found: dict[int, int | None] = {}
     for node in nodes:
@@ -233,30 +233,24 @@ def _plain_materials(draft: Draft, document: Document) -> dict[str, list[dict[st
     materials = []
     for number, entry in enumerate(draft.gltf.get("materials", [])):
         *color, alpha = base_color_of(entry)
-        source = _image_of(draft.gltf, base_texture_of(entry))
+        reference, source = base_texture_of(entry), None
+        if "index" in reference:  # the image of an extension where the texture has no plain one
+            texture = draft.gltf["textures"][reference["index"]]
+            others = [other for other in texture.get("extensions", {}).values() if isinstance(other, dict)]
+            source = next((each["source"] for each in (texture, *others) if "source" in each), None)
         materials.append(
             {
                 "key": MATERIAL.format(number),
                 "name": entry.get("name") or f"material{number}",
                 "color": color,
                 "alpha": alpha if entry.get("alphaMode", "OPAQUE") == "BLEND" else 1.0,
-                "image": None if source is None else images[source]["key"],
+                "image": images[source]["key"] if isinstance(source, int) and 0 <= source < len(images) else None,
             }
         )
         entry["name"] = materials[-1]["key"]
     for entry, image in zip(draft.gltf.get("images", []), images, strict=True):
         entry["name"] = image["key"]
     return {"materials": materials, "images": images}
-
-
-def _image_of(gltf: dict[str, Any], reference: dict[str, Any]) -> int | None:
-    """Return the image of a reference to a texture; that of an extension where the texture has no plain one."""
-    if "index" not in reference:
-        return None
-    texture = gltf["textures"][reference["index"]]
-    others = [entry for entry in texture.get("extensions", {}).values() if isinstance(entry, dict)]
-    source = next((entry["source"] for entry in (texture, *others) if "source" in entry), None)
-    return source if isinstance(source, int) and 0 <= source < len(gltf.get("images", [])) else None
 
 
 def _image_names(document: Document) -> list[str]:

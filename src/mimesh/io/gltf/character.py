@@ -267,7 +267,7 @@ def _rigid_parts(document: Document) -> set[int]:
     """List the nodes that show a mesh or that an animation moves; those above them too, if these name the limbs."""
     parts = animated_nodes(document, PLAYED_PATHS)
     parts |= {node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]}
-    node_parent = tuple(node_parents(document))
+    node_parent = node_parents(document)
     above = {node for part in parts for node in ancestors(node_parent, part)}
     return above if not _limb_nodes(document, parts) and _limb_nodes(document, above) else parts
 
@@ -292,7 +292,16 @@ def standing_facing(rig: SkinnedCharacter, known: dict[str, int], rule: str, pat
         InputError: limbs that are not found by name, several characters, or a trunk that is not upright.
     """
     part, joints = carried_part(rig), name_sided_joints(rig, path, known)
-    _check_one_skeleton(part, joints, path)
+    # Nearly all weights are to be on the skeletons of the named joints; a rig may have several roots.
+    roots = np.array([ancestors(part.parents, j)[-1] for j in range(len(part.parents))])
+    named = np.isin(roots, roots[list(joints.values())])
+    apart = (part.weights * ~np.append(named, True)[part.joint_of]).sum() / part.weights.sum()
+    others = tuple(name for name, of_person in zip(part.joint_names, named, strict=True) if not of_person)
+    prop = bool(missing_limbs(limbs_by_name(others, (-1,) * len(others))))
+    if apart > (APART_PROP if prop else APART):
+        raise InputError(
+            f"{path}: expected one character, found {apart:.0%} of the weights on other skeletons; export it alone"
+        )
     if not _stands(part, joints):
         places = _places(part, joints)
         if fallen and not on_all_fours(places) and np.array_equal(_upright(part, joints), np.eye(3)):
@@ -372,18 +381,6 @@ def _middle(rig: SkinnedCharacter, joints: dict[str, int], part: str) -> Float[n
 def _places(rig: SkinnedCharacter, joints: dict[str, int]) -> dict[str, Float[np.ndarray, " 3"]]:
     """Return the position of each named joint."""
     return {name: rig.joints[joint] for name, joint in joints.items()}
-
-
-def _check_one_skeleton(rig: SkinnedCharacter, joints: dict[str, int], path: object) -> None:
-    """Check that nearly all weights are on the skeletons of the named joints; a rig may have several roots."""
-    roots = np.array([ancestors(rig.parents, j)[-1] for j in range(len(rig.parents))])
-    named = np.isin(roots, roots[list(joints.values())])
-    apart = (rig.weights * ~np.append(named, True)[rig.joint_of]).sum() / rig.weights.sum()
-    others = [name for name, of_person in zip(rig.joint_names, named, strict=True) if not of_person]
-    prop = bool(missing_limbs(limbs_by_name(tuple(others), (-1,) * len(others))))
-    if apart > (APART_PROP if prop else APART):
-        raise InputError(f"{path}: expected one character, found {apart:.0%} of the weights on other skeletons; "
-                         "export it alone")  # fmt: skip
 
 
 def carried_part(rig: SkinnedCharacter) -> SkinnedCharacter:

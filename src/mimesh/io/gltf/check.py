@@ -187,7 +187,16 @@ def check_document(gltf: Any, path: Path) -> None:
     version = asset.get("version") if isinstance(asset, dict) else None
     if not str(version).startswith("2."):
         raise InputError(f"{path}: expected glTF version 2.0, found {version}; export it again as glTF 2.0")
-    _check_extensions(gltf, path)
+    for name in _values_at(gltf, "extensionsRequired []", path):  # 3.12 Specifying Extensions
+        if str(name) in IMAGE_EXTENSIONS:
+            raise InputError(
+                f"{path}: expected PNG or JPEG textures, found required {name}; export with such textures "
+                "(gltf-transform: 'png' or 'jpeg')"
+            )
+        if not is_supported(str(name)):
+            raise InputError(
+                f"{path}: expected no extension that changes the geometry, found required {name}; export without it"
+            )
     # In this order: required properties first, so that the checks after them need not ask whether these are there.
     for location, names in REQUIRED.items():
         for item in _values_at(gltf, location, path):
@@ -276,20 +285,6 @@ def list_primitives(gltf: dict[str, Any]) -> list[dict[str, Any]]:
 def attribute_accessors(primitive: dict[str, Any]) -> list[int]:
     """List the accessors of a primitive's attributes, and of those of its morph targets."""
     return [index for owner in (primitive["attributes"], *primitive.get("targets", [])) for index in owner.values()]
-
-
-def _check_extensions(gltf: dict[str, Any], path: Path) -> None:
-    """Check that every extension in `extensionsRequired` is supported (3.12 Specifying Extensions)."""
-    for name in _values_at(gltf, "extensionsRequired []", path):
-        if str(name) in IMAGE_EXTENSIONS:
-            raise InputError(
-                f"{path}: expected PNG or JPEG textures, found required {name}; export with such textures "
-                "(gltf-transform: 'png' or 'jpeg')"
-            )
-        if not is_supported(str(name)):
-            raise InputError(
-                f"{path}: expected no extension that changes the geometry, found required {name}; export without it"
-            )
 
 
 def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path) -> None:

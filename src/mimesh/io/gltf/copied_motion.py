@@ -162,7 +162,7 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
 
 def _moving_above(driving: GltfJoints, pairs: dict[int, int]) -> dict[int, set[int]]:
     """Find the moving nodes above the paired joints of the driving, each with the topmost joints of mine below it."""
-    parents, paired = tuple(node_parents(driving.document)), set(pairs.values())
+    parents, paired = node_parents(driving.document), set(pairs.values())
     moving = {channel.node for channel in driving.channels if channel.path in DEFAULT_TRS and not channel.constant}
     found: dict[int, set[int]] = {}
     for node, other in pairs.items():

@@ -323,7 +323,19 @@ def _join_buffers(
     """Join all buffers into one: returns the JSON with views into it, and the buffer. A single buffer is not copied."""
     path, starts, parts, total = files.document, [], [], 0
     for index, buffer in enumerate(gltf.get("buffers", [])):
-        content = _read_buffer(buffer, index, chunk, files)
+        size, uri = buffer["byteLength"], buffer.get("uri")
+        if is_fallback(buffer):
+            content, size = b"", 0
+        else:  # only the first buffer may be the binary chunk (3.6.1.2 GLB-stored Buffer)
+            content = (chunk if index == 0 else None) if uri is None else files.fetch(uri)
+        if content is None:
+            raise InputError(
+                f"{path}: expected the data of buffer {index}, found no file {str(uri or 'inside')[:80]!r}; keep the "
+                "files together or export as one .glb"
+            )
+        if len(content) < size:
+            raise _truncated(path, f"{size} bytes in buffer {index}", len(content))
+        content = content[:size]
         padding = bytes(-len(content) % 4)
         JOINED.check(total + len(content), path)
         starts.append(total)
@@ -338,25 +350,6 @@ def _join_buffers(
             rebased["extensions"] = {**rebased["extensions"], name: inner}
         views.append(rebased)
     return {**gltf, "bufferViews": views}, parts[0] if len(starts) == 1 else b"".join(parts)
-
-
-def _read_buffer(
-    buffer: dict[str, Any], index: int, chunk: bytes | memoryview, files: MappedFiles
-) -> bytes | memoryview:
-    """Return the bytes of a buffer: the GLB's binary chunk, a data: URI, or a file beside the document."""
-    path, uri = files.document, buffer.get("uri")
-    if is_fallback(buffer):
-        return b""
-    # Only the first buffer may be the binary chunk (3.6.1.2 GLB-stored Buffer).
-    content = (chunk if index == 0 else None) if uri is None else files.fetch(uri)
-    if content is None:
-        raise InputError(
-            f"{path}: expected the data of buffer {index}, found no file {str(uri or 'inside')[:80]!r}; keep the files "
-            "together or export as one .glb"
-        )
-    if len(content) < buffer["byteLength"]:
-        raise _truncated(path, f"{buffer['byteLength']} bytes in buffer {index}", len(content))
-    return content[: buffer["byteLength"]]
 
 
 def _rebase_range(

@@ -492,7 +492,7 @@ def _place_root_bone(animations: Sequence[OwnAnimation]) -> RootBone | None:
         return None
     moving = {key[0] for animation in animations for key in animation.tracks if animation.moves(key)}
     document, world = source.document, source.rest.T_world_node
-    parents = tuple(node_parents(document))
+    parents = node_parents(document)
     skins = [set(skin["joints"]) for skin in document.gltf.get("skins", [])]
     joints = set(person.values()).union(*(skin for skin in skins if skin.intersection(person.values())))
     weighted: set[int] = set()  # joints with a vertex that has a weight for them

@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ...core.errors import damaged
 from ...core.geometry import finite_or_zero, nearest_rotation
@@ -93,7 +93,10 @@ def scene_nodes(document: Document) -> list[int]:
     """List the nodes of the default scene (else of scene 0, else of the file), depth first: the scene order."""
     gltf = document.gltf
     scenes = gltf.get("scenes")
-    roots = scenes[gltf.get("scene", 0)].get("nodes", []) if scenes else _root_nodes(node_parents(document))
+    if scenes:
+        roots = scenes[gltf.get("scene", 0)].get("nodes", [])
+    else:
+        roots = [node for node, parent in enumerate(node_parents(document)) if parent < 0]
     order: dict[int, None] = {}
     stack = list(reversed(roots))
     while stack:
@@ -250,7 +253,7 @@ def read_inverse_bind_matrices(document: Document, skin: int) -> Float[np.ndarra
 def unbound_joints(document: Document, skin: int) -> list[int]:
     """List the joints of a skin with an inverse bind matrix of zeros, or one of NaN that no vertex is bound to."""
     matrices = _stored_bind_matrices(document, skin)
-    broken: Bool[np.ndarray, " J"] = ~np.isfinite(matrices).all(axis=(1, 2))
+    broken = np.logical_not(np.isfinite(matrices).all(axis=(1, 2)))
     for node in document.gltf["nodes"] if broken.any() else ():
         if node.get("skin") == skin and "mesh" in node:
             for primitive in document.gltf["meshes"][node["mesh"]]["primitives"]:
@@ -356,17 +359,13 @@ def node_parents(document: Document) -> list[int]:
     return parent
 
 
-def _root_nodes(parent: list[int]) -> list[int]:
-    return [node for node, parent_node in enumerate(parent) if parent_node < 0]
-
-
 def sort_parents_first(document: Document, parent: list[int]) -> list[int]:
     """List all nodes, each after its parent.
 
     Raises:
         InputError: the node tree has a loop.
     """
-    order = _root_nodes(parent)
+    order = [node for node, above in enumerate(parent) if above < 0]
     for node in order:  # breadth first: the list grows while it is iterated
         order.extend(document.gltf["nodes"][node].get("children", []))
     if len(order) < len(parent):

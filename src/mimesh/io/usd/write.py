@@ -78,22 +78,6 @@ def write_new(clip: Clip, path: Path, final: Path, progress: Progress | None = N
 def _write_binary(clip: Clip, path: Path, textures: Path, asset_folder: str, progress: Progress | None) -> None:
     """Write the stage of the module docstring as .usdc; asset paths refer to `textures` as `asset_folder`."""
     stage = Usd.Stage.CreateNew(str(path))
-    _set_metadata(stage, clip)
-    root = UsdGeom.Xform.Define(stage, "/root")
-    stage.SetDefaultPrim(root.GetPrim())
-    names = _PrimNames(root.GetPath())
-    scope = UsdGeom.Scope.Define(stage, names.path("materials"))
-    usd_mesh = UsdGeom.Mesh.Define(stage, names.path(clip.mesh.name))
-    _set_display_name(usd_mesh.GetPrim(), clip.mesh.name)
-    sizes = polygon_sizes(clip.mesh)
-    corner_at = polygon_corners(sizes) if len(sizes) else np.zeros(0, np.int64)
-    _set_faces(usd_mesh, clip.mesh, sizes, corner_at)
-    _add_subsets(clip.mesh, sizes, usd_mesh.GetPrim(), _PrimNames(scope.GetPath()), textures, asset_folder)
-    _set_frames(usd_mesh, clip, _normal_function(usd_mesh, clip.mesh, corner_at), progress)
-    stage.GetRootLayer().Save()
-
-
-def _set_metadata(stage: Usd.Stage, clip: Clip) -> None:
     source = clip.mesh.source
     from_usd = isinstance(source, UsdSource)
     UsdGeom.SetStageUpAxis(stage, source.up_axis if from_usd else UsdGeom.Tokens.y)
@@ -103,20 +87,25 @@ def _set_metadata(stage: Usd.Stage, clip: Clip) -> None:
     if len(clip) > 1:
         stage.SetStartTimeCode(0)
         stage.SetEndTimeCode(len(clip) - 1)
-
-
-def _set_faces(
-    usd_mesh: UsdGeom.Mesh, mesh: Mesh, sizes: Int[np.ndarray, " P"], corner_at: Int[np.ndarray, " C"]
-) -> None:
-    """Write polygons and texture coordinates; equal coordinates are stored once and indexed."""
+    root = UsdGeom.Xform.Define(stage, "/root")
+    stage.SetDefaultPrim(root.GetPrim())
+    names = _PrimNames(root.GetPath())
+    scope = UsdGeom.Scope.Define(stage, names.path("materials"))
+    usd_mesh = UsdGeom.Mesh.Define(stage, names.path(clip.mesh.name))
+    _set_display_name(usd_mesh.GetPrim(), clip.mesh.name)
+    sizes = polygon_sizes(clip.mesh)
+    corner_at = polygon_corners(sizes) if len(sizes) else np.zeros(0, np.int64)
     usd_mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     usd_mesh.CreateFaceVertexCountsAttr(_integers(sizes))
-    usd_mesh.CreateFaceVertexIndicesAttr(_integers(mesh.faces.reshape(-1)[corner_at]))
-    if mesh.corner_uv is not None:
-        uv, index = np.unique(mesh.corner_uv.reshape(-1, 2)[corner_at], axis=0, return_inverse=True)
+    usd_mesh.CreateFaceVertexIndicesAttr(_integers(clip.mesh.faces.reshape(-1)[corner_at]))
+    if clip.mesh.corner_uv is not None:  # equal coordinates are stored once and indexed
+        uv, index = np.unique(clip.mesh.corner_uv.reshape(-1, 2)[corner_at], axis=0, return_inverse=True)
         primvar = UsdGeom.PrimvarsAPI(usd_mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, FACE_VARYING)
         primvar.Set(Vt.Vec2fArray.FromNumpy(uv.astype(np.float32)))
         primvar.SetIndices(_integers(index.reshape(-1)))
+    _add_subsets(clip.mesh, sizes, usd_mesh.GetPrim(), _PrimNames(scope.GetPath()), textures, asset_folder)
+    _set_frames(usd_mesh, clip, _normal_function(usd_mesh, clip.mesh, corner_at), progress)
+    stage.GetRootLayer().Save()
 
 
 def _set_frames(usd_mesh: UsdGeom.Mesh, clip: Clip, normals: NormalFunction | None, progress: Progress | None) -> None:
