@@ -142,7 +142,11 @@ def write_ply(mesh: Mesh, path: Path) -> None:
     rows = np.zeros(len(mesh.vertices), np.dtype(fields))
     for name, (values, _, _) in columns.items():
         rows[name] = values
-    header = ["ply", "format binary_little_endian 1.0", *_texture_comment(mesh, path)]
+    header = ["ply", "format binary_little_endian 1.0"]
+    materials = {part.material for part in mesh.parts}
+    material = materials.pop() if len(materials) == 1 else None
+    if material is not None and material.texture is not None and mesh.corner_uv is not None:
+        header.append(f"comment TextureFile {write_image(material.texture, path.parent, material.name)}")
     header += [f"element vertex {len(rows)}", *itertools.chain(*(lines for _, _, lines in columns.values()))]
     if len(sizes):
         header += [f"element face {len(sizes)}", f"property list {count} int vertex_indices"]
@@ -150,15 +154,6 @@ def write_ply(mesh: Mesh, path: Path) -> None:
     with whole_file(path) as temporary:
         text = encoded("\n".join([*header, "end_header", ""]))
         temporary.write_bytes(text + rows.tobytes() + _polygon_bytes(mesh, sizes, count))
-
-
-def _texture_comment(mesh: Mesh, path: Path) -> list[str]:
-    """Write the image of a mesh with one textured material beside its file; return the comment that names it."""
-    materials = {part.material for part in mesh.parts}
-    material = materials.pop() if len(materials) == 1 else None
-    if material is None or material.texture is None or mesh.corner_uv is None:
-        return []
-    return [f"comment TextureFile {write_image(material.texture, path.parent, material.name)}"]
 
 
 def _polygon_bytes(mesh: Mesh, sizes: Int[np.ndarray, " P"], count: str) -> bytes:

@@ -204,8 +204,13 @@ def _make_joints(draft: Draft, document: Document, bones: set[int]) -> None:
     for number, skin in enumerate(skins):
         inverse_bind |= dict(zip(skin["joints"], read_inverse_bind_matrices(document, number), strict=True))
     world = world_matrices(document)
-    near = _nearest_joints(document, extra, set(inverse_bind))
-    for node, joint in near.items():
+    parents = node_parents(document)
+    chains = {joint: ancestors(parents, joint) for joint in sorted(inverse_bind)}
+    for node in extra:
+        # The nearest joint above it, or else below it, or else any; None where there are no joints.
+        above = next((other for other in ancestors(parents, node) if other in chains), None)
+        below = min((joint for joint in chains if node in chains[joint]), key=lambda j: len(chains[j]), default=None)
+        joint = next((joint for joint in (above, below, *chains) if joint is not None), None)
         # Skins may be bound in another space than the world: the node is placed as it is beside a joint.
         placed = np.eye(4) if joint is None else world[joint] @ inverse_bind[joint]
         inverse_bind[node] = np.linalg.pinv(world[node]) @ placed
@@ -213,18 +218,6 @@ def _make_joints(draft: Draft, document: Document, bones: set[int]) -> None:
     inverse = draft.add_matrices(np.stack([inverse_bind[joint] for joint in joints]))
     skin = {"name": "Armature", "joints": joints, "inverseBindMatrices": inverse}
     draft.gltf["skins"] = [*skins, skin]
-
-
-def _nearest_joints(document: Document, nodes: list[int], joints: set[int]) -> dict[int, int | None]:
-    """Find for each node the nearest joint above it, or else below it, or else any; None where there are no joints."""
-    parent = node_parents(document)
-    chains = {joint: ancestors(parent, joint) for joint in sorted(joints)}
-    found: dict[int, int | None] = {}
-    for node in nodes:
-        above = next((other for other in ancestors(parent, node) if other in joints), None)
-        below = min((joint for joint in chains if node in chains[joint]), key=lambda j: len(chains[j]), default=None)
-        found[node] = next((joint for joint in (above, below, *chains) if joint is not None), None)
-    return found
 
 
 def _plain_materials(draft: Draft, document: Document) -> dict[str, list[dict[str, Any]]]:

@@ -2,10 +2,10 @@
 
 Files in .fbx are read as glTF (see `io.fbx`), and written as .glb.
 
-check, compression -> document            opens files, also compressed and damaged ones
+check -> document                         opens files, also compressed and damaged ones
 document -> scene -> read                 reads the scene of an open file at rest as a Mesh, or as a rigged character
 draft -> edit                             writes the file of a Mesh again, with other vertices
-build                                     builds a new file for a Mesh without a glTF source
+build                                     builds the file of any Mesh: its own one again, or a new one
 animation                                 reads animations and bakes them to vertex positions
 skinned                                   writes joints, with a mesh or alone
 motion, vrm                               plays animated joints without a mesh on the shipped body; extensions of VRM

@@ -321,7 +321,14 @@ def _stands(rig: SkinnedCharacter, joints: dict[str, int]) -> bool:
     heights = rig.mesh.vertices[:, 1]
     ground, height = heights.min(), np.ptp(heights)
     hips, shoulders = (_middle(rig, joints, part) for part in ("UpLeg", "Arm"))
-    ends = [_leg_end(rig, joints, side) for side in SIDES]
+    ends = []
+    for (
+        side
+    ) in SIDES:  # the lower end of a leg: its ankle, else its knee, else the middle of what its one joint carries
+        tail = next((joints[side + part] for part in ("Foot", "Leg") if side + part in joints), None)
+        joint = joints[f"{side}UpLeg"] if tail is None else tail
+        carried = carried_vertices(rig, joint) & (tail is None)
+        ends.append(rig.mesh.vertices[carried].mean(axis=0) if carried.any() else rig.joints[joint])
     trunk, legs = shoulders - hips, hips - np.mean(ends, axis=0)
     arms = np.any([carried_vertices(rig, joints[f"{side}Arm"]) for side in SIDES], axis=0)
     on_arms = heights[arms].min(initial=np.inf) - ground < NEAR_GROUND * height
@@ -330,16 +337,6 @@ def _stands(rig: SkinnedCharacter, joints: dict[str, int]) -> bool:
         and legs[1] >= UPRIGHT * np.linalg.norm(legs)
         and hips[1] - ground > SHORTEST_LEG * height
     )
-
-
-def _leg_end(rig: SkinnedCharacter, joints: dict[str, int], side: str) -> Float[np.ndarray, " 3"]:
-    """Find the lower end of a leg: its ankle, else its knee, else the middle of what its one joint carries."""
-    tail = next((joints[side + part] for part in ("Foot", "Leg") if side + part in joints), None)
-    if tail is not None:
-        return rig.joints[tail]
-    thigh = joints[f"{side}UpLeg"]
-    carried = carried_vertices(rig, thigh)
-    return rig.mesh.vertices[carried].mean(axis=0) if carried.any() else rig.joints[thigh]
 
 
 def find_facing(rig: SkinnedCharacter, joints: dict[str, int], rule: str) -> str:

@@ -167,7 +167,10 @@ def read_origin(document: Document) -> tuple[str, str]:
         old.get("licenseName"),
         extras.get("license"),
     )
-    return _first_text(makers), _first_text(licences)
+    # The first text that is not empty, on one line and cut.
+    texts = ([" ".join(value.split()) for value in some if isinstance(value, str)] for some in (makers, licences))
+    maker, licence = (next((text[:LONGEST] for text in of_one if text), "") for of_one in texts)
+    return maker, licence
 
 
 def json_object(value: Any, key: str) -> dict[str, Any]:
@@ -196,12 +199,6 @@ def _expression(document: Document, entry: dict[str, Any], key: str, full: float
 
 def _is_index(value: Any, count: int) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count
-
-
-def _first_text(values: tuple[object, ...]) -> str:
-    """Return the first value that is a text and not empty, on one line and cut."""
-    texts = (" ".join(value.split()) for value in values if isinstance(value, str))
-    return next((text[:LONGEST] for text in texts if text), "")
 
 
 def write_vrma(motions: Sequence[BoneMotion], path: Path) -> None:
