@@ -322,9 +322,8 @@ def _stands(rig: SkinnedCharacter, joints: dict[str, int]) -> bool:
     ground, height = heights.min(), np.ptp(heights)
     hips, shoulders = (_middle(rig, joints, part) for part in ("UpLeg", "Arm"))
     ends = []
-    for (
-        side
-    ) in SIDES:  # the lower end of a leg: its ankle, else its knee, else the middle of what its one joint carries
+    for side in SIDES:
+        # The lower end of a leg: its ankle, else its knee, else the middle of what its one joint carries.
         tail = next((joints[side + part] for part in ("Foot", "Leg") if side + part in joints), None)
         joint = joints[f"{side}UpLeg"] if tail is None else tail
         carried = carried_vertices(rig, joint) & (tail is None)
