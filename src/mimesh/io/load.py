@@ -316,9 +316,9 @@ def _reading(path: Path) -> Iterator[None]:
     NumPy does not warn of the numbers of a damaged file, which may be NaN or huge: what is read is checked in the end.
     """
     try:
-        if path.is_file() and path.stat().st_size == 0:
-            raise InputError(f"{path}: expected a mesh, found an empty file of 0 bytes; export it again")
-        with np.errstate(all="ignore"), writing(path, "a readable file", "check its permissions"):
+        with writing(path, "a readable file", "check its permissions"), np.errstate(all="ignore"):
+            if path.is_file() and path.stat().st_size == 0:
+                raise InputError(f"{path}: expected a mesh, found an empty file of 0 bytes; export it again")
             yield
     except MemoryError as error:
         raise InputError(

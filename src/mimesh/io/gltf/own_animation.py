@@ -181,8 +181,8 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
     root = _place_root_bone(animations)
     draft = _copied_file(animations, root)
     moved = [animation.tracks if root is None else root.tracks(animation.tracks) for animation in animations]
-    if root is not None and animations[0].root_moves:
-        for k, animation in enumerate(animations):
+    for k, animation in enumerate(animations):
+        if root is not None and animation.root_moves:
             hips = animation.node_matrices([animation.joints["Hips"]])[:, 0, :3, 3]
             moved[k] = root.carrying(moved[k], hips, draft)
     entries = _new_entries(animations, moved, draft)
