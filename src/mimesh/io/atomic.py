@@ -141,8 +141,8 @@ def temporary_folder() -> Path:
 
 
 @contextlib.contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Turn a failed write into an InputError of one line that names the cause."""
+def writing(path: Path, expected: str = "a place to write to", advice: str = "choose another output") -> Iterator[None]:
+    """Turn a failed write, or read, into an InputError of one line that names the cause."""
     try:
         yield
     except UnicodeEncodeError as error:
@@ -150,9 +150,7 @@ def writing(path: Path) -> Iterator[None]:
             f"{path}: expected a path of text for {path.suffix}, found bytes that are none; choose another name"
         ) from error
     except OSError as error:
-        raise InputError(
-            f"{path}: expected a place to write to, found '{error.strerror}'; choose another output"
-        ) from error
+        raise InputError(f"{path}: expected {expected}, found '{error.strerror}'; {advice}") from error
 
 
 def _folder_name(parent: Path, stem: str) -> Path:

@@ -58,8 +58,28 @@ def save_joint_motion(
     """
     from scipy.spatial.transform import Rotation
 
-    lines, order = ["HIERARCHY"], []
-    _write_joint(names, parents, rest, 0, lines, order)
+    lines, order, rotations = ["HIERARCHY"], [], " ".join(f"{axis}rotation" for axis in ORDER)
+
+    def offset_line(offset: np.ndarray) -> str:
+        return "OFFSET " + " ".join(f"{value:.5f}" for value in offset)
+
+    def add_joint(j: int, indent: str = "") -> None:
+        """Append a joint and its descendants to the lines, and their indices, depth first, to `order`."""
+        order.append(j)
+        parent, children = parents[j], [k for k, other in enumerate(parents) if other == j]
+        offset = rest[j] - (rest[parent] if parent >= 0 else 0.0)
+        channels = "CHANNELS 3" if parent >= 0 else "CHANNELS 6 Xposition Yposition Zposition"
+        lines.extend([f"{indent}{'JOINT' if parent >= 0 else 'ROOT'} {names[j]}", f"{indent}{{"])
+        lines.extend([f"{indent}\t{offset_line(offset)}", f"{indent}\t{channels} {rotations}"])
+        for child in children:
+            add_joint(child, indent + "\t")
+        if not children:
+            # A leaf needs an end site, which gives its bone a length: half of the parent bone's.
+            end = ["End Site", "{", f"\t{offset_line(offset / 2)}", "}"]
+            lines.extend(f"{indent}\t{line}" for line in end)
+        lines.append(f"{indent}}}")
+
+    add_joint(0)
     angles = Rotation.from_matrix(rotmat[:, order].reshape(-1, 3, 3)).as_euler(ORDER, degrees=True)
     rows = np.concatenate([root, angles.reshape(len(root), -1)], axis=1)
     lines += ["MOTION", f"Frames: {len(root)}", f"Frame Time: {1 / fps:.7f}"]
@@ -68,35 +88,3 @@ def save_joint_motion(
     with writing(path), whole_file(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", errors="replace", newline="\n")
     return path
-
-
-def _write_joint(
-    names: tuple[str, ...],
-    parents: tuple[int, ...],
-    rest: Float[np.ndarray, "J 3"],
-    j: int,
-    lines: list[str],
-    order: list[int],
-    indent: str = "",
-) -> None:
-    """Append a joint and its descendants to the lines of the hierarchy, and their indices, depth first, to `order`."""
-    order.append(j)
-    parent, children = parents[j], [k for k, other in enumerate(parents) if other == j]
-    offset = rest[j] - (rest[parent] if parent >= 0 else 0.0)
-    rotations = " ".join(f"{axis}rotation" for axis in ORDER)
-    lines += [
-        f"{indent}{'JOINT' if parent >= 0 else 'ROOT'} {names[j]}",
-        f"{indent}{{",
-        f"{indent}\t{_offset(offset)}",
-        f"{indent}\tCHANNELS " + (f"3 {rotations}" if parent >= 0 else f"6 Xposition Yposition Zposition {rotations}"),
-    ]
-    for child in children:
-        _write_joint(names, parents, rest, child, lines, order, indent + "\t")
-    if not children:
-        # A leaf needs an end site, which gives its bone a length: half of the parent bone's.
-        lines += [f"{indent}\tEnd Site", f"{indent}\t{{", f"{indent}\t\t{_offset(offset / 2)}", f"{indent}\t}}"]
-    lines.append(f"{indent}}}")
-
-
-def _offset(offset: np.ndarray) -> str:
-    return "OFFSET " + " ".join(f"{value:.5f}" for value in offset)

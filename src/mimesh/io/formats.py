@@ -8,22 +8,25 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import archive_names
 from .atomic import scratch_folder, whole_file
+from .beside import find_beside
 
 
 def _of(module: str, function: str) -> Callable[..., Any]:
     """Return a function of a module that is imported when the function is called: most runs need few formats."""
 
     def call(*arguments: Any) -> Any:
-        return getattr(importlib.import_module(f".{module}", __package__), function)(*arguments)
+        return getattr(importlib.import_module(module, __package__), function)(*arguments)
 
     return call
 
@@ -43,25 +46,7 @@ def gltf_file(path: Path) -> Iterator[Path]:
             write_fbx(glb, temporary, path)
 
 
-def _write_gltf(mesh: Mesh, path: Path) -> None:
-    from .gltf import write_gltf
-
-    with gltf_file(path) as temporary:
-        write_gltf(mesh, temporary)
-
-
-def _write_gltf_clip(clip: Clip, path: Path, progress: Progress | None) -> None:
-    from .gltf import write_gltf_clip
-
-    with gltf_file(path) as temporary:
-        write_gltf_clip(clip, temporary, progress)
-
-
-def _read_motion(path: Path) -> Mesh:
-    """Read a motion file as the default body in its first frame."""
-    from ..motions.on_body import motion_file_mesh
-
-    return motion_file_mesh(path)
+_read_motion = _of("..motions.on_body", "motion_file_mesh")
 
 
 def _read_motion_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
@@ -140,34 +125,33 @@ class Format:
 
 POINTS_ALONE = ("materials", "texture coordinates", "normals", "vertex colours")
 """What formats of points and triangles lack."""
-_GLTF = _of("gltf", "read_gltf"), _write_gltf, None, _write_gltf_clip
-_USD = [_of("usd", name) for name in ("read_usd", "write_usd", "read_usd_clip", "write_usd_clip")]
+_GLTF = _of(".gltf", "read_gltf"), _of(".gltf", "write_gltf"), None, _of(".gltf", "write_gltf_clip")
+_NPZ = _read_npz, _of(".npz", "write_npz"), _read_npz_clip, _of(".npz", "write_npz_clip")
+_USD = [_of(".usd", name) for name in ("read_usd", "write_usd", "read_usd_clip", "write_usd_clip")]
 FORMATS = {
     ".bvh": Format("BVH", _read_motion, None, _read_motion_clip),
     ".fbx": Format("FBX", *_GLTF),
     ".glb": Format("GLB", *_GLTF),
     ".gltf": Format("glTF", *_GLTF),
-    ".npz": Format(
-        "NumPy archive", _read_npz, _of("npz", "write_npz"), _read_npz_clip, _of("npz", "write_npz_clip"), POINTS_ALONE
-    ),
-    ".obj": Format("OBJ", _of("obj", "read_obj"), _of("obj", "write_obj"), one_mesh=True),
-    ".off": Format("OFF", _of("off", "read_off"), _of("off", "write_off"), lacks=POINTS_ALONE, one_mesh=True),
-    ".pc2": Format("PC2 points", None, None, _read_cache, _of("pc2", "write_pc2")),
+    ".npz": Format("NumPy archive", *_NPZ, POINTS_ALONE),
+    ".obj": Format("OBJ", _of(".obj", "read_obj"), _of(".obj", "write_obj"), one_mesh=True),
+    ".off": Format("OFF", _of(".off", "read_off"), _of(".off", "write_off"), lacks=POINTS_ALONE, one_mesh=True),
+    ".pc2": Format("PC2 points", None, None, _read_cache, _of(".pc2", "write_pc2")),
     ".pkl": Format("SMPL's pickle", _read_body_model),
     ".ply": Format(
         "PLY",
-        _of("ply", "read_ply"),
-        _of("ply", "write_ply"),
+        _of(".ply", "read_ply"),
+        _of(".ply", "write_ply"),
         lacks=("materials besides one image", "normals of hard edges"),
         one_mesh=True,
     ),
-    ".stl": Format("STL", _of("stl", "read_stl"), _of("stl", "write_stl"), lacks=POINTS_ALONE, one_mesh=True),
+    ".stl": Format("STL", _of(".stl", "read_stl"), _of(".stl", "write_stl"), lacks=POINTS_ALONE, one_mesh=True),
     **{
         suffix: Format(name, *_USD, lacks=("vertex colours",))
         for suffix, name in ((".usd", "USD"), (".usda", "USD as text"), (".usdc", "USD, binary"), (".usdz", "USDZ"))
     },
-    ".vrm": Format("VRM", _of("gltf", "read_gltf")),
-    ".vrma": Format("VRM animation, no mesh", _of("gltf", "read_gltf")),
+    ".vrm": Format("VRM", _of(".gltf", "read_gltf")),
+    ".vrma": Format("VRM animation, no mesh", _of(".gltf", "read_gltf")),
 }
 """Suffix -> format."""
 MESH_READERS = {suffix: format.read for suffix, format in FORMATS.items() if format.read}
@@ -212,3 +196,30 @@ def may_have_joints(mesh: Mesh) -> bool:
 def found_suffix(path: Path) -> str:
     """Say which suffix a path has, for messages."""
     return f"found '{path.suffix}'" if path.suffix else "found no suffix"
+
+
+def parts_beside(path: Path) -> list[Path]:
+    """List the files beside a mesh or clip that its geometry, materials or layers are in; textures are left out.
+
+    A layer of USD may name any other, so all in its folder are listed. A file that cannot be read has none.
+    """
+    from .obj import library_names
+
+    folder, suffix = path.parent, path.suffix.lower()
+    if suffix == ".obj":
+        lines = [line for line in path.read_bytes().splitlines() if line.lstrip().startswith(b"mtllib")]
+        names = library_names(lines, range(len(lines)), folder)
+    elif suffix == ".gltf":
+        try:
+            uris = [buffer.get("uri", "data:") for buffer in json.loads(path.read_bytes())["buffers"]]
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            return []
+        found = [find_beside(folder, (unquote(uri), uri)) for uri in uris if not uri.startswith("data:")]
+        names = [name for name in found if name]
+    elif suffix == CACHE:
+        names = [path.stem + other for other in FRAME_SUFFIXES]
+    elif suffix in (layers := [known for known in MESH_READERS if known.startswith(".usd")]):
+        names = [file.name for file in folder.glob("*") if file.suffix.lower() in layers and file != path]
+    else:
+        return []
+    return sorted(folder / name for name in names)

@@ -64,8 +64,12 @@ def guarded_clip(
     report = progress or (lambda done, total: None)  # never None: the limits of time are for one frame
     with child_result(function, path, path, limits, report, fps=fps) as result:
         mesh, facts = take_mesh(result, source)
-        shape = (facts["count"], len(mesh.vertices), 3)
-        return Clip(mesh, _take_frames(result.with_name(FRAMES_FILE), shape), facts["fps"])
+        file, shape = result.with_name(FRAMES_FILE), (facts["count"], len(mesh.vertices), 3)
+        if file.stat().st_size < LARGE:
+            return Clip(mesh, np.fromfile(file, np.float64).reshape(shape), facts["fps"])
+        # The file is deleted soon: mapped, it stays until the array is gone, but Windows does not delete it then.
+        mapped = np.memmap(file, np.float64, "r+", shape=shape)
+        return Clip(mesh, store_frames(mapped, *shape[:2]) if os.name == "nt" else mapped, facts["fps"])
 
 
 def hand_over_mesh(target: Path, mesh: Mesh, **more: int | float) -> None:
@@ -122,14 +126,3 @@ def take_mesh(result: Path, source: Callable[..., Source]) -> tuple[Mesh, dict[s
         if name.startswith(SOURCE)
     }
     return Mesh(**of_mesh, name=facts["name"], up=facts["up"], parts=parts, source=source(**of_source)), facts
-
-
-def _take_frames(path: Path, shape: tuple[int, int, int]) -> Float[np.ndarray, "T V 3"]:
-    """Take over a file of frames, which is deleted soon: in memory, or mapped from LARGE bytes on.
-
-    A mapped file stays until the array is gone, also without a name; Windows does not delete it then, so it is copied.
-    """
-    if path.stat().st_size < LARGE:
-        return np.fromfile(path, np.float64).reshape(shape)
-    mapped = np.memmap(path, np.float64, "r+", shape=shape)
-    return store_frames(mapped, *shape[:2]) if os.name == "nt" else mapped

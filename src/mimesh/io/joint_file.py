@@ -68,13 +68,9 @@ def load_corrections(path: str | Path) -> JointCorrections:
 
 def describe_corrections(corrections: JointCorrections) -> dict[str, Any]:
     """Return the contents of a file with these corrections."""
-    head: dict[str, Any] = {"format": FORMAT, "version": VERSION}
-    if corrections.mesh:
-        head["mesh"] = corrections.mesh
-    if corrections.vertices is not None:
-        head["vertices"] = corrections.vertices
-    if corrections.size is not None:
-        head["size"] = float(f"{corrections.size:.7g}")
+    size = None if corrections.size is None else float(f"{corrections.size:.7g}")
+    known = {"mesh": corrections.mesh or None, "vertices": corrections.vertices, "size": size}
+    head = {"format": FORMAT, "version": VERSION} | {key: value for key, value in known.items() if value is not None}
     joints = {name: [float(f"{x:.7g}") for x in position] for name, position in corrections.positions.items()}
     return {**head, "frame": corrections.frame, "joints": joints}
 

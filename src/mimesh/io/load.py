@@ -18,6 +18,7 @@ from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip, stored_clip
 from ..core.system import refuse_pipe
+from .atomic import writing
 from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, JOINTED, MESH_READERS, MOTIONS, PICTURES, found_suffix
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
@@ -315,19 +316,11 @@ def _reading(path: Path) -> Iterator[None]:
     NumPy does not warn of the numbers of a damaged file, which may be NaN or huge: what is read is checked in the end.
     """
     try:
-        if path.is_file() and path.stat().st_size == 0:
-            raise InputError(f"{path}: expected a mesh, found an empty file of 0 bytes; export it again")
-        with np.errstate(all="ignore"):
+        with writing(path, "a readable file", "check its permissions"), np.errstate(all="ignore"):
+            if path.is_file() and path.stat().st_size == 0:
+                raise InputError(f"{path}: expected a mesh, found an empty file of 0 bytes; export it again")
             yield
-    except UnicodeEncodeError as error:
-        raise InputError(
-            f"{path}: expected a path of text for {path.suffix}, found bytes that are none; choose another name"
-        ) from error
     except MemoryError as error:
         raise InputError(
             f"{path}: expected a file that fits into memory, found a larger one; split it, or take fewer frames"
-        ) from error
-    except OSError as error:
-        raise InputError(
-            f"{path}: expected a readable file, found '{error.strerror}'; check its permissions"
         ) from error

@@ -93,7 +93,16 @@ def write_library(mesh: Mesh, path: Path) -> Path:
     """
     paths = (path.with_name(name) for name in numbered(path.stem, suffix=path.suffix))
     path = next(p for p in paths if not p.exists() or p.read_text("utf-8", "replace").startswith(_SIGNATURE))
-    text = _SIGNATURE + "".join(_material_text(name, material, path) for material, name in material_names(mesh).items())
+    text = _SIGNATURE
+    for material, name in material_names(mesh).items():
+        red, green, blue, alpha = material.base_color
+        text += f"newmtl {name}\nKd {red:.6g} {green:.6g} {blue:.6g}\nd {alpha:.6g}\n"
+        if material.texture is not None:
+            image = path.with_name(f"{path.stem}_{_file_name(name)}{image_suffix(material.texture)}")
+            with whole_file(image) as temporary:
+                temporary.write_bytes(material.texture)
+            text += f"map_Kd {image.name}\n"
+        text += "\n"
     with whole_file(path) as temporary:
         temporary.write_bytes(encoded(text))
     return path
@@ -127,18 +136,6 @@ def safe_name(name: str) -> str:
     An empty name becomes `unnamed`.
     """
     return plain("_".join(name.split())).replace("\\", "_") or "unnamed"  # a backslash continues a line
-
-
-def _material_text(name: str, material: Material, path: Path) -> str:
-    """Format the statements of one material, and write its image beside the library at `path`."""
-    red, green, blue, alpha = material.base_color
-    text = f"newmtl {name}\nKd {red:.6g} {green:.6g} {blue:.6g}\nd {alpha:.6g}\n"
-    if material.texture is None:
-        return text + "\n"
-    image = path.with_name(f"{path.stem}_{_file_name(name)}{image_suffix(material.texture)}")
-    with whole_file(image) as temporary:
-        temporary.write_bytes(material.texture)
-    return text + f"map_Kd {image.name}\n\n"
 
 
 def _read_material(block: str, folder: Path, library_folder: Path) -> tuple[Material, list[str], list[str]]:

@@ -122,9 +122,20 @@ def _read_frames(
 
 
 def _read_faces(archive: zipfile.ZipFile, names: list[str], path: Path) -> Int[np.ndarray, "F 3"]:
-    """Read the faces as triangles; empty where the archive has no array of faces."""
+    """Read the faces (F, 3), or others of equal corner counts as fans; empty where there is no array of faces."""
     key = next((name for name in _FACES if name in names), None)
-    return np.zeros((0, 3), np.int64) if key is None else _triangles(read_array(archive, key), path)
+    faces = np.zeros((0, 3), np.int64) if key is None else read_array(archive, key)
+    if faces.size == 0:
+        return np.zeros((0, 3), np.int64)
+    if faces.ndim != 2 or faces.shape[1] < 3 or faces.dtype.kind not in "iu":
+        raise InputError(
+            f"{path}: expected faces to be whole numbers of shape (F, 3), found {faces.dtype} {faces.shape}; "
+            "save it in that shape"
+        )
+    CORNERS.check(faces.shape[1], path)
+    FACES.check(len(faces) * (faces.shape[1] - 2), path)
+    triangles, _ = fan_corners(np.full(len(faces), faces.shape[1]))
+    return faces.astype(np.int64).reshape(-1)[triangles]
 
 
 def _up(key: str) -> str | None:
@@ -172,18 +183,3 @@ def _find(names: tuple[str, ...], found: list[str], path: Path) -> str:
         f"{path}: expected an array called {', '.join(names)}, found {', '.join(map(repr, found)) or 'none'}; "
         "save it under one of these names"
     )
-
-
-def _triangles(faces: np.ndarray, path: Path) -> Int[np.ndarray, "F 3"]:
-    """Triangulate faces of equal corner count (F, 3) or (F, 4) as fans; raises InputError for other arrays."""
-    if faces.size == 0:
-        return np.zeros((0, 3), np.int64)
-    if faces.ndim != 2 or faces.shape[1] < 3 or faces.dtype.kind not in "iu":
-        raise InputError(
-            f"{path}: expected faces to be whole numbers of shape (F, 3), found {faces.dtype} {faces.shape}; "
-            "save it in that shape"
-        )
-    CORNERS.check(faces.shape[1], path)
-    FACES.check(len(faces) * (faces.shape[1] - 2), path)
-    triangles, _ = fan_corners(np.full(len(faces), faces.shape[1]))
-    return faces.astype(np.int64).reshape(-1)[triangles]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -20,9 +21,10 @@ from . import mtl
 from .atomic import whole_file
 from .beside import is_there
 from .colors import linear_rgba, srgb_rgba
-from .polygons import fan_corners, polygon_sizes, polygons_of, scatter_corners
-from .text import decoded, encoded, equal_rows, line_number, read_numbers, replace_rows, utf8_content, without_comments
+from .polygons import fan_corners, polygon_sizes, polygons_of
+from .text import decoded, encoded, equal_rows, line_number, read_numbers, replace_rows, without_comments
 
+UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _KEYWORDS = (b"v", b"vt", b"vn", b"f", b"o", b"g", b"usemtl", b"mtllib")
 """Statements that are read; all others are only kept in the source."""
 _MISSING_INDICES = (b"/0/0", b"/0", b"")
@@ -88,7 +90,9 @@ class ObjSource:
         triangles, _ = fan_corners(self.sizes)
         before = np.zeros((len(self.corners), 3))
         before[used] = self.normals[old]
-        wanted = scatter_corners(corner_normals, triangles, before)[used]
+        wanted = before.copy()
+        wanted[triangles.ravel()] = corner_normals.reshape(-1, 3)  # corners that no triangle has stay
+        wanted = wanted[used]
         if not (np.abs(wanted - before[used]) > 1e-6).any():
             return
         key = np.concatenate([old[:, None], np.round(wanted, 6)], axis=1)
@@ -127,12 +131,21 @@ def read_obj(path: Path) -> Mesh:
     source = _read_source(path)
     triangles, polygon = fan_corners(source.sizes)
     faces, uv_index, normal_index = (source.corners[triangles, k] for k in range(3))
+    corner_uv = corner_normals = None
+    if (uv_index >= 0).any():
+        uv = finite_or_zero(read_numbers(source.lines, source.uv_lines.tolist(), 1, 2, path))
+        corner_uv = np.where(uv_index[..., None] >= 0, uv[uv_index], 0.0)
+    if (normal_index >= 0).any():
+        corner_normals = source.normals[normal_index]
+        if (normal_index < 0).any():
+            of_vertices = vertex_normals(source.vertices, faces)[faces]
+            corner_normals = np.where(normal_index[..., None] >= 0, corner_normals, of_vertices)
     return Mesh(
         source.vertices,
         faces,
         name=path.stem,
-        corner_uv=_read_uv(source, uv_index, path),
-        corner_normals=_corner_normals(source, faces, normal_index),
+        corner_uv=corner_uv,
+        corner_normals=corner_normals,
         vertex_colors=_vertex_colors(source, path),
         parts=_read_parts(source, polygon, path),
         source=source,
@@ -224,8 +237,9 @@ def _read_source(path: Path) -> ObjSource:
 
 def _read_text(path: Path) -> bytes:
     """Read a file; UTF-16 with a byte order mark, as some shells write it, becomes UTF-8."""
+    data = path.read_bytes()
     try:
-        return utf8_content(path.read_bytes())
+        return data.decode("utf-16").encode("utf-8") if data.startswith(UTF16_MARKS) else data
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path}: expected text in UTF-8 or UTF-16, found damage at byte {error.start}; export it again"
@@ -322,21 +336,6 @@ def _absolute_indices(
             "the file is damaged or cut short, export it again"
         )
     return index
-
-
-def _read_uv(source: ObjSource, index: Int[np.ndarray, "F 3"], path: Path) -> Float[np.ndarray, "F 3 2"] | None:
-    if not (index >= 0).any():
-        return None
-    uv = finite_or_zero(read_numbers(source.lines, source.uv_lines.tolist(), 1, 2, path))
-    return np.where(index[..., None] >= 0, uv[index], 0.0)
-
-
-def _corner_normals(source: ObjSource, faces, index: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "F 3 3"] | None:
-    if not (index >= 0).any():
-        return None
-    if (index >= 0).all():
-        return source.normals[index]
-    return np.where(index[..., None] >= 0, source.normals[index], vertex_normals(source.vertices, faces)[faces])
 
 
 def _vertex_colors(source: ObjSource, path: Path) -> Float[np.ndarray, "V 4"] | None:

@@ -128,7 +128,10 @@ def write_ply(mesh: Mesh, path: Path) -> None:
     """
     sizes, normals = polygon_sizes(mesh), smooth_normals(mesh)
     count = "uchar" if 2 * sizes.max(initial=0) < 256 else "int"  # type of list lengths; texcoord has two per corner
-    kind, dtype = ("float", "<f4") if _fits_single(mesh.vertices) else ("double", "<f8")
+    with np.errstate(over="ignore"):
+        error = np.abs(mesh.vertices.astype(np.float32) - mesh.vertices).max(initial=0.0)
+    single = error <= ROUNDING * np.ptp(mesh.vertices, axis=0).max(initial=0.0)
+    kind, dtype = ("float", "<f4") if single else ("double", "<f8")
     columns = {"xyz": (mesh.vertices, dtype, [f"property {kind} {axis}" for axis in "xyz"])}
     if normals is not None:
         columns["normal"] = (normals, "<f4", [f"property float n{axis}" for axis in "xyz"])
@@ -139,7 +142,11 @@ def write_ply(mesh: Mesh, path: Path) -> None:
     rows = np.zeros(len(mesh.vertices), np.dtype(fields))
     for name, (values, _, _) in columns.items():
         rows[name] = values
-    header = ["ply", "format binary_little_endian 1.0", *_texture_comment(mesh, path)]
+    header = ["ply", "format binary_little_endian 1.0"]
+    materials = {part.material for part in mesh.parts}
+    material = materials.pop() if len(materials) == 1 else None
+    if material is not None and material.texture is not None and mesh.corner_uv is not None:
+        header.append(f"comment TextureFile {write_image(material.texture, path.parent, material.name)}")
     header += [f"element vertex {len(rows)}", *itertools.chain(*(lines for _, _, lines in columns.values()))]
     if len(sizes):
         header += [f"element face {len(sizes)}", f"property list {count} int vertex_indices"]
@@ -147,22 +154,6 @@ def write_ply(mesh: Mesh, path: Path) -> None:
     with whole_file(path) as temporary:
         text = encoded("\n".join([*header, "end_header", ""]))
         temporary.write_bytes(text + rows.tobytes() + _polygon_bytes(mesh, sizes, count))
-
-
-def _fits_single(vertices: Float[np.ndarray, "V 3"]) -> bool:
-    """Whether single precision moves no vertex by more than `ROUNDING` of the mesh's longest side."""
-    with np.errstate(over="ignore"):
-        error = np.abs(vertices.astype(np.float32) - vertices).max(initial=0.0)
-    return bool(error <= ROUNDING * np.ptp(vertices, axis=0).max(initial=0.0))
-
-
-def _texture_comment(mesh: Mesh, path: Path) -> list[str]:
-    """Write the image of a mesh with one textured material beside its file; return the comment that names it."""
-    materials = {part.material for part in mesh.parts}
-    material = materials.pop() if len(materials) == 1 else None
-    if material is None or material.texture is None or mesh.corner_uv is None:
-        return []
-    return [f"comment TextureFile {write_image(material.texture, path.parent, material.name)}"]
 
 
 def _polygon_bytes(mesh: Mesh, sizes: Int[np.ndarray, " P"], count: str) -> bytes:

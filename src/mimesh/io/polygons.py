@@ -96,12 +96,3 @@ def smooth_normals(mesh: Mesh) -> Float[np.ndarray, "V 3"] | None:
     normals = np.tile([0.0, 1.0, 0.0], (len(mesh.vertices), 1))
     normals[mesh.faces] = mesh.corner_normals
     return normals if (normals[mesh.faces] == mesh.corner_normals).all() else None
-
-
-def scatter_corners(
-    corner_values: Float[np.ndarray, "F 3 C"], index: Int[np.ndarray, "F 3"], before: Float[np.ndarray, "N C"]
-) -> Float[np.ndarray, "N C"]:
-    """Write values at triangle corners to the rows `index` that they were taken from; unused rows keep `before`."""
-    after = before.copy()
-    after[index.ravel()] = corner_values.reshape(-1, corner_values.shape[-1])
-    return after

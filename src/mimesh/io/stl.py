@@ -73,31 +73,20 @@ def _read_binary(data: bytes, path: Path) -> Float[np.ndarray, "C 3"]:
 
 def _read_text(data: bytes, path: Path) -> tuple[Float[np.ndarray, "C 3"], tuple[Part, ...]]:
     lines = data.splitlines(keepends=True)
-    index = _lines_by_word(lines)
-    facets, corners, closed = index[b"facet"], index[b"vertex"], len(index[b"endfacet"])
+    index: defaultdict[bytes, list[int]] = defaultdict(list)  # lines by their first word in lower case
+    for i, line in enumerate(lines):
+        index[b"".join(line.split(None, 1)[:1]).lower()].append(i)
+    facets, corners, solids, closed = index[b"facet"], index[b"vertex"], index[b"solid"], len(index[b"endfacet"])
     if len(corners) != 3 * len(facets) or closed != len(facets):
         raise InputError(
             f"{path}: expected three vertex lines and one endfacet for each of {len(facets)} facets, "
             f"found {len(corners)} and {closed}; the file is cut short, export it again"
         )
     read_numbers(lines, facets, 2, 3, path)  # only checks the normals
-    return read_numbers(lines, corners, 1, 3, path), _read_parts(lines, index[b"solid"], facets)
-
-
-def _read_parts(lines: list[bytes], solids: list[int], facets: list[int]) -> tuple[Part, ...]:
+    soup = read_numbers(lines, corners, 1, 3, path)
     if len(solids) < 2:
-        return ()
+        return soup, ()
     starts = np.searchsorted(facets, solids).tolist()
     names = [decoded(b" ".join(lines[i].split()[1:])) for i in solids]
     spans = zip(names, starts, [*starts[1:], len(facets)], strict=True)
-    return tuple(Part(name, start, stop) for name, start, stop in spans if start < stop)
-
-
-def _lines_by_word(lines: list[bytes]) -> defaultdict[bytes, list[int]]:
-    """Return the indices of lines by their first word in lower case; lines without a word are left out."""
-    found: defaultdict[bytes, list[int]] = defaultdict(list)
-    for i, line in enumerate(lines):
-        words = line.split(None, 1)
-        if words:
-            found[words[0].lower()].append(i)
-    return found
+    return soup, tuple(Part(name, start, stop) for name, start, stop in spans if start < stop)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import re
 from collections.abc import Iterable, Sequence
 from itertools import chain
@@ -13,7 +12,6 @@ from jaxtyping import Float, Int
 
 from ..core.errors import InputError
 
-UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _GAP = rb"(?:\s|\\\r?\n|\\\r)+"  # white space, or a backslash that continues the line
 _WORD = rb"[^\s\\#]+"
 _WINDOWS_NAN = re.compile(rb"[-+]?\b(?:nan\((?:ind|snan)\)|1\.#(?:IND|QNAN|SNAN|INF)\d*)")
@@ -28,7 +26,11 @@ def without_comments(lines: Iterable[bytes]) -> list[bytes]:
     text = b"".join(lines)
     if b"#" not in text and b"\\" not in text:
         return lines
-    return [line if b"#" not in line and b"\\" not in line else _cut_comment(line) for line in lines]
+    for i, line in enumerate(lines):
+        if b"#" in line or b"\\" in line:
+            line = re.sub(rb"\\(\r\n|\n|\r)", b" ", line)
+            lines[i] = (_WINDOWS_NAN.sub(b"nan", line) if b".#" in line else line).partition(b"#")[0]
+    return lines
 
 
 def equal_rows(lines: Sequence[bytes], count: int) -> list[bytes] | None:
@@ -61,15 +63,6 @@ def encoded(text: str) -> bytes:
         return text.encode("utf-8", "surrogateescape")
     except UnicodeEncodeError:
         return text.encode("utf-8", "replace")
-
-
-def utf8_content(data: bytes) -> bytes:
-    """Return text of UTF-16 that begins with its byte order mark as UTF-8, and anything else as it is.
-
-    Raises:
-        UnicodeDecodeError: it has the mark, and is no text.
-    """
-    return data.decode("utf-16").encode("utf-8") if data.startswith(UTF16_MARKS) else data
 
 
 def line_number(lines: Sequence[bytes], index: int) -> int:
@@ -110,29 +103,19 @@ def read_numbers(
     )
 
 
-def replace_numbers(line: bytes, values: Sequence[float]) -> bytes:
-    """Replace the three numbers after the first word of a line; spacing, comments and the rest stay.
-
-    Numbers are written with the fewest digits that read back as the same float64.
-    """
-    match = _THREE.match(line)
-    assert match, f"{line!r} was read as a word and three numbers"
-    x, y, z = values
-    return b"%b%a%b%a%b%a%b" % (match[1], x, match[2], y, match[3], z, line[match.end() :])
-
-
 def replace_rows(
     lines: list[bytes], index: Int[np.ndarray, " N"], new: Float[np.ndarray, "N 3"], old: Float[np.ndarray, "N 3"]
 ) -> None:
-    """Replace the three numbers of each of `lines[index]`, in place, wherever `new` differs from `old`."""
+    """Replace the three numbers after the first word of each of `lines[index]`, in place, where `new` is not `old`.
+
+    Spacing, comments and the rest stay. Numbers are written with the fewest digits that read back as the same float64.
+    """
     moved = np.flatnonzero((new != old).any(axis=1))
-    for number, row in zip(index[moved].tolist(), new[moved].astype(np.float64).tolist(), strict=True):
-        lines[number] = replace_numbers(lines[number], row)
-
-
-def _cut_comment(line: bytes) -> bytes:
-    line = re.sub(rb"\\(\r\n|\n|\r)", b" ", line)
-    return (_WINDOWS_NAN.sub(b"nan", line) if b".#" in line else line).partition(b"#")[0]
+    for number, (x, y, z) in zip(index[moved].tolist(), new[moved].astype(np.float64).tolist(), strict=True):
+        match = _THREE.match(lines[number])
+        assert match, f"{lines[number]!r} was read as a word and three numbers"
+        rest = lines[number][match.end() :]
+        lines[number] = b"%b%a%b%a%b%a%b" % (match[1], x, match[2], y, match[3], z, rest)
 
 
 def _are_numbers(words: Sequence[bytes]) -> bool:

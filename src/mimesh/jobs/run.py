@@ -35,8 +35,8 @@ from ..core.printable import printable
 from ..core.system import ctrl_c_held, resident_memory, usable_cores
 from ..io.atomic import together, whole_file, writing
 from ..io.child_process import VARIABLES as LIBRARY_THREADS
+from ..io.formats import parts_beside
 from ..io.joint_file import side_file
-from ..io.parts_beside import parts_beside
 from ..methods.find import weights_path
 from ..methods.onnx_models import hands_path
 from ..methods.onnx_runtime import THREADS

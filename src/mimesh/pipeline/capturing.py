@@ -29,7 +29,7 @@ from ..core.rig import local_rotations
 from ..core.soles import SolePoints
 from ..io import joints_file, save_joint_motion, save_vrma
 from ..io.gltf.edit import GltfSource
-from ..io.gltf.joints import write_gltf_joints
+from ..io.gltf.skinned import write_gltf_joints
 from ..methods.find import find_mime
 from ..mime.model import Mime
 from ..motions.bone_motion import BoneMotion

@@ -56,7 +56,6 @@ OPTIONS = {
 """Options of `ufbx.load_file`."""
 SAME = 1e-6
 """Largest difference, relative to values above 1, between a channel and the node's own value that counts as none."""
-PATHS = ("translation", "rotation", "scale")
 ROUGHNESS = 0.9
 """Roughness of materials that state none, as in other files that this package writes."""
 MOST_PIXELS = 2**28
@@ -106,13 +105,6 @@ def _unit(scene: Any) -> float:
     return float(ufbx.find_real(own(own(scene.settings).props), "UnitScaleFactor", 1.0)) / 100
 
 
-def _up_axis(scene: Any) -> str:
-    """Return the axis of the file that is up, such as +z."""
-    props = own(own(scene.settings).props)
-    axis, sign = (ufbx.find_int(props, name, 1) for name in ("UpAxis", "UpAxisSign"))
-    return ("-" if sign < 0 else "+") + "xyz"[axis if 0 <= axis < 3 else 1]
-
-
 def _draft(scene: Any, source: Path) -> Draft:
     """Return a glTF draft of a scene."""
     draft = Draft({"asset": {"version": "2.0", "generator": "mimesh"}, "scene": 0, "scenes": [{}]})
@@ -126,7 +118,10 @@ def _draft(scene: Any, source: Path) -> Draft:
         # A motion without a mesh: the skin says which nodes are joints, also those that no animation moves.
         draft.gltf["skins"] = [{"joints": bones}]
     _add_animations(draft, scene, nodes, morphs, source)
-    facts: dict[str, Any] = {"unit": _unit(scene), "up": _up_axis(scene)}
+    props = own(own(scene.settings).props)
+    axis, sign = (ufbx.find_int(props, name, 1) for name in ("UpAxis", "UpAxisSign"))
+    up = ("-" if sign < 0 else "+") + "xyz"[axis if 0 <= axis < 3 else 1]
+    facts: dict[str, Any] = {"unit": _unit(scene), "up": up}
     facts |= {"missingTextures": sorted(set(materials.missing))} if materials.missing else {}
     draft.gltf["asset"]["extras"] = {"fbx": facts}
     return draft
@@ -190,7 +185,8 @@ def _add_mesh(
     skin = _add_skin(draft, mesh, split, T_world_mesh, node)
     if skin is not None:
         attributes |= skin[0]
-    targets = _add_targets(draft, morphs, split, T_world_mesh)
+    offsets = (offset[split.position_of] @ T_world_mesh[:3, :3].T for offset in morphs.offsets)
+    targets = [{"POSITION": _add_sparse(draft, offset)} for offset in offsets]
     uv_names = [entry.name for entry in items(mesh.uv_sets)]
     of_polygon = np.array(mesh.face_material, np.int64) if len(own(mesh.face_material)) else np.zeros(1, np.int64)
     of_triangle = of_polygon[split.polygon] if len(of_polygon) > 1 else np.zeros(len(split.polygon), np.int64)
@@ -204,7 +200,7 @@ def _add_mesh(
     entry: dict[str, Any] = {"primitives": primitives} | ({"name": mesh.name} if mesh.name else {})
     if targets:
         weights = morphs.target_weights(np.array([[channel.weight for channel in morphs.channels]]))
-        entry |= {"weights": weights[0].tolist(), "extras": {"targetNames": [shape.name for shape in morphs.shapes]}}
+        entry |= {"weights": weights[0].tolist(), "extras": {"targetNames": morphs.names}}
     meshes = draft.gltf.setdefault("meshes", [])
     meshes.append(entry)
     return len(meshes) - 1, None if skin is None else skin[1]
@@ -224,42 +220,34 @@ class SeamSplit:
 
 
 @dataclass(frozen=True, eq=False)
-class MorphShape:
-    """A blend shape that is written as a morph target."""
-
-    name: str
-    offsets: Float[np.ndarray, "P 3"]
-
-
-@dataclass(frozen=True, eq=False)
 class MorphChannels:
     """The channels of a mesh, which drive one shape each, or several in a row (in-between shapes)."""
 
     channels: list[Any]
     knots: list[Float[np.ndarray, " K"]]
     """Weights of each channel at which its shapes have their full effect."""
-    shapes: list[MorphShape]
+    names: list[str]
+    """Name of each shape, which is written as a morph target."""
+    offsets: list[Float[np.ndarray, "P 3"]]
+    """Of each shape, at the positions of the mesh."""
 
     def target_weights(self, channel_weights: Float[np.ndarray, "T C"]) -> Float[np.ndarray, "T S"]:
-        """Return the weight of each morph target for weights of the channels."""
-        columns = [
-            _piecewise_weights(weights, knots) for weights, knots in zip(channel_weights.T, self.knots, strict=True)
-        ]
-        return np.concatenate([np.zeros((len(channel_weights), 0)), *columns], axis=1)
+        """Return the weight of each morph target for weights of the channels.
 
-
-def _piecewise_weights(weights: Float[np.ndarray, " T"], knots: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T K"]:
-    """Return the weights of a channel's shapes: linear between zero and the shapes, shape k alone at `knots[k]`."""
-    order = np.argsort(np.append(knots, 0.0), kind="stable")
-    places = np.append(knots, 0.0)[order]
-    upper = np.clip(np.searchsorted(places, weights, side="right"), 1, len(knots))
-    length = places[upper] - places[upper - 1]
-    share = np.where(length > 0, (weights - places[upper - 1]) / np.where(length > 0, length, 1.0), 0.0)
-    result = np.zeros((len(weights), len(places)))
-    rows = np.arange(len(weights))
-    result[rows, order[upper - 1]] = 1 - share
-    result[rows, order[upper]] = share
-    return result[:, :-1]  # the last one is the zero, which has no shape
+        It is linear between zero and the shapes of a channel; shape k acts alone at knot k.
+        """
+        columns, rows = [np.zeros((len(channel_weights), 0))], np.arange(len(channel_weights))
+        for weights, knots in zip(channel_weights.T, self.knots, strict=True):
+            order = np.argsort(np.append(knots, 0.0), kind="stable")
+            places = np.append(knots, 0.0)[order]
+            upper = np.clip(np.searchsorted(places, weights, side="right"), 1, len(knots))
+            length = places[upper] - places[upper - 1]
+            share = np.where(length > 0, (weights - places[upper - 1]) / np.where(length > 0, length, 1.0), 0.0)
+            of_shapes = np.zeros((len(weights), len(places)))
+            of_shapes[rows, order[upper - 1]] = 1 - share
+            of_shapes[rows, order[upper]] = share
+            columns.append(of_shapes[:, :-1])  # the last one is the zero, which has no shape
+        return np.concatenate(columns, axis=1)
 
 
 def _split_mesh(mesh: Any) -> SeamSplit | None:
@@ -270,7 +258,10 @@ def _split_mesh(mesh: Any) -> SeamSplit | None:
     if not len(corners):
         return None
     key = position
-    for values in _corner_attributes(mesh):
+    # Normals, all sets of texture coordinates, and all sets of colours split vertices.
+    attributes = [own(mesh.vertex_normal), *(own(entry.vertex_uv) for entry in items(mesh.uv_sets))]
+    attributes += [own(entry.vertex_color) for entry in items(mesh.color_sets)]
+    for values in (values for values in attributes if values.exists and len(own(values.values))):
         # Equal values get one number: exporters write the same normal once for each corner.
         number = np.unique(array(values.values).astype(np.float32), axis=0, return_inverse=True)[1].reshape(-1)
         of_corner = number[array(values.indices)]
@@ -282,14 +273,6 @@ def _split_mesh(mesh: Any) -> SeamSplit | None:
     vertex_of_corner = np.full(len(position), -1)
     vertex_of_corner[drawn] = element
     return SeamSplit(position[corner_of], corner_of, vertex_of_corner[corners], polygon)
-
-
-def _corner_attributes(mesh: Any) -> list[Any]:
-    """List the attributes that split vertices: normals, all sets of texture coordinates, all sets of colours."""
-    values = [own(mesh.vertex_normal)]
-    values += [own(entry.vertex_uv) for entry in items(mesh.uv_sets)]
-    values += [own(entry.vertex_color) for entry in items(mesh.color_sets)]
-    return [value for value in values if value.exists and len(own(value.values))]
 
 
 def _bind_matrix(mesh: Any) -> Float[np.ndarray, "4 4"]:
@@ -400,7 +383,7 @@ def _influences(
 
 def _read_morphs(mesh: Any) -> MorphChannels:
     """Read the blend shapes of a mesh: one morph target for each shape, in-between shapes included."""
-    channels, knots, shapes = [], [], []
+    channels, knots, names, shapes = [], [], [], []
     count = len(array(mesh.vertices, 3))
     for deformer in items(mesh.blend_deformers):
         for channel in items(deformer.channels):
@@ -415,19 +398,11 @@ def _read_morphs(mesh: Any) -> MorphChannels:
                 index = array(shape.offset_vertices).astype(np.int64)
                 inside = index < count
                 offsets[index[inside]] = array(shape.position_offsets, 3)[inside]
-                full_name = name if key is keys[-1] else f"{name} {key.target_weight:g}"
-                shapes.append(MorphShape(full_name, offsets))
+                names.append(name if key is keys[-1] else f"{name} {key.target_weight:g}")
+                shapes.append(offsets)
             knots.append(np.array([float(key.target_weight) for key in keys]))
             channels.append(channel)
-    return MorphChannels(channels, knots, shapes)
-
-
-def _add_targets(
-    draft: Draft, morphs: MorphChannels, split: SeamSplit, T_world_mesh: Float[np.ndarray, "4 4"]
-) -> list[dict[str, int]]:
-    """Add the morph targets of a mesh; returns their accessors by attribute name."""
-    offsets = (shape.offsets[split.position_of] @ T_world_mesh[:3, :3].T for shape in morphs.shapes)
-    return [{"POSITION": _add_sparse(draft, offset)} for offset in offsets]
+    return MorphChannels(channels, knots, names, shapes)
 
 
 def _add_sparse(draft: Draft, offsets: Float[np.ndarray, "N 3"]) -> int:
@@ -591,14 +566,25 @@ def _add_animations(
         baked = own(ufbx.bake_anim(scene, curves, resample_rate=fps))
         begin, end = _time_range(stack, baked, path)
         seconds = np.arange(frame_count(end - begin, fps)) / fps
-        reader = _ChannelReader(seconds)
-        for moved in items(baked.nodes):
-            if moved.typed_id > 0:
-                reader.add_node(nodes[moved.typed_id], curves, begin)
-        for shown_by, mesh_morphs in morphs.values():
-            reader.add_weights(shown_by, mesh_morphs, curves, begin)
-        if reader.channels:
-            animations.append(add_animation(draft, stack.name or f"animation {number}", reader.channels))
+        times, channels = [begin + time for time in seconds.tolist()], []
+        for moved in (moved for moved in items(baked.nodes) if moved.typed_id > 0):
+            node = nodes[moved.typed_id]
+            frames = [ufbx.evaluate_transform(curves, node, time) for time in times]
+            for target in DEFAULT_TRS:
+                values = np.array([tuple(getattr(frame, target)) for frame in frames])
+                rest = np.array(getattr(node.local_transform, target))
+                if target == "rotation":
+                    values = continuous_quaternions(values, rest)
+                channels += _channel(node.typed_id - 1, target, seconds, values, rest)
+        for shown_by, of_mesh in morphs.values():
+            if of_mesh.names:
+                weights = [[ufbx.evaluate_blend_weight(curves, c, time) for c in of_mesh.channels] for time in times]
+                values = of_mesh.target_weights(np.array(weights))
+                rest = of_mesh.target_weights(np.array([[channel.weight for channel in of_mesh.channels]]))[0]
+                for index in shown_by:
+                    channels += _channel(index, "weights", seconds, values, rest)
+        if channels:
+            animations.append(add_animation(draft, stack.name or f"animation {number}", channels))
     if animations:
         draft.gltf["animations"] = animations
 
@@ -614,45 +600,20 @@ def _time_range(stack: Any, baked: Any, path: Path) -> tuple[float, float]:
     return begin, end
 
 
-class _ChannelReader:
-    """The channels of one animation."""
-
-    def __init__(self, seconds: Float[np.ndarray, " T"]) -> None:
-        self.seconds = seconds
-        self.channels: list[AnimationChannel] = []
-
-    def add_node(self, node: Any, curves: Any, begin: float) -> None:
-        """Add the channels of a node that moves."""
-        frames = [ufbx.evaluate_transform(curves, node, begin + time) for time in self.seconds.tolist()]
-        for path in PATHS:
-            values = np.array([tuple(getattr(frame, path)) for frame in frames])
-            rest = np.array(getattr(node.local_transform, path))
-            if path == "rotation":
-                values = continuous_quaternions(values, rest)
-            self._add(node.typed_id - 1, path, values, rest)
-
-    def add_weights(self, nodes: list[int], morphs: MorphChannels, curves: Any, begin: float) -> None:
-        """Add the weights of the blend shapes of a mesh to all nodes that show it."""
-        if not morphs.shapes:
-            return
-        weights = np.array(
-            [
-                [ufbx.evaluate_blend_weight(curves, channel, begin + time) for channel in morphs.channels]
-                for time in self.seconds.tolist()
-            ]
-        )
-        rest = np.array([[channel.weight for channel in morphs.channels]])
-        for node in nodes:
-            self._add(node, "weights", morphs.target_weights(weights), morphs.target_weights(rest)[0])
-
-    def _add(self, node: int, path: str, values: Float[np.ndarray, "T C"], rest: Float[np.ndarray, " C"]) -> None:
-        """Add a channel unless it keeps the node's own value; one that keeps another value has one key."""
-        same = SAME * np.maximum(np.abs(rest), 1.0)
-        if not np.isfinite(values).all() or (np.abs(values - rest) <= same).all():
-            return
-        if (np.abs(values - values[0]) <= same).all():
-            values = values[:1]
-        self.channels.append(AnimationChannel(node, path, self.seconds[: len(values)], values))
+def _channel(
+    node: int,
+    path: str,
+    seconds: Float[np.ndarray, " T"],
+    values: Float[np.ndarray, "T C"],
+    rest: Float[np.ndarray, " C"],
+) -> list[AnimationChannel]:
+    """Return a channel, unless it keeps the node's own value; one that keeps another value has one key."""
+    same = SAME * np.maximum(np.abs(rest), 1.0)
+    if not np.isfinite(values).all() or (np.abs(values - rest) <= same).all():
+        return []
+    if (np.abs(values - values[0]) <= same).all():
+        values = values[:1]
+    return [AnimationChannel(node, path, seconds[: len(values)], values)]
 
 
 _add_reference = ctypes.pythonapi.Py_IncRef

@@ -183,7 +183,11 @@ def joined_animations(document: Document) -> tuple[Draft, dict[str, Any]]:
             joined.append(AnimationChannel(key[0], key[1], np.concatenate(times), values))
         draft.gltf["animations"] = [add_animation(draft, "all", joined)]
         moving |= {node for node, path in moved if path != "weights"}
-    _make_joints(draft, document, moving | _below_joints(document))
+    # Nodes below joints that show nothing are bones, too, which move no vertex, or places for props.
+    nodes, parents = document.gltf.get("nodes", []), node_parents(document)
+    joints = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
+    bare = [k for k, node in enumerate(nodes) if not {"mesh", "camera", "extensions"} & node.keys()]
+    _make_joints(draft, document, moving | {node for node in bare if joints.intersection(ancestors(parents, node))})
     return draft, {"fps": fps, "clips": clips}
 
 
@@ -200,8 +204,13 @@ def _make_joints(draft: Draft, document: Document, bones: set[int]) -> None:
     for number, skin in enumerate(skins):
         inverse_bind |= dict(zip(skin["joints"], read_inverse_bind_matrices(document, number), strict=True))
     world = world_matrices(document)
-    near = _nearest_joints(document, extra, set(inverse_bind))
-    for node, joint in near.items():
+    parents = node_parents(document)
+    chains = {joint: ancestors(parents, joint) for joint in sorted(inverse_bind)}
+    for node in extra:
+        # The nearest joint above it, or else below it, or else any; None where there are no joints.
+        above = next((other for other in ancestors(parents, node) if other in chains), None)
+        below = min((joint for joint in chains if node in chains[joint]), key=lambda j: len(chains[j]), default=None)
+        joint = next((joint for joint in (above, below, *chains) if joint is not None), None)
         # Skins may be bound in another space than the world: the node is placed as it is beside a joint.
         placed = np.eye(4) if joint is None else world[joint] @ inverse_bind[joint]
         inverse_bind[node] = np.linalg.pinv(world[node]) @ placed
@@ -211,56 +220,30 @@ def _make_joints(draft: Draft, document: Document, bones: set[int]) -> None:
     draft.gltf["skins"] = [*skins, skin]
 
 
-def _below_joints(document: Document) -> set[int]:
-    """List the nodes below joints that show nothing: bones that move no vertex, and places for props."""
-    nodes, parents = document.gltf.get("nodes", []), tuple(node_parents(document))
-    joints = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
-    bare = [k for k, node in enumerate(nodes) if not {"mesh", "camera", "extensions"} & node.keys()]
-    return {node for node in bare if joints.intersection(ancestors(parents, node))}
-
-
-def _nearest_joints(document: Document, nodes: list[int], joints: set[int]) -> dict[int, int | None]:
-    """Find for each node the nearest joint above it, or else below it, or else any; None where there are no joints."""
-    parent = tuple(node_parents(document))
-    chains = {joint: ancestors(parent, joint) for joint in sorted(joints)}
-    found: dict[int, int | None] = {}
-    for node in nodes:
-        above = next((other for other in ancestors(parent, node) if other in joints), None)
-        below = min((joint for joint in chains if node in chains[joint]), key=lambda j: len(chains[j]), default=None)
-        found[node] = next((joint for joint in (above, below, *chains) if joint is not None), None)
-    return found
-
-
 def _plain_materials(draft: Draft, document: Document) -> dict[str, list[dict[str, Any]]]:
     """Rename the materials and images of a draft, and list what the script is to make of each."""
     images = [{"key": IMAGE.format(number), "name": name} for number, name in enumerate(_image_names(document))]
     materials = []
     for number, entry in enumerate(draft.gltf.get("materials", [])):
         *color, alpha = base_color_of(entry)
-        source = _image_of(draft.gltf, base_texture_of(entry))
+        reference, source = base_texture_of(entry), None
+        if "index" in reference:  # the image of an extension where the texture has no plain one
+            texture = draft.gltf["textures"][reference["index"]]
+            others = [other for other in texture.get("extensions", {}).values() if isinstance(other, dict)]
+            source = next((each["source"] for each in (texture, *others) if "source" in each), None)
         materials.append(
             {
                 "key": MATERIAL.format(number),
                 "name": entry.get("name") or f"material{number}",
                 "color": color,
                 "alpha": alpha if entry.get("alphaMode", "OPAQUE") == "BLEND" else 1.0,
-                "image": None if source is None else images[source]["key"],
+                "image": images[source]["key"] if isinstance(source, int) and 0 <= source < len(images) else None,
             }
         )
         entry["name"] = materials[-1]["key"]
     for entry, image in zip(draft.gltf.get("images", []), images, strict=True):
         entry["name"] = image["key"]
     return {"materials": materials, "images": images}
-
-
-def _image_of(gltf: dict[str, Any], reference: dict[str, Any]) -> int | None:
-    """Return the image of a reference to a texture; that of an extension where the texture has no plain one."""
-    if "index" not in reference:
-        return None
-    texture = gltf["textures"][reference["index"]]
-    others = [entry for entry in texture.get("extensions", {}).values() if isinstance(entry, dict)]
-    source = next((entry["source"] for entry in (texture, *others) if "source" in entry), None)
-    return source if isinstance(source, int) and 0 <= source < len(gltf.get("images", [])) else None
 
 
 def _image_names(document: Document) -> list[str]:

@@ -2,13 +2,12 @@
 
 Files in .fbx are read as glTF (see `io.fbx`), and written as .glb.
 
-check, compression -> document            opens files, also compressed and damaged ones
+check -> document                         opens files, also compressed and damaged ones
 document -> scene -> read                 reads the scene of an open file at rest as a Mesh, or as a rigged character
 draft -> edit                             writes the file of a Mesh again, with other vertices
-build                                     builds a new file for a Mesh without a glTF source
+build                                     builds the file of any Mesh: its own one again, or a new one
 animation                                 reads animations and bakes them to vertex positions
-clip                                      writes a clip as morph targets with an animation
-skinned                                   writes a mesh with joints
+skinned                                   writes joints, with a mesh or alone
 motion, vrm                               plays animated joints without a mesh on the shipped body; extensions of VRM
 character -> own_rig                      finds the limbs of people and animals, and moves the own nodes of a file
 copied_motion, own_animation              copies animations by name; writes a file with new animations of its nodes
@@ -17,24 +16,33 @@ copied_motion, own_animation              copies animations by name; writes a fi
 from __future__ import annotations
 
 import dataclasses
+import itertools
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from ...core.budgets import check_clip_size
-from ...core.frame_buffer import Progress, store_frames
+from ...core.frame_buffer import Progress, each_frame, store_frames
+from ...core.geometry import normal_turner, unit_vectors
 from ...core.mesh import Clip, Mesh, check_mesh
 from ...motions.on_body import first_frame, on_body
+from ..formats import gltf_file
 from ..timing import DEFAULT_FPS
 from .animation import frame_rate, frame_times, posed_vertices, sample_nodes, select_channels, unposed_vertices
 from .build import build_document
-from .check import is_supported, list_primitives
-from .clip import add_morph_animation
+from .check import ARRAY_BUFFER, is_supported, list_primitives
 from .document import Document, open_document
-from .edit import GltfSource, edit_document, with_normals
+from .draft import Draft, Spool
+from .edit import GltfSource, PrimitiveGroup, with_normals
 from .motion import PLAYED_PATHS, is_motion, read_skeleton
 from .own_rig import GltfJoints
 from .read import RestScene, read_rest
+
+Deltas = dict[str, Float[np.ndarray, "N 3"]]
+"""What a morph target adds to the attributes of one primitive group, by attribute name."""
 
 
 def read_gltf(path: Path) -> Mesh:
@@ -84,7 +92,11 @@ def read_gltf_clip(
     document = open_document(path)
     if is_motion(document):
         clip = on_body(read_skeleton(document, fps, animation), path).clip()
-        return dataclasses.replace(clip, skeleton=_joints(document, animation, clip))
+        person = None if clip.skeleton is None else clip.skeleton.person()
+        channels, times = select_channels(document, animation), np.arange(len(clip)) / clip.fps
+        own_fps = frame_rate([channel for channel in channels if channel.path in PLAYED_PATHS]) or DEFAULT_FPS
+        joints = GltfJoints(document, channels, times, None, person, whole=clip.fps == own_fps)
+        return dataclasses.replace(clip, skeleton=joints)
     mesh = _read_mesh(document)
     assert isinstance(mesh.source, GltfSource)
     if animation is None and not mesh.source.animations:
@@ -110,14 +122,6 @@ def still_joints(mesh: Mesh) -> GltfJoints | None:
     return GltfJoints(source.document, [], np.zeros(1), mesh)
 
 
-def _joints(document: Document, animation: str | None, clip: Clip) -> GltfJoints:
-    """Return the joints of a clip without a mesh, which the shipped body plays."""
-    channels, times = select_channels(document, animation), np.arange(len(clip)) / clip.fps
-    person = None if clip.skeleton is None else clip.skeleton.person()
-    whole = clip.fps == (frame_rate([channel for channel in channels if channel.path in PLAYED_PATHS]) or DEFAULT_FPS)
-    return GltfJoints(document, channels, times, None, person, whole=whole)
-
-
 def write_gltf(mesh: Mesh, path: Path) -> None:
     """Write a mesh as .glb, or as .gltf with embedded buffers.
 
@@ -125,28 +129,44 @@ def write_gltf(mesh: Mesh, path: Path) -> None:
     Another mesh gives a new document, with smooth normals if it has none, because viewers show a mesh without normals
     faceted.
     """
-    if isinstance(mesh.source, GltfSource):
-        mesh.source.write(mesh, path)
-    else:
-        mesh = with_normals(mesh)
-        build_document(mesh, mesh)[0].save(path)
+    mesh = with_normals(mesh)
+    with gltf_file(path) as temporary:
+        build_document(mesh, mesh)[0].save(temporary)
 
 
 def write_gltf_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:
-    """Write a clip as .glb or .gltf: the mesh at frame 0 and one morph target for each later frame (see `gltf.clip`).
+    """Write a clip as .glb or .gltf: the mesh at frame 0 and one morph target for each later frame.
+
+    A target has the weight 1 at its own key, k / fps for that of frame k, and 0 at all others, linear in between. At a
+    key one target is active, between two keys two, and positions in between are linear between both frames. Clients may
+    limit the active targets (glTF 2.0, 3.7.2.2 Morph Targets, recommends support of eight attributes), which two never
+    reach. A client without morph targets shows frame 0. Targets of all frames wait in a temporary file.
 
     A mesh with a glTF source keeps all of that file but its skins, animations and morph targets. One frame gives a file
     without animation. The size is about 24 bytes a vertex and frame: positions and normals in float32.
     """
     mesh = with_normals(clip.mesh)
     base = mesh.with_vertices(np.asarray(clip.vertices[0], np.float64))
-    if isinstance(mesh.source, GltfSource):
-        draft, groups = edit_document(mesh.source, base)
-    else:
-        draft, groups = build_document(mesh, base)
+    draft, groups = build_document(mesh, base)
     if len(clip) > 1:
-        add_morph_animation(draft, groups, mesh, clip, progress)
-    draft.save(path)
+        deltas = _frame_deltas(groups, mesh, clip, base.vertices, progress)
+        attributes: list[dict[str, Spool]] = [{} for _ in groups]
+        for of_frame in itertools.islice(deltas, 1, None):  # frame 0 has no target
+            for of_group, spools in zip(of_frame, attributes, strict=True):
+                for name, values in of_group.items():
+                    spools.setdefault(name, Spool()).append(values)
+        for group, spools in zip(groups, attributes, strict=True):
+            targets = _add_targets(draft, spools)
+            for primitive in group.primitives:
+                primitive["targets"] = [dict(target) for target in targets]
+        # A node appears once, although several groups may be primitives of its mesh.
+        nodes = list(dict.fromkeys(group.node for group in groups))
+        names = [f"frame {number}" for number in range(1, len(clip))]
+        for node in nodes:
+            _complete_targets(draft, draft.gltf["meshes"][draft.gltf["nodes"][node]["mesh"]], names)
+        draft.gltf["animations"] = [_morph_animation(draft, nodes, clip)]
+    with gltf_file(path) as temporary:
+        draft.save(temporary)
 
 
 def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
@@ -169,3 +189,84 @@ def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
         if not is_supported(str(name)):
             notes.append(f"kept the data of extension {name} as it is: it does not follow the new shape")
     return tuple(notes)
+
+
+def _frame_deltas(
+    groups: list[PrimitiveGroup], mesh: Mesh, clip: Clip, base: Float[np.ndarray, "V 3"], progress: Progress | None
+) -> Iterator[list[Deltas]]:
+    """Yield how the attributes of each frame differ from those of `base`, rounded to float32 as the file has them."""
+    normals_of = None
+    if any(group.has_normals for group in groups):
+        assert mesh.corner_normals is not None
+        normals_of = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
+
+    def attributes_of(vertices: Float[np.ndarray, "V 3"]) -> list[Deltas]:
+        normals = normals_of(vertices).reshape(-1, 3) if normals_of else None
+        return [_local_attributes(group, vertices, normals) for group in groups]
+
+    base_attributes = [
+        {name: values.astype(np.float32) for name, values in attributes.items()} for attributes in attributes_of(base)
+    ]
+    for vertices in each_frame(clip.vertices, progress):
+        yield [
+            {name: values - of_base[name] for name, values in attributes.items()}
+            for attributes, of_base in zip(attributes_of(vertices), base_attributes, strict=True)
+        ]
+
+
+def _local_attributes(
+    group: PrimitiveGroup, vertices: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "C 3"] | None
+) -> Deltas:
+    """Return positions and normals of a group's elements in their node's frame; a normal without a face is zero."""
+    linear, origin = group.T_world_local[:3, :3], group.T_world_local[:3, 3]
+    local = {"POSITION": (vertices[group.vertex_of] - origin) @ np.linalg.inv(linear).T}
+    if group.has_normals and normals is not None:
+        local["NORMAL"] = np.where(group.corner_of[:, None] >= 0, unit_vectors(normals[group.corner_of] @ linear), 0.0)
+    return local
+
+
+def _add_targets(draft: Draft, spools: dict[str, Spool]) -> list[dict[str, int]]:
+    """Add one buffer view for each attribute and one accessor for each morph target; returns the targets' JSON."""
+    targets: list[dict[str, int]] = [{} for _ in next(iter(spools.values())).bounds]
+    for name, spool in spools.items():
+        view = draft.add_view(spool, target=ARRAY_BUFFER, byteStride=12)
+        size = spool.nbytes // max(len(spool.bounds), 1)  # bytes of one target: 12 an element
+        for number, bounds in enumerate(spool.bounds):
+            accessor: dict[str, Any] = {"bufferView": view, "byteOffset": number * size, "componentType": 5126}
+            accessor |= {"count": size // 12, "type": "VEC3"} | (bounds if name == "POSITION" else {})
+            targets[number][name] = draft.add_accessor(accessor)
+    return targets
+
+
+def _complete_targets(draft: Draft, mesh: dict[str, Any], names: list[str]) -> None:
+    """Set the default weights (none) and names of a mesh's targets, and add zero targets to its lines and points.
+
+    All primitives of a mesh must have the same number of targets (glTF 2.0, 3.7.2.2). An accessor without a buffer view
+    is all zeros (3.6.2.3 Sparse Accessors). Names in `extras.targetNames` are a convention of most tools.
+    """
+    for primitive in mesh["primitives"]:
+        if "targets" not in primitive:
+            count = draft.gltf["accessors"][primitive["attributes"]["POSITION"]]["count"]
+            zeros = {"componentType": 5126, "count": count, "type": "VEC3", "min": [0.0] * 3, "max": [0.0] * 3}
+            primitive["targets"] = [{"POSITION": draft.add_accessor(zeros)}] * len(names)
+    mesh["weights"] = [0.0] * len(names)
+    if isinstance(mesh.setdefault("extras", {}), dict):
+        mesh["extras"]["targetNames"] = names
+
+
+def _morph_animation(draft: Draft, nodes: list[int], clip: Clip) -> dict[str, Any]:
+    """Return an animation of the morph weights with one key a frame; its channels share one sampler."""
+    times = draft.add_floats(np.arange(len(clip))[:, None] / clip.fps, bounds=True)
+    # The weights of all targets at one key lie next to each other (3.11 Animations). They are as many as the square of
+    # the frames, 400 MB for 10,000, so they wait on disk, too.
+    spool = Spool()
+    for t in range(len(clip)):  # target k - 1 has weight 1 at key k and 0 at all others
+        spool.append(np.eye(1, len(clip) - 1, t - 1).T)
+    view = draft.add_view(spool)
+    accessor = {"bufferView": view, "componentType": 5126, "count": spool.nbytes // 4, "type": "SCALAR"}
+    values = draft.add_accessor(accessor)
+    return {
+        "name": clip.mesh.name,
+        "samplers": [{"input": times, "interpolation": "LINEAR", "output": values}],
+        "channels": [{"sampler": 0, "target": {"node": node, "path": "weights"}} for node in nodes],
+    }

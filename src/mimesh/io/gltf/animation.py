@@ -9,7 +9,7 @@ Node transforms, skins and morph weights are evaluated frame by frame; what is t
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from ...core.rig import local_rotations
 from ..timing import LONGEST, RATES, frame_count, lie_on, sample_rate, usual_rate
 from .document import Document, read_floats
 from .draft import Draft
-from .read import RestScene, VertexRange, get_primitive
+from .read import RestScene, get_primitive
 from .scene import (
     SkinBinding,
     animated_matrices,
@@ -381,7 +381,7 @@ def sample_nodes(document: Document, channels: list[AnimationChannel], times: Fl
     for start in range(0, len(times), FRAMES_PER_BLOCK):
         block_times = times[start : start + FRAMES_PER_BLOCK]
         values = {(channel.node, channel.path): channel.sample(block_times) for channel in channels}
-        yield values, world_matrices(document, animated_matrices(document, values, len(block_times)))
+        yield from pose_nodes(document, values, len(block_times))
         document.mapped_files.release_pages()
 
 
@@ -402,8 +402,23 @@ def pose_nodes(document: Document, values: AnimatedValues, frames: int) -> NodeB
 
 def unposed_vertices(document: Document, rest: RestScene, animated: Iterable[tuple[int, str]]) -> list[UnposedVertices]:
     """Read the vertices of the Mesh before skinning; `animated` are the nodes and properties that frames change."""
-    morphed = {node for node, path in animated if path == "weights"}
-    return [_prepare_vertices(document, span, span.node in morphed) for span in rest.vertex_ranges]
+    morphed, parts = {node for node, path in animated if path == "weights"}, []
+    for span in rest.vertex_ranges:
+        primitive = get_primitive(document, (span.node, span.primitives[0]))
+        binding = read_skin_binding(document, span.node, primitive)
+        if span.node in morphed:  # all vertices, because any of them may get a position of its own
+            every = np.arange(span.stop - span.start)
+            parts.append(UnposedVertices(span.node, primitive, None, binding, every))
+            continue
+        positions = read_morphed_attribute(document, primitive, "POSITION", read_morph_weights(document, span.node))
+        assert positions is not None
+        # Vertices with one position and one set of influences stay together in all frames.
+        keys = positions if binding is None else np.concatenate([positions, binding.joints, binding.weights], axis=1)
+        _, first, distinct_of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        if binding is not None:
+            binding = replace(binding, joints=binding.joints[first], weights=binding.weights[first])
+        parts.append(UnposedVertices(span.node, primitive, positions[first], binding, distinct_of.reshape(-1)))
+    return parts
 
 
 def posed_vertices(
@@ -413,38 +428,15 @@ def posed_vertices(
     for values, T_world_node in blocks:
         morph_weights = {node: value for (node, path), value in values.items() if path == "weights"}
         # Positions of one frame at a time: only node transforms are computed for a whole block.
-        for t in range(len(T_world_node)):
-            frame_weights = {node: value[t].tolist() for node, value in morph_weights.items()}
-            yield np.concatenate([_pose_vertices(document, part, T_world_node[t], frame_weights) for part in parts])
-
-
-def _prepare_vertices(document: Document, span: VertexRange, morphs: bool) -> UnposedVertices:
-    """Read the distinct vertices of a range; all of them where their morph weights are animated."""
-    primitive = get_primitive(document, (span.node, span.primitives[0]))
-    binding = read_skin_binding(document, span.node, primitive)
-    if morphs:
-        return UnposedVertices(span.node, primitive, None, binding, np.arange(span.stop - span.start))
-    positions = read_morphed_attribute(document, primitive, "POSITION", read_morph_weights(document, span.node))
-    assert positions is not None
-    # Vertices with one position and one set of influences stay together in all frames.
-    keys = positions if binding is None else np.concatenate([positions, binding.joints, binding.weights], axis=1)
-    _, first, distinct_of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    if binding is not None:
-        binding = SkinBinding(binding.nodes, binding.T_joint_bind, binding.joints[first], binding.weights[first])
-    return UnposedVertices(span.node, primitive, positions[first], binding, distinct_of.reshape(-1))
-
-
-def _pose_vertices(
-    document: Document,
-    part: UnposedVertices,
-    T_world_node: Float[np.ndarray, "N 4 4"],
-    morph_weights: Mapping[int, list[float]],
-) -> Float[np.ndarray, "V 3"]:
-    """Return the world positions of a range's vertices in one frame; `morph_weights` are the animated ones by node."""
-    positions = part.positions
-    if positions is None:
-        positions = read_morphed_attribute(document, part.primitive, "POSITION", morph_weights[part.node])
-    assert positions is not None
-    # glTF 2.0, 3.7.3.2 Joint Hierarchy: a skinned mesh ignores the transform of its own node.
-    matrices = T_world_node[part.node][None, :3] if part.binding is None else part.binding.matrices(T_world_node)
-    return transform_points(matrices, positions)[part.distinct_of]
+        for t, T_world in enumerate(T_world_node):
+            shown = []
+            for part in parts:
+                positions = part.positions
+                if positions is None:
+                    weights = morph_weights[part.node][t].tolist()
+                    positions = read_morphed_attribute(document, part.primitive, "POSITION", weights)
+                assert positions is not None
+                # glTF 2.0, 3.7.3.2 Joint Hierarchy: a skinned mesh ignores the transform of its own node.
+                matrices = T_world[part.node][None, :3] if part.binding is None else part.binding.matrices(T_world)
+                shown.append(transform_points(matrices, positions)[part.distinct_of])
+            yield np.concatenate(shown)

@@ -1,4 +1,4 @@
-"""Builds a glTF document for a Mesh without a glTF source: one node, one primitive for each part."""
+"""Builds a glTF document for a Mesh; for one without a glTF source: one node, one primitive for each part."""
 
 from __future__ import annotations
 
@@ -13,21 +13,23 @@ from ..usd import stage_axes
 from .check import ARRAY_BUFFER
 from .document import image_type
 from .draft import Draft
-from .edit import PrimitiveGroup
+from .edit import GltfSource, PrimitiveGroup, edit_document
 from .read import DEFAULT_MATERIAL, POINTS
 
 WHITE_MATERIAL = Material("default", (1.0, 1.0, 1.0, 1.0))
 """Written instead of DEFAULT_MATERIAL where vertices have colours, which the base colour multiplies: it is white."""
 
 
-def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[PrimitiveGroup]]:
-    """Build a document that shows `moved`, and describe its primitives.
+def build_document(mesh: Mesh, moved: Mesh, skinned: bool = False) -> tuple[Draft, list[PrimitiveGroup]]:
+    """Build a document that shows `moved`, and describe its primitives; of a mesh with a glTF source edit that file.
 
     Vertices are split where the uv or the normal of `mesh` changes: glTF has one set of attributes for each vertex.
     `moved` is `mesh` with other vertices (or itself); both have corner normals. Within a part the vertices keep their
     order, so a part without seams keeps its numbering. Vertices that no face uses are written with the first part; a
     mesh without faces becomes POINTS.
     """
+    if isinstance(mesh.source, GltfSource):
+        return edit_document(mesh.source, moved, skinned)
     draft = Draft({"asset": {"version": "2.0", "generator": "mimesh"}, "scene": 0, "scenes": [{"nodes": [0]}]})
     primitives, groups = [], []
     materials: dict[Material, int] = {}

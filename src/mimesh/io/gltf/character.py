@@ -45,6 +45,7 @@ from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError, damaged
 from ...core.geometry import nearest_rotation
 from ...core.mesh import Mesh, check_mesh
+from ...core.rig import homogeneous
 from ...motions.animal_rig import animal_facing
 from ...motions.posed_rest import action_front, on_all_fours, rests_in_action
 from .animation import animated_nodes, animation_names, frame_times, read_channels, sample_joints
@@ -128,10 +129,8 @@ def read_clips(
         world = sample_joints(document, channels, times, nodes)
         if not np.isfinite(world).all():
             continue
-        local = np.tile(np.eye(4), (*world.shape[:2], 1, 1))
-        local[..., :3, :3] = nearest_rotation(world[..., :3, :3] @ rest_inverse) @ rest_rotation
-        local[..., :3, 3] = world[..., :3, 3]
-        rigid = local.copy()
+        rigid = homogeneous(nearest_rotation(world[..., :3, :3] @ rest_inverse) @ rest_rotation, world[..., :3, 3])
+        local = rigid.copy()
         for j, parent in enumerate(parents):
             if parent >= 0:
                 local[:, j] = np.linalg.inv(rigid[:, parent]) @ rigid[:, j]
@@ -247,9 +246,7 @@ def rig_at_rest(
     rig, nodes = rig_on_nodes(mesh, document, scene, joint_nodes.union(bones))
     if not all(np.isfinite(array).all() for array in (rig.points, rig.T_world_joint)):
         raise damaged(path, "a rest pose of finite numbers", "NaN or infinity")
-    frames = np.tile(np.eye(4), (len(nodes), 1, 1))
-    frames[:, :3, :3] = nearest_rotation(rig.T_world_joint[:, :3, :3])
-    frames[:, :3, 3] = rig.joints
+    frames = homogeneous(nearest_rotation(rig.T_world_joint[:, :3, :3]), rig.joints)
     at_rest = dataclasses.replace(mesh, vertices=(rig.weights[..., None] * rig.points).sum(axis=1))
     return dataclasses.replace(rig, mesh=at_rest, T_world_joint=frames), nodes
 
@@ -270,7 +267,7 @@ def _rigid_parts(document: Document) -> set[int]:
     """List the nodes that show a mesh or that an animation moves; those above them too, if these name the limbs."""
     parts = animated_nodes(document, PLAYED_PATHS)
     parts |= {node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]}
-    node_parent = tuple(node_parents(document))
+    node_parent = node_parents(document)
     above = {node for part in parts for node in ancestors(node_parent, part)}
     return above if not _limb_nodes(document, parts) and _limb_nodes(document, above) else parts
 
@@ -295,7 +292,16 @@ def standing_facing(rig: SkinnedCharacter, known: dict[str, int], rule: str, pat
         InputError: limbs that are not found by name, several characters, or a trunk that is not upright.
     """
     part, joints = carried_part(rig), name_sided_joints(rig, path, known)
-    _check_one_skeleton(part, joints, path)
+    # Nearly all weights are to be on the skeletons of the named joints; a rig may have several roots.
+    roots = np.array([ancestors(part.parents, j)[-1] for j in range(len(part.parents))])
+    named = np.isin(roots, roots[list(joints.values())])
+    apart = (part.weights * ~np.append(named, True)[part.joint_of]).sum() / part.weights.sum()
+    others = tuple(name for name, of_person in zip(part.joint_names, named, strict=True) if not of_person)
+    prop = bool(missing_limbs(limbs_by_name(others, (-1,) * len(others))))
+    if apart > (APART_PROP if prop else APART):
+        raise InputError(
+            f"{path}: expected one character, found {apart:.0%} of the weights on other skeletons; export it alone"
+        )
     if not _stands(part, joints):
         places = _places(part, joints)
         if fallen and not on_all_fours(places) and np.array_equal(_upright(part, joints), np.eye(3)):
@@ -315,7 +321,13 @@ def _stands(rig: SkinnedCharacter, joints: dict[str, int]) -> bool:
     heights = rig.mesh.vertices[:, 1]
     ground, height = heights.min(), np.ptp(heights)
     hips, shoulders = (_middle(rig, joints, part) for part in ("UpLeg", "Arm"))
-    ends = [_leg_end(rig, joints, side) for side in SIDES]
+    ends = []
+    for side in SIDES:
+        # The lower end of a leg: its ankle, else its knee, else the middle of what its one joint carries.
+        tail = next((joints[side + part] for part in ("Foot", "Leg") if side + part in joints), None)
+        joint = joints[f"{side}UpLeg"] if tail is None else tail
+        carried = carried_vertices(rig, joint) & (tail is None)
+        ends.append(rig.mesh.vertices[carried].mean(axis=0) if carried.any() else rig.joints[joint])
     trunk, legs = shoulders - hips, hips - np.mean(ends, axis=0)
     arms = np.any([carried_vertices(rig, joints[f"{side}Arm"]) for side in SIDES], axis=0)
     on_arms = heights[arms].min(initial=np.inf) - ground < NEAR_GROUND * height
@@ -324,16 +336,6 @@ def _stands(rig: SkinnedCharacter, joints: dict[str, int]) -> bool:
         and legs[1] >= UPRIGHT * np.linalg.norm(legs)
         and hips[1] - ground > SHORTEST_LEG * height
     )
-
-
-def _leg_end(rig: SkinnedCharacter, joints: dict[str, int], side: str) -> Float[np.ndarray, " 3"]:
-    """Find the lower end of a leg: its ankle, else its knee, else the middle of what its one joint carries."""
-    tail = next((joints[side + part] for part in ("Foot", "Leg") if side + part in joints), None)
-    if tail is not None:
-        return rig.joints[tail]
-    thigh = joints[f"{side}UpLeg"]
-    carried = carried_vertices(rig, thigh)
-    return rig.mesh.vertices[carried].mean(axis=0) if carried.any() else rig.joints[thigh]
 
 
 def find_facing(rig: SkinnedCharacter, joints: dict[str, int], rule: str) -> str:
@@ -349,23 +351,17 @@ def find_facing(rig: SkinnedCharacter, joints: dict[str, int], rule: str) -> str
     by_names = _nearest_axis(front)
     if by_names == rule:
         return rule
-    toes = sum(
-        (_toes(rig, joints[f"{side}Foot"]) for side in ("Left", "Right") if f"{side}Foot" in joints), np.zeros(2)
-    )
+    toes = np.zeros(2)
+    for foot in (joints[f"{side}Foot"] for side in SIDES if f"{side}Foot" in joints):
+        carried = carried_vertices(rig, foot)
+        if carried.any():  # horizontal vector from the ankle to the middle of the foot
+            points = rig.mesh.vertices[carried]
+            toes += ((points.min(axis=0) + points.max(axis=0)) / 2 - rig.joints[foot])[[0, 2]]
     ahead = toes @ AXES[by_names]
     if abs(ahead) > 2 * SHORTEST_TOES * np.ptp(rig.mesh.vertices[:, 1]):
         return by_names if ahead > 0 else _nearest_axis(-np.array(AXES[by_names]))
     # Feet do not say: sides that the viewer sees are more frequent than files that break the rule.
     return rule if np.dot(AXES[rule], AXES[by_names]) < 0 else by_names
-
-
-def _toes(rig: SkinnedCharacter, foot: int) -> Float[np.ndarray, " 2"]:
-    """Compute the horizontal vector (x, z) from an ankle to the middle of the foot; zero for a foot without surface."""
-    carried = carried_vertices(rig, foot)
-    if not carried.any():
-        return np.zeros(2)
-    points = rig.mesh.vertices[carried]
-    return ((points.min(axis=0) + points.max(axis=0)) / 2 - rig.joints[foot])[[0, 2]]
 
 
 def _nearest_axis(direction: np.ndarray) -> str:
@@ -381,18 +377,6 @@ def _middle(rig: SkinnedCharacter, joints: dict[str, int], part: str) -> Float[n
 def _places(rig: SkinnedCharacter, joints: dict[str, int]) -> dict[str, Float[np.ndarray, " 3"]]:
     """Return the position of each named joint."""
     return {name: rig.joints[joint] for name, joint in joints.items()}
-
-
-def _check_one_skeleton(rig: SkinnedCharacter, joints: dict[str, int], path: object) -> None:
-    """Check that nearly all weights are on the skeletons of the named joints; a rig may have several roots."""
-    roots = np.array([ancestors(rig.parents, j)[-1] for j in range(len(rig.parents))])
-    named = np.isin(roots, roots[list(joints.values())])
-    apart = (rig.weights * ~np.append(named, True)[rig.joint_of]).sum() / rig.weights.sum()
-    others = [name for name, of_person in zip(rig.joint_names, named, strict=True) if not of_person]
-    prop = bool(missing_limbs(limbs_by_name(tuple(others), (-1,) * len(others))))
-    if apart > (APART_PROP if prop else APART):
-        raise InputError(f"{path}: expected one character, found {apart:.0%} of the weights on other skeletons; "
-                         "export it alone")  # fmt: skip
 
 
 def carried_part(rig: SkinnedCharacter) -> SkinnedCharacter:

@@ -50,23 +50,18 @@ REQUIRED = {
 }
 """Properties that objects must have."""
 
-NON_NEGATIVE_INTEGERS = (
-    "accessors [] componentType",
-    "accessors [] count",
-    "accessors [] byteOffset",
-    "accessors [] sparse count",
-    "accessors [] sparse indices byteOffset",
-    "accessors [] sparse indices componentType",
-    "accessors [] sparse values byteOffset",
-    "bufferViews [] byteOffset",
-    "bufferViews [] byteLength",
-    "bufferViews [] byteStride",
-    "buffers [] byteLength",
-    "meshes [] primitives [] mode",
-    f"{DRACO_OBJECT} attributes {{}}",
-    *(f"{place} {key}" for place in MESHOPT_OBJECTS for key in ("byteOffset", "byteLength", "byteStride", "count")),
-)
-"""Locations of integers of 0 or more."""
+NON_NEGATIVE_INTEGERS = {
+    "accessors []": "componentType count byteOffset",
+    "accessors [] sparse": "count",
+    "accessors [] sparse indices": "byteOffset componentType",
+    "accessors [] sparse values": "byteOffset",
+    "bufferViews []": "byteOffset byteLength byteStride",
+    "buffers []": "byteLength",
+    "meshes [] primitives []": "mode",
+    f"{DRACO_OBJECT} attributes": "{}",
+    **dict.fromkeys(MESHOPT_OBJECTS, "byteOffset byteLength byteStride count"),
+}
+"""Integers of 0 or more: the locations that have them, and their names there."""
 
 NUMBER_LISTS = {
     "nodes [] matrix": 16,
@@ -97,14 +92,10 @@ STRINGS = (
 )
 """Locations of strings."""
 
+_EXTENDED = ("textures []", "materials []", "materials [] pbrMetallicRoughness baseColorTexture")
 OBJECTS = (
     "animations []",
-    "textures [] extensions",
-    "textures [] extensions {}",
-    "materials [] extensions",
-    "materials [] extensions {}",
-    "materials [] pbrMetallicRoughness baseColorTexture extensions",
-    "materials [] pbrMetallicRoughness baseColorTexture extensions {}",
+    *(f"{place} extensions{each}" for place in _EXTENDED for each in ("", " {}")),
     "meshes [] primitives [] extensions",
     "bufferViews [] extensions",
 )
@@ -191,15 +182,28 @@ def check_document(gltf: Any, path: Path) -> None:
         )
     if isinstance(gltf.get("nodes"), list):
         JOINTS.check(len(gltf["nodes"]), path)
-    _check_version(gltf, path)
-    _check_extensions(gltf, path)
+    # A reader of 2.0 may open any later 2.x: minor versions are compatible (3.2 Asset).
+    asset = gltf.get("asset")
+    version = asset.get("version") if isinstance(asset, dict) else None
+    if not str(version).startswith("2."):
+        raise InputError(f"{path}: expected glTF version 2.0, found {version}; export it again as glTF 2.0")
+    for name in _values_at(gltf, "extensionsRequired []", path):  # 3.12 Specifying Extensions
+        if str(name) in IMAGE_EXTENSIONS:
+            raise InputError(
+                f"{path}: expected PNG or JPEG textures, found required {name}; export with such textures "
+                "(gltf-transform: 'png' or 'jpeg')"
+            )
+        if not is_supported(str(name)):
+            raise InputError(
+                f"{path}: expected no extension that changes the geometry, found required {name}; export without it"
+            )
     # In this order: required properties first, so that the checks after them need not ask whether these are there.
     for location, names in REQUIRED.items():
         for item in _values_at(gltf, location, path):
             for name in names:
                 _expect(isinstance(item, dict) and name in item, path, f"'{name}' in each of '{location}'", item)
     for locations, fits, kind in (
-        (NON_NEGATIVE_INTEGERS, _is_index, "a count"),
+        ([f"{at} {key}" for at, keys in NON_NEGATIVE_INTEGERS.items() for key in keys.split()], _is_index, "a count"),
         (STRINGS, lambda value: isinstance(value, str), "text"),
         (OBJECTS, lambda value: isinstance(value, dict), "an object"),
     ):
@@ -228,7 +232,14 @@ def check_sizes(gltf: dict[str, Any], size: int, path: Path) -> None:
         InputError: a number is above its budget, or too many nodes are below each other.
     """
     nodes, accessors = gltf.get("nodes", []), gltf.get("accessors", [])
-    _check_depth(nodes, path)
+    # How many nodes are below each other; loops are reported by those who walk the tree.
+    below = {child for node in nodes for child in node.get("children", [])}
+    reached, level, depth = set(range(len(nodes))) - below, set(range(len(nodes))) - below, 0
+    while level:
+        depth += 1
+        level = {child for index in level for child in nodes[index].get("children", [])} - reached
+        reached |= level
+    DEPTH.check(depth, path)
     parts = corners = morphed = 0
     for mesh, shown in Counter(node["mesh"] for node in nodes if "mesh" in node).items():
         deformed = set()  # primitives with the same vertices, one for each material, are deformed once
@@ -274,28 +285,6 @@ def list_primitives(gltf: dict[str, Any]) -> list[dict[str, Any]]:
 def attribute_accessors(primitive: dict[str, Any]) -> list[int]:
     """List the accessors of a primitive's attributes, and of those of its morph targets."""
     return [index for owner in (primitive["attributes"], *primitive.get("targets", [])) for index in owner.values()]
-
-
-def _check_version(gltf: dict[str, Any], path: Path) -> None:
-    # A reader of 2.0 may open any later 2.x: minor versions are compatible (3.2 Asset).
-    asset = gltf.get("asset")
-    version = asset.get("version") if isinstance(asset, dict) else None
-    if not str(version).startswith("2."):
-        raise InputError(f"{path}: expected glTF version 2.0, found {version}; export it again as glTF 2.0")
-
-
-def _check_extensions(gltf: dict[str, Any], path: Path) -> None:
-    """Check that every extension in `extensionsRequired` is supported (3.12 Specifying Extensions)."""
-    for name in _values_at(gltf, "extensionsRequired []", path):
-        if str(name) in IMAGE_EXTENSIONS:
-            raise InputError(
-                f"{path}: expected PNG or JPEG textures, found required {name}; export with such textures "
-                "(gltf-transform: 'png' or 'jpeg')"
-            )
-        if not is_supported(str(name)):
-            raise InputError(
-                f"{path}: expected no extension that changes the geometry, found required {name}; export without it"
-            )
 
 
 def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path) -> None:
@@ -351,16 +340,3 @@ def _expect(good: bool, path: Path, expected: str, found: Any) -> None:
         text = repr(found)
         text = text if len(text) <= 60 else text[:57] + "..."
         raise damaged(path, expected, text)
-
-
-def _check_depth(nodes: list[dict[str, Any]], path: Path) -> None:
-    """Check how many nodes are below each other; loops are reported by those who walk the tree."""
-    below = {child for node in nodes for child in node.get("children", [])}
-    level = {index for index in range(len(nodes)) if index not in below}
-    reached = set(level)
-    depth = 0
-    while level:
-        depth += 1
-        level = {child for index in level for child in nodes[index].get("children", [])} - reached
-        reached |= level
-    DEPTH.check(depth, path)

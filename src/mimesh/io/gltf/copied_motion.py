@@ -83,6 +83,8 @@ class NamedWeights:
 
 def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
     """Copy the animation of a driving clip to the nodes of another file; None if that has another skeleton."""
+    from scipy.spatial.transform import Rotation
+
     mine, theirs = identity.document, driving.document
     try:
         unweighted_parts(mine, identity.rest)
@@ -98,7 +100,11 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
         _parent_frames(document, pairs_of)
         for document, pairs_of in ((mine, list(pairs)), (theirs, list(pairs.values())))
     )
-    turned = np.abs(_unit_axes(my_rest) - _unit_axes(their_rest)).max(axis=(1, 2), initial=0)
+    my_axes, their_axes = (
+        rest[:, :3, :3] / np.maximum(np.linalg.norm(rest[:, :3, :3], axis=1, keepdims=True), 1e-12)
+        for rest in (my_rest, their_rest)
+    )
+    turned = np.abs(my_axes - their_axes).max(axis=(1, 2), initial=0)
     lengths = [np.linalg.norm(rest[:, :3, 3], axis=1) for rest in (my_rest, their_rest)]
     longest = max(lengths[0].max(initial=0), 1e-12)
     moved = np.abs(my_rest[:, :3, 3] - their_rest[:, :3, 3]).max(initial=0) / longest
@@ -118,7 +124,12 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
             if path == "translation" and not same_rest:
                 value = my_rest[k, :3, 3] + scale * (value - their_rest[k, :3, 3])
             if path == "rotation" and not same_rest:
-                value = _since_rest(value, my_rest[k], their_rest[k])
+                # Turned from its own rest pose as far as the driving's joint is turned from its one.
+                mine_at, theirs_at = (
+                    Rotation.from_matrix(nearest_rotation(rest[k, :3, :3])) for rest in (my_rest, their_rest)
+                )
+                since_rest = mine_at * theirs_at.inv() * Rotation.from_quat(value)
+                value = normalized_quaternions(since_rest.as_quat())
             if path == "rotation":
                 value = continuous_quaternions(value, own[path])
             sources[node, path] = (other, path)
@@ -128,11 +139,14 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
                 tracks[node, path] = np.broadcast_to(value, (len(driving.times), value.shape[1]))
     beside = _other_sources(mine, theirs, values, pairs)
     above = _moving_above(driving, pairs)
-    if above and not (same_rest and _has_above(mine, above, beside)):
+    # Whether all moving nodes above the joints are copied to nodes above the same joints of mine.
+    parents, target = node_parents(mine), {other: node for (node, _), (other, _) in beside.items()}
+    has_above = all(target.get(moved) in ancestors(parents, top) for moved, tops in above.items() for top in tops)
+    if above and not (same_rest and has_above):
         # The topmost joints take the motion of nodes above them that the identity lacks, or has under other names.
         beside = {key: source for key, source in beside.items() if source[0] not in above}
         for top in set().union(*above.values()):
-            carried = _carried(mine, top, tracks, _motion_above(driving, pairs[top], scale))
+            carried = _carried(mine, top, tracks, driving, pairs[top], scale)
             sources = {key: source for key, source in sources.items() if key[0] != top}
             tracks = {key: track for key, track in tracks.items() if key[0] != top} | carried
     for key, source in beside.items():
@@ -148,7 +162,7 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
 
 def _moving_above(driving: GltfJoints, pairs: dict[int, int]) -> dict[int, set[int]]:
     """Find the moving nodes above the paired joints of the driving, each with the topmost joints of mine below it."""
-    parents, paired = tuple(node_parents(driving.document)), set(pairs.values())
+    parents, paired = node_parents(driving.document), set(pairs.values())
     moving = {channel.node for channel in driving.channels if channel.path in DEFAULT_TRS and not channel.constant}
     found: dict[int, set[int]] = {}
     for node, other in pairs.items():
@@ -158,23 +172,17 @@ def _moving_above(driving: GltfJoints, pairs: dict[int, int]) -> dict[int, set[i
     return found
 
 
-def _has_above(mine: Document, above: dict[int, set[int]], beside: Mapping[tuple[int, str], tuple[int, str]]) -> bool:
-    """Tell whether all moving nodes above the joints are copied to nodes above the same joints of mine."""
-    parents, target = tuple(node_parents(mine)), {other: node for (node, _), (other, _) in beside.items()}
-    return all(target.get(moved) in ancestors(parents, top) for moved, tops in above.items() for top in tops)
+def _carried(
+    mine: Document, node: int, tracks: AnimatedValues, driving: GltfJoints, other: int, scale: float
+) -> AnimatedValues:
+    """Compute the values of a joint with tracks whose parent stays, so that it moves as if it had the driving's.
 
-
-def _motion_above(driving: GltfJoints, other: int, scale: float) -> Float[np.ndarray, "T 4 4"]:
-    """Compute how the node above a joint moves, in its own frame at rest; steps are scaled."""
+    That one, the node above the driving's joint, moves in its own frame at rest; its steps are scaled.
+    """
     above = node_parents(driving.document)[other]
-    rest = world_matrices(driving.document)[above]
-    moved = np.linalg.inv(rest) @ sample_joints(driving.document, driving.channels, driving.times, [above])[:, 0]
+    moved = sample_joints(driving.document, driving.channels, driving.times, [above])[:, 0]
+    moved = np.linalg.inv(world_matrices(driving.document)[above]) @ moved
     moved[:, :3, 3] *= scale
-    return moved
-
-
-def _carried(mine: Document, node: int, tracks: AnimatedValues, moved: Float[np.ndarray, "T 4 4"]) -> AnimatedValues:
-    """Compute the values of a joint with tracks whose parent stays, so that it moves as with a parent that `moved`."""
     own = node_properties(mine.gltf["nodes"][node])
     local = moved @ local_matrix({**own, **{path: tracks[node, path] for path in own if (node, path) in tracks}})
     return {(node, path): values for path, values in node_tracks(own, local, 0.0, 0.0).items()}
@@ -189,23 +197,13 @@ def copy_morphs(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
     return SharedMotion(tracks, True, True) if tracks else None
 
 
-def _since_rest(
-    quaternions: Float[np.ndarray, "T 4"], mine: Float[np.ndarray, "4 4"], theirs: Float[np.ndarray, "4 4"]
-) -> Float[np.ndarray, "T 4"]:
-    """Turn a joint from its own rest pose as far as the driving's joint is turned from its one."""
-    from scipy.spatial.transform import Rotation
-
-    own, other = (Rotation.from_matrix(nearest_rotation(rest[:3, :3])) for rest in (mine, theirs))
-    return normalized_quaternions((own * other.inv() * Rotation.from_quat(quaternions)).as_quat())
-
-
 def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int]:
     """Match joints to nodes of another file with the same name below joints with the same names.
 
     Of several with one name below one joint, the first is that of the first, if both files have as many.
     """
     my_names, their_names = _names(mine), _names(theirs)
-    my_parents, their_parents = tuple(node_parents(mine)), tuple(node_parents(theirs))
+    my_parents, their_parents = node_parents(mine), node_parents(theirs)
     if my_names == their_names and my_parents == their_parents:
         return {node: node for node in joints}
     pairs: dict[int, int] = {}
@@ -217,8 +215,8 @@ def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int
         wanted = [my_names[n] for n in chain]
         same = [n for n in joints if my_names[n] == wanted[0]]
         others = [other for other, name in enumerate(their_names) if name == wanted[0]]
-        found = [o for o in others if _chain_names(their_names, their_parents, o, len(chain)) == wanted]
-        alike = [n for n in same if _chain_names(my_names, my_parents, n, len(chain)) == wanted]
+        found = [o for o in others if [their_names[n] for n in ancestors(their_parents, o)[: len(chain)]] == wanted]
+        alike = [s for s in same if [my_names[n] for n in ancestors(my_parents, s)[: len(chain)]] == wanted]
         if my_parents[node] in pairs:
             found = [other for other in found if their_parents[other] == pairs[my_parents[node]]]
             alike = [n for n in alike if my_parents[n] == my_parents[node]]
@@ -227,11 +225,6 @@ def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int
         if len(found) == len(alike):
             pairs[node] = found[alike.index(node)]
     return pairs
-
-
-def _chain_names(names: list[str], parents: tuple[int, ...], node: int, length: int) -> list[str]:
-    """List the names of so many nodes from a node up."""
-    return [names[n] for n in ancestors(parents, node)[:length]]
 
 
 def _names(document: Document) -> list[str]:
@@ -247,11 +240,6 @@ def _parent_frames(document: Document, nodes: list[int]) -> Float[np.ndarray, "K
         np.linalg.pinv(world[parent[node]]) @ world[node] if parent[node] in chosen else static[node] for node in nodes
     ]
     return np.array(frames).reshape(-1, 4, 4)
-
-
-def _unit_axes(frames: Float[np.ndarray, "K 4 4"]) -> Float[np.ndarray, "K 3 3"]:
-    linear = frames[:, :3, :3]
-    return linear / np.maximum(np.linalg.norm(linear, axis=1, keepdims=True), 1e-12)
 
 
 def _same_above(mine: Document, theirs: Document, pairs: dict[int, int]) -> bool:
@@ -405,23 +393,15 @@ def _expression_weights(
             values[name] = (found > BINARY).astype(float) if expression.binary else found
     total: dict[tuple[int, int], np.ndarray] = {}
     for name, shown in values.items():
-        factor = _remaining(name, expressions, values)
+        # The share of an expression that others leave of it (VRM 1.0, Procedural override).
+        factor = np.ones_like(shown)
+        for key in (key for key, reducible in OVERRIDDEN.items() if name in reducible):
+            for other, weight in values.items():
+                if other not in OVERRIDDEN[key] and key in expressions[other].overrides:
+                    factor -= weight > NEGLIGIBLE if expressions[other].overrides[key] == "block" else weight
+        factor = np.maximum(factor, 0.0)
         # What has no intermediate values is suppressed by any reduction.
         reduced = shown * (factor >= 1.0 if expressions[name].binary else factor)
         for node, index, share in expressions[name].binds:
             total[node, index] = total.get((node, index), 0.0) + share * reduced
     return total
-
-
-def _remaining(
-    name: str, expressions: dict[str, Expression], values: dict[str, Float[np.ndarray, " T"]]
-) -> Float[np.ndarray, " T"]:
-    """Compute the share of an expression that others leave of it (VRM 1.0, Procedural override)."""
-    factor = np.ones_like(values[name])
-    for key, reduced in OVERRIDDEN.items():
-        if name not in reduced:
-            continue
-        for other, weights in values.items():
-            if other not in reduced and key in expressions[other].overrides:
-                factor -= weights > NEGLIGIBLE if expressions[other].overrides[key] == "block" else weights
-    return np.maximum(factor, 0.0)

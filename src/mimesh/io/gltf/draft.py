@@ -49,11 +49,6 @@ class Spool:
         self.bounds.append(accessor_bounds(values))
         self.nbytes += self.file.write(values.data)
 
-    def copy_to(self, file: io.BufferedIOBase) -> None:
-        """Copy all arrays into an open file."""
-        self.file.seek(0)
-        shutil.copyfileobj(self.file, file)
-
 
 class Draft:
     """A glTF document under construction: its JSON and the chunks of its one buffer. Entries are only appended."""
@@ -70,7 +65,10 @@ class Draft:
 
         Views start at multiples of 4 bytes (glTF 2.0, 3.6.2.4 Data Alignment). `properties` that are None are left out.
         """
-        chunk = content if isinstance(content, Spool) else _as_bytes(content)
+        chunk = content
+        if not isinstance(chunk, Spool):  # a view of the bytes, without a copy where they are contiguous
+            chunk = np.ascontiguousarray(chunk).data if isinstance(chunk, np.ndarray) else memoryview(chunk)
+            chunk = chunk.cast("B") if chunk.nbytes else memoryview(b"")
         present = {name: value for name, value in properties.items() if value is not None}
         self.gltf["bufferViews"].append({"buffer": 0, "byteOffset": self.size, "byteLength": chunk.nbytes, **present})
         # The chunk itself is written when the document is saved.
@@ -169,7 +167,8 @@ class Draft:
     def _write(self, file: io.BufferedIOBase) -> None:
         for chunk in self.chunks:
             if isinstance(chunk, Spool):
-                chunk.copy_to(file)
+                chunk.file.seek(0)
+                shutil.copyfileobj(chunk.file, file)
             else:
                 file.write(chunk)
 
@@ -202,21 +201,16 @@ class AccessorCopier:
         if self.copies_all:
             return index
         if index not in self.new_index:
-            self.new_index[index] = self._copy(index, target)
+            accessor, not_copied = self.document.gltf["accessors"][index], ("bufferView", "byteOffset", "sparse")
+            properties = {key: value for key, value in accessor.items() if key not in not_copied}
+            if "bufferView" in accessor or "sparse" in accessor:
+                rows = element_bytes(self.document, index)
+                padding = -rows.shape[1] % 4 if target == ARRAY_BUFFER else 0
+                rows = np.pad(rows, ((0, 0), (0, padding)))
+                view = self.draft.add_view(rows, target=target, byteStride=rows.shape[1] if padding else None)
+                properties = {"bufferView": view, **properties}
+            self.new_index[index] = self.draft.add_accessor(properties)
         return self.new_index[index]
-
-    def _copy(self, index: int, target: int | None) -> int:
-        accessor = self.document.gltf["accessors"][index]
-        properties = {
-            key: value for key, value in accessor.items() if key not in ("bufferView", "byteOffset", "sparse")
-        }
-        if "bufferView" not in accessor and "sparse" not in accessor:
-            return self.draft.add_accessor(properties)
-        rows = element_bytes(self.document, index)
-        padding = -rows.shape[1] % 4 if target == ARRAY_BUFFER else 0
-        rows = np.pad(rows, ((0, 0), (0, padding)))
-        view = self.draft.add_view(rows, target=target, byteStride=rows.shape[1] if padding else None)
-        return self.draft.add_accessor({"bufferView": view, **properties})
 
     def _copy_images(self) -> None:
         """Copy all images into the buffer, those of files beside the document and of data: URIs too."""
@@ -236,12 +230,6 @@ class AccessorCopier:
 
 class NumberTooLarge(InputError):
     """A number that glTF has no type for."""
-
-
-def _as_bytes(content: bytes | memoryview | np.ndarray) -> memoryview:
-    """Return a view of the bytes of `content`, without a copy where it is contiguous."""
-    chunk = np.ascontiguousarray(content).data if isinstance(content, np.ndarray) else memoryview(content)
-    return chunk.cast("B") if chunk.nbytes else memoryview(b"")
 
 
 def _as_float32(values: Float[np.ndarray, "N C"]) -> Float32[np.ndarray, "N C"]:

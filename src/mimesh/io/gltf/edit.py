@@ -113,10 +113,20 @@ def edit_document(source: GltfSource, mesh: Mesh, skinned: bool = False) -> tupl
     Raises:
         ValueError: `mesh` does not have the vertices and faces of the source.
     """
-    _check_topology(source, mesh)
+    faces = max((stop for _, stop in source.rest.faces.values()), default=0)
+    if len(mesh.vertices) != len(source.vertices) or len(mesh.faces) != faces:
+        raise ValueError(
+            f"mesh must have the {len(source.vertices)} vertices and {faces} faces of its source, got "
+            f"{len(mesh.vertices)} and {len(mesh.faces)}; set its source to None to write it as a file of its own"
+        )
     # `old` is the JSON of the source, which is never changed; the copier's draft is the new document.
     old, copier = source.document.gltf, AccessorCopier(source.document)
-    vertex_ranges: dict[int, list[VertexRange]] = {node: [] for node in _edited_nodes(source)}
+    nodes, shown = old.get("nodes", []), {span.node for span in source.rest.vertex_ranges}
+    # Besides those that show vertices of the Mesh, nodes whose mesh would move without its skin.
+    edited_nodes = [
+        n for n in scene_nodes(source.document) if n in shown or ("mesh" in nodes[n] and "skin" in nodes[n])
+    ]
+    vertex_ranges: dict[int, list[VertexRange]] = {node: [] for node in edited_nodes}
     for span in source.rest.vertex_ranges:
         vertex_ranges[span.node].append(span)
     mesh_of_node = _assign_meshes(old, list(vertex_ranges))
@@ -133,9 +143,21 @@ def edit_document(source: GltfSource, mesh: Mesh, skinned: bool = False) -> tupl
         T_world_local = _choose_transform(edit, node, vertex_ranges[node])
         new_node = _attach_mesh(edit, node, mesh_index, T_world_local)
         primitives, node_groups = _edit_primitives(edit, node, vertex_ranges[node], T_world_local)
-        meshes[mesh_index] = _replace_primitives(old["meshes"][old["nodes"][node]["mesh"]], primitives)
+        # Without the weights and names of its morph targets.
+        entry = {key: value for key, value in old["meshes"][nodes[node]["mesh"]].items() if key != "weights"}
+        if isinstance(entry.get("extras"), dict):
+            entry["extras"] = {key: value for key, value in entry["extras"].items() if key != "targetNames"}
+        meshes[mesh_index] = entry | {"primitives": primitives}
         groups += [dataclasses.replace(group, node=new_node) for group in node_groups]
-    _drop_skins_and_animations(copier)
+    gltf = copier.draft.gltf
+    gltf.pop("animations", None)
+    gltf |= without_extensions(gltf, [ANIMATION_POINTER])
+    if any("skin" in node for node in gltf["nodes"]):  # outside the scene
+        for skin in gltf["skins"]:
+            if "inverseBindMatrices" in skin:
+                skin["inverseBindMatrices"] = copier.copy_accessor(skin["inverseBindMatrices"], None)
+    else:
+        gltf.pop("skins", None)
     return copier.draft, groups
 
 
@@ -146,22 +168,6 @@ def with_normals(mesh: Mesh) -> Mesh:
     merged, index = weld(mesh.vertices)
     faces = index[mesh.faces]
     return dataclasses.replace(mesh, corner_normals=vertex_normals(merged, faces)[faces])
-
-
-def _check_topology(source: GltfSource, mesh: Mesh) -> None:
-    """Raise a ValueError where a mesh does not have as many vertices and faces as its source."""
-    faces = max((stop for _, stop in source.rest.faces.values()), default=0)
-    if len(mesh.vertices) != len(source.vertices) or len(mesh.faces) != faces:
-        raise ValueError(
-            f"mesh must have the {len(source.vertices)} vertices and {faces} faces of its source, got "
-            f"{len(mesh.vertices)} and {len(mesh.faces)}; set its source to None to write it as a file of its own"
-        )
-
-
-def _edited_nodes(source: GltfSource) -> list[int]:
-    """List the nodes, in scene order, that show vertices of the Mesh, or whose mesh would move without its skin."""
-    nodes, shown = source.document.gltf.get("nodes", []), {span.node for span in source.rest.vertex_ranges}
-    return [n for n in scene_nodes(source.document) if n in shown or ("mesh" in nodes[n] and "skin" in nodes[n])]
 
 
 def _assign_meshes(gltf: dict[str, Any], edited: list[int]) -> dict[int, int]:
@@ -225,27 +231,6 @@ def _attach_mesh(edit: _Edit, node: int, mesh_index: int, T_world_local: Float[n
     return len(gltf["nodes"]) - 1
 
 
-def _replace_primitives(mesh: dict[str, Any], primitives: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return a mesh with other primitives, without the weights and names of its morph targets."""
-    mesh = {key: value for key, value in mesh.items() if key != "weights"} | {"primitives": primitives}
-    if isinstance(mesh.get("extras"), dict):
-        mesh["extras"] = {key: value for key, value in mesh["extras"].items() if key != "targetNames"}
-    return mesh
-
-
-def _drop_skins_and_animations(copier: AccessorCopier) -> None:
-    """Remove all animations, and all skins unless a node outside the scene still uses one."""
-    gltf = copier.draft.gltf
-    gltf.pop("animations", None)
-    gltf |= without_extensions(gltf, [ANIMATION_POINTER])
-    if any("skin" in node for node in gltf["nodes"]):
-        for skin in gltf["skins"]:
-            if "inverseBindMatrices" in skin:
-                skin["inverseBindMatrices"] = copier.copy_accessor(skin["inverseBindMatrices"], None)
-    else:
-        gltf.pop("skins", None)
-
-
 def _edit_primitives(
     edit: _Edit, node: int, vertex_ranges: list[VertexRange], T_world_local: Float[np.ndarray, "4 4"]
 ) -> tuple[list[dict[str, Any]], list[PrimitiveGroup]]:
@@ -259,9 +244,19 @@ def _edit_primitives(
     groups = []
     for span in vertex_ranges:
         points, shared = edit.mesh.vertices[span.start : span.stop], {}  # positions are shared by the whole range
-        for members in _group_by_normals(old, span.primitives):
-            corner_of = _corner_of_elements(edit, span, members)
-            normals = _new_normals(edit, span, members[0], corner_of)
+        with_one_normal: dict[int | None, list[int]] = {}
+        for p in span.primitives:
+            with_one_normal.setdefault(old[p]["attributes"].get("NORMAL"), []).append(p)
+        for members in with_one_normal.values():
+            corner_of = np.full(len(points), -1)  # of each vertex of the range, in the faces of these primitives
+            for p in members:
+                start, stop = edit.rest.faces.get((node, p), (0, 0))
+                corner_of[edit.mesh.faces[start:stop].ravel() - span.start] = np.arange(3 * start, 3 * stop)
+            # New world normals, those at rest where no face uses one.
+            normals = read_rest_normals(edit.document, span.node, members[0], edit.rest.T_world_node)
+            if normals is not None and edit.mesh.corner_normals is not None:
+                used = corner_of >= 0
+                normals[used] = edit.mesh.corner_normals.reshape(-1, 3)[corner_of[used]]
             attributes = shared | _add_attributes(edit, T_world_local, None if shared else points, normals)
             shared = {"POSITION": attributes["POSITION"]}
             new |= {p: _replace_attributes(edit.copier, old[p], attributes) for p in members}
@@ -293,34 +288,6 @@ def _rewrite_in_place(edit: _Edit, node: int, index: int, T_world_local: Float[n
     points = read_rest_positions(edit.document, node, index, T_world_node)
     normals = read_rest_normals(edit.document, node, index, T_world_node)
     return _replace_attributes(edit.copier, primitive, _add_attributes(edit, T_world_local, points, normals))
-
-
-def _group_by_normals(primitives: list[dict[str, Any]], members: tuple[int, ...]) -> list[list[int]]:
-    """Group primitives of one vertex range by their normals, which they then share."""
-    groups: dict[int | None, list[int]] = {}
-    for index in members:
-        groups.setdefault(primitives[index]["attributes"].get("NORMAL"), []).append(index)
-    return list(groups.values())
-
-
-def _corner_of_elements(edit: _Edit, span: VertexRange, members: list[int]) -> Int[np.ndarray, " N"]:
-    """Find a corner of the Mesh at each vertex of a range, in the faces of some primitives; -1 where there is none."""
-    corner_of = np.full(span.stop - span.start, -1)
-    for primitive in members:
-        start, stop = edit.rest.faces.get((span.node, primitive), (0, 0))
-        corner_of[edit.mesh.faces[start:stop].ravel() - span.start] = np.arange(3 * start, 3 * stop)
-    return corner_of
-
-
-def _new_normals(
-    edit: _Edit, span: VertexRange, primitive: int, corner_of: Int[np.ndarray, " N"]
-) -> Float[np.ndarray, "N 3"] | None:
-    """Return the new world normals of a range's elements, those at rest where no face uses one; None without any."""
-    normals = read_rest_normals(edit.document, span.node, primitive, edit.rest.T_world_node)
-    if normals is not None and edit.mesh.corner_normals is not None:
-        used = corner_of >= 0
-        normals[used] = edit.mesh.corner_normals.reshape(-1, 3)[corner_of[used]]
-    return normals
 
 
 def _add_attributes(

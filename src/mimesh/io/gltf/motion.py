@@ -27,7 +27,7 @@ from ...core.rig import local_rotations
 from ...motions.bvh import Bvh
 from ...motions.rest_calibration import nearest_axes
 from ..timing import DEFAULT_FPS
-from .animation import AnimationChannel, animated_nodes, frame_rate, frame_times, sample_nodes, select_channels
+from .animation import animated_nodes, frame_rate, frame_times, sample_nodes, select_channels
 from .document import Document
 from .scene import joint_matrices, node_name, node_parents, scene_nodes, sort_parents_first, used_skins, world_matrices
 from .vrm import is_vrm_animation, vrm_bones
@@ -70,11 +70,18 @@ def read_skeleton(document: Document, fps: float | None = None, animation: str |
     channels = [channel for channel in select_channels(document, animation) if channel.path in PLAYED_PATHS]
     fps = fps or frame_rate(channels) or DEFAULT_FPS
     nodes, parents = _find_joints(document)
-    humanoid = _animated_bones(document)
+    humanoid = vrm_bones(document) if is_vrm_animation(document) else {}
     at_rest = world_matrices(document) if humanoid else rest_matrices(document)
     T_world_rest = _append_world(at_rest)[nodes]
     times = frame_times(document, channels, fps)
-    rotation, position = _joint_motion(document, channels, times, nodes, T_world_rest)
+    blocks = sample_nodes(document, channels, times)
+    T_world_joint = np.concatenate([_append_world(T_world_node)[:, nodes] for _, T_world_node in blocks])
+    broken = ~np.isfinite(T_world_joint).all(axis=(1, 2, 3))
+    if broken.any():
+        raise damaged(document.path, "finite numbers", f"NaN or infinity in frame {broken.argmax()}")
+    # A joint whose scale is zero at rest has no inverse; with the pseudo-inverse it does not rotate.
+    rotation = nearest_rotation(T_world_joint[..., :3, :3] @ np.linalg.pinv(T_world_rest[:, :3, :3]))
+    position = T_world_joint[..., :3, 3]
     parent = np.maximum(parents, 0)
     rest = T_world_rest[:, :3, 3]
     offsets = rest - np.where(np.array(parents)[:, None] >= 0, rest[parent], 0.0)
@@ -82,7 +89,10 @@ def read_skeleton(document: Document, fps: float | None = None, animation: str |
     bones = (np.swapaxes(rotation[:, parent], -1, -2) @ (position - position[:, parent])[..., None])[..., 0]
     stretches = np.abs(bones - offsets).max(axis=(0, 2)) > NEGLIGIBLE * np.ptp(rest, axis=0).max()
     moved = {j: bones[:, j] for j in np.flatnonzero(stretches).tolist() if j > 0}
-    names = tuple("world" if n == WORLD_NODE else _joint_name(document, n, humanoid) for n in nodes)
+    # In a VRM animation a node has the name of our joint, or one that stands for none.
+    ours = {node: name for name, node in reversed(humanoid.items())}
+    known = {n: ours.get(n, f"node{n}") if humanoid else node_name(document, n) for n in nodes if n != WORLD_NODE}
+    names = tuple(known.get(node, "world") for node in nodes)
     local = local_rotations(rotation, parents)
     return Bvh(document.path.stem, names, parents, offsets, {}, local, position[:, 0], float(fps), moved)
 
@@ -229,11 +239,12 @@ def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
     """Find the nodes that are joints, each after its parent, and the parent joint of each; the one root has -1."""
     node_parent = node_parents(document)
     order = sort_parents_first(document, node_parent)
+    pivots = {node for node in order if FBX_PIVOT in str(document.gltf["nodes"][node].get("name", ""))}
     for node in order:
-        while node_parent[node] >= 0 and _is_pivot(document, node_parent[node]):
+        while node_parent[node] in pivots:
             node_parent[node] = node_parent[node_parent[node]]
-    order = [node for node in order if not _is_pivot(document, node)]
-    joints = set(_animated_bones(document).values())
+    order = [node for node in order if node not in pivots]
+    joints = set(vrm_bones(document).values()) if is_vrm_animation(document) else set()
     if not joints:
         joints = {node for skin in document.gltf.get("skins", []) for node in skin["joints"]}
         moving = animated_nodes(document, PLAYED_PATHS)
@@ -254,46 +265,6 @@ def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
     root = index.get(WORLD_NODE, -1)
     parents = (index.get(node_parent[node], root) if node != WORLD_NODE else -1 for node in nodes)
     return nodes, tuple(parents)
-
-
-def _is_pivot(document: Document, node: int) -> bool:
-    return FBX_PIVOT in str(document.gltf["nodes"][node].get("name", ""))
-
-
-def _animated_bones(document: Document) -> dict[str, int]:
-    """Return the node of each joint of a VRM animation; empty for other files."""
-    return vrm_bones(document) if is_vrm_animation(document) else {}
-
-
-def _joint_name(document: Document, node: int, bones: dict[str, int]) -> str:
-    """Return the name of a node; in a VRM animation that of our joint, or one that stands for none."""
-    if bones:
-        return next((name for name, number in bones.items() if number == node), f"node{node}")
-    return node_name(document, node)
-
-
-def _joint_motion(
-    document: Document,
-    channels: list[AnimationChannel],
-    times: Float[np.ndarray, " T"],
-    nodes: list[int],
-    T_world_rest: Float[np.ndarray, "J 4 4"],
-) -> tuple[Float[np.ndarray, "T J 3 3"], Float[np.ndarray, "T J 3"]]:
-    """Return the world rotation of each joint since rest, and its world position, in every frame."""
-    rotation, position = np.empty((len(times), len(nodes), 3, 3)), np.empty((len(times), len(nodes), 3))
-    # A joint whose scale is zero at rest has no inverse; with the pseudo-inverse it does not rotate.
-    rest_inverse = np.linalg.pinv(T_world_rest[:, :3, :3])
-    done = 0
-    for _, T_world_node in sample_nodes(document, channels, times):
-        T_world_joint = _append_world(T_world_node)[:, nodes]
-        if not np.isfinite(T_world_joint).all():
-            frame = done + int(np.flatnonzero(~np.isfinite(T_world_joint).all(axis=(1, 2, 3)))[0])
-            raise damaged(document.path, "finite numbers", f"NaN or infinity in frame {frame}")
-        block = slice(done, done + len(T_world_joint))
-        rotation[block] = nearest_rotation(T_world_joint[..., :3, :3] @ rest_inverse)
-        position[block] = T_world_joint[..., :3, 3]
-        done += len(T_world_joint)
-    return rotation, position
 
 
 def _append_world(T_world_node: Float[np.ndarray, "*T N 4 4"]) -> Float[np.ndarray, "*T M 4 4"]:

@@ -114,8 +114,14 @@ class OwnAnimation:
             bones: our name of a joint -> new name of its bone; empty leaves all names.
             root_bone: name of the new bone; None adds none.
             root_moves: let it carry the way over the ground; the hips have to be known for it.
+
+        A trunk of fewer joints than ours gets the names from the hips up, because programs require the first of them.
         """
-        renamed = new_names(self.joints, bones)
+        trunk = [self.joints[name] for name in TRUNK if name in self.joints]
+        names = {1: TRUNK[:1], 2: (TRUNK[0], TRUNK[-1])}.get(len(trunk), TRUNK)
+        known = {name: node for name, node in self.joints.items() if name not in TRUNK}
+        known |= dict(zip(names, trunk, strict=False))
+        renamed = {node: bones[name] for name, node in known.items() if name in bones}
         return dataclasses.replace(self, renamed=renamed, root_bone=root_bone, root_moves=root_moves)
 
     def resampled(self, fps: float) -> OwnAnimation:
@@ -172,9 +178,13 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
     Args:
         animations: of one file, with the same layout.
     """
-    root = _find_root_bone(animations)
+    root = _place_root_bone(animations)
     draft = _copied_file(animations, root)
-    moved = [animation.tracks if root is None else _with_root_bone(animation, root, draft) for animation in animations]
+    moved = [animation.tracks if root is None else root.tracks(animation.tracks) for animation in animations]
+    for k, animation in enumerate(animations):
+        if root is not None and animation.root_moves:
+            hips = animation.node_matrices([animation.joints["Hips"]])[:, 0, :3, 3]
+            moved[k] = root.carrying(moved[k], hips, draft)
     entries = _new_entries(animations, moved, draft)
     old = copy.deepcopy(draft.gltf.get("animations", []))
     if entries or old:
@@ -208,7 +218,7 @@ def cut_animation(source: GltfSource, animation: str | None, fps: float | None, 
 
 def write_own_rig(rig: OwnAnimation, path: Path) -> None:
     """Write the file of an identity with new names of its bones, and a root bone, as `with_layout` has set them."""
-    _copied_file([rig], _find_root_bone([rig])).save(path)
+    _copied_file([rig], _place_root_bone([rig])).save(path)
 
 
 def write_own_pose(animation: OwnAnimation, path: Path) -> None:
@@ -231,7 +241,13 @@ def write_own_pose(animation: OwnAnimation, path: Path) -> None:
 def _new_entries(animations: Sequence[OwnAnimation], tracks: Sequence[Tracks], draft: Draft) -> list[dict[str, Any]]:
     """Add new animations to the copy of a file: the keys of each for all that any of them moves, old and new."""
     document = animations[0].source.document
-    exact = [_exact_keys(animation, values) for animation, values in zip(animations, tracks, strict=True)]
+    exact = []
+    for animation, values in zip(animations, tracks, strict=True):
+        # Keys are written as they are, but not where tracks have changed since, nor at another speed.
+        last = max((float(channel.times[-1]) for channel in animation.keys.values()), default=0.0)
+        same_speed = frame_count(last, animation.fps) == animation.frames
+        same = {key: keys for key, keys in animation.keys.items() if values.get(key) is animation.tracks.get(key)}
+        exact.append(same if same_speed else {})
     used = dict.fromkeys(key for values in (*tracks, *exact) for key in values)
     used |= dict.fromkeys(_animated_values(document))
     still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
@@ -253,26 +269,6 @@ def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) 
     node, path = key
     value = read_morph_weights(document, node) if path == "weights" else node_properties(entry)[path]
     return np.array(value, float)[None]
-
-
-def new_names(joints: Mapping[str, int], bones: Mapping[str, str]) -> dict[int, str]:
-    """Assign new names to the nodes of a person's joints.
-
-    A trunk of fewer joints than ours gets the names from the hips up, because programs require the first of them.
-    """
-    trunk = [joints[name] for name in TRUNK if name in joints]
-    names = {1: TRUNK[:1], 2: (TRUNK[0], TRUNK[-1])}.get(len(trunk), TRUNK)
-    known = {name: node for name, node in joints.items() if name not in TRUNK} | dict(zip(names, trunk, strict=False))
-    return {node: bones[name] for name, node in known.items() if name in bones}
-
-
-def _find_root_bone(animations: Sequence[OwnAnimation]) -> RootBone | None:
-    """Find the place of the root bone of a file, if there is to be one."""
-    first = animations[0]
-    if first.root_bone is None:
-        return None
-    moving = {key[0] for animation in animations for key in animation.tracks if animation.moves(key)}
-    return _place_root_bone(first.source, first.root_bone, first.joints, moving)
 
 
 def _copied_file(animations: Sequence[OwnAnimation], root: RootBone | None = None) -> Draft:
@@ -307,22 +303,6 @@ def _copied_file(animations: Sequence[OwnAnimation], root: RootBone | None = Non
     if root is not None and root.is_new:
         root.insert(draft)
     return draft
-
-
-def _with_root_bone(animation: OwnAnimation, root: RootBone, draft: Draft) -> AnimatedValues:
-    """Return the values of an animation in the file with a root bone, which carries the way over the ground or not."""
-    tracks = root.tracks(animation.tracks)
-    if not animation.root_moves:
-        return tracks
-    return root.carrying(tracks, animation.node_matrices([animation.joints["Hips"]])[:, 0, :3, 3], draft)
-
-
-def _exact_keys(animation: OwnAnimation, tracks: Tracks) -> dict[tuple[int, str], AnimationChannel]:
-    """Return the keys that are written as they are: not where tracks have changed since, nor at another speed."""
-    last = max((float(channel.times[-1]) for channel in animation.keys.values()), default=0.0)
-    if frame_count(last, animation.fps) != animation.frames:
-        return {}
-    return {key: keys for key, keys in animation.keys.items() if tracks.get(key) is animation.tracks.get(key)}
 
 
 def _channels(
@@ -417,10 +397,22 @@ class RootBone:
         entry = {"name": self.name, "translation": local[:3, 3].tolist(), "children": list(self.children)}
         gltf["nodes"].append(entry | ({} if turn is None else {"rotation": turn.tolist()}))
         above = [gltf["nodes"][self.parent]] if self.parent >= 0 else gltf.get("scenes", [])
-        for owner in above:
-            _replace(owner, "nodes" if self.parent < 0 else "children", self.children, self.node)
+        key = "nodes" if self.parent < 0 else "children"
+        for owner in above:  # the bone takes the place of the first of those that are below it now
+            of_old = [node in self.children for node in owner.get(key, [])]
+            if any(of_old):
+                listed, first = owner[key], of_old.index(True)
+                after = [node for node in listed[first:] if node not in self.children]
+                owner[key] = [*listed[:first], self.node, *after]
         for node in self.children:
-            _move_entry(gltf["nodes"][node], np.linalg.inv(local))
+            entry, T_root_parent = gltf["nodes"][node], np.linalg.inv(local)
+            if "matrix" in entry:
+                entry["matrix"] = (T_root_parent @ np.reshape(entry["matrix"], (4, 4)).T).T.ravel().tolist()
+                continue
+            for path in ("translation", "rotation"):
+                moved = _in_frame(np.array([entry.get(path, DEFAULT_TRS[path])], float), path, T_root_parent)[0]
+                if path in entry or not np.array_equal(moved, DEFAULT_TRS[path]):
+                    entry[path] = moved.tolist()
         for number, animation in enumerate(gltf.get("animations", [])):
             self._move_keys(draft, animation, number)
         parents = tuple(node_parents(self.source.document))
@@ -493,17 +485,22 @@ class RootBone:
             skin["skeleton"] = self.node
 
 
-def _place_root_bone(source: GltfSource, name: str, person: Mapping[str, int], moving: Collection[int]) -> RootBone:
-    """Find the place of a root bone, or the joint of the file that is one.
-
-    Args:
-        moving: nodes that the new animations move.
-    """
+def _place_root_bone(animations: Sequence[OwnAnimation]) -> RootBone | None:
+    """Find the place of the root bone of a file, if there is to be one, or the joint of the file that is one."""
+    source, name, person = animations[0].source, animations[0].root_bone, animations[0].joints
+    if name is None:
+        return None
+    moving = {key[0] for animation in animations for key in animation.tracks if animation.moves(key)}
     document, world = source.document, source.rest.T_world_node
-    parents = tuple(node_parents(document))
+    parents = node_parents(document)
     skins = [set(skin["joints"]) for skin in document.gltf.get("skins", [])]
     joints = set(person.values()).union(*(skin for skin in skins if skin.intersection(person.values())))
-    weighted = _weighted_nodes(source)
+    weighted: set[int] = set()  # joints with a vertex that has a weight for them
+    for span in source.rest.vertex_ranges:
+        for number in span.primitives:
+            binding = read_skin_binding(document, span.node, get_primitive(document, (span.node, number)))
+            if binding is not None:
+                weighted |= set(binding.nodes[binding.joints[binding.weights > 0]].tolist())
     size = np.ptp(source.vertices, axis=0).max()
     origin = world[person["Hips"], :3, 3].copy()
     origin[1] = source.vertices[:, 1].min()
@@ -550,18 +547,6 @@ def _staying(
     return found
 
 
-def _weighted_nodes(source: GltfSource) -> set[int]:
-    """List the joints with a vertex that has a weight for them."""
-    weighted: set[int] = set()
-    for span in source.rest.vertex_ranges:
-        for number in span.primitives:
-            primitive = get_primitive(source.document, (span.node, number))
-            binding = read_skin_binding(source.document, span.node, primitive)
-            if binding is not None:
-                weighted |= set(binding.nodes[binding.joints[binding.weights > 0]].tolist())
-    return weighted
-
-
 def _world(source: GltfSource, node: int) -> Float[np.ndarray, "4 4"]:
     """Return the transform of a node at rest, the identity for none (-1)."""
     return np.eye(4) if node < 0 else source.rest.T_world_node[node]
@@ -592,23 +577,3 @@ def _in_frame(
     x, y, z, w = turn
     # The product of quaternions is linear in the second one, so tangents change in the same way.
     return values @ np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]]).T
-
-
-def _move_entry(entry: dict[str, Any], transform: Float[np.ndarray, "4 4"]) -> None:
-    """Change the transform of a node for another parent, in whose frame the old one has some transform."""
-    if "matrix" in entry:
-        entry["matrix"] = (transform @ np.reshape(entry["matrix"], (4, 4)).T).T.ravel().tolist()
-        return
-    for path in ("translation", "rotation"):
-        moved = _in_frame(np.array([entry.get(path, DEFAULT_TRS[path])], float), path, transform)[0]
-        if path in entry or not np.array_equal(moved, DEFAULT_TRS[path]):
-            entry[path] = moved.tolist()
-
-
-def _replace(owner: dict[str, Any], key: str, old: Collection[int], new: int) -> None:
-    """Put one node in the place of the first of several ones in a list of nodes."""
-    listed = owner.get(key, [])
-    of_old = [node in old for node in listed]
-    if any(of_old):
-        first = of_old.index(True)
-        owner[key] = [*listed[:first], new, *(node for node in listed[first:] if node not in old)]

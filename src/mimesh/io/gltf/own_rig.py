@@ -150,7 +150,11 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
     else:
         humanoid, order = humanoid_rig(rig, turn, standing.known, poses, path)
     ordered = [nodes[k] for k in order]
-    notes += _apart(humanoid) + _lies(humanoid, path.name)
+    notes += _apart(humanoid)
+    up, front = axis_name(humanoid.turn[1]), axis_name(humanoid.turn[2])
+    if up != "+y":
+        stands = f"by its rig it stands up {up} and faces {front}, and so does the result; export it y up"
+        notes += (f"{path.name} lies: {stands}",)
     own = OwnRig(source, humanoid.character, ordered, standing.scene, humanoid, still=still, notes=notes)
     _check_above(own, humanoid.tree()[0])
     hips = own.person["Hips"]
@@ -305,13 +309,6 @@ def _apart(humanoid: HumanoidRig) -> tuple[str, ...]:
     own = {roots[joint] for joint in humanoid.joints.values()}
     apart = dict.fromkeys(rig.joint_names[roots[joint]] for joint in _weighted(rig) if roots[joint] not in own)
     return (f"skeletons beside the person's, which go with the hips: {', '.join(apart)}",) if apart else ()
-
-
-def _lies(humanoid: HumanoidRig, name: str) -> tuple[str, ...]:
-    """Return a note on a rig that does not stand y up, as glTF files must."""
-    up, front = axis_name(humanoid.turn[1]), axis_name(humanoid.turn[2])
-    note = f"{name} lies: by its rig it stands up {up} and faces {front}, and so does the result; export it y up"
-    return () if up == "+y" else (note,)
 
 
 def _check_above(own: FileRig, joints: list[int]) -> None:

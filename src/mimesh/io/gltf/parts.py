@@ -34,7 +34,7 @@ def static_parts(mesh: Mesh) -> Bool[np.ndarray, " P"]:
         moving = joints | animated_nodes(document, (*PLAYED_PATHS, "weights"))
     except InputError:  # a damaged animation, which may move anything
         return np.zeros(len(keys), bool)
-    parents = tuple(node_parents(document))
+    parents = node_parents(document)
     ranges = _ranges(source.rest)
     return np.array(
         [find_skin(document, ranges[key]) is None and not moving & set(ancestors(parents, key[0])) for key in keys],
@@ -49,7 +49,7 @@ def characters(mesh: Mesh) -> dict[str, Bool[np.ndarray, " P"]]:
     detail with skeletons of their own are where the body is, and count as one character with it.
     """
     source = cast(GltfSource, mesh.source)
-    document, parents = source.document, tuple(node_parents(source.document))
+    document, parents = source.document, node_parents(source.document)
     every = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
     boxes: dict[int, list[Float[np.ndarray, "2 3"]]] = {}
     joints, names, roots = dict[int, set[int]](), dict[int, list[str]](), np.full(len(mesh.parts), -1)
@@ -73,14 +73,19 @@ def characters(mesh: Mesh) -> dict[str, Bool[np.ndarray, " P"]]:
         tall = len(joints[root]) >= FEWEST_JOINTS and high[1] - low[1] >= HALF_AS_TALL * tallest
         if tall and all(_apart((low, high), whole[other]) for other in found):
             found.append(root)
-    return {_own_name(root, names, k): roots == root for k, root in enumerate(found, 1)}
+    own_names = {}
+    for k, root in enumerate(found, 1):
+        others = {name for other, some in names.items() if other != root for name in some}
+        own = (name for name in names[root] if name not in others)
+        own_names[root] = next(own, f"{[*names[root], 'character'][0]} {k}")
+    return {own_names[root]: roots == root for root in found}
 
 
 def names_above(mesh: Mesh) -> list[tuple[str, ...]]:
     """List for each part its name and those of its mesh, its node, its skeleton and all nodes above these."""
     source = cast(GltfSource, mesh.source)
     document, ranges = source.document, _ranges(source.rest)
-    nodes, parents, named = document.gltf["nodes"], tuple(node_parents(document)), []
+    nodes, parents, named = document.gltf["nodes"], node_parents(document), []
     for part, (key, span) in zip(mesh.parts, ranges.items(), strict=True):
         above, skin = set(ancestors(parents, key[0])), find_skin(document, span)
         if skin is not None:
@@ -117,12 +122,6 @@ def _ranges(rest: RestScene) -> dict[PrimitiveKey, VertexRange]:
     """Return the range of vertices of each primitive with faces, in their order."""
     of_key = {(span.node, primitive): span for span in rest.vertex_ranges for primitive in span.primitives}
     return {key: of_key[key] for key in rest.faces}
-
-
-def _own_name(root: int, names: dict[int, list[str]], number: int) -> str:
-    """Return the first of the names of a character that no other has; the first with a number if there is none."""
-    others = {name for other, some in names.items() if other != root for name in some}
-    return next((name for name in names[root] if name not in others), f"{[*names[root], 'character'][0]} {number}")
 
 
 def _apart(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> bool:

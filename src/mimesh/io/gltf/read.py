@@ -9,7 +9,7 @@ pose moves each of them rigidly with its joint.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,7 +89,10 @@ def read_rest(document: Document) -> tuple[Mesh, RestScene]:
     T_world_node = world_matrices(document)
     vertex_ranges = _find_vertex_ranges(document)
     start = {(span.node, primitive): span.start for span in vertex_ranges for primitive in span.primitives}
-    keys = [key for key in primitives_in_scene_order(vertex_ranges) if _get_mode(document, key) >= TRIANGLES]
+    # Nodes in scene order, and the primitives of each in file order.
+    rank = {node: i for i, node in enumerate(dict.fromkeys(span.node for span in vertex_ranges))}
+    keys = sorted(start, key=lambda key: (rank[key[0]], key[1]))
+    keys = [key for key in keys if _get_mode(document, key) >= TRIANGLES]
     triangles = [_read_faces(document, key) for key in keys]
     # A negative determinant of the node's global transform reverses the winding order (glTF 2.0, 3.7.4 Instantiation).
     triangles = [
@@ -110,7 +113,7 @@ def read_rest(document: Document) -> tuple[Mesh, RestScene]:
         vertices,
         faces,
         name=document.path.stem,
-        corner_uv=_read_corner_uv(document, keys, triangles),
+        corner_uv=_corner_values([_read_vertex_uv(document, get_primitive(document, key)) for key in keys], triangles),
         corner_normals=_read_corner_normals(document, keys, triangles, T_world_node, vertices, faces),
         vertex_colors=_read_vertex_colors(document, vertex_ranges, len(vertices)),
         parts=_read_parts(document, rest),
@@ -147,13 +150,6 @@ def get_primitive(document: Document, key: PrimitiveKey) -> dict[str, Any]:
     return document.gltf["meshes"][document.gltf["nodes"][node]["mesh"]]["primitives"][primitive]
 
 
-def primitives_in_scene_order(vertex_ranges: tuple[VertexRange, ...]) -> list[PrimitiveKey]:
-    """List all primitives of the ranges: nodes in scene order, and each node's primitives in file order."""
-    rank = {node: i for i, node in enumerate(dict.fromkeys(span.node for span in vertex_ranges))}
-    keys = ((span.node, p) for span in vertex_ranges for p in span.primitives)
-    return sorted(keys, key=lambda key: (rank[key[0]], key[1]))
-
-
 def _find_vertex_ranges(document: Document) -> tuple[VertexRange, ...]:
     """Group the primitives of the scene by the vertices that they draw, and number these vertices.
 
@@ -167,7 +163,11 @@ def _find_vertex_ranges(document: Document) -> tuple[VertexRange, ...]:
         for index, primitive in enumerate(primitives):
             position = primitive["attributes"].get("POSITION")
             if position is not None and document.gltf["accessors"][position]["count"]:
-                groups.setdefault((node, *_deformation_key(primitive)), []).append((node, index))
+                # Primitives with the same accessors for their vertex positions share vertices.
+                deforming = ("JOINTS_", "WEIGHTS_")
+                skinning = sorted(item for item in primitive["attributes"].items() if item[0].startswith(deforming))
+                targets = [target.get("POSITION") for target in primitive.get("targets", [])]
+                groups.setdefault((node, position, *skinning, *targets), []).append((node, index))
     drawn_groups = [group for group in groups.values() if any(_get_mode(document, key) >= TRIANGLES for key in group)]
     drawn_groups = drawn_groups or [
         group for group in groups.values() if any(_get_mode(document, key) == POINTS for key in group)
@@ -185,17 +185,6 @@ def _find_vertex_ranges(document: Document) -> tuple[VertexRange, ...]:
         start += count
     VERTICES.check(start, document.path)
     return tuple(vertex_ranges)
-
-
-def _deformation_key(primitive: dict[str, Any]) -> tuple[Any, ...]:
-    """Return the accessors that decide a primitive's vertex positions: primitives with equal keys share vertices."""
-    attributes = primitive["attributes"]
-    skinning = sorted(item for item in attributes.items() if item[0].startswith(("JOINTS_", "WEIGHTS_")))
-    return (
-        attributes["POSITION"],
-        tuple(skinning),
-        tuple(target.get("POSITION") for target in primitive.get("targets", [])),
-    )
 
 
 def _get_mode(document: Document, key: PrimitiveKey) -> int:
@@ -223,6 +212,14 @@ def _read_faces(document: Document, key: PrimitiveKey) -> Int[np.ndarray, "F 3"]
     return triangles[(a != b) & (b != c) & (c != a)]
 
 
+def _corner_values(values_of: Sequence[np.ndarray | None], triangles: list[np.ndarray]) -> np.ndarray | None:
+    """Return values at vertices of primitives at all corners; zeros where one has none, None where no one has any."""
+    pairs = zip(values_of, triangles, strict=True)
+    return joined_corners(
+        [None if values is None else values[faces] for values, faces in pairs], list(map(len, triangles))
+    )
+
+
 def _read_corner_normals(
     document: Document,
     keys: list[PrimitiveKey],
@@ -236,11 +233,7 @@ def _read_corner_normals(
     A primitive without normals among others gets face normals (glTF 2.0, 3.7.2.1: "calculate flat normals").
     """
     vertex_normals = [read_rest_normals(document, node, primitive, T_world_node) for node, primitive in keys]
-    corners = [
-        None if normals is None else normals[local_faces]
-        for normals, local_faces in zip(vertex_normals, triangles, strict=True)
-    ]
-    normals = joined_corners(corners, list(map(len, triangles)))
+    normals = _corner_values(vertex_normals, triangles)
     return None if normals is None else with_face_normals(normals, vertices, faces)
 
 
@@ -259,17 +252,6 @@ def _read_vertex_colors(
                 colors[span.start + drawn] = with_alpha(values)[drawn]
                 found = True
     return colors if found else None
-
-
-def _read_corner_uv(
-    document: Document, keys: list[PrimitiveKey], triangles: list[np.ndarray]
-) -> Float[np.ndarray, "F 3 2"] | None:
-    """Read the base colour texture coordinates of all corners, v up; zeros where a primitive has none."""
-    vertex_uv = [_read_vertex_uv(document, get_primitive(document, key)) for key in keys]
-    return joined_corners(
-        [None if uv is None else uv[local_faces] for uv, local_faces in zip(vertex_uv, triangles, strict=True)],
-        list(map(len, triangles)),
-    )
 
 
 def _read_vertex_uv(document: Document, primitive: dict[str, Any]) -> Float[np.ndarray, "V 2"] | None:
@@ -362,9 +344,12 @@ def rig_on_nodes(
             nodes.append(node)
     parts = [_read_range_influences(document, rest, span, joint_of_node, len(nodes)) for span in rest.vertex_ranges]
     columns = max(weights.shape[1] for _, weights, _ in parts)
-    joint_of, weights, points = (
-        np.concatenate([_pad_influences(part[k], columns) for part in parts]) for k in range(3)
-    )
+    padded = []
+    for part in parts:
+        padding = [(0, 0), (0, columns - part[1].shape[1]), (0, 0)]
+        # With weight zero, it does not matter that the joint of the padding is 0.
+        padded.append([np.pad(values, padding[: values.ndim]) for values in part])
+    joint_of, weights, points = (np.concatenate(some) for some in zip(*padded, strict=True))
     names = tuple(node_name(document, node) for node in nodes)
     parents = tuple(joint_of_node[node_parent[node]] for node in nodes)
     return SkinnedCharacter(mesh, names, parents, rest.T_world_node[nodes], joint_of, weights, points), nodes
@@ -439,8 +424,3 @@ def _read_range_influences(
     # Skins list the same nodes in different orders: count joints by node.
     joint_of_skin = np.array([joint_of_node[node] for node in document.gltf["skins"][skin]["joints"]])
     return joint_of_skin[skin_joints], weights, np.stack(points, axis=1)
-
-
-def _pad_influences(values: np.ndarray, columns: int) -> np.ndarray:
-    """Pad influences to `columns` with zeros; with weight zero, it does not matter that their joint is 0."""
-    return np.pad(values, [(0, 0), (0, columns - values.shape[1]), *[(0, 0)] * (values.ndim - 2)])

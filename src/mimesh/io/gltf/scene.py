@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ...core.errors import damaged
 from ...core.geometry import finite_or_zero, nearest_rotation
@@ -93,7 +93,10 @@ def scene_nodes(document: Document) -> list[int]:
     """List the nodes of the default scene (else of scene 0, else of the file), depth first: the scene order."""
     gltf = document.gltf
     scenes = gltf.get("scenes")
-    roots = scenes[gltf.get("scene", 0)].get("nodes", []) if scenes else _root_nodes(node_parents(document))
+    if scenes:
+        roots = scenes[gltf.get("scene", 0)].get("nodes", [])
+    else:
+        roots = [node for node, parent in enumerate(node_parents(document)) if parent < 0]
     order: dict[int, None] = {}
     stack = list(reversed(roots))
     while stack:
@@ -241,8 +244,7 @@ def read_inverse_bind_matrices(document: Document, skin: int) -> Float[np.ndarra
     Those of `unbound_joints` are such that the nodes, as they are in the file, are the bind pose.
     """
     matrices = _stored_bind_matrices(document, skin)
-    unbound = unbound_joints(document, skin)
-    if unbound:
+    if unbound := unbound_joints(document, skin):
         nodes = np.array(document.gltf["skins"][skin]["joints"])[unbound]
         matrices[unbound] = np.linalg.pinv(world_matrices(document)[nodes])
     return matrices
@@ -251,22 +253,14 @@ def read_inverse_bind_matrices(document: Document, skin: int) -> Float[np.ndarra
 def unbound_joints(document: Document, skin: int) -> list[int]:
     """List the joints of a skin with an inverse bind matrix of zeros, or one of NaN that no vertex is bound to."""
     matrices = _stored_bind_matrices(document, skin)
-    broken = ~np.isfinite(matrices).all(axis=(1, 2))
-    if broken.any():
-        broken &= ~_bound(document, skin)
-    return np.flatnonzero(broken | ~matrices[:, :3].any(axis=(1, 2))).tolist()
-
-
-def _bound(document: Document, skin: int) -> Bool[np.ndarray, " J"]:
-    """Tell which joints of a skin have weights."""
-    bound = np.zeros(len(document.gltf["skins"][skin]["joints"]), bool)
-    for node in document.gltf["nodes"]:
+    broken = np.logical_not(np.isfinite(matrices).all(axis=(1, 2)))
+    for node in document.gltf["nodes"] if broken.any() else ():
         if node.get("skin") == skin and "mesh" in node:
             for primitive in document.gltf["meshes"][node["mesh"]]["primitives"]:
                 if "JOINTS_0" in primitive["attributes"]:
                     joints, weights = read_influences(document, primitive)
-                    bound[joints[(weights > 0) & (joints < len(bound))]] = True
-    return bound
+                    broken[joints[(weights > 0) & (joints < len(broken))]] = False
+    return np.flatnonzero(broken | ~matrices[:, :3].any(axis=(1, 2))).tolist()
 
 
 def _stored_bind_matrices(document: Document, skin: int) -> Float[np.ndarray, "J 4 4"]:
@@ -325,8 +319,15 @@ def local_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
     if "matrix" in node:
         return with_last_row(np.array(node["matrix"], np.float64).reshape(4, 4).T)
     values = {path: np.array(node.get(path, default), np.float64) for path, default in DEFAULT_TRS.items()}
+    x, y, z, w = np.moveaxis(normalized_quaternions(values["rotation"]), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    rotation = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
     matrix = np.zeros((*np.broadcast_shapes(*(value.shape[:-1] for value in values.values())), 4, 4))
-    matrix[..., :3, :3] = _rotation_matrix(values["rotation"]) * values["scale"][..., None, :]
+    matrix[..., :3, :3] = rotation * values["scale"][..., None, :]
     matrix[..., :3, 3] = values["translation"]
     matrix[..., 3, 3] = 1.0
     return matrix
@@ -340,17 +341,6 @@ def with_last_row(matrices: Float[np.ndarray, "*N 4 4"]) -> Float[np.ndarray, "*
     result = matrices.copy()
     result[..., 3, :] = [0.0, 0.0, 0.0, 1.0]
     return result
-
-
-def _rotation_matrix(quat_xyzw: Float[np.ndarray, "*T 4"]) -> Float[np.ndarray, "*T 3 3"]:
-    """Return the rotation matrices of quaternions, which are scaled to unit length first."""
-    x, y, z, w = np.moveaxis(normalized_quaternions(quat_xyzw), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def node_parents(document: Document) -> list[int]:
@@ -369,17 +359,13 @@ def node_parents(document: Document) -> list[int]:
     return parent
 
 
-def _root_nodes(parent: list[int]) -> list[int]:
-    return [node for node, parent_node in enumerate(parent) if parent_node < 0]
-
-
 def sort_parents_first(document: Document, parent: list[int]) -> list[int]:
     """List all nodes, each after its parent.
 
     Raises:
         InputError: the node tree has a loop.
     """
-    order = _root_nodes(parent)
+    order = [node for node, above in enumerate(parent) if above < 0]
     for node in order:  # breadth first: the list grows while it is iterated
         order.extend(document.gltf["nodes"][node].get("children", []))
     if len(order) < len(parent):

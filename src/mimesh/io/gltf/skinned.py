@@ -1,4 +1,4 @@
-"""Writes a skinned mesh: joints, a skin with weights of vertices, and animations of rotations and the root's path.
+"""Writes joints: with a skinned mesh or alone, in the hierarchy of the skeleton, and animations of them.
 
 Joints that turn have a key in every frame, and so has the root's path: from it readers know the frame rate and the
 number of frames.
@@ -21,11 +21,12 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core.animated_rig import AnimatedRig, RigAnimation
+from ...core.rig import homogeneous
 from ..timing import DEFAULT_FPS
 from .animation import AnimationChannel, add_animation, local_quaternions, rotation_channels
 from .build import build_document, stage_transform
 from .draft import PER_SET, Draft
-from .edit import GltfSource, PrimitiveGroup, edit_document, with_normals
+from .edit import PrimitiveGroup, with_normals
 from .scene import DEFAULT_TRS
 
 STILL = 1e-7
@@ -44,10 +45,7 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path, animated:
     """
     skeleton = animations[0].skeleton
     mesh = with_normals(skeleton.mesh)
-    if isinstance(mesh.source, GltfSource):
-        draft, groups = edit_document(mesh.source, mesh, skinned=True)
-    else:
-        draft, groups = build_document(mesh, mesh)
+    draft, groups = build_document(mesh, mesh, skinned=True)
     if not draft.gltf.get("scenes"):  # readers show all roots then, but no longer once there is a scene
         children = {child for node in draft.gltf["nodes"] for child in node.get("children", [])}
         draft.gltf["scenes"] = [{"nodes": [n for n in range(len(draft.gltf["nodes"])) if n not in children]}]
@@ -61,7 +59,13 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path, animated:
         skin = _add_skin(draft, skeleton, joint_nodes, node_groups[0].T_world_local)
         _attach_skinned_mesh(draft, node, skin, node_groups)
     if animated:
-        draft.gltf["animations"] = [_joint_animation(draft, animation, joint_nodes) for animation in animations]
+        draft.gltf["animations"] = []
+        for animation in animations:
+            moved, fps = animation.skeleton, animation.fps
+            channels = rotation_channels(joint_nodes, moved.rotation, moved.parents, fps)
+            for j, way in _moved_joints(moved).items():
+                channels.append(AnimationChannel(joint_nodes[j], "translation", np.arange(len(way)) / fps, way))
+            draft.gltf["animations"].append(add_animation(draft, animation.name, channels))
     draft.save(path)
 
 
@@ -74,10 +78,7 @@ def _add_joints(draft: Draft, skeleton: AnimatedRig, rest: Float[np.ndarray, "J 
     """Add a node for each joint, with its rotation at rest, and the root to the scene; returns the nodes' indices."""
     nodes, start = draft.gltf["nodes"], len(draft.gltf["nodes"])
     translations = np.concatenate([skeleton.rig.joints[:1], skeleton.rig.bones(skeleton.parents)])
-    for j, name in enumerate(skeleton.names):
-        node: dict[str, Any] = {"name": name, "rotation": rest[j].tolist(), "translation": translations[j].tolist()}
-        children = [start + c for c, parent in enumerate(skeleton.parents) if parent == j]
-        nodes.append(node | ({"children": children} if children else {}))
+    nodes += _joint_nodes(skeleton.names, skeleton.parents, {"rotation": rest, "translation": translations}, start)
     axes = stage_transform(skeleton.mesh)
     if axes:  # a skin follows its joints and ignores the mesh's own node, so a change of axes goes above the joints
         nodes.append({"name": "axes", **axes, "children": [start]})
@@ -106,8 +107,7 @@ def _add_skin(
     draft: Draft, skeleton: AnimatedRig, joint_nodes: list[int], T_world_local: Float[np.ndarray, "4 4"]
 ) -> int:
     """Add a skin for a mesh whose vertices are in the frame `T_world_local`; returns its index."""
-    T_world_joint = np.tile(np.eye(4), (len(joint_nodes), 1, 1))
-    T_world_joint[:, :3, :3], T_world_joint[:, :3, 3] = skeleton.rig.rotation, skeleton.rig.joints
+    T_world_joint = homogeneous(skeleton.rig.rotation, skeleton.rig.joints)
     inverse_bind = draft.add_matrices(np.linalg.inv(T_world_joint) @ T_world_local)
     skin = {"joints": joint_nodes, "skeleton": joint_nodes[0], "inverseBindMatrices": inverse_bind}
     draft.gltf.setdefault("skins", []).append(skin)
@@ -144,15 +144,6 @@ def _default_scene(draft: Draft) -> dict[str, Any]:
     return draft.gltf["scenes"][draft.gltf.get("scene", 0)]
 
 
-def _joint_animation(draft: Draft, animation: RigAnimation, joint_nodes: list[int]) -> dict[str, Any]:
-    """Add an animation: the rotations of all joints, and the translations of those that move, in every frame."""
-    skeleton, fps = animation.skeleton, animation.fps
-    channels = rotation_channels(joint_nodes, skeleton.rotation, skeleton.parents, fps)
-    for j, path in _moved_joints(skeleton).items():
-        channels.append(AnimationChannel(joint_nodes[j], "translation", np.arange(len(path)) / fps, path))
-    return add_animation(draft, animation.name, channels)
-
-
 def _moved_joints(skeleton: AnimatedRig) -> dict[int, Float[np.ndarray, "T 3"]]:
     """Find the joints whose position in the frame of their parent changes: joint -> that position in every frame.
 
@@ -164,3 +155,58 @@ def _moved_joints(skeleton: AnimatedRig) -> dict[int, Float[np.ndarray, "T 3"]]:
     change = np.linalg.norm(local[:, 1:] - bones, axis=-1).max(axis=0)
     moved = np.flatnonzero(change > STILL * skeleton.size) + 1
     return {int(j): local[:, j] for j in (0, *moved)}
+
+
+def write_gltf_joints(
+    name: str,
+    names: tuple[str, ...],
+    parents: tuple[int, ...],
+    rest: Float[np.ndarray, "J 3"],
+    rotation: Float[np.ndarray, "T J 3 3"],
+    root: Float[np.ndarray, "T 3"],
+    fps: float,
+    path: Path,
+) -> None:
+    """Write one motion of joints as .glb or .gltf by the suffix of `path`; arguments as in `joints_draft` and below.
+
+    A skin that no mesh uses lists the joints: Blender makes an armature of it, and three.js bones.
+    """
+    draft = joints_draft(names, parents, rest)
+    bind = homogeneous(np.tile(np.eye(3), (len(rest), 1, 1)), -rest)
+    skin = {"joints": list(range(len(names))), "skeleton": 0, "inverseBindMatrices": draft.add_matrices(bind)}
+    draft.gltf["skins"] = [skin]
+    draft.gltf["animations"] = [joint_animation(draft, name, parents, rotation, root, fps)]
+    draft.save(path)
+
+
+def joints_draft(names: Sequence[str], parents: tuple[int, ...], rest: Float[np.ndarray, "J 3"]) -> Draft:
+    """Build a document of joints alone, none of which is rotated at rest; the root comes first, with parent -1."""
+    steps = rest - np.where(np.array(parents)[:, None] >= 0, rest[list(parents)], 0.0)
+    asset = {"version": "2.0", "generator": "mimesh"}
+    nodes = _joint_nodes(names, parents, {"translation": steps})
+    return Draft({"asset": asset, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": nodes})
+
+
+def joint_animation(
+    draft: Draft,
+    name: str,
+    parents: tuple[int, ...],
+    rotation: Float[np.ndarray, "T J 3 3"],
+    root: Float[np.ndarray, "T 3"],
+    fps: float,
+) -> dict[str, Any]:
+    """Add an animation of all joints: world rotations since rest, and the path of the root in every frame."""
+    path = AnimationChannel(0, "translation", np.arange(len(root)) / fps, root)
+    return add_animation(draft, name, [path, *rotation_channels(range(len(parents)), rotation, parents, fps)])
+
+
+def _joint_nodes(
+    names: Sequence[str], parents: tuple[int, ...], properties: dict[str, np.ndarray], start: int = 0
+) -> list[dict[str, Any]]:
+    """Return a node for each joint, with given properties at rest; the first one gets the index `start`."""
+    nodes: list[dict[str, Any]] = []
+    for j, name in enumerate(names):
+        children = [start + child for child, parent in enumerate(parents) if parent == j]
+        own = {key: values[j].tolist() for key, values in properties.items()}
+        nodes.append({"name": name, **own} | ({"children": children} if children else {}))
+    return nodes

@@ -23,8 +23,8 @@ from ...bodies.engine_names import SCHEMES
 from ...motions.bone_motion import TRUNK, BoneMotion, misplaced_bones
 from .document import Document, open_document
 from .draft import AccessorCopier
-from .joints import joint_animation, joints_draft
 from .scene import DEFAULT_TRS, node_parents, node_properties, world_matrices
+from .skinned import joint_animation, joints_draft
 
 ANIMATION = "VRMC_vrm_animation"
 """Extension of VRM animations."""
@@ -167,7 +167,10 @@ def read_origin(document: Document) -> tuple[str, str]:
         old.get("licenseName"),
         extras.get("license"),
     )
-    return _first_text(makers), _first_text(licences)
+    # The first text that is not empty, on one line and cut.
+    texts = ([" ".join(value.split()) for value in some if isinstance(value, str)] for some in (makers, licences))
+    maker, licence = (next((text[:LONGEST] for text in of_one if text), "") for of_one in texts)
+    return maker, licence
 
 
 def json_object(value: Any, key: str) -> dict[str, Any]:
@@ -196,12 +199,6 @@ def _expression(document: Document, entry: dict[str, Any], key: str, full: float
 
 def _is_index(value: Any, count: int) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count
-
-
-def _first_text(values: tuple[object, ...]) -> str:
-    """Return the first value that is a text and not empty, on one line and cut."""
-    texts = (" ".join(value.split()) for value in values if isinstance(value, str))
-    return next((text[:LONGEST] for text in texts if text), "")
 
 
 def write_vrma(motions: Sequence[BoneMotion], path: Path) -> None:
@@ -269,7 +266,8 @@ def _move_bones(gltf: dict[str, Any], document: Document, joints: Mapping[str, i
     moved = misplaced_bones(joints, parents)
     for joint, above in moved.items():
         node = joints[joint]
-        for owner, key in [(nodes[parents[node]], "children")] if parents[node] >= 0 else _listed(gltf, node):
+        of_scenes = [(scene, "nodes") for scene in gltf["scenes"] if node in scene.get("nodes", [])]
+        for owner, key in [(nodes[parents[node]], "children")] if parents[node] >= 0 else of_scenes:
             owner[key] = [child for child in owner[key] if child != node]
             if not owner[key]:
                 del owner[key]
@@ -281,8 +279,3 @@ def _move_bones(gltf: dict[str, Any], document: Document, joints: Mapping[str, i
         nodes[node] = kept | {key: value.tolist() for key, value in placed.items()}
     for skin in gltf.get("skins", []) if moved else ():
         skin.pop("skeleton", None)  # optional, and perhaps no longer above all joints (glTF 2.0, 5.28.2)
-
-
-def _listed(gltf: dict[str, Any], node: int) -> list[tuple[dict[str, Any], str]]:
-    """List the scenes that have a node as a root, with the property that says so."""
-    return [(scene, "nodes") for scene in gltf["scenes"] if node in scene.get("nodes", [])]

@@ -1,8 +1,8 @@
 """Read and write USD (.usd, .usda, .usdc, .usdz) with the library usd-core (the extra `usd`).
 
-stage -> read    opens files of others, as a Mesh or frame by frame, in a child process
-source           what a new file takes over: polygons, axis, unit
-write            writes a new file for any Mesh or Clip
+read      opens files of others, as a Mesh or frame by frame, in a child process
+source    what a new file takes over: polygons, axis, unit
+write     writes a new file for any Mesh or Clip
 
 The library is imported only in the child, and when a new file is written.
 """

@@ -2,6 +2,8 @@
 
 This runs in a child process (`child_process.child_result`): the library ends the process at some damage (an abort or a
 segmentation fault), and for some files it never ends.
+
+Points come from time samples, blend shapes, linear blend skinning by UsdSkel, and the transforms of prims.
 """
 
 from __future__ import annotations
@@ -10,38 +12,34 @@ import contextlib
 import dataclasses
 import itertools
 import zipfile
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade
+from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils
 
 from ...core.budgets import check_clip_size
 from ...core.errors import InputError, damaged
 from ...core.frame_buffer import Progress
 from ...core.geometry import turn_normals, unit_vectors
 from ...core.mesh import Material, Mesh, Part
+from ..beside import confining_folder, may_be_read
 from ..guarded import hand_over_clip, hand_over_mesh
 from ..mtl import image_suffix
 from ..polygons import fan_corners, joined_corners, with_face_normals
 from ..timing import LONGEST, frame_count
 from .source import UsdSource
-from .stage import (
-    ALL_PRIMS,
-    DEFAULT_TIME,
-    MeshPrim,
-    find_skinning,
-    has_default_values,
-    open_stage,
-    shown_meshes,
-    time_code_range,
-    transform_points,
-)
 
 # usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
 
+ALL_PRIMS = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
+"""Traversal predicate: active, defined, loaded prims that are not abstract, including those inside instances."""
+DEFAULT_TIME = Usd.TimeCode.Default()
+"""The time of values that are authored without a time code."""
 MaterialCache = dict[Sdf.Path, Material]
 """Materials of the stage by prim path, so that each is read once."""
 DEFAULT_DIFFUSE = (0.18, 0.18, 0.18)
@@ -59,10 +57,8 @@ def read_mesh(source: Path, target: Path) -> None:
     Raises:
         InputError: the file is damaged, or has no visible meshes.
     """
-    with _reading(source):
-        stage = open_stage(source)
-        mesh = _join_prims(stage, find_skinning(stage, shown_meshes(stage, source)), source)
-        hand_over_mesh(target, mesh)
+    with _opened(source) as (stage, mesh_prims):
+        hand_over_mesh(target, _join_prims(stage, mesh_prims, source))
 
 
 def read_clip(source: Path, target: Path, fps: float | None, progress: Progress) -> None:
@@ -74,9 +70,7 @@ def read_clip(source: Path, target: Path, fps: float | None, progress: Progress)
     Raises:
         InputError: as `read_mesh`; faces or number of points change over time; longer than `timing.LONGEST`.
     """
-    with _reading(source):
-        stage = open_stage(source)
-        mesh_prims = find_skinning(stage, shown_meshes(stage, source))
+    with _opened(source) as (stage, mesh_prims):
         mesh = _join_prims(stage, mesh_prims, source)
         start, seconds, codes = _time_range(stage, mesh_prims, source)
         count, step = frame_count(seconds, fps or codes), codes / (fps or codes)
@@ -89,14 +83,17 @@ def read_clip(source: Path, target: Path, fps: float | None, progress: Progress)
 
 
 @contextlib.contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """Turn errors of the library into an InputError of one line.
+def _opened(path: Path) -> Iterator[tuple[Usd.Stage, list[MeshPrim]]]:
+    """Open the stage of a file with all its payloads, and find its meshes; errors of the library become InputErrors.
 
     USD reads values lazily, so an error may come long after the stage was opened: the whole read runs in this block.
     """
     check_package(path)
     try:
-        yield
+        if confining_folder() is not None:
+            _check_references(path)
+        stage = Usd.Stage.Open(str(path))
+        yield stage, find_skinning(stage, shown_meshes(stage, path))
     except Tf.ErrorException as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         found = lines[0].rpartition(" : ")[2] if lines else "nothing"
@@ -126,7 +123,7 @@ def check_package(path: Path) -> None:
 
 def _time_range(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) -> tuple[float, float, float]:
     """Return the first time code of a stage, its duration in seconds, and its time codes a second."""
-    start, stop = time_code_range(stage, _samples(mesh_prims), path)
+    start, stop = time_code_range(stage, mesh_prims, path)
     codes = stage.GetTimeCodesPerSecond()
     if not codes > 0:
         raise InputError(f"{path}: expected some time codes a second, found {codes:g}; set timeCodesPerSecond to 24")
@@ -136,10 +133,6 @@ def _time_range(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) -> tup
             "export a shorter range"
         )
     return start, (stop - start) / codes, codes
-
-
-def _samples(mesh_prims: list[MeshPrim]) -> list[float]:
-    return [time for mesh_prim in mesh_prims for time in mesh_prim.sample_times()]
 
 
 def _frames(
@@ -162,20 +155,16 @@ def _frames(
     for frame, time_code in enumerate(time_codes):
         xforms.SetTime(Usd.TimeCode(time_code))
         points = [mesh_prim.points(xforms) if moves[k] else first_points[k] for k, mesh_prim in enumerate(mesh_prims)]
-        for k in varying:
-            if _topology(mesh_prims[k].prim, xforms.GetTime()) != topologies[k]:
-                raise _topology_error(path, mesh_prims[k].prim, frame, "other faces")
-        for mesh_prim, before, now in zip(mesh_prims, first_points, points, strict=True):
-            if len(before) != len(now):
-                raise _topology_error(path, mesh_prim.prim, frame, f"{len(now)} points after {len(before)}")
+        for k, (mesh_prim, before, now) in enumerate(zip(mesh_prims, first_points, points, strict=True)):
+            found = f"{len(now)} points after {len(before)}" if len(before) != len(now) else ""
+            if k in varying and _topology(mesh_prim.prim, xforms.GetTime()) != topologies[k]:
+                found = "other faces"
+            if found:
+                raise InputError(
+                    f"{path}: expected one topology for the whole clip, found {found} in frame {frame} of "
+                    f"{mesh_prim.prim.GetPath()}; export without changing topology"
+                )
         yield np.concatenate(points)
-
-
-def _topology_error(path: Path, prim: Usd.Prim, frame: int, found: str) -> InputError:
-    return InputError(
-        f"{path}: expected one topology for the whole clip, found {found} in frame {frame} of {prim.GetPath()}; "
-        "export without changing topology"
-    )
 
 
 def _topology(prim: Usd.Prim, time: Usd.TimeCode):
@@ -186,7 +175,7 @@ def _topology(prim: Usd.Prim, time: Usd.TimeCode):
 def _join_prims(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) -> Mesh:
     """Join all prims at the time of the rest shape to one Mesh with its source."""
     at_default_time = all(has_default_values(mesh_prim.prim) for mesh_prim in mesh_prims)
-    first = time_code_range(stage, _samples(mesh_prims), path)[0]
+    first = time_code_range(stage, mesh_prims, path)[0]
     xforms = UsdGeom.XformCache(DEFAULT_TIME if at_default_time else Usd.TimeCode(first))
     materials: MaterialCache = {}
     meshes, sizes = zip(*(_read_prim(mesh_prim, xforms, materials, path) for mesh_prim in mesh_prims), strict=True)
@@ -243,7 +232,10 @@ def _read_prim(
 ) -> tuple[Mesh, Int[np.ndarray, " P"]]:
     """Read a prim in world coordinates at the time of `xforms`, sorted by part, and the corners of each polygon."""
     prim, time = mesh_prim.prim, xforms.GetTime()
-    counts, corners = _polygons(prim, time, path)
+    counts, corners = (np.array(value or [], np.int64) for value in _topology(prim, time))
+    if (counts < 0).any() or counts.sum() != len(corners):
+        expected = f"as many face vertices in {prim.GetPath()} as its faces have corners ({counts.sum()})"
+        raise damaged(path, expected, len(corners))
     vertices = mesh_prim.points(xforms)
     if len(corners) and (corners.min() < 0 or corners.max() >= len(vertices)):
         worst = int(corners.max() if corners.max() >= len(vertices) else corners.min())
@@ -267,15 +259,6 @@ def _read_prim(
         parts=_parts(binding_prims, labels[polygon], materials),
     )
     return mesh, counts[order]
-
-
-def _polygons(prim: Usd.Prim, time: Usd.TimeCode, path: Path) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, " C"]]:
-    """Read the corner count of each polygon and the vertex index of each corner."""
-    counts, corners = (np.array(value or [], np.int64) for value in _topology(prim, time))
-    if (counts < 0).any() or counts.sum() != len(corners):
-        expected = f"as many face vertices in {prim.GetPath()} as its faces have corners ({counts.sum()})"
-        raise damaged(path, expected, len(corners))
-    return counts, corners
 
 
 def _shown_polygons(prim: Usd.Prim, counts, labels) -> Int[np.ndarray, " P"]:
@@ -375,7 +358,12 @@ def _read_material(bound: UsdShade.Material) -> Material:
     image = _diffuse_texture(surface)
     if image is not None:
         color = _input_value(image, "scale", (1.0, 1.0, 1.0, 1.0))
-        texture = _read_asset(_input_value(image, "file", None))
+        # PNG or JPEG, also inside a package; other formats and missing files are left out.
+        asset = _input_value(image, "file", None)
+        place = Ar.ResolvedPath(asset.resolvedPath) if asset and asset.resolvedPath else None
+        opened = Ar.GetResolver().OpenAsset(place) if place else None
+        content = bytes(opened.GetBuffer()) if opened else b""
+        texture = content if image_suffix(content) else None
     opacity = _input_value(surface, "opacity", 1.0)
     red, green, blue = (float(value) for value in color[:3])
     return Material(_display_name(bound.GetPrim()), (red, green, blue, float(opacity)), texture)
@@ -470,8 +458,209 @@ def _producing_attribute(shader: UsdShade.Shader, name: str) -> Usd.Attribute | 
     return attributes[0] if attributes else None
 
 
-def _read_asset(asset: Sdf.AssetPath | None) -> bytes | None:
-    """Read the PNG or JPEG file of an asset path, also inside a package; None for other formats and missing files."""
-    opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(asset.resolvedPath)) if asset and asset.resolvedPath else None
-    content = bytes(opened.GetBuffer()) if opened else b""
-    return content if image_suffix(content) else None
+def shown_meshes(stage: Usd.Stage, path: Path) -> list[Usd.Prim]:
+    """Find the Mesh prims that have points, are visible and of purpose default or render, in stage order.
+
+    Visibility is that of the stage's first time code. Meshes below point instancers are left out: they are prototypes,
+    shown only where the instancer places them.
+
+    Raises:
+        InputError: there are none; the message lists the prims that were found.
+    """
+    time = Usd.TimeCode(stage.GetStartTimeCode())
+    points = ((prim, UsdGeom.Mesh(prim).GetPointsAttr()) for prim in _visible(stage, time))
+    shown = [prim for prim, of in points if of.Get(DEFAULT_TIME) or of.Get(Usd.TimeCode.EarliestTime())]
+    if not shown:
+        kinds = Counter(str(prim.GetTypeName()) or "untyped prim" for prim in stage.Traverse(ALL_PRIMS))
+        found = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common(6)) or "no prims"
+        # An unresolved reference is the usual reason for an empty stage, so the first one is quoted.
+        errors = [str(error) for error in stage.GetCompositionErrors()]
+        found += f" (and not: {errors[0].splitlines()[0][:200]})" if errors else ""
+        raise InputError(
+            f"{path}: expected a visible mesh of purpose default or render, found {found}; "
+            "export the meshes, without instancing them by points"
+        )
+    return shown
+
+
+def column_matrix(value) -> Float[np.ndarray, "4 4"]:
+    """Convert a USD matrix, which multiplies row vectors (x' = x M), to one for column vectors (x' = M x)."""
+    return np.array(value, np.float64).T
+
+
+def transform_chain(prim: Usd.Prim) -> Iterator[UsdGeom.Xformable]:
+    """Yield the prims whose transforms place a prim in the world, from the prim itself up to the root.
+
+    It ends early at a prim that resets the transform stack: its ancestors have no effect.
+    """
+    while prim and not prim.IsPseudoRoot():
+        if prim.IsA(UsdGeom.Xformable):
+            yield UsdGeom.Xformable(prim)
+            if UsdGeom.Xformable(prim).GetResetXformStack():
+                return
+        prim = prim.GetParent()
+
+
+def time_code_range(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) -> tuple[float, float]:
+    """Return the first and last time code of a stage: as authored, else those of the samples of its meshes.
+
+    Without samples nothing moves, and both are 0.
+
+    Raises:
+        InputError: the authored range is not finite.
+    """
+    sample_times = [time for mesh_prim in mesh_prims for time in mesh_prim.sample_times()]
+    if not sample_times:
+        return 0.0, 0.0
+    start, stop = min(sample_times), max(sample_times)
+    if stage.HasAuthoredTimeCodeRange():
+        start, stop = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    if not np.isfinite([start, stop]).all():
+        raise InputError(f"{path}: expected finite time codes, found {start:g} to {stop:g}; export it again")
+    return start, max(start, stop)
+
+
+def has_default_values(prim: Usd.Prim) -> bool:
+    """Return whether points, faces and transforms of a mesh prim all have values at the default time."""
+    attributes = [op.GetAttr() for xform in transform_chain(prim) for op in xform.GetOrderedXformOps()]
+    mesh = UsdGeom.Mesh(prim)
+    attributes += [mesh.GetPointsAttr(), mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()]
+    return all(attribute.Get(DEFAULT_TIME) is not None for attribute in attributes)
+
+
+@dataclass(frozen=True, eq=False)
+class MeshPrim:
+    """A mesh prim with the skeleton, skin weights and blend shapes that deform it."""
+
+    prim: Usd.Prim
+    skeleton: UsdSkel.SkeletonQuery | None = None
+    """The bound skeleton and its animation; None for a mesh without UsdSkel binding."""
+    skinning: UsdSkel.SkinningQuery | None = None
+    """Joint influences and blend shape mapping of the mesh; None for a mesh without UsdSkel binding."""
+    blend_shapes: UsdSkel.BlendShapeQuery | None = None
+
+    @property
+    def is_skinned(self) -> bool:
+        """Whether joints deform the mesh."""
+        return self.skinning is not None and self.skinning.HasJointInfluences()
+
+    @property
+    def placing_prim(self) -> Usd.Prim:
+        """The prim whose transform places the deformed points: UsdSkel takes that of the skeleton if there is one."""
+        return self.skeleton.GetPrim() if self.skeleton is not None and self.is_skinned else self.prim
+
+    def sample_times(self) -> list[float]:
+        """Collect the time codes of all samples that move the points; empty for a mesh that does not move."""
+        points = UsdGeom.Mesh(self.prim).GetPointsAttr()
+        times = list(points.GetTimeSamples()) if points.ValueMightBeTimeVarying() else []
+        for xform in transform_chain(self.placing_prim):
+            times += xform.GetTimeSamples() if xform.TransformMightBeTimeVarying() else []
+        animation = self.skeleton.GetAnimQuery() if self.skeleton is not None else None
+        if animation and self.is_skinned and animation.JointTransformsMightBeTimeVarying():
+            times += animation.GetJointTransformTimeSamples()
+        if animation and self.blend_shapes is not None and animation.BlendShapeWeightsMightBeTimeVarying():
+            times += animation.GetBlendShapeWeightTimeSamples()
+        return times
+
+    def T_world_points(self, xforms: UsdGeom.XformCache) -> Float[np.ndarray, "4 4"]:
+        """Return the transform from the frame of the deformed points to the world, at the time of `xforms`."""
+        return column_matrix(xforms.GetLocalToWorldTransform(self.placing_prim))
+
+    def T_world_bind(self, xforms: UsdGeom.XformCache) -> Float[np.ndarray, "4 4"]:
+        """Return the transform from the frame of the authored points to the world, with all joints in bind pose."""
+        T_world_points = self.T_world_points(xforms)
+        if self.skinning is None or not self.is_skinned:
+            return T_world_points
+        return T_world_points @ column_matrix(self.skinning.GetGeomBindTransform(xforms.GetTime()))
+
+    def points(self, xforms: UsdGeom.XformCache) -> Float[np.ndarray, "V 3"]:
+        """Compute the world positions of the points at the time of `xforms`; empty where none are authored then.
+
+        The order is that of UsdSkel: blend shapes in the frame of the authored points, then skinning, which takes the
+        points to the skeleton's frame, then the transform to the world.
+        """
+        time = xforms.GetTime()
+        points = UsdGeom.Mesh(self.prim).GetPointsAttr().Get(time)
+        if not points:
+            return np.zeros((0, 3))
+        animation = self.skeleton.GetAnimQuery() if self.skeleton is not None else None
+        weights = animation.ComputeBlendShapeWeights(time) if animation and self.blend_shapes is not None else None
+        if weights and self.blend_shapes is not None and self.skinning is not None:
+            # The animation may list blend shapes in another order than the mesh.
+            mapper = self.skinning.GetBlendShapeMapper()
+            self.blend_shapes.ComputeDeformedPoints(  # with their in-betweens; changes `points` in place
+                *self.blend_shapes.ComputeSubShapeWeights(mapper.Remap(weights) if mapper else weights),
+                self.blend_shapes.ComputeBlendShapePointIndices(),
+                self.blend_shapes.ComputeSubShapePointOffsets(),
+                points,
+            )
+        if self.skeleton is not None and self.skinning is not None and self.is_skinned:
+            joint_transforms = self.skeleton.ComputeSkinningTransforms(time)
+            self.skinning.ComputeSkinnedPoints(joint_transforms, points, time)  # changes `points` in place
+        return transform_points(self.T_world_points(xforms), np.array(points, np.float64))
+
+
+def find_skinning(stage: Usd.Stage, prims: list[Usd.Prim]) -> list[MeshPrim]:
+    """Return each mesh prim with the skeleton, skinning and blend shapes that UsdSkel binds to it."""
+    cache = UsdSkel.Cache()
+    bindings = {}
+    for prim in Usd.PrimRange(stage.GetPseudoRoot(), ALL_PRIMS):
+        # UsdSkel binds skeletons only to meshes below a SkelRoot.
+        if prim.IsA(UsdSkel.Root):
+            root = UsdSkel.Root(prim)
+            cache.Populate(root, ALL_PRIMS)
+            for binding in cache.ComputeSkelBindings(root, ALL_PRIMS):
+                skeleton = cache.GetSkelQuery(binding.GetSkeleton())
+                for skinning in binding.GetSkinningTargets():
+                    bindings[skinning.GetPrim().GetPath()] = (skeleton, skinning)
+    mesh_prims = []
+    for prim in prims:
+        skeleton, skinning = bindings.get(prim.GetPath(), (None, None))
+        has_blend_shapes = skinning is not None and skinning.HasBlendShapes()
+        blend_shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim)) if has_blend_shapes else None
+        mesh_prims.append(MeshPrim(prim, skeleton, skinning, blend_shapes))
+    return mesh_prims
+
+
+def transform_points(transform: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+    """Apply an affine transform (of column vectors) to points."""
+    return points @ transform[:3, :3].T + transform[:3, 3]
+
+
+def _check_references(path: Path) -> None:
+    """Check every layer, payload, clip and asset that a file refers to, directly or not, before any of them is opened.
+
+    Opening a stage opens all of them, so a file of a stranger could otherwise read any file of this machine. References
+    to files that do not exist are harmless and pass.
+    """
+    pending, visited = [str(path)], set()
+    while pending:
+        layer = Sdf.Layer.FindOrOpen(pending.pop())
+        if layer is None or layer.identifier in visited:
+            continue
+        visited.add(layer.identifier)
+        for name in filter(None, itertools.chain(*UsdUtils.ExtractExternalReferences(layer.identifier))):
+            found = Ar.GetResolver().Resolve(layer.ComputeAbsolutePath(name)).GetPathString()
+            # A file inside a package resolves to "package.usdz[file]": the file to check is the package.
+            file = Ar.SplitPackageRelativePathOuter(found)[0] if found else ""
+            if file and not may_be_read(file):
+                raise InputError(
+                    f"{path}: expected the names of files that came with it, found {name[:80]!r}; give them together"
+                )
+            if (
+                file and Sdf.FileFormat.FindByExtension(found.rstrip("]")) is not None
+            ):  # "a.usdz[b.usda]" is a layer, too
+                pending.append(found)
+
+
+def _visible(stage: Usd.Stage, time: Usd.TimeCode) -> Iterator[Usd.Prim]:
+    """Yield the Mesh prims that are visible at a time and meant for rendering."""
+    prims = iter(Usd.PrimRange(stage.GetPseudoRoot(), ALL_PRIMS))
+    for prim in prims:
+        # An invisible prim hides all of its descendants.
+        shown = UsdGeom.Imageable(prim)
+        hidden = prim.IsA(UsdGeom.Imageable) and shown.GetVisibilityAttr().Get(time) == UsdGeom.Tokens.invisible
+        if hidden or prim.IsA(UsdGeom.PointInstancer):
+            prims.PruneChildren()
+        elif prim.IsA(UsdGeom.Mesh) and shown.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
+            yield prim

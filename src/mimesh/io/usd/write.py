@@ -30,7 +30,6 @@ from ..atomic import scratch_folder
 from ..mtl import write_image
 from ..polygons import polygon_corners, polygon_sizes, smooth_normals
 from .source import UsdSource
-from .stage import DEFAULT_TIME
 
 # usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
@@ -63,7 +62,14 @@ def write_new(clip: Clip, path: Path, final: Path, progress: Progress | None = N
             packed_textures = folder / "textures"
             _write_binary(clip, binary, packed_textures, f"./{packed_textures.name}", progress)
             images = sorted(f"{packed_textures.name}/{image.name}" for image in packed_textures.glob("*"))
-            _pack(folder, [binary.name, *images], path)
+            names = [binary.name, *images]  # the first one is the root layer
+            size = sum((folder / name).stat().st_size for name in names)
+            if size > LARGEST:
+                found = f"{size / 2**30:.1f}"
+                raise InputError(f"{path}: expected at most 2 GiB in a package, found {found}; write .usdc instead")
+            with Sdf.ZipFileWriter.CreateNew(str(path)) as package:
+                for name in names:
+                    package.AddFile(str(folder / name), name)
         else:
             _write_binary(clip, binary, textures, f"./{textures.name}", progress)
             Sdf.Layer.FindOrOpen(str(binary)).Export(str(path))
@@ -72,22 +78,6 @@ def write_new(clip: Clip, path: Path, final: Path, progress: Progress | None = N
 def _write_binary(clip: Clip, path: Path, textures: Path, asset_folder: str, progress: Progress | None) -> None:
     """Write the stage of the module docstring as .usdc; asset paths refer to `textures` as `asset_folder`."""
     stage = Usd.Stage.CreateNew(str(path))
-    _set_metadata(stage, clip)
-    root = UsdGeom.Xform.Define(stage, "/root")
-    stage.SetDefaultPrim(root.GetPrim())
-    names = _PrimNames(root.GetPath())
-    scope = UsdGeom.Scope.Define(stage, names.path("materials"))
-    usd_mesh = UsdGeom.Mesh.Define(stage, names.path(clip.mesh.name))
-    _set_display_name(usd_mesh.GetPrim(), clip.mesh.name)
-    sizes = polygon_sizes(clip.mesh)
-    corner_at = polygon_corners(sizes) if len(sizes) else np.zeros(0, np.int64)
-    _set_faces(usd_mesh, clip.mesh, sizes, corner_at)
-    _add_subsets(clip.mesh, sizes, usd_mesh.GetPrim(), _PrimNames(scope.GetPath()), textures, asset_folder)
-    _set_frames(usd_mesh, clip, _normal_function(usd_mesh, clip.mesh, corner_at), progress)
-    stage.GetRootLayer().Save()
-
-
-def _set_metadata(stage: Usd.Stage, clip: Clip) -> None:
     source = clip.mesh.source
     from_usd = isinstance(source, UsdSource)
     UsdGeom.SetStageUpAxis(stage, source.up_axis if from_usd else UsdGeom.Tokens.y)
@@ -97,27 +87,32 @@ def _set_metadata(stage: Usd.Stage, clip: Clip) -> None:
     if len(clip) > 1:
         stage.SetStartTimeCode(0)
         stage.SetEndTimeCode(len(clip) - 1)
-
-
-def _set_faces(
-    usd_mesh: UsdGeom.Mesh, mesh: Mesh, sizes: Int[np.ndarray, " P"], corner_at: Int[np.ndarray, " C"]
-) -> None:
-    """Write polygons and texture coordinates; equal coordinates are stored once and indexed."""
+    root = UsdGeom.Xform.Define(stage, "/root")
+    stage.SetDefaultPrim(root.GetPrim())
+    names = _PrimNames(root.GetPath())
+    scope = UsdGeom.Scope.Define(stage, names.path("materials"))
+    usd_mesh = UsdGeom.Mesh.Define(stage, names.path(clip.mesh.name))
+    _set_display_name(usd_mesh.GetPrim(), clip.mesh.name)
+    sizes = polygon_sizes(clip.mesh)
+    corner_at = polygon_corners(sizes) if len(sizes) else np.zeros(0, np.int64)
     usd_mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     usd_mesh.CreateFaceVertexCountsAttr(_integers(sizes))
-    usd_mesh.CreateFaceVertexIndicesAttr(_integers(mesh.faces.reshape(-1)[corner_at]))
-    if mesh.corner_uv is not None:
-        uv, index = np.unique(mesh.corner_uv.reshape(-1, 2)[corner_at], axis=0, return_inverse=True)
+    usd_mesh.CreateFaceVertexIndicesAttr(_integers(clip.mesh.faces.reshape(-1)[corner_at]))
+    if clip.mesh.corner_uv is not None:  # equal coordinates are stored once and indexed
+        uv, index = np.unique(clip.mesh.corner_uv.reshape(-1, 2)[corner_at], axis=0, return_inverse=True)
         primvar = UsdGeom.PrimvarsAPI(usd_mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, FACE_VARYING)
         primvar.Set(Vt.Vec2fArray.FromNumpy(uv.astype(np.float32)))
         primvar.SetIndices(_integers(index.reshape(-1)))
+    _add_subsets(clip.mesh, sizes, usd_mesh.GetPrim(), _PrimNames(scope.GetPath()), textures, asset_folder)
+    _set_frames(usd_mesh, clip, _normal_function(usd_mesh, clip.mesh, corner_at), progress)
+    stage.GetRootLayer().Save()
 
 
 def _set_frames(usd_mesh: UsdGeom.Mesh, clip: Clip, normals: NormalFunction | None, progress: Progress | None) -> None:
     """Write points, extent and normals of every frame, and release them from memory every `PAGED` frames."""
     layer = usd_mesh.GetPrim().GetStage().GetRootLayer()
     for number, vertices in enumerate(each_frame(clip.vertices, progress)):
-        time = Usd.TimeCode(number) if len(clip) > 1 else DEFAULT_TIME
+        time = Usd.TimeCode(number) if len(clip) > 1 else Usd.TimeCode.Default()
         usd_mesh.GetPointsAttr().Set(_vectors(vertices), time)
         usd_mesh.GetExtentAttr().Set(_vectors(np.stack([vertices.min(axis=0), vertices.max(axis=0)])), time)
         if normals is not None:
@@ -187,7 +182,7 @@ def _add_subsets(
         if not len(polygons):
             continue
         name = subset_names.path(part.name).name
-        subset = binding.CreateMaterialBindSubset(name, Vt.IntArray.FromNumpy(polygons.astype(np.int32)))
+        subset = binding.CreateMaterialBindSubset(name, _integers(polygons))
         _set_display_name(subset.GetPrim(), part.name)
         if part.material is None:
             continue
@@ -242,13 +237,3 @@ def _shader(material: UsdShade.Material, name: str, shader_id: str) -> UsdShade.
     if shader_id == "UsdPreviewSurface":
         shader.CreateOutput("surface", Sdf.ValueTypeNames.Token)
     return shader
-
-
-def _pack(folder: Path, names: list[str], path: Path) -> None:
-    """Write the named files of a folder as a package; the first name must be the root layer."""
-    size = sum((folder / name).stat().st_size for name in names)
-    if size > LARGEST:
-        raise InputError(f"{path}: expected at most 2 GiB in a package, found {size / 2**30:.1f}; write .usdc instead")
-    with Sdf.ZipFileWriter.CreateNew(str(path)) as package:
-        for name in names:
-            package.AddFile(str(folder / name), name)
