@@ -37,7 +37,11 @@ BAD_MESHES = {
 """File name -> contents; None for no file, "cut" for the first half of a sound one."""
 REFUSING = ("transfer BAD good.obj -m copy", "transfer good.obj BAD -m copy --json", "look BAD", "render BAD -o x.png")
 ANIMATION = "animate good.obj BAD -m copy"
-BAD_FILES = [*zip(cycle((*REFUSING, ANIMATION)), BAD_MESHES, strict=False), (ANIMATION, "mixed"), ("look BAD", "notes")]
+BAD_FILES = [
+    *zip(cycle((*REFUSING, ANIMATION)), BAD_MESHES, strict=False),
+    pytest.param(ANIMATION, "mixed", marks=pytest.mark.slow),
+    ("look BAD", "notes"),
+]
 """A command line for each bad file: all commands read files by the same functions."""
 
 
@@ -224,6 +228,7 @@ def test_pipes_and_devices_are_refused_and_never_waited_for(line, good, deadline
     assert "found a pipe or a device; save what comes from it as a file first" in message
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such device")
 def test_stdin_may_be_a_file_but_not_a_pipe():
     command = [sys.executable, "-m", "mimesh", "look", "/dev/stdin"]

@@ -146,6 +146,7 @@ def test_empty_paths_are_refused(words, files, capsys):
     assert "expected a path, found an empty text" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text on other systems")
 def test_file_names_that_are_no_text_are_printed_escaped(files):
     odd = os.fsdecode(b"p\xe9.ply")
@@ -243,6 +244,7 @@ def test_bugs_are_reported_and_an_interrupt_exits_with_130(error, files, call, m
     assert len(err.splitlines()) < 15
 
 
+@pytest.mark.slow
 def test_closed_pipe_is_no_error():
     process = subprocess.Popen([MIMESH, "models"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
@@ -283,6 +285,7 @@ def test_no_next_command_after_a_movie(files, call):
     assert (code, "next:" in out) == (0, False)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
 def test_terminated_run_leaves_no_partial_file(files):
     save_clip(Clip(zoo.cube(), np.repeat(zoo.cube().vertices[None], 2000, axis=0)), "long.npz")

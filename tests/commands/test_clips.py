@@ -79,6 +79,7 @@ def test_a_pose_is_put_on_the_bones_of_a_rigged_file(files, call):
     assert open_document(files / "h.glb").gltf["skins"] == open_document(rigged).gltf["skins"]
 
 
+@pytest.mark.slow
 def test_several_clips_become_animations_of_one_file(files, call, capsys):
     facts = written(files, call, "walk.glb", "run.npz", "walk.glb")
     assert facts["output"] == str(files / "hero-clips.glb")
@@ -208,6 +209,7 @@ def test_other_animations_are_refused(moves, files, words, expected, refuses):
     refuses(" ".join(["animate", *paths]), expected)
 
 
+@pytest.mark.slow
 def test_a_vrma_has_bones_alone(files, tmp_path, call):
     path, _, _ = vrm(tmp_path / "avatar.vrm")
     _, rig, _ = vrm(tmp_path / "skeleton.vrm")

@@ -45,6 +45,7 @@ def test_saved_joints_are_all_of_the_model(files):
     assert (values["mesh"], values["vertices"], values["version"]) == ("hero.obj", len(person().vertices), 1)
 
 
+@pytest.mark.slow
 def test_a_side_file_is_used_and_said(files, side_file, call):
     out = call(LINE.format(files, "corrected", "")).out
     assert f"joints: LeftLeg as in {side_file} (--no-joints ignores it)\n" in out

@@ -114,6 +114,7 @@ def test_plain_names_keep_their_length_and_other_scripts():
     assert plain("Ärmel 袖\x1b") == "Ärmel 袖_"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="a pipe for stdout")
 def test_a_narrow_encoding_of_stdout_prints_escapes(hostile):
     environment = {**os.environ, "PYTHONIOENCODING": "cp1252", "PYTHONUTF8": "0"}

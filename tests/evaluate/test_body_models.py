@@ -133,6 +133,7 @@ def test_every_person_makes_every_recorded_motion(model, tmp_path):
     assert not np.allclose(other.vertices, clip.vertices)
 
 
+@pytest.mark.slow
 def test_pairs_of_clips_have_the_truth_of_another_person(model, tmp_path, capsys):
     takes = write_takes(tmp_path / "takes")
     protocol = on_body_model("clips-aniformer", model, takes)

@@ -127,6 +127,7 @@ def test_motions_of_the_splits_are_later_seconds_of_the_takes():
             assert start >= max(b for name, _, b in SPLITS["train"] if name == take) + gap
 
 
+@pytest.mark.slow
 @matrix("split", ["val", "test"], quick=["test"])
 def test_poses_of_a_split_are_not_neighbours_of_training_frames(split):
     """Frames 1/30 s apart differ by 0.2 to 4 degrees (median 1.3 and 1.7 of the two takes); these by more."""

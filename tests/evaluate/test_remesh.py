@@ -30,6 +30,7 @@ DAMAGED = {
 }
 
 
+@pytest.mark.slow
 def test_points_lie_on_the_posed_body():
     """Each point is a weighted mean of the corners of one triangle or edge, or is a vertex."""
     parts = {frozenset(corners) for corners in (*BODY.faces.tolist(), *edges(BODY.faces).tolist())}

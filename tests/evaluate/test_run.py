@@ -255,7 +255,7 @@ def test_unknown_names_are_refused_with_the_known_ones(arguments, message):
         generate_command("human-npt", Path("unused"), "tset")
 
 
-@pytest.mark.parametrize("error", [RefusedMeshError, InputError])
+@pytest.mark.parametrize("error", [RefusedMeshError, pytest.param(InputError, marks=pytest.mark.slow)])
 def test_pairs_that_are_refused_are_failures_and_the_measurement_goes_on(error, monkeypatch, tmp_path):
     """A person in an extreme pose may look like no person; the report names the pair, and means are over the rest."""
     message, refused = "x: expected a person, found a chair; give another", HUMAN_NPT.pair("val", "seen", 1)

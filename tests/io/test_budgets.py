@@ -195,6 +195,7 @@ def test_hostile_files_are_refused_at_once(hostile):
     assert time.process_time() - begin < SECONDS
 
 
+@pytest.mark.slow
 def test_hostile_files_are_refused_in_little_memory(hostile):
     path, message = hostile
     tracemalloc.start()  # makes Python many times slower, so time is measured without

@@ -69,6 +69,7 @@ def test_damage_of_usd_is_named(name, tmp_path):
     assert any(part in found for part in expected.split("|"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".usdz", ".npz"])
 def test_checksums_of_packages_are_checked(suffix, tmp_path):
     path = tmp_path / f"a{suffix}"

@@ -105,6 +105,7 @@ def test_every_field_of_a_mesh_is_handed_over(tmp_path):
     assert take_mesh(tmp_path / "bare", Kept)[0].corner_uv is None
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is measured as Linux counts it")
 def test_long_clips_are_read_frame_by_frame(read, tmp_path):
     calls = []

@@ -68,6 +68,7 @@ def everything() -> set[str]:
     return {str(path) for path in Path().rglob("*")}
 
 
+@pytest.mark.slow
 def test_a_failed_job_stops_no_others_and_is_done_when_its_file_is_mended(files, capfd):
     whole = Path("poses/p0.ply").read_bytes()
     Path("poses/p0.ply").write_text("ply\nthis is no mesh\n")

@@ -60,6 +60,7 @@ def test_a_crash_costs_one_job_and_the_worker_is_replaced():
     assert before["process"] != after["process"]
 
 
+@pytest.mark.slow
 def test_a_caller_that_stops_ends_the_workers():
     with closing(run._do_with_workers(tasks(*"abcdefghi"), 1)) as finished:
         next(finished)

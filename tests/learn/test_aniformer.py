@@ -64,6 +64,7 @@ def test_frames_are_centred_and_driving_frames_fill_the_unit_sphere():
     torch.testing.assert_close(whole.driving.norm(dim=-1).amax(-1), torch.ones(2, 3))
 
 
+@pytest.mark.slow
 def test_appearance_of_the_truth_does_not_depend_on_its_normalisation():
     """Eq. 5 at the truth is what skinning does to edges, and not a change of unit."""
     found, as_given = [], []

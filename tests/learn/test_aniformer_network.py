@@ -47,6 +47,7 @@ def paper(**switches) -> AniFormer:
         return AniFormer(AniFormerConfig(**switches))
 
 
+@pytest.mark.slow
 def test_size_is_the_papers():
     assert sum(p.numel() for p in paper().parameters()) == pytest.approx(16.93e6, rel=1e-3)
     assert sum(p.numel() for p in paper(attention="vertices").parameters()) == pytest.approx(12.01e6, rel=1e-3)

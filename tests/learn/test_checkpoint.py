@@ -66,6 +66,7 @@ def test_weights_alone_are_a_start_for_another_training(saved, tmp_path):
         torch.testing.assert_close(value, whole[f"ema.{name}"], rtol=1e-3, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_compact_checkpoint_without_the_average_begins_a_new_one(saved, tmp_path):
     run, path = saved
     save_compact(path, tmp_path / "last.safetensors", average=False)

@@ -28,12 +28,14 @@ def spend(config, folder):
     return checkpoint.load(folder / "last.safetensors")
 
 
+@pytest.mark.slow
 def test_activations_grow_with_vertices_and_not_with_weights():
     assert kept(512) / kept(128) == pytest.approx(4.0, rel=0.1)
     widths = sum([3, *TINY.model.encoder, *TINY.model.decoder])
     assert 4 * 128 * widths < kept(128) < 4 * 128 * widths * 20
 
 
+@pytest.mark.slow
 def test_copies_of_weights_in_16_bits_are_not_counted_for_every_pair():
     """A wide network on 16 vertices: most of what one pair keeps are its weights in bfloat16."""
     wide = NPTConfig(encoder=(64, 256, 512), decoder=(515, 256, 128))
@@ -56,6 +58,7 @@ def test_operations_add_up_over_changes_and_earlier_trainings(tmp_path):
     assert operations_spent(follower) == pytest.approx(3 * first + 7.0)
 
 
+@pytest.mark.slow
 def test_a_training_from_an_older_checkpoint_counts_with_the_configuration_of_that(tmp_path):
     """Which may have had fewer vertices; it does not say what it has spent."""
     old = dataclasses.replace(TINY, pairs=4)
@@ -69,6 +72,7 @@ def test_a_training_from_an_older_checkpoint_counts_with_the_configuration_of_th
     assert operations_spent(state) == pytest.approx(3 * first)
 
 
+@pytest.mark.slow
 def test_what_the_log_says_before_is_what_is_spent(tmp_path):
     config = dataclasses.replace(TINY, batch=4)
     task = NPTTask(config, torch.device("cpu"))

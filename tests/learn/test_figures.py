@@ -102,6 +102,7 @@ def posed(source, figures, index):
     return bank.posed(figures, bank.shaped(figures, index), bank.alignment[figures.which])
 
 
+@pytest.mark.slow
 def test_missing_hands_have_no_points(source):
     figures = source.figures.figures.draw(32, torch.Generator().manual_seed(1))
     ends = source.figures.figures.ends[0]

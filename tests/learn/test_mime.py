@@ -12,7 +12,10 @@ BODY = shipped_body()
 CPU = torch.device("cpu")
 
 
-@pytest.mark.parametrize(("kind", "body"), [("table6", "human"), ("wide", "human"), ("wide", "quadruped")])
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [("table6", "human"), ("wide", "human"), pytest.param("wide", "quadruped", marks=pytest.mark.slow)],
+)
 def test_the_truth_is_the_identity_in_the_driving_pose(kind, body):
     body = shipped_body(body)
     source = SurfaceSource(MimeData(kind, 64, "identity", body=body.name), body, CPU, 0)

@@ -29,7 +29,7 @@ def log_of(folder):
     return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
 
 
-@pytest.mark.parametrize("optimizer", ["adam", "muon"])
+@pytest.mark.parametrize("optimizer", ["adam", pytest.param("muon", marks=pytest.mark.slow)])
 def test_resume_continues_exactly(tmp_path, optimizer):
     config = dataclasses.replace(TINY, optimizer=optimizer)
     whole = TrainingRun.start(config, tmp_path / "none")

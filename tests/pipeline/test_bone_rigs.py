@@ -217,6 +217,7 @@ def gallop(made: Animal, frames: int = 4) -> list[tuple[dict[str, np.ndarray], n
     return [(random_turns(t, made.order), np.array([0.0, 0.0, 0.05 * t])) for t in range(frames)]
 
 
+@pytest.mark.slow
 def test_bones_of_animals_move_as_those_of_their_files(tmp_path):
     identity, driving = animal(0, bones(), FEET), animal(1)
     motion = gallop(driving)

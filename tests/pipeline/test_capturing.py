@@ -108,11 +108,13 @@ def test_feet_are_on_the_ground_by_turns():
     assert "contacts" not in mimesh.capture(bare, frames=mimesh.FrameRange(stop=2)).report
 
 
+@pytest.mark.slow
 def test_the_unit_is_that_of_the_file(tmp_path):
     mimesh.save_clip(walk(frames=2), tmp_path / "walk.glb")
     assert mimesh.capture(tmp_path / "walk.glb").report["unit"] == 1.0
 
 
+@pytest.mark.slow
 def test_axes_range_and_unit_of_the_clip_change_nothing_else(captured, clip):
     """z up, in centimetres, every second frame."""
     lying = 100 * np.stack([clip.vertices[..., 0], -clip.vertices[..., 2], clip.vertices[..., 1]], axis=-1)
@@ -154,6 +156,7 @@ def test_a_note_names_the_joints_without_which_a_capture_moves_others_no_more(ca
     assert not any("has no joints" in note for note in captured.notes)
 
 
+@pytest.mark.slow
 def test_smoothing_and_corrections_are_those_of_animate(captured, clip):
     smooth = mimesh.capture(clip, smooth=0.2)
     assert np.abs(np.diff(smooth.root, 2, axis=0)).mean() < np.abs(np.diff(captured.root, 2, axis=0)).mean()

@@ -48,6 +48,7 @@ def test_results_have_the_joints_of_both_meshes(plain):
     assert transfer(PERSON, posed(0), "copy", **grouped(AXES)).joints is None
 
 
+@pytest.mark.slow
 def test_corrected_joints_are_where_they_were_put(plain):
     knee, elbow = plain.joints["LeftLeg"] + [0.04, 0, 0.02], plain.driving_joints["RightForeArm"] + [0, 0.03, 0]
     result = transfer(

@@ -87,6 +87,7 @@ def test_the_floor_does_not_depend_on_the_triangles_of_the_driving(model, tmp_pa
     np.testing.assert_allclose(*heroes, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_motion_file_has_one_floor_whatever_part_of_it_is_taken(model, tmp_path):
     still = np.tile(np.eye(3), (len(HEIGHTS), len(BODY.parents), 1, 1))
     path = np.stack([0 * HEIGHTS, HEIGHTS, np.linspace(0, 0.2, len(HEIGHTS))], axis=1)
@@ -166,7 +167,7 @@ def astride(path, positions: bool) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("positions", [True, False])
+@pytest.mark.parametrize("positions", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_without_a_path_the_lowest_sole_is_on_the_floor_in_every_frame(positions, model, tmp_path):
     identity, driving = hero(tmp_path / "hero.glb"), astride(tmp_path / "astride.bvh", positions)
     result = mimesh.animate(identity, driving, model)

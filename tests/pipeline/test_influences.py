@@ -15,7 +15,7 @@ from mimesh.pipeline.rigging import rig
 pytestmark = pytest.mark.usefixtures("kept")
 
 
-@pytest.mark.parametrize("skinned", [True, None])
+@pytest.mark.parametrize("skinned", [pytest.param(True, marks=pytest.mark.slow), None])
 def test_skinned_frames_are_those_of_the_file(skinned, tmp_path):
     limited, whole = (
         animate(person(0), walk(frames=3), motion=MotionOptions(skinned=value)) for value in (skinned, False)

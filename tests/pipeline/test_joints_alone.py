@@ -53,6 +53,7 @@ def moved(hero: str, driving: Path, model, **options):
     return animate(hero, str(driving), model, motion=MotionOptions(ground=False, contacts=False, **options))
 
 
+@pytest.mark.slow
 def test_hands_and_fingers_are_those_of_the_same_joints_with_a_mesh(hero, model, tmp_path):
     motion = {"move": rigs.exercise(PERSON, joints=(*rigs.MOVING, *FINGERS))}
     rest = rigs.arms_down(PERSON)
@@ -219,7 +220,7 @@ def test_keys_go_to_nodes_not_to_names(second, model, tmp_path):
     np.testing.assert_allclose(result.clip.vertices[1], load_clip(driving).vertices[1], atol=1e-5)
 
 
-@pytest.mark.parametrize("suffix", [".bvh", ".vrma"])
+@pytest.mark.parametrize("suffix", [".bvh", pytest.param(".vrma", marks=pytest.mark.slow)])
 def test_hands_of_a_captured_motion_are_read_as_they_were(suffix, hero, model, tmp_path):
     motion = still()
     motion.rotmat[1, load_body().joint("LeftHand")] = Rotation.from_rotvec([0.3, 0.5, 0.2]).as_matrix()

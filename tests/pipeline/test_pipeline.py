@@ -67,6 +67,7 @@ def test_range_of_frames_is_taken_at_the_same_speed():
     assert animate(identity, clip, "copy", frames=FrameRange(stop=2, fps=50.0)).fps == 50.0
 
 
+@pytest.mark.slow
 def test_a_file_of_joints_is_written_without_making_all_frames(tmp_path, monkeypatch):
     """Report, file and page ask for few frames, which are those of the whole clip; only `clip` makes all."""
     network = write_mime_network(tmp_path / "net.onnx")

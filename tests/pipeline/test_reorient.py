@@ -74,6 +74,7 @@ def test_of_orientations_that_are_about_as_decided_the_one_of_the_nearest_shape_
     assert reorient(MIME, MESH, detected_norm(MESH, "-y", "+z"), (None, None), doubtful).up == up
 
 
+@pytest.mark.slow
 def test_a_coarse_surface_of_a_dense_mesh_is_looked_at():
     """Of more than 30,000 vertices some thousand, not farther from the surface than a cell; others are as they are."""
     vertices, faces = MESH.vertices, MESH.faces

@@ -137,6 +137,7 @@ def test_a_rig_that_was_bound_aslant_moves_upright(folder, angle):
         np.testing.assert_allclose(path, truth[joint], atol=0.01 if joint.endswith("ToeBase") else 1e-5)
 
 
+@pytest.mark.slow
 def test_scales_of_a_driving_are_left_with_a_note(folder):
     """Scales of joints, keyed in the driving, say nothing about an identity of another size."""
 

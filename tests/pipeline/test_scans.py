@@ -95,6 +95,7 @@ def test_other_axes_and_another_unit_give_the_same_motion(walk, captured, tmp_pa
     assert angles_between(*local).mean() < 1
 
 
+@pytest.mark.slow
 def test_a_mesh_moves_as_by_frames_of_one_topology(walk, scans):
     hero = character("heavy")
     options = mimesh.MotionOptions(ground=False, contacts=False)
@@ -105,6 +106,7 @@ def test_a_mesh_moves_as_by_frames_of_one_topology(walk, scans):
     assert by_scans.fps == FPS
 
 
+@pytest.mark.slow
 def test_only_the_frames_taken_are_read(scans, tmp_path):
     shutil.copytree(scans, tmp_path / "some")
     for name in ("scan_01.ply", "scan_03.ply"):

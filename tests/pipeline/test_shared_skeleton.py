@@ -20,7 +20,7 @@ def walker(tmp_path_factory) -> str:
     return str(rigs.character(tmp_path_factory.mktemp("walker") / "hero.glb", clips=clips))
 
 
-@pytest.mark.parametrize("options", [[], ["--morphs"]])
+@pytest.mark.parametrize("options", [[], pytest.param(["--morphs"], marks=pytest.mark.slow)])
 def test_a_copied_clip_has_a_picture_and_a_page(options, walker, model, tmp_path, capsys):
     output = tmp_path / "out.glb"
     assert run(["animate", walker, walker, "-m", model, "-o", str(output), *options]) == 0

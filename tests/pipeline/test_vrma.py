@@ -41,7 +41,7 @@ def mesh_node(path):
     return next(number for number, node in enumerate(open_document(path).gltf["nodes"]) if "mesh" in node)
 
 
-@pytest.mark.parametrize("version", [0, 1])
+@pytest.mark.parametrize("version", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_an_animation_turns_the_bones_of_a_vrm_exactly(version, tmp_path):
     path, rig, nodes = vrm(tmp_path / "a.vrm", version)
     drive, world, hips = vrma(tmp_path / "a.vrma", bone_positions(rig, "+z" if version else "-z"))
@@ -73,6 +73,7 @@ def test_a_written_animation_is_the_motion_of_the_vrm(version, tmp_path):
     assert np.allclose(gltf["nodes"][0]["translation"], bone_positions(rig, "+z" if version else "-z")["hips"])
 
 
+@pytest.mark.slow
 def test_bones_that_stay_have_one_key(tmp_path):
     path, rig, _ = vrm(tmp_path / "a.vrm")
     drive, _, _ = vrma(tmp_path / "a.vrma", bone_positions(rig), frames=8, spread=0.0)

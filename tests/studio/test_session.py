@@ -49,6 +49,7 @@ def mime_session(files, model):
     session.close()
 
 
+@pytest.mark.slow
 def test_animations_of_joints_without_a_mesh_can_be_chosen(files, tmp_path):
     """A library of motions, as game packs have them, with two animations."""
     path = tmp_path / "motions.gltf"

@@ -136,6 +136,7 @@ def test_layers_and_assets_of_usd_are_confined(folders, text):
                 read_mesh(file, upload)
 
 
+@pytest.mark.slow
 def test_files_of_the_same_upload_are_read(folders):
     upload, secret = folders
     (upload / "in").mkdir()

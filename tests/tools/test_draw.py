@@ -67,6 +67,7 @@ def test_movie_of_a_mesh_turns(files, capsys, monkeypatch):
     assert frames("x.gif") == 3
 
 
+@pytest.mark.slow
 def test_mp4_has_the_frames_size_and_rate(files, capsys):
     av = pytest.importorskip("av")
     assert draw(capsys, "grow", "cube.obj", "--fps", "10", "--track", "-o", "x.mp4") == "movie"

@@ -187,6 +187,7 @@ def test_missing_images_are_a_warning_also_with_a_rig(tmp_path):
     assert any(note.startswith("red wall.png, which the file names") for note in notes)
 
 
+@pytest.mark.slow
 def test_animate_says_which_images_are_missing(tmp_path):
     def lose_image(draft):
         draft.gltf["images"] = [{"uri": "skin.png"}]
