@@ -17,6 +17,7 @@ from mimesh.core.foot_planting import (
     find_contacts,
     foot_skate,
     is_cyclic,
+    keep_above_floor,
     move_ankle,
     plant_feet,
 )
@@ -24,7 +25,7 @@ from mimesh.core.geometry import vertex_normals
 from mimesh.core.joint_tracks import JointTrack, root_path
 from mimesh.core.rig import Rig, descendants, leg_length
 from mimesh.core.skinning import SkinnedMesh
-from mimesh.core.soles import Feet, body_points, find_soles
+from mimesh.core.soles import Feet, LowParts, body_points, find_soles
 from mimesh.core.surface_points import SurfacePoints
 from mimesh.motions.motion import Motion, motion_clip
 from mimesh.motions.procedural import gait, planted
@@ -489,3 +490,39 @@ def test_blocks_rest_on_what_is_lowest():
     assert np.ptp(before) > 0.05
     assert abs(after[-1] - after[0]) < 0.015
     assert np.ptp(after) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("longer", "palms", "thicker", "raised"),
+    [(1.35, True, 0.0, 0.0), (1.35, False, 0.0, 0.05), (1.0, True, 0.12, 0.05)],
+)
+def test_arms_and_seats_that_reach_lower_than_the_drivings_are_on_the_floor(longer, palms, thicker, raised):
+    """The driving sits on the floor or over it, and its arms hang."""
+    motion = going_down("sits")
+    for side, angle in (("Left", -45), ("Right", 45)):
+        motion.rotmat[:, BODY.joint(f"{side}Arm")] = Rotation.from_euler("z", angle, degrees=True).as_matrix()
+    motion.root[20:, 1] += raised
+    (rest, rig), (vertices, own) = rig_of(np.zeros(0)), rig_of(np.zeros(0))
+    on_trunk = BODY.weights[:, :3].sum(axis=1)[:, None]
+    vertices += thicker * on_trunk * vertex_normals(vertices, BODY.faces)
+    for array in (vertices, own.joints):
+        array[:, 0] = np.sign(array[:, 0]) * np.interp(abs(array[:, 0]), [0, 0.2, 2], [0, 0.2, 0.2 + longer * 1.8])
+    mine, theirs = (find_soles(p, r, LEGS, BODY.parents, ARMS) for p, r in ((vertices, own), (rest, rig)))
+    mine = mine if palms else (*mine[:2], None, None)
+    skinned, leg = SkinnedMesh.of(vertices, own, BODY.parents), leg_length(rig.joints, LEGS)
+    feet = Feet.of(LEGS, leg, mine, skinned, theirs, SurfacePoints.of_vertices(len(rest)), ARMS)
+    parts = LowParts.of(vertices, own, skinned, (LEGS, ARMS), mine, BODY.parents)
+    assert feet is not None
+    assert parts is not None
+    rotation, translation = BODY.skinning_transforms(BODY.joints, motion.rotmat, motion.root)
+    positions = (rotation @ BODY.joints[..., None])[..., 0] + translation
+    frames = motion_clip(BODY, np.zeros(0), motion).vertices.astype(float)
+    track = JointTrack(rotation, positions, motion.fps, np.stack([feet.driving.in_frame(frame)[0] for frame in frames]))
+    planted = plant_feet(PosedJoints(rotation, positions[:, 0]), track, skinned, feet, (1.0, 1.0))
+    lifted = keep_above_floor(planted, track, parts, feet, 1.0, BODY.parents)
+    before, after = (skinned.posed_frames(of.rotation, of.root)[..., 1].min(axis=1) for of in (planted, lifted))
+    assert before[-1] < -0.04
+    assert after.min() > -0.02
+    soles = [feet.identity_soles(of.rotation, of.root)[:, :2] for of in (planted, lifted)]
+    np.testing.assert_allclose(*soles, atol=0.01)
+    np.testing.assert_allclose(lifted.rotation[:4], planted.rotation[:4], atol=1e-5, err_msg="before it gets low")

@@ -20,9 +20,9 @@ from jaxtyping import Bool, Float
 
 from .geometry import factor, rotations_between, smooth_step, unit_vectors
 from .joint_tracks import JointTrack
-from .rig import descendants
+from .rig import descendants, leg_length
 from .skinning import SkinnedMesh
-from .soles import Feet
+from .soles import Feet, LowParts
 
 STANDING_SPEED = (0.4, 1.2)
 """Leg lengths a second: a contact point slower than the first stands, one faster than the second does not. Captured
@@ -194,6 +194,7 @@ FLOATING = 0.01
 when the hips go down a little."""
 EVEN = 0.0075
 """Leg lengths: heights of soles that differ less from the driving's, scaled, are left as they are."""
+UPWARD = np.array([0.0, 1.0, 0.0])
 CLOSED, TINY = 1e6, 1e-9
 """Weight of the equations that close a cycle, and of those without influence; those of a standing sole have 1."""
 
@@ -299,11 +300,66 @@ def plant_feet(
     positions = skinned.joint_positions(posed.rotation, posed.root)
     bends = [1.0] * (len(steps) - feet.hands) + [-1.0] * feet.hands  # knees to the front, elbows to the back
     legs = [limb for limb in zip(feet.legs, steps, bends, strict=True) if len(limb[0]) == 3]
-    lowered = _lowered_hips(positions, legs, FLOATING * leg, track.fps, cyclic)[:, None] * [0.0, 1.0, 0.0]
+    lowered = _lowered_hips(positions, legs, FLOATING * leg, track.fps, cyclic)[:, None] * UPWARD
     rotation = posed.rotation
     for joints, step, bend in legs:
         rotation = move_ankle(rotation, positions, joints, step + lowered, skinned.parents, bend)
     return PosedJoints(rotation, posed.root + root - lowered)
+
+
+def keep_above_floor(
+    posed: PosedJoints,
+    track: JointTrack,
+    parts: LowParts,
+    feet: Feet,
+    scale: float,
+    parents: tuple[int, ...],
+    floor: Callable[[float], float] = float,
+) -> PosedJoints:
+    """Lift what is deeper in the floor than the driving: trunks of who sits, kneels or lies, and arms.
+
+    Trunks may be lower below the hips than the driving's, heads larger, and arms longer. Feet stay where they are. Who
+    stands is not lifted: what hangs below the hips is a skirt, a tail or a cape.
+
+    Args:
+        posed: a motion of the identity whose feet are planted.
+        parts: outermost points of the identity.
+        scale: the identity's heights over the driving's.
+        The others are those of `plant_feet`.
+    """
+    contacts = find_contacts(track, feet.driving_leg, feet.hands)
+    legs = len(feet.legs) - feet.hands
+    if contacts is None or not (near := contacts.near[:, :legs] > 0.5).any():
+        return posed
+    ground, leg, cyclic = floor(contacts.height), feet.driving_leg * scale, is_cyclic(track, feet.driving_leg)
+    theirs = contacts.soles[..., 1].min(axis=2)
+    mine = feet.identity_soles(posed.rotation, posed.root)[..., 1].min(axis=2)
+    if has_path(track.positions[:, 0], feet.driving_leg):
+        own_ground = np.median((mine - scale * (theirs - ground))[:, :legs][near])
+    else:  # whose hips stay in place while the body goes up and down: the floor is below the lowest sole
+        own_ground = mine.min(axis=1)
+    lowest = theirs.min(axis=1) if track.lowest is None else np.minimum(theirs.min(axis=1), track.lowest)
+    allowed = own_ground + scale * np.minimum(lowest - ground, 0) - EVEN * leg
+
+    def too_deep(part: SkinnedMesh, size: float) -> Float[np.ndarray, " T"]:
+        """Return how far a part is too deep; one that is far deeper than its size allows has not been recognised."""
+        heights = part.posed_frames(posed.rotation, np.zeros_like(posed.root))[..., 1].min(axis=1) + posed.root[:, 1]
+        deep = np.maximum(allowed - heights, 0)
+        return deep * falling(deep / size, MISREAD_HEIGHT)
+
+    low = falling((track.positions[:, 0, 1] - ground) / feet.driving_leg, KNEELING)
+    up = _envelope(too_deep(parts.trunk, leg) * low, track.fps, cyclic)
+    ways = [(limb, -up, 1.0) for limb in feet.legs[:legs] if len(limb) == 3]
+    lifted = posed.root + up[:, None] * UPWARD
+    rotation, positions = posed.rotation, parts.trunk.joint_positions(posed.rotation, lifted)
+    for arm, part in parts.arms:
+        deep = _envelope(too_deep(part, leg_length(positions[0], (arm,))), track.fps, cyclic)
+        stands = contacts.near[:, feet.legs.index(arm)] if arm in feet.legs else 0.0
+        ways.append((arm, deep - np.maximum(stands * up, np.minimum(up, deep)), -1.0))
+    for limb, way, bend in ways:
+        if way.any():
+            rotation = move_ankle(rotation, positions, limb, way[:, None] * UPWARD, parents, bend)
+    return PosedJoints(rotation, lifted)
 
 
 def _lowered_hips(
@@ -314,8 +370,6 @@ def _lowered_hips(
     cyclic: bool,
 ) -> Float[np.ndarray, " T"]:
     """Compute by how much the hips have to be lower for all legs to reach their steps, up to a tolerance; smooth."""
-    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
-
     missing = np.zeros(len(positions))
     for joints, step, _ in legs:
         line = positions[:, joints[2]] - positions[:, joints[0]] + step
@@ -324,11 +378,18 @@ def _lowered_hips(
         steep = np.maximum(-line[:, 1] / distance, 0.5)
         short = distance - longest_reach(positions, joints)[:, 0] - tolerance
         missing = np.maximum(missing, short / steep)
+    return _envelope(missing, fps, cyclic)
+
+
+def _envelope(heights: Float[np.ndarray, " T"], fps: float, cyclic: bool) -> Float[np.ndarray, " T"]:
+    """Smooth heights so that they are hardly lower anywhere, and begin and end LOWERING seconds around."""
+    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+
     mode, around = "wrap" if cyclic else "nearest", LOWERING * fps
     period = slice(None, -1) if cyclic else slice(None)  # the last frame of a cycle is the first one
-    envelope = maximum_filter1d(missing[period], 2 * round(around) + 1, mode=mode)
-    lowered = gaussian_filter1d(envelope, around / 2, mode=mode)
-    return np.append(lowered, lowered[0]) if cyclic else lowered
+    envelope = maximum_filter1d(heights[period], 2 * round(around) + 1, mode=mode)
+    smooth = gaussian_filter1d(envelope, around / 2, mode=mode)
+    return np.append(smooth, smooth[0]) if cyclic else smooth
 
 
 def foot_skate(
@@ -476,7 +537,7 @@ def resting_lift(posed: PosedJoints, track: JointTrack, feet: Feet, scale: float
 def _lifted(track: JointTrack, lift: Float[np.ndarray, " T"]) -> JointTrack:
     """Lift a motion by heights."""
     assert track.soles is not None
-    way = np.multiply.outer(lift, [0.0, 1.0, 0.0])[:, None]
+    way = np.multiply.outer(lift, UPWARD)[:, None]
     below = None if track.lowest is None else track.lowest + lift
     return replace(track, positions=track.positions + way, soles=track.soles + way[:, None], lowest=below)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -222,12 +223,59 @@ def body_points(
         limbs: joints of each leg and arm; what the last of three moves is a foot or a hand.
     """
     ends = descendants([limb[-1] for limb in limbs if len(limb) == 3], parents)
-    strongest = rig.weights.argmax(axis=1)
-    chosen = []
-    for joint in np.setdiff1d(strongest, ends):
-        of_joint = np.flatnonzero(strongest == joint)
+    return _outermost(points, rig.weights.argmax(axis=1), np.setdiff1d(np.arange(len(parents)), ends))
+
+
+def _outermost(
+    points: Float[np.ndarray, "N 3"], joint_of: Int[np.ndarray, " N"], joints: Int[np.ndarray, " K"]
+) -> Int[np.ndarray, " B"]:
+    """Find the outermost points along DIRECTIONS of each of some joints; `joint_of` is the joint of each point."""
+    chosen = [np.zeros(0, int)]
+    for joint in np.intersect1d(joint_of, joints):
+        of_joint = np.flatnonzero(joint_of == joint)
         chosen.append(of_joint[(points[of_joint] @ DIRECTIONS.T).argmax(axis=0)])
-    return np.unique(np.concatenate(chosen)) if chosen else np.zeros(0, int)
+    return np.unique(np.concatenate(chosen))
+
+
+class LowParts(NamedTuple):
+    """Outermost points of the parts of an identity that may be lower than the driving's."""
+
+    trunk: SkinnedMesh
+    """Those of all but feet and arms."""
+    arms: tuple[tuple[tuple[int, ...], SkinnedMesh], ...]
+    """Shoulder, elbow and wrist of each arm, and the points of palms, or else of forearms."""
+
+    @classmethod
+    def of(
+        cls,
+        points: Float[np.ndarray, "N 3"],
+        rig: Rig,
+        skinned: SkinnedMesh,
+        limbs: tuple[tuple[tuple[int, ...], ...], tuple[tuple[int, ...], ...]],
+        soles: Soles,
+        parents: tuple[int, ...],
+    ) -> LowParts | None:
+        """Find them; None of a mesh that has none.
+
+        Args:
+            points: positions at rest of `skinned`, which is the identity.
+            limbs: joints of each leg and of each arm.
+            soles: contact points of feet and hands.
+        """
+        joint_of, (legs, arms), parts = rig.weights.argmax(axis=1), limbs, []
+        feet = (leg[-1] for leg in legs if len(leg) == 3)
+        apart = descendants([*feet, *(arm[0] for arm in arms)], parents)
+        trunk = _outermost(points, joint_of, np.setdiff1d(np.arange(len(parents)), apart))
+        for arm, palm in zip(arms, soles[len(legs) :], strict=True):
+            if len(arm) == 3:
+                # Sleeves hang lower than palms. Without a palm the forearm ends in the hand, which is shorter than it:
+                # what is farther from the wrist is a prop.
+                _, elbow, wrist = rig.joints[list(arm)]
+                near = np.linalg.norm(points - wrist, axis=1) < np.linalg.norm(wrist - elbow)
+                forearm = _outermost(points, np.where(near, joint_of, -1), np.array(descendants([arm[1]], parents)))
+                part = forearm if palm is None else np.unique(palm)
+                parts += [(arm, skinned.part(part))] if len(part) else []
+        return cls(skinned.part(trunk), tuple(parts)) if len(trunk) else None
 
 
 def _foot_points(

@@ -25,6 +25,7 @@ from ..core.foot_planting import (
     has_path,
     height_of_soles,
     is_cyclic,
+    keep_above_floor,
     plant_feet,
     resting_lift,
     standing_track,
@@ -35,7 +36,7 @@ from ..core.mesh import Clip, Mesh, check_size
 from ..core.normalization import Normalization
 from ..core.person_motion import KnownJoints, PersonMotion
 from ..core.rig import Rig
-from ..core.soles import Feet, SolePoints, Soles, body_points, find_soles, floor_height, sole_height
+from ..core.soles import Feet, LowParts, SolePoints, Soles, body_points, find_soles, floor_height, sole_height
 from ..core.surface_points import SurfacePoints
 from .character import Character, LinkedJoints, RestPose
 from .confidence import Confidence
@@ -239,6 +240,14 @@ class Retarget:
         identity = None if driving is None else self.character.grid
         return Contacts.of(driving, identity, self.character.skinned, self.character.arms)
 
+    @cached_property
+    def low_parts(self) -> LowParts | None:
+        """Outermost points of what should not get below the floor; None of joints without a mesh."""
+        own = self.character
+        if len(own.points) == 0:
+            return None
+        return LowParts.of(own.points, own.rig, own.skinned, (own.legs, own.arms), own.soles, own.parents)
+
     def posed_joints(
         self, track: JointTrack, across: float | None, in_place: bool, ground: bool, contacts: bool
     ) -> PosedJoints:
@@ -261,6 +270,9 @@ class Retarget:
             posed = plant_feet(posed, track, skinned, self.feet, scale, free, not in_place, self.motion.floor)
         if contacts and self.contacts is not None:
             posed = self.contacts.kept(posed, track, is_cyclic(track, self.motion.leg))
+        if ground and self.feet is not None and self.low_parts is not None:
+            parents, height = self.character.parents, self.stride
+            posed = keep_above_floor(posed, track, self.low_parts, self.feet, height, parents, self.motion.floor)
         return posed
 
     def lift(self, posed: PosedJoints, track: JointTrack) -> float | None:
