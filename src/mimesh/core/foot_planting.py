@@ -349,7 +349,9 @@ def keep_above_floor(
 
     low = falling((track.positions[:, 0, 1] - ground) / feet.driving_leg, KNEELING)
     up = _envelope(too_deep(parts.trunk, leg) * low, track.fps, cyclic)
-    ways = [(limb, -up, 1.0) for limb in feet.legs[:legs] if len(limb) == 3]
+    ways: list[tuple[tuple[int, ...], np.ndarray, float]] = [
+        (limb, -up, 1.0) for limb in feet.legs[:legs] if len(limb) == 3
+    ]
     lifted = posed.root + up[:, None] * UPWARD
     rotation, positions = posed.rotation, parts.trunk.joint_positions(posed.rotation, lifted)
     for arm, part in parts.arms:

@@ -264,7 +264,7 @@ class LowParts(NamedTuple):
         """
         joint_of, (legs, arms), parts = rig.weights.argmax(axis=1), limbs, []
         feet = (leg[-1] for leg in legs if len(leg) == 3)
-        apart = descendants([*feet, *(arm[0] for arm in arms)], parents)
+        apart = descendants([*feet, *(joint for arm in arms for joint in arm)], parents)
         trunk = _outermost(points, joint_of, np.setdiff1d(np.arange(len(parents)), apart))
         for arm, palm in zip(arms, soles[len(legs) :], strict=True):
             if len(arm) == 3:
