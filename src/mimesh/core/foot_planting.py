@@ -348,7 +348,7 @@ def keep_above_floor(
         return deep * falling(deep / size, MISREAD_HEIGHT)
 
     low = falling((track.positions[:, 0, 1] - ground) / feet.driving_leg, KNEELING)
-    up = _envelope(too_deep(parts.trunk, leg) * low, track.fps, cyclic)
+    up = _envelope(too_deep(parts.trunk, leg) * low, track.fps, cyclic) if low.any() else low
     ways: list[tuple[tuple[int, ...], np.ndarray, float]] = [
         (limb, -up, 1.0) for limb in feet.legs[:legs] if len(limb) == 3
     ]
