@@ -19,7 +19,7 @@ from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress, spread_exactly, store_frames
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import archive_names
-from ..core.pickled_arrays import read_pickled_arrays
+from ..core.pickled_arrays import array_of, read_pickle
 from .amass import DEFAULT_RATE, JOINTS, BodyRecording, is_amass, load_recording, poses_of, shape_of, upright
 from .motion import Motion, resample
 from .smpl_joints import RecordedJoints
@@ -115,21 +115,23 @@ def fitted_pose(rotvec: Float[np.ndarray, "T J 3"], joints: int) -> tuple[Float[
 
 def _read_pickle(path: Path) -> BodyRecording:
     """Read a pickle of `pose`, `betas` and `trans`, of one frame or several, as MG-dataset's registrations are."""
-    pickled = read_pickled_arrays(path)
-    missing = [name for name in ("pose", "betas", "trans") if name not in pickled.entries]
+    entries = read_pickle(path.read_bytes(), path)
+    missing = [name for name in ("pose", "betas", "trans") if not isinstance(entries, dict) or name not in entries]
     if missing:
         raise InputError(
             f"{path}: expected the arrays pose, betas and trans, found no {missing[0]}; check that the file is a "
             f"registration, and give a body model itself without {option('body_model')}"
         )
-    rotvec = poses_of(pickled.array("pose"), "pose", path)
-    trans = poses_of(pickled.array("trans"), "trans", path)
+    rotvec = poses_of(array_of(entries["pose"], "pose", path), "pose", path)
+    trans = poses_of(array_of(entries["trans"], "trans", path), "trans", path)
     if trans.shape != (len(rotvec), 1, 3):
         raise InputError(
             f"{path}: expected three numbers of 'trans' for each of {len(rotvec)} poses, found {trans.size}; "
             "save them again"
         )
-    return BodyRecording(rotvec, trans[:, 0], shape_of(pickled.array("betas"), path), DEFAULT_RATE, "")
+    return BodyRecording(
+        rotvec, trans[:, 0], shape_of(array_of(entries["betas"], "betas", path), path), DEFAULT_RATE, ""
+    )
 
 
 def _shape_notes(recording: BodyRecording, used: int, model: SmplModel) -> tuple[str, ...]:
