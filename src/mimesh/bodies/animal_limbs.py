@@ -53,9 +53,6 @@ def name_animal_joints(rig: SkinnedCharacter, path: object) -> dict[str, int]:
 
     Args:
         path: of the file, for messages.
-
-    Raises:
-        InputError: there are no four legs on one skeleton.
     """
     return _AnimalRig(rig, path).named()
 

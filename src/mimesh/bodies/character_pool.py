@@ -198,9 +198,6 @@ def read_character(path: str | Path, body: str = "human") -> PoolCharacter:
 
     Args:
         body: shipped body whose joints it has, a key of CLASSES.
-
-    Raises:
-        InputError: not a file of the format, values that are not finite or out of range, or limbs that are not found.
     """
     path = Path(path)
     arrays = read_arrays(path)

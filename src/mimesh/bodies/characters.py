@@ -124,9 +124,6 @@ def proportioned(
     Every joint scales the vertices weighted to it by `lengths` along its bone and by `girths` across it, and moves its
     descendants along; where bones branch, girth scales all directions. The scaling is linear in the vertices and
     joints, so it is applied to the shape components too.
-
-    Raises:
-        InputError: the body has no bone of a given name.
     """
     direction, branching = bone_directions(body)
     # Projection onto each bone's direction; zero where bones branch.

@@ -65,9 +65,6 @@ def engine_rig(
         up: axis of the file, such as "+y".
         front: axis of the file.
         leg_tolerance: degrees from the vertical up to which thighs and shins stay as they are.
-
-    Raises:
-        InputError: no such scheme or rest pose, or the rig lacks joints that every scheme has.
     """
     scheme = SCHEMES[Layout(names, root_bone, rest).names]
     _check_joints(skeleton, names, rest)

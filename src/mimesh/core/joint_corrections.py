@@ -40,11 +40,7 @@ class JointCorrections:
 
     @classmethod
     def of(cls, positions: Mapping[str, Any], source: str = "joints", **fields: Any) -> JointCorrections:
-        """Make corrections from any numbers.
-
-        Raises:
-            InputError: a position is not three finite numbers.
-        """
+        """Make corrections from any numbers."""
         return cls({name: _position(name, value, source) for name, value in positions.items()}, source=source, **fields)
 
     @classmethod

@@ -89,11 +89,7 @@ class ListedPairs(Protocol):
             raise InputError(f"--split: expected none with the list {self.name}, found {split}; leave it out")
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        """Read pair `i`.
-
-        Raises:
-            InputError: a file that cannot be used, or a truth that is not one of the identity; with list and line.
-        """
+        """Read pair `i`."""
         triple = self.lists[kind][i]
         identity, driving, truth = (_read(triple, load_mesh, path) for path in triple.paths)
         _check_truth(triple, identity, truth)

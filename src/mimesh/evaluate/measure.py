@@ -181,9 +181,6 @@ def run_on_pair(
         ensemble: see `find_model`.
         refine: see `transfer`.
         runtime: what runs the network instead of onnxruntime.
-
-    Raises:
-        NotApplicableError: the method cannot be applied to this pair, such as deformation transfer to a point cloud.
     """
     if not isinstance(method, str):
         return _run_network(pair, method, refine)
@@ -206,11 +203,7 @@ def _run_network(pair: Pair, network: Mime | Method, refine: bool) -> Output:
 
 
 def open_network(name: str, ensemble: int, runtime: Runtime | None) -> Mime | Method:
-    """Open a network by its name or path.
-
-    Raises:
-        InputError: no such network, or one that the runtime does not run.
-    """
+    """Open a network by its name or path."""
     network = find_model(name, ensemble=ensemble)
     return network if runtime is None else runtime(network, weights_path(name))
 
@@ -343,9 +336,6 @@ def run_on_clip(
     """Run a method on a clip; see `run_on_pair`.
 
     The baseline `copy` is scaled once for the whole clip: its mean radius over the frames becomes that of the truth.
-
-    Raises:
-        NotApplicableError: the method cannot be applied to this clip.
     """
     if method == "identity":
         return Output(np.tile(trial.identity.vertices, (len(trial.clip), 1, 1)))

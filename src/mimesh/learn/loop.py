@@ -52,10 +52,6 @@ def train(
     Args:
         max_minutes: wall-clock time, counted from this call.
         user_data: what the user brings, where the configuration asks for it.
-
-    Raises:
-        InputError: the user's data are not those of the training so far, or the batch cannot be divided.
-        KeyboardInterrupt: after the checkpoint, where SIGINT or SIGTERM ended the training.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with StopRequest(max_minutes) as stop:

@@ -79,9 +79,6 @@ def with_root_motion(
 
     Driving frames are in the driving's normalisation, where its first frame has radius 1. The scale is the radius of
     the first result, so that a large identity moves as far as a small one in multiples of its own size.
-
-    Raises:
-        InputError: all vertices of a frame of the clip `name` are at one point.
     """
     scale = None
     # Shapes may be made of windows, which read ahead; `tee` keeps the frames between the two.

@@ -374,9 +374,6 @@ def match_by_index(identity: Mesh, reference: Mesh, driving: Mesh) -> tuple[Corn
 
     The order of the matches does not depend on the order of vertices and faces. A thin triangle of the reference is
     replaced by the nearest one that is not thin.
-
-    Raises:
-        InputError: no triangle is left.
     """
     ranks = [canonical_order(mesh.vertices).group for mesh in (identity, reference, driving)]
     identity_corners = canonical_faces(well_shaped_faces(identity), *ranks)
@@ -397,9 +394,6 @@ def match_by_markers(
     The identity is registered onto the reference; then each identity triangle gets its best match in the reference, and
     each reference triangle that faces one of the identity within MAX_DISTANCE is added with that one. So an identity
     triangle may have several matches.
-
-    Raises:
-        InputError: no triangle is left.
     """
     ranked = canonical_order(identity.vertices)
     reference_rank = canonical_order(reference.vertices).group

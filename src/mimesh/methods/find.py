@@ -155,11 +155,7 @@ def check_weights(*models: str) -> None:
 
 
 def moves_joints(model: str) -> bool:
-    """Whether a model moves joints, not vertices: it takes the rigs of the files, and files of joints are written.
-
-    Raises:
-        InputError: as `find_model`.
-    """
+    """Whether a model moves joints, not vertices: it takes the rigs of the files, and files of joints are written."""
     if model in (*NETWORK_OF_BODY.values(), *WITHOUT_NETWORK):
         return model in NETWORK_OF_BODY.values()
     from ..mime.model import Mime

@@ -64,11 +64,7 @@ class NPTMethod:
     """Metres. Radius of the identity and of the driving's first frame, for METRES; None: the network gets radius 1."""
 
     def with_sizes(self, identity: tuple[str, float], driving: tuple[str, float]) -> NPTMethod:
-        """Return this method for two meshes, given by name and radius.
-
-        Raises:
-            InputError: the network takes metres, and a mesh is not in metres.
-        """
+        """Return this method for two meshes, given by name and radius."""
         if self.target_scale != METRES:
             return self
         return dataclasses.replace(self, sizes=radii_in_metres(identity, driving))

@@ -122,9 +122,6 @@ def load_amass(path: str | Path) -> Bvh:
 
     AMASS has z up; if the pelvis is upright along y most of the time, the file is taken to have y up, or down
     (`upright`).
-
-    Raises:
-        InputError: a damaged archive, or arrays that are missing, of other shapes or lengths, or not finite numbers.
     """
     path = Path(path)
     arrays = _read_arrays(path, MOTION)
@@ -148,11 +145,7 @@ def load_amass(path: str | Path) -> Bvh:
 
 
 def load_recording(path: str | Path) -> BodyRecording:
-    """Load all that an archive has for a body model, in the axes of the file.
-
-    Raises:
-        InputError: as `load_amass`, or a shape that changes from frame to frame.
-    """
+    """Load all that an archive has for a body model, in the axes of the file."""
     path = Path(path)
     arrays = _read_arrays(path, (*MOTION, *PARTS, "betas", "gender"))
     rotvec, trans = _joints_and_path(arrays, path)
@@ -184,11 +177,7 @@ def parse_betas(text: str) -> Float[np.ndarray, " K"]:
 
 
 def recording_facts(path: str | Path) -> tuple[tuple[str, str], ...]:
-    """Read what an archive says beside its motion, as name and value: gender, number of shape coefficients, frame rate.
-
-    Raises:
-        InputError: a damaged archive, or a frame rate that is no positive number.
-    """
+    """Read what an archive says beside its motion, as name and value: gender, number of shape coefficients, frame rate."""
     path = Path(path)
     arrays = _read_arrays(path, RATES)
     for name in ("betas", "gender"):

@@ -68,9 +68,6 @@ def gait_clip(name: str, gait: str, index: int = 0, *, seconds: float = 2.0, fps
         name: a key of `bodies.animals.ANIMALS`.
         gait: a key of RUNS or POSTURES.
         index: chooses among random motions of that kind.
-
-    Raises:
-        InputError: no animal has this name.
     """
     body, size = animal_body(name), ANIMALS[name].size
     if gait in RUNS:

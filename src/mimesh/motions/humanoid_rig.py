@@ -204,9 +204,6 @@ def humanoid_rig(
         path: in error messages.
 
     Returns the rig, and the order of its joints: joint k is joint `order[k]` of `character`.
-
-    Raises:
-        InputError: limbs are not found by name, or are no chains.
     """
     facing = character.turned(turn)
     joints = name_limb_joints(facing, path, known)

@@ -61,9 +61,6 @@ def on_body(source: Bvh, path: str | Path) -> BodyMotion:
     """Retarget a skeleton's motion to the shipped body, at its frame rate; errors name `path`.
 
     What does not stand as a person in its rest pose, and has four legs there, moves the shipped quadruped.
-
-    Raises:
-        InputError: the hips and limbs are not found by name.
     """
     upright = righted(source)
     known = named_joints(source.joint_names, source.parents)
@@ -85,11 +82,7 @@ def on_body(source: Bvh, path: str | Path) -> BodyMotion:
 
 
 def motion_of_file(path: str | Path) -> Motion:
-    """Load a motion file and retarget it to the shipped body without fingers, at the file's frame rate.
-
-    Raises:
-        InputError: a damaged file, or a skeleton in which the hips and limbs are not found by name.
-    """
+    """Load a motion file and retarget it to the shipped body without fingers, at the file's frame rate."""
     source = righted(_load(path))
     return dataclasses.replace(retarget_skeleton(source, load_body(), str(path)), name=source.name)
 
@@ -104,9 +97,6 @@ def motion_file_clip(path: str | Path, fps: float | None = None, frames: slice =
 
     The frame rate is that of the file, or `fps`: the motion is resampled, so that frame k is at k / fps seconds.
     The chosen `frames` are those of the whole clip: the rest pose and the floor are found from all frames.
-
-    Raises:
-        InputError: as `motion_of_file`, a frame rate that is not positive, or no frame is left.
     """
     path = Path(path)
     facts = path.stat() if path.is_file() else None  # reading a missing one tells what is wrong

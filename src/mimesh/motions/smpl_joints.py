@@ -74,11 +74,7 @@ class RecordedJoints:
         return replace(self, rotmat=self.rotmat[frames], root=self.root[frames])
 
     def person(self) -> PersonMotion:
-        """Compute the joints of the person.
-
-        Raises:
-            InputError: as `smpl_rig`.
-        """
+        """Compute the joints of the person."""
         rig = smpl_rig(self.model, self.shape)
         joints = self.model.shaped(self.shape)[1]
         rotation, translation = self.model.skinning_transforms(joints, self.rotmat, self.root)
