@@ -180,7 +180,6 @@ class _AnimalRig:
         return legs
 
     def _check_four(self, tops: list[int]) -> None:
-        """Check that the joints below the tops of four legs carry the feet."""
         feet, parents = np.concatenate(list(self.feet.values())), self.rig.parents
         # Sloppy weights of the trunk on feet do not count.
         known = {*descendants(tops, parents), *(joint for top in tops for joint in ancestors(parents, top))}
@@ -221,7 +220,6 @@ class _AnimalRig:
         return chain
 
     def _leg_names(self, chain: list[int], parts: tuple[str, ...]) -> dict[str, int]:
-        """Name the joints of a leg by their places along it."""
         blade = {}
         if parts == LEGS["front"] and self._has_shoulder_blade(chain):
             blade, chain = {"Scapula": chain[0]}, chain[1:]
@@ -248,7 +246,6 @@ class _AnimalRig:
         return len(chain) > len(LEGS["front"]) or (len(chain) > 1 and any(word in name for word in SHOULDER_BLADE))
 
     def _shared(self, joints: list[int]) -> int:
-        """Find the joint that two legs hang on."""
         second = ancestors(self.rig.parents, joints[1])
         shared = [j for j in ancestors(self.rig.parents, joints[0]) if j in second]
         if not shared:
@@ -256,7 +253,6 @@ class _AnimalRig:
         return shared[0]
 
     def _carried(self, joint: int) -> Float[np.ndarray, " 3"]:
-        """Return the mean of the vertices that a joint moves, by their weights."""
         weight = self.influence[:, joint]
         return weight @ self.rig.mesh.vertices / max(weight.sum(), 1e-9)
 

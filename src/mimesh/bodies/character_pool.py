@@ -324,7 +324,6 @@ def _plain_name(name: object, path: Path) -> str:
 
 
 def _rig(arrays: dict[str, np.ndarray], meta: CharacterMeta, turn: np.ndarray, path: Path) -> SkinnedCharacter:
-    """Make the rig of checked arrays, turned to face +z."""
     mesh = Mesh(arrays["vertices"].astype(np.float64) @ turn.T, arrays["faces"].astype(np.int64), name=meta.file)
     weights = arrays["weights"].astype(np.float64)
     return SkinnedCharacter(
@@ -340,12 +339,10 @@ def _rig(arrays: dict[str, np.ndarray], meta: CharacterMeta, turn: np.ndarray, p
 
 @lru_cache(maxsize=32)
 def _clip_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Read a file of clips, which many characters share."""
     return read_arrays(path)
 
 
 def _clips(path: Path, character: dict[str, np.ndarray]) -> dict[str, CharacterClip]:
-    """Read the clips of a character, whose checked arrays are given."""
     arrays = _clip_arrays(path)
     count = len(character["parents"])
     rest = local_frames(character["rest_matrices"].astype(np.float64), character["parents"])[:, :3, 3]

@@ -92,7 +92,6 @@ def t_posed(skeleton: AnimatedRig, up: str, front: str) -> AnimatedRig:
 
 
 def _check_joints(skeleton: AnimatedRig, names: str, rest: str) -> None:
-    """Check that a rig has the joints that a scheme or a rest pose needs."""
     missing = [joint for joint in REQUIRED if joint not in skeleton.names]
     if missing and (SCHEMES[names].bones or rest != "file"):
         asked = option("names", names) if SCHEMES[names].bones else option("rest", rest)

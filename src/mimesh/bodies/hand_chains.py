@@ -110,7 +110,6 @@ def _is_finger(rig: SkinnedCharacter, carried: Bool[np.ndarray, " V"], name: str
 
 
 def _thumb(rig: SkinnedCharacter, hand: int, chains: list[list[int]]) -> int | None:
-    """Find the chain that is a thumb."""
     if len(chains) == 1:
         return None
     start = rig.joints[[chain[0] for chain in chains]]

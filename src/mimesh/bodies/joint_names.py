@@ -413,7 +413,6 @@ def _of_one_skeleton(plain: list[str], joint_names: tuple[str, ...]) -> list[str
 
 
 def _limbs(plain: list[str]) -> dict[str, int]:
-    """Find the limb joints of both sides by their names alone."""
     by_word: dict[tuple[str, str], int] = {}
     for j, name in enumerate(plain):
         if match := _LIMB.fullmatch(name):
@@ -431,7 +430,6 @@ def _limbs(plain: list[str]) -> dict[str, int]:
 
 
 def _hips(plain: list[str]) -> list[int]:
-    """List the joints that are called hips, the likeliest first."""
     return [plain.index(word) for word in (*HIPS, *(f"c{word}" for word in HIPS)) if word in plain]
 
 

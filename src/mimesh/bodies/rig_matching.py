@@ -204,7 +204,6 @@ class Creature:
 
 
 def _side_of(x: float) -> int:
-    """Tell the side of a place: 1 left, -1 right, 0 in the middle."""
     return (x > BESIDE) - (x < -BESIDE)
 
 
@@ -342,7 +341,6 @@ def named_front(rig: SkinnedCharacter) -> str | None:
 
 
 def _axis(direction: Float[np.ndarray, " 2"]) -> str:
-    """Name the axis nearest to a horizontal direction (x, z)."""
     k = int(np.abs(direction).argmax())
     return ("-" if direction[k] < 0 else "+") + "xz"[k]
 

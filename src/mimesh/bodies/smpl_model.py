@@ -109,7 +109,6 @@ def _read_npz(path: Path) -> dict[str, np.ndarray]:
 
 
 def _check_names(names: Collection[str], path: Path) -> None:
-    """Raise InputError for arrays that are missing."""
     missing = [name for name in ARRAYS if name not in names]
     if missing:
         found = ", ".join(repr(name)[1:-1] for name in list(names)[:12]) or "none"  # names may be anything

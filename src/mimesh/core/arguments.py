@@ -72,7 +72,6 @@ def described(value: object) -> str:
 
 
 def _advice(value: object, allowed: list[str]) -> str:
-    """Say what to do with a value of a wrong kind."""
     if hasattr(value, "panels"):  # results
         return "give its mesh (Result) or clip (ClipResult)"
     if "Clip" in allowed and _is("Mesh")(value):
@@ -232,7 +231,6 @@ def _as_array(name: str, values: Any) -> np.ndarray:
 
 
 def _as_real(name: str, array: np.ndarray) -> np.ndarray:
-    """Return float32 or float64: other real numbers become float64."""
     if array.dtype.kind == "f" and array.dtype.itemsize in (4, 8):
         return array
     if array.dtype.kind not in "iuf":
@@ -245,5 +243,4 @@ def _are_whole(array: np.ndarray) -> bool:
 
 
 def _kind(array: np.ndarray) -> str:
-    """Say of what kind numbers are that are not whole."""
     return f"{array.dtype}" if array.dtype.kind != "f" or np.isfinite(array).all() else "NaN or infinity"

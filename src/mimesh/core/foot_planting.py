@@ -474,7 +474,6 @@ def resting_lift(posed: PosedJoints, track: JointTrack, feet: Feet, scale: float
 
 
 def _lifted(track: JointTrack, lift: Float[np.ndarray, " T"]) -> JointTrack:
-    """Lift a motion by heights."""
     assert track.soles is not None
     way = np.multiply.outer(lift, [0.0, 1.0, 0.0])[:, None]
     below = None if track.lowest is None else track.lowest + lift

@@ -378,7 +378,6 @@ def factor(matrix: csr_array) -> SuperLU:
 
 
 def _unit_or_up(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
-    """Normalise vectors to length 1; zero vectors become +y."""
     return np.where(vectors.any(axis=-1, keepdims=True), unit_vectors(vectors), [0.0, 1.0, 0.0])
 
 

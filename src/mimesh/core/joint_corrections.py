@@ -96,7 +96,6 @@ class JointCorrections:
 
 
 def _position(name: str, value: Any, source: str) -> Float[np.ndarray, " 3"]:
-    """Convert to a position of three finite numbers."""
     try:
         position = np.asarray(value, np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -274,7 +274,6 @@ def check_numbers(mesh: Mesh, path: str | Path) -> None:
 
 
 def _check_corners(values: Float[np.ndarray, "F 3 _"] | None, kind: str, path: str | Path) -> None:
-    """Raise InputError for values of face corners that are not finite or too large."""
     if values is None:
         return
     bad = np.flatnonzero(~(np.abs(values) <= LARGEST).all(axis=(1, 2)))

@@ -126,7 +126,6 @@ def _array(value: Any) -> np.ndarray:
 
 
 def _dense(kind: str, state: dict[str, Any]) -> np.ndarray:
-    """Make the array of a sparse matrix from its attributes."""
     from scipy import sparse
 
     shape = state["_shape"] if "_shape" in state else state["shape"]

@@ -171,7 +171,6 @@ def _read_pool(data: Path, split: str) -> Pool:
 
 
 def _packs(data: Path, split: str) -> dict[str, list[PoolCharacter]]:
-    """Group the characters of a split by pack, sorted by name."""
     packs: dict[str, list[PoolCharacter]] = {}
     for character in sorted(_read_pool(data, split).characters, key=lambda c: (c.meta.pack, c.meta.file)):
         packs.setdefault(character.meta.pack, []).append(character)

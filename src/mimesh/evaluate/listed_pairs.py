@@ -111,7 +111,6 @@ class ListedPairs(Protocol):
         )
 
     def _height(self, kind: str, triple: Triple, identity: Mesh) -> float:
-        """Return the height of a pair's identity at rest, in the unit of its file."""
         known = self.heights[kind]
         if self.height is not None:
             return self.height
@@ -196,7 +195,6 @@ def listed_pairs(
 
 
 def _read(triple: Triple, read: Callable[[Path], T], path: Path) -> T:
-    """Read a file of a line; raises InputError with list and line."""
     try:
         return read(path)
     except InputError as error:
@@ -229,7 +227,6 @@ def _check_truth(triple: Triple, identity: Mesh, truth: Mesh) -> None:
 
 
 def _check_frames(triple: Triple, clip: Clip, truth: Clip) -> None:
-    """Check that a driving clip and its truth have the same frames."""
     facts = [f"{len(frames)} frames at {frames.fps:g} a second" for frames in (clip, truth)]
     if len(clip) != len(truth) or not np.isclose(clip.fps, truth.fps):
         raise InputError(

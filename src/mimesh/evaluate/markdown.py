@@ -84,7 +84,6 @@ def kind_table(rows: list[dict[str, Any]]) -> str:
 
 
 def _limb_table(rows: list[dict[str, Any]]) -> str:
-    """Format the rows of a kind without true meshes: limb directions, limb ends and contacts."""
     quantities = ("limbs, degrees", "wrists and ankles, limb lengths")
     head = ["method", "pairs", *(f"{name}: {part}" for name in quantities for part in ("mean", "median", "90 %"))]
     head += [*LIMB_COLUMNS.values(), "s a pair", "given"]
@@ -185,19 +184,16 @@ def _number(value: float | np.floating) -> str:
 
 
 def _spread(errors: list[float] | None) -> str:
-    """Format median, mean and number of errors."""
     return f"{_number(np.median(errors))} / {_number(np.mean(errors))} ({len(errors)})" if errors else "-"
 
 
 def _pairs(row: dict[str, Any]) -> str:
-    """Format the number of pairs, of how many where some were not applicable, and how many failed."""
     failed, count = row.get("failures", 0), _all_pairs(row)
     text = f"{row['pairs']} of {count}" if count > row["pairs"] else str(row["pairs"])
     return f"{text}, {failed} failed" if failed else text
 
 
 def _all_pairs(row: dict[str, Any]) -> int:
-    """Return the number of pairs, measured or not."""
     return row["pairs"] + row.get("not_applicable", 0) + row.get("failures", 0)
 
 

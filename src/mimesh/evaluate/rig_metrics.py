@@ -92,7 +92,6 @@ def weights_apart(first: Float[np.ndarray, "V J"], second: Float[np.ndarray, "V 
 
 
 def _to_bones(points: Float[np.ndarray, "N 3"], bones: Float[np.ndarray, "B 2 3"]) -> float:
-    """Return the mean distance of points to the nearest of some segments."""
     start, along = bones[None, :, 0], (bones[:, 1] - bones[:, 0])[None]
     step = points[:, None] - start
     length = np.maximum((along**2).sum(-1), np.finfo(float).tiny)
@@ -101,7 +100,6 @@ def _to_bones(points: Float[np.ndarray, "N 3"], bones: Float[np.ndarray, "B 2 3"
 
 
 def _points_on(bones: Float[np.ndarray, "B 2 3"]) -> Float[np.ndarray, "P 3"]:
-    """Sample bones evenly by their length."""
     length = np.linalg.norm(bones[:, 1] - bones[:, 0], axis=1)
     counts = np.maximum(np.ceil(BONE_STEPS * length / length.max()).astype(int), 1)
     shares = [(np.arange(count) + 0.5) / count for count in counts]

@@ -111,7 +111,6 @@ def win_share(row: dict[str, Any], baseline: dict[str, Any]) -> float | None:
 
 
 def _errors_by_pair(row: dict[str, Any]) -> dict[str, float]:
-    """Return the PMD of each measured pair by the pair's checksum."""
     each = row.get("each", {})
     if "pmd_e4" not in each:  # nothing was measured
         return {}

@@ -508,7 +508,6 @@ class SurfaceSource:
         return SurfaceBatch(identity, driving, truth, self._damage(identity, driving, rng))
 
     def _people(self, size: int, rng: torch.Generator) -> tuple[PosedSurface, PosedSurface, PosedSurface]:
-        """Make identity, driving mesh and truth of pairs of the shipped body's people."""
         shapes, poses, touching = self.people.pairs(size, rng)
         people = self._dress(shapes, touching, rng)
         missing = (0.0, 0.0) if self.config.kind in TABLE_KINDS else MISSING
@@ -517,7 +516,6 @@ class SurfaceSource:
         return identity, driving, self.surface.posed(people[0], poses[1], index[0])
 
     def _figures(self, size: int, rng: torch.Generator) -> tuple[PosedSurface, PosedSurface, PosedSurface]:
-        """Make the same of pairs of characters."""
         assert isinstance(self.people, EndlessPeople)
         return self.figures.draw(self.people.pairs(size, rng, self.config.character_limits)[1], rng)
 
@@ -535,7 +533,6 @@ class SurfaceSource:
         return [one.where(some, other) for one, some, other in zip(plain, touching, drawn, strict=True)]
 
     def _damage(self, identity: PosedSurface, driving: PosedSurface, rng: torch.Generator):
-        """Add noise to driving points, leave out one side of some and the normals of others."""
         size, index = len(driving.points), self._one_sided(driving.normals, rng)
         noise = normal(rng, *driving.points.shape)
         noisy = gather_points(driving.points, index) + MAX_NOISE * uniform(rng, size, 1, 1).square() * noise

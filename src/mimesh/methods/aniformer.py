@@ -167,7 +167,6 @@ def middles(frames: Iterable[Float[np.ndarray, "N 3"]], run: Run, length: int) -
 
 
 def _padded(frames: Iterable[np.ndarray], before: int, after: int) -> Iterator[np.ndarray]:
-    """Yield the frames, with copies of the first one before and of the last one after them."""
     frame = None
     for frame in frames:
         yield from itertools.repeat(frame, before + 1)

@@ -133,7 +133,6 @@ class DeformationTransfer:
 
 
 def _checked(reference: Mesh | None, driving: Mesh) -> Mesh:
-    """Return the reference, checking that it has the driving mesh's topology and unit."""
     if reference is None:
         raise InputError(
             f"{driving.name}: expected the same subject in the identity's pose beside it for model "
@@ -547,5 +546,4 @@ def _nearest_centroid(
 
 
 def _normals_of(triangles: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "P 3"]:
-    """Return unit normals of triangles given by their corners."""
     return face_normals(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))

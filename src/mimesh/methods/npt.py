@@ -110,7 +110,6 @@ class NPTMethod:
         driving: Float[np.ndarray, "P 3"],
         pairings: list[Int[np.ndarray, " N"]],
     ) -> Float[np.ndarray, "W 3"]:
-        """Run the network for each pairing and return the mean result (float64)."""
         total, size = np.zeros(identity.shape), self.sizes[0] if self.sizes else 1.0
         for pairing in pairings:
             inputs = {"identity": batch_of_one(identity * size), "driving": batch_of_one(driving[pairing])}

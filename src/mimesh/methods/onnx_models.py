@@ -84,7 +84,6 @@ def load_hand_finder(joints: tuple[str, ...], seed: int = 0) -> HandFinder | Non
 
 
 def _open_session(path: Path) -> InferenceSession:
-    """Open a file with onnxruntime on the CPU, or raise InputError if it cannot be read."""
     library = vars(import_onnxruntime().capi.onnxruntime_pybind11_state).values()
     errors = [kind for kind in library if isinstance(kind, type) and issubclass(kind, Exception)]
     try:

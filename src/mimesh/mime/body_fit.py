@@ -612,7 +612,6 @@ def limbs(name: str) -> dict[str, list[int]]:
 
 
 def _mean(values: Float[np.ndarray, "*C N"]) -> Float[np.ndarray, "*C"]:
-    """Compute the mean of at least FEWEST values; those that lack are 0."""
     return np.asarray(values.sum(axis=-1) / max(values.shape[-1], FEWEST))
 
 

@@ -212,7 +212,6 @@ def _has_holes(
 
 
 def _vertices(mesh: WeightedMesh, chosen: Bool[np.ndarray, " V"]) -> NetworkPoints:
-    """Return some vertices of a mesh with their normals."""
     around = mesh.faces[chosen[mesh.faces.T].any(axis=0)]
     return NetworkPoints(mesh.vertices[chosen], vertex_normals(mesh.vertices, around)[chosen])
 
@@ -328,7 +327,6 @@ class FingerNetwork:
         return dataclasses.replace(outputs[0], scores=np.concatenate([part.scores for part in outputs], axis=1))
 
     def _run(self, points: list[NetworkPoints], queries: list[NetworkPoints]) -> _Outputs:
-        """Run the network on a batch of hands."""
         given = {
             name: np.stack([getattr(part, field) for part in parts]).astype(np.float32)
             for parts, names in ((points, ("points", "normals")), (queries, ("vertices", "vertex_normals")))

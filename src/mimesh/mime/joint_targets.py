@@ -327,7 +327,6 @@ class _Chains:
 
 @cache
 def _chains(body: str) -> _Chains:
-    """Return a shipped body with its linkage."""
     rigged = load_body(body)
     at = {name: j for j, name in enumerate(rigged.joint_names)}
     return _Chains(LINKAGES[body], tuple(rigged.parents), rigged.joints, at)

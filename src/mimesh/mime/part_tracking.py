@@ -140,10 +140,8 @@ def _by_joint(maps: Float[np.ndarray, "*B K 3"]) -> Float[np.ndarray, "*B J 4 3"
 
 
 def _apply(maps: Float[np.ndarray, "*B K 3"], points: Float[np.ndarray, "*#B J 3"]) -> Float[np.ndarray, "*B J 3"]:
-    """Apply the map of each joint to one point."""
     return (_homogeneous(points)[..., None, :] @ _by_joint(maps))[..., 0, :]
 
 
 def _homogeneous(points: Float[np.ndarray, "*B N 3"]) -> Float[np.ndarray, "*B N 4"]:
-    """Append a coordinate of 1."""
     return np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)

@@ -143,7 +143,6 @@ class JointNetwork:
 
     @cached_property
     def _other_sides(self) -> list[int]:
-        """Joint on the other side of the body of each joint, or itself."""
         index = {name: j for j, name in enumerate(self.joints)}
         return [index.get(other_side(name), j) for name, j in index.items()]
 

@@ -298,7 +298,6 @@ def _rigid_pieces(
 
 
 def _block_joint(weights: Float[np.ndarray, " J"], body: str) -> int:
-    """Find the joint of a block from its summed weights."""
     limb = max(_limbs(body), key=lambda joints: weights[joints].sum())
     parents, total = sampled_body(body).parents, weights[limb].sum()
     shares = {j: weights[np.intersect1d(limb, descendants([int(j)], parents))].sum() for j in limb}
@@ -307,7 +306,6 @@ def _block_joint(weights: Float[np.ndarray, " J"], body: str) -> int:
 
 @cache
 def _limbs(name: str) -> list[Int[np.ndarray, " L"]]:
-    """List the joints of the trunk and of each limb of a shipped body."""
     body = sampled_body(name)
     limbs = [np.array(joints) for joints in limb_joints(body.names, body.parents).values()]
     return [np.setdiff1d(np.arange(len(body.parents)), np.concatenate(limbs)), *limbs]

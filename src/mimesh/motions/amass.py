@@ -195,7 +195,6 @@ def recording_facts(path: str | Path) -> tuple[tuple[str, str], ...]:
 
 
 def _gender(arrays: dict[str, np.ndarray]) -> str:
-    """Read the gender of the model, stored as text or as bytes; empty if the file does not say."""
     values = arrays.get("gender", np.zeros(0)).reshape(-1)[:1].tolist()
     texts = [value.decode(errors="replace") if isinstance(value, bytes) else str(value) for value in values]
     return "".join(filter(str.isprintable, "".join(texts)))[:20]
@@ -234,7 +233,6 @@ _BODY = ("pose_body", 3 * (len(JOINTS) - 1))
 
 
 def _read_arrays(path: Path, used: Collection[str]) -> dict[str, np.ndarray]:
-    """Read the arrays that are used, as they are stored, without unpickling."""
     with path.open("rb") as file, open_archive(file, path) as (archive, names):
         return {name: read_array(archive, name) for name in used if name in names}
 
@@ -291,7 +289,6 @@ def _in_place(rotvec: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "T 3"]:
 
 
 def _lacking(arrays: dict[str, np.ndarray]) -> tuple[str, ...]:
-    """Say what an archive lacks, and what is taken instead."""
     notes = ()
     if "trans" not in arrays:
         notes += ("no 'trans': the person stays in place, with the lower foot on the ground",)
@@ -319,7 +316,6 @@ def _rows(values: np.ndarray, name: str, width: int, path: Path) -> Float[np.nda
 
 
 def _rate(arrays: dict[str, np.ndarray], path: Path) -> float:
-    """Read the frame rate; raise InputError if it is not a positive number."""
     found = next((arrays[name] for name in RATES if name in arrays), np.array(DEFAULT_RATE))
     with contextlib.suppress(ValueError):  # text, which some tools write
         found = found.astype(np.float64) if found.size == 1 and found.dtype.kind in "US" else found

@@ -137,7 +137,6 @@ def run(
 
 
 def _leg_joints(body: RiggedBody) -> list[tuple[int, ...]]:
-    """List hip, knee and ankle of each of LEGS."""
     of_leg = {("Right" if leg[0].startswith("Right") else "Left", "Thigh" in leg[0]): leg for leg in QUADRUPED.legs}
     sides = [("Right" if leg.startswith("Right") else "Left", leg.endswith("Hind")) for leg in LEGS]
     return [tuple(body.joint(joint) for joint in of_leg[side]) for side in sides]

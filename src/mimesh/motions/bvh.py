@@ -175,7 +175,6 @@ def _read_hierarchy(text: str, path: Path):
 
 
 def _line_of_word(text: str, number: int) -> int:
-    """Return the line, from 1, of a word of a text, counted from 0."""
     starts = [word.start() for word in re.finditer(r"\S+", text)]
     return text.count("\n", 0, starts[min(number, len(starts) - 1)]) + 1
 
@@ -287,7 +286,6 @@ def _apply_channels(channels, values, offsets):
 
 
 def _about_axis(axis: int, angle: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3 3"]:
-    """Compute rotation matrices by `angle` (radians) about coordinate axis 0, 1 or 2."""
     rotmat = np.zeros((len(angle), 3, 3))
     b, c = (axis + 1) % 3, (axis + 2) % 3
     rotmat[:, axis, axis] = 1.0

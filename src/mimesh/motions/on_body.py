@@ -88,7 +88,6 @@ def motion_of_file(path: str | Path) -> Motion:
 
 
 def _load(path: str | Path) -> Bvh:
-    """Load the skeleton and motion of a motion file."""
     return load_bvh(path) if Path(path).suffix.lower() == BVH else load_amass(path)
 
 
@@ -147,13 +146,11 @@ def played_rig(clip: Clip) -> AnimatedRig:
 
 
 def _body_of(joints: int) -> RiggedBody:
-    """Return the shipped body with so many joints: without fingers, with them, or the quadruped."""
     bodies = (load_body, body_with_fingers, lambda: load_body("quadruped"))
     return next(body for body in (load() for load in bodies) if len(body.parents) == joints)
 
 
 def _at_rest(body: RiggedBody) -> Rig:
-    """Return the rig of a body at rest, where no joint is turned."""
     return Rig(np.tile(np.eye(3), (len(body.parents), 1, 1)), body.joints, body.weights)
 
 

@@ -211,7 +211,6 @@ def _foot_frame(points: Float[np.ndarray, "V 3"], shin: Float[np.ndarray, "3 3"]
 
 
 def _pitched(angle: float | Float[np.ndarray, " P"]) -> Float[np.ndarray, "*P 3 3"]:
-    """Return rotations about x (radians): toes go down."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_rotvec(np.multiply.outer(angle, [1.0, 0.0, 0.0])).as_matrix()
@@ -225,26 +224,21 @@ def _by_axes(estimate: Float[np.ndarray, "3 3"], axes: Float[np.ndarray, "3 3"] 
 
 
 def _chest(joints: Mapping[str, object]) -> str:
-    """Return the highest joint of the trunk below neck and head."""
     return next(name for name in reversed(TRUNK[:4]) if name in joints)
 
 
 def _trunk(joints: Positions) -> Float[np.ndarray, " 3"]:
-    """Compute the vector from the middle of the hips to that of the shoulders."""
     return _pair(joints, "Arm").mean(axis=0) - _pair(joints, "UpLeg").mean(axis=0)
 
 
 def _pair(joints: Positions, part: str) -> Float[np.ndarray, "2 3"]:
-    """Select the positions of the left and right joint of a part."""
     return np.stack([joints[side + part] for side in SIDES])
 
 
 def _bone(joint: str, tail: str) -> Float[np.ndarray, " 3"]:
-    """Return a bone of the shipped body in its T-pose."""
     body = body_with_fingers()
     return body.joints[body.joint(tail)] - body.joints[body.joint(joint)]
 
 
 def _angle(first: Float[np.ndarray, " 3"], second: Float[np.ndarray, " 3"]) -> float:
-    """Compute the angle (degrees) between two directions."""
     return float(np.degrees(np.arccos(np.clip(unit_vectors(first) @ unit_vectors(second), -1, 1))))

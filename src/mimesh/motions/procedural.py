@@ -127,10 +127,8 @@ def _bump(phase: Float[np.ndarray, " T"], centre: float, width: float) -> Float[
 
 
 def _about(axis: int, angle: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3 3"]:
-    """Compute rotation matrices by `angle` (radians) about coordinate axis 0, 1 or 2."""
     return rotvec_to_rotmat(angle[:, None] * np.eye(3)[axis])
 
 
 def _frames(seconds: float, fps: float) -> int:
-    """Count the frames of a motion, at least one."""
     return max(round(seconds * fps), 1)

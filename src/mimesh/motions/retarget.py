@@ -242,5 +242,4 @@ def on_floor(
 
 
 def _pair(rest, index, part):
-    """Select the positions of the left and right joint of a part, (2, 3)."""
     return rest[[index[f"Left{part}"], index[f"Right{part}"]]]

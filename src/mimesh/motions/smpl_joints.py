@@ -86,5 +86,4 @@ class RecordedJoints:
 
 
 def _rest(joints: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 4 4"]:
-    """Make the transforms of joints at rest, where all have the world's axes."""
     return homogeneous(np.tile(np.eye(3), (len(joints), 1, 1)), joints)

@@ -206,7 +206,6 @@ def _of_hand(
 
 
 def _line(part: str, place: dict[str, np.ndarray], surface: Float[np.ndarray, "N 3"]) -> Line | None:
-    """Return the line of a part in a T-pose; None if a joint is lacking or the line has no length."""
     side = next((side for side in SIDES if part.startswith(side)), "")
     own = part.removeprefix(side)
     following = {"UpLeg": "Leg", "Leg": "Foot", "Arm": "ForeArm", "ForeArm": "Hand"}

@@ -330,7 +330,6 @@ class Confidence:
         return (note,)
 
     def _reasons(self) -> list[str]:
-        """List in words which figures are bad."""
         incomplete = self._incomplete()
         unmatched, reasons = self._without_surface(), []
         if self.prediction_spread > MAX_SPREAD:
@@ -351,7 +350,6 @@ class Confidence:
         return [limb for limb, share in self.unmatched_body.items() if share > MAX_UNMATCHED_LIMB and uncovered]
 
     def _incomplete(self) -> list[str]:
-        """List the limbs that were not found."""
         return [limb for limb in self.standards.min_share if self._incompleteness(limb) > 1]
 
     def _incompleteness(self, limb: str) -> float:
@@ -392,6 +390,5 @@ def mean_angle(first: Float[np.ndarray, "J 3 3"], second: Float[np.ndarray, "J 3
 
 
 def _listed(article: str, limbs: list[str]) -> str:
-    """List limbs with an article each: "the head, the left arm and the right arm"."""
     *others, last = (f"{article} {limb}" for limb in limbs)
     return f"{', '.join(others)} and {last}" if others else last

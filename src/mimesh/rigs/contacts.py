@@ -273,7 +273,6 @@ class Contacts:
         return self.strength * steps.swapaxes(0, 1)
 
     def _pull(self, arm: Arm, theirs: Surface, own: Surface) -> Pull:
-        """Find where the points of an arm should go that touch."""
         points = theirs[:3, :, arm.points]
         nearest, inside = _nearest(theirs, points, arm.others, arm.body)
         touched = Places.over(theirs, points, self.beside[:, nearest])
@@ -323,7 +322,6 @@ def _nearest(
 
 
 def _moved_points(grid: BodyGrid, side: str) -> Int[np.ndarray, " M"]:
-    """Return the points of an arm that touch others."""
     rings = (grid.cells([side + part]).reshape(-1, ROWS[part][0])[rows, ::2] for part, rows in MOVED.items())
     return np.concatenate([ring.ravel() for ring in rings])
 
@@ -347,7 +345,6 @@ def _between(found: Float[np.ndarray, "A K 3"], chosen: Int[np.ndarray, " K"], c
 
 
 def _smoothed(found: Corrections, fps: float, cyclic: bool) -> Corrections:
-    """Filter corrections over time."""
     from scipy.ndimage import gaussian_filter1d
 
     if not cyclic:

@@ -143,13 +143,11 @@ def _motions(path: Path, body: RiggedBody) -> Iterator[tuple[str, Motion | Input
 
 
 def _maker(path: Path, folder: Path) -> str:
-    """Name maker, folder and licence of a file."""
     maker, stated = read_origin(open_document(path)) if path.suffix.lower() in JOINTED else ("", "")
     return f"{maker or NOT_STATED}: {pack_of(path, folder)} ({stated or licence_of(path, folder) or NOT_STATED})"
 
 
 def _is_motion(path: Path) -> bool:
-    """Tell whether a file can contain motions of joints."""
     try:
         return path.suffix.lower() in JOINTED or is_motion_file(path)
     except DAMAGED:

@@ -196,13 +196,11 @@ class EndlessPeople:
         return torch.stack([rest, table, wide, frame])[choice, torch.arange(size, device=self.device)]
 
     def _fold_legs(self, pose: Float[Tensor, "B J 3"], rng: torch.Generator) -> Float[Tensor, "B J 3"]:
-        """Fold the legs of a share of the people."""
         legs = self.folded[random_index(len(self.folded), (len(pose),), rng)]
         some = uniform(rng, len(pose), 1, 1) < self.config.folded
         return torch.where(some & self.is_leg, legs, pose)
 
     def _random_postures(self, size: int, rng: torch.Generator) -> Float[Tensor, "B J 3"]:
-        """Draw shares of the ways in which animals stand."""
         share = uniform(rng, size, 1, 1)
         return share * self.postures[random_index(len(self.postures), (size,), rng)]
 

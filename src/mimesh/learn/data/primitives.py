@@ -220,7 +220,6 @@ class _Style:
 
 
 def _random_joints(body: RiggedBody, style: _Style, rng: np.random.Generator) -> set[str]:
-    """Draw which of the body's joints a person has."""
     has = {name for name in body.joint_names if not name.endswith(DETAILS)}
     dropped = {**dict.fromkeys(LIMB_ENDS, style.one_joint), ("Hand",): 0.2, ("Foot",): 0.2}
     dropped |= {("LowerBack", "Spine"): 0.5, ("Spine1",): 0.3, ("Neck",): 0.5}
@@ -269,7 +268,6 @@ def _ends(
     style: _Style,
     rng: np.random.Generator,
 ) -> list[Primitive]:
-    """Make hands and feet; left and right are alike."""
     parts = []
     for part, offset, size in (
         ("Hand", (0.07, 0.0, 0.0), (0.08, 0.03, 0.05)),
@@ -287,7 +285,6 @@ def _ends(
 def _trunk(
     body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], style: _Style, rng: np.random.Generator
 ) -> list[Primitive]:
-    """Make the trunk, of one or two primitives."""
     hips, chest = body.joint("Hips"), body.joint("Spine1")
     shoulders = (joints[body.joint("LeftArm")] + joints[body.joint("RightArm")]) / 2
     legs = (joints[body.joint("LeftUpLeg")] + joints[body.joint("RightUpLeg")]) / 2
@@ -307,7 +304,6 @@ def _trunk(
 def _head(
     body: RiggedBody, joints: Float[np.ndarray, "J 3"], style: _Style, rng: np.random.Generator
 ) -> list[Primitive]:
-    """Make the head and the boxes on it."""
     joint = body.joint("Head")
     centre = joints[joint] + [0, 0.8 * style.head[1], 0.02]
     head = Primitive(draw_shape(style.shapes, rng), joint, centre, np.eye(3), style.head)

@@ -219,7 +219,6 @@ def hold_out(table: MeshTable, frames: int, config: MeshOptions) -> tuple[tuple[
 
 
 def _no_pair(folder: Path, layout: MeshLayout, table: MeshTable, frames: int) -> str:
-    """Say why a folder has no pair."""
     what = f"{len(layout.entries)} meshes of {table.first.shape[0]} people in {table.first.shape[1]} poses"
     if table.length.max() < frames:
         return (
