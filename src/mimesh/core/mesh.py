@@ -359,7 +359,7 @@ def check_cut(name: str, count: int, frames: slice) -> None:
 
 
 def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
-    """Select every `step`-th frame in start <= t < stop; the frame rate becomes fps / step, so the speed is unchanged."""
+    """Select every `step`-th frame in start <= t < stop; the frame rate becomes fps / step: the speed is unchanged."""
     check_cut(clip.mesh.name, len(clip), slice(start, stop, step))
     vertices = clip.vertices[start:stop:step]
     check_mesh(dataclasses.replace(clip.mesh, vertices=vertices[0].astype(np.float64)), clip.mesh.name)

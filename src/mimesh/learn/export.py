@@ -23,11 +23,9 @@ from ..io.atomic import together, whole_file, written
 from . import checkpoint
 from .checkpoint import Checkpoint
 from .config import recorded_config
-from .cost import operations_spent
 from .data.characters import CharacterOptions
 from .data.endless import PeopleOptions
-from .models import find_task
-from .task import DataConfig, OnnxInterface
+from .task import DataConfig, OnnxInterface, find_task
 
 DATA = {
     "table6": "16 people x 400 poses of NPT Table 6",
@@ -126,7 +124,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
         "hardware": header["hardware"],
         **({"precision": trained.precision} if trained.precision else {}),
         **trained.spent(),
-        "pflop": float(f"{operations_spent(trained) / 1e15:.3g}"),
+        "pflop": float(f"{trained.operations_spent() / 1e15:.3g}"),
         **({"before": list(trained.before)} if trained.before else {}),
         **({"characters": trained.characters} if trained.characters else {}),
         **({"meshes": trained.meshes} if trained.meshes else {}),
@@ -245,8 +243,6 @@ def load_exported(path: Path) -> tuple[nn.Module, Checkpoint]:
         config,
         step=pairs // config.batch,
         seconds=seconds,
-        best=float("inf"),
-        metrics={},
         tensors={f"model.{name}": tensor for name, tensor in model.state_dict().items()},
         before=tuple(card.get("before", ())),
         operations=card.get("operations"),

@@ -14,9 +14,8 @@ import torch
 from ..core.errors import InputError
 from ..methods.base import Method
 from .export import load_exported
-from .models import find_task
 from .optimizers import choose_precision
-from .task import OnnxInterface
+from .task import OnnxInterface, find_task
 
 NETWORKS = ("npt", "aniformer")
 """Networks whose exported weights are those of the training."""

@@ -177,7 +177,7 @@ def parse_betas(text: str) -> Float[np.ndarray, " K"]:
 
 
 def recording_facts(path: str | Path) -> tuple[tuple[str, str], ...]:
-    """Read what an archive says beside its motion, as name and value: gender, number of shape coefficients, frame rate."""
+    """Read what an archive says beside its motion, names and values: gender, number of betas, frame rate."""
     path = Path(path)
     arrays = _read_arrays(path, RATES)
     for name in ("betas", "gender"):
