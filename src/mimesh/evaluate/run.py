@@ -34,7 +34,7 @@ from .characters import Characters, characters, cross_body
 from .clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
 from .listed_pairs import ListedPairs, files_below, listed_pairs
-from .measure import EXTRA_INPUTS, Runtime, measure, measure_clip, open_network, run_on_clip, run_on_pair
+from .measure import EXTRA_INPUTS, Runtime, measure, open_network, run_on
 from .metrics import VERSION, pmd
 from .pairs import Pair
 from .protocols import PROTOCOLS, QUADRUPED, SPLITS, Protocol
@@ -207,8 +207,6 @@ def measure_trial(protocol: Protocol, trial: Pair, method: str, options: dict[st
     labels = {"pair": pair_checksum(trial), "identity": trial.groups[0], "driving": trial.groups[1]}
     if isinstance(trial, RigTrial):
         return labels | measure_rig(trial, method)
-    if isinstance(trial, ClipPair):
-        return labels | measure_clip(trial, method, **options)
     return labels | measure(trial, method, **options)
 
 
@@ -398,8 +396,8 @@ def dump_worst(
 def _to_draw(pair: Pair, method: str, options: dict[str, Any]) -> tuple[Pair, Float[np.ndarray, "V 3"]]:
     """Return a pair and the method's result beside its truth; for a clip, those of the frame with the largest PMD."""
     if not isinstance(pair, ClipPair):
-        return pair, run_on_pair(pair, method, **options).beside(pair.truth)
-    frames = run_on_clip(pair, method, **options).beside(pair.truth_frames)
+        return pair, run_on(pair, method, **options).beside(pair.truth)
+    frames = run_on(pair, method, **options).beside(pair.truth_frames)
     worst = int(np.argmax([pmd(a, b) for a, b in zip(frames, pair.truth_frames, strict=True)]))
     return pair.frame(worst), frames[worst]
 

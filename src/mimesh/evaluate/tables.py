@@ -22,7 +22,7 @@ class Row(NamedTuple):
     label: str
     """The paper's name of the row, or ours for rows that the paper does not have."""
     method: str
-    """Our method (`measure.run_on_pair`)."""
+    """Our method (`measure.run_on`)."""
     seen: float | None = None
     """PMD x1e4 on seen poses that the paper prints; None where it prints none."""
     unseen: float | None = None

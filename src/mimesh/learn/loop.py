@@ -356,7 +356,7 @@ class TrainingLog:
         if not self.losses:
             return
         loss = torch.stack(self.losses).mean().item()
-        seconds, operations = self.run.seconds - self.seconds, self.run.operations - self.operations
+        seconds, operations = self.run.seconds - self.seconds, (self.run.operations or 0.0) - self.operations
         rate = len(self.losses) * self.run.config.batch / seconds
         figures = {"loss": loss, "pairs_per_s": rate, "tflops": operations / seconds / 1e12}
         figures["learning_rate"] = self.run.optimizers[0].param_groups[0]["lr"]
@@ -365,7 +365,7 @@ class TrainingLog:
 
     def _begin(self) -> None:
         self.losses: list[Tensor] = []
-        self.time, self.seconds, self.operations = time.monotonic(), self.run.seconds, self.run.operations
+        self.time, self.seconds, self.operations = time.monotonic(), self.run.seconds, self.run.operations or 0.0
 
     def write(self, kind: str, figures: dict[str, float]) -> None:
         """Write one line of figures."""
