@@ -239,6 +239,10 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         }
 
 
+read_clip_arrays = lru_cache(maxsize=32)(read_arrays)
+"""Reads a file of clips, which many characters share."""
+
+
 def check_arrays(arrays: dict[str, np.ndarray], path: Path) -> None:
     """Check that arrays describe a character.
 
@@ -337,13 +341,8 @@ def _rig(arrays: dict[str, np.ndarray], meta: CharacterMeta, turn: np.ndarray, p
     )
 
 
-@lru_cache(maxsize=32)
-def _clip_arrays(path: Path) -> dict[str, np.ndarray]:
-    return read_arrays(path)
-
-
 def _clips(path: Path, character: dict[str, np.ndarray]) -> dict[str, CharacterClip]:
-    arrays = _clip_arrays(path)
+    arrays = read_clip_arrays(path)
     count = len(character["parents"])
     rest = local_frames(character["rest_matrices"].astype(np.float64), character["parents"])[:, :3, 3]
     try:

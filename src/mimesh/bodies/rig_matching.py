@@ -382,7 +382,11 @@ def moved_creature(
     parents = _hung(identity, match)
     pairs = [(identity.chains[u], driving.chains[v]) for u, v in match.pairs]
     turn = {joint: chain_turn(u, v) for u, v in pairs for joint in u.joints}
-    motion = _along(motion, driving, ROOTS[root], scale)
+    if (across := ROOTS[root]) is not None:
+        carried = {j: driving.share[descendants([j], driving.parents)].sum() for j in _roots(driving.parents)}
+        main = max(carried, key=lambda j: carried[j])
+        way = (motion.positions[:, main] - driving.rig.joints[main]) * [1, 0, 1]
+        motion = CreatureMotion(motion.linear, motion.positions + (across / scale - 1) * way[:, None])
     linear = np.tile(np.eye(3), (len(motion.linear), count, 1, 1))
     positions = np.tile(rest, (len(motion.linear), 1, 1))
     for joint in parents_first(parents):
@@ -393,8 +397,14 @@ def moved_creature(
             linear[:, joint] = _turned(match, motion, linear, joint, known, turn.get(joint, np.eye(3)))
             other = np.flatnonzero(match.follows[joint] == 1)
             if len(other):
-                start = None if known is None else int(match.follows[known].argmax())
-                shift = scale * _slide(driving, motion, int(other[0]), start)
+                # How far it is from where its parent takes it, in the parent's frame: roots and parts that slide.
+                j, hook = int(other[0]), driving.parents[other[0]]
+                hook = int(match.follows[known].argmax()) if hook < 0 and known is not None else hook
+                at = driving.rig.joints[j] - (driving.rig.joints[hook] if hook >= 0 else 0.0)
+                slid = motion.positions[:, j] - (motion.positions[:, hook] if hook >= 0 else 0.0)
+                if hook >= 0:
+                    slid = (np.linalg.pinv(motion.linear[:, hook]) @ slid[..., None])[..., 0]
+                shift = scale * (slid - at)
         elif above >= 0:
             linear[:, joint] = linear[:, above]
         offset = rest[joint] - (rest[above] if above >= 0 else 0.0) + shift
@@ -437,30 +447,6 @@ def _turned(
     if (match.follows[known] > 0).sum() > 1:
         above = nearest_rotation(above)
     return linear[:, known] @ turn @ np.linalg.pinv(above) @ blended @ turn.T
-
-
-def _slide(driving: Creature, motion: CreatureMotion, joint: int, start: int | None) -> Float[np.ndarray, "T 3"]:
-    """Return how far a joint is from where its parent takes it, in the parent's frame: roots and parts that slide.
-
-    `start` stands for the parent of a joint without one; None: the world.
-    """
-    above = driving.parents[joint]
-    above = start if above < 0 else above
-    rest = driving.rig.joints
-    if above is None:
-        return motion.positions[:, joint] - rest[joint]
-    step = motion.positions[:, joint] - motion.positions[:, above]
-    return (np.linalg.pinv(motion.linear[:, above]) @ step[..., None])[..., 0] - (rest[joint] - rest[above])
-
-
-def _along(motion: CreatureMotion, driving: Creature, across: float | None, scale: float) -> CreatureMotion:
-    """Change the way over the ground of a driving so that `scale` makes it `across` times as long; None: leave it."""
-    if across is None:
-        return motion
-    carried = {j: driving.share[descendants([j], driving.parents)].sum() for j in _roots(driving.parents)}
-    main = max(carried, key=lambda j: carried[j])
-    way = (motion.positions[:, main] - driving.rig.joints[main]) * [1, 0, 1]
-    return CreatureMotion(motion.linear, motion.positions + (across / scale - 1) * way[:, None])
 
 
 def _hung(identity: Creature, match: RigMatch) -> tuple[int, ...]:

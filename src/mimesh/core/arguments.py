@@ -168,9 +168,11 @@ def as_faces(values: Any) -> Int[np.ndarray, "F 3"]:
     if array.dtype.kind == "i":
         return array
     # Text files are often read as floats.
-    if array.dtype.kind == "u" or (array.dtype.kind == "f" and _are_whole(array)):
+    finite = array.dtype.kind != "f" or bool(np.isfinite(array).all())
+    if array.dtype.kind == "u" or (array.dtype.kind == "f" and finite and (array == np.floor(array)).all()):
         return array.astype(np.int64)
-    raise InputError(f"{name}: expected whole numbers, found {_kind(array)}; give the indices of vertices, from 0")
+    found = array.dtype if finite else "NaN or infinity"
+    raise InputError(f"{name}: expected whole numbers, found {found}; give the indices of vertices, from 0")
 
 
 def as_frames(values: Any, mesh: str, count: int) -> Float[np.ndarray, "T V 3"]:
@@ -236,11 +238,3 @@ def _as_real(name: str, array: np.ndarray) -> np.ndarray:
     if array.dtype.kind not in "iuf":
         raise InputError(f"{name}: expected real numbers, found {array.dtype}; convert them with astype(float)")
     return array.astype(np.float64)
-
-
-def _are_whole(array: np.ndarray) -> bool:
-    return bool(np.isfinite(array).all() and (array == np.floor(array)).all())
-
-
-def _kind(array: np.ndarray) -> str:
-    return f"{array.dtype}" if array.dtype.kind != "f" or np.isfinite(array).all() else "NaN or infinity"

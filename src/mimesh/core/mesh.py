@@ -19,7 +19,7 @@ from .arguments import as_faces, as_floats, as_frames, as_vertices, check_kind
 from .budgets import FACES, VERTICES, check_clip_size
 from .errors import InputError, damaged, option
 from .frame_buffer import Frames, PosedFrames, Progress, each_frame, store_frames
-from .geometry import face_areas, first_of_each, turn_normals
+from .geometry import face_areas, first_of_each, normal_turner
 from .person_motion import JointSource
 
 UNNAMED = "mesh"
@@ -147,7 +147,7 @@ class Mesh:
             )
         normals = self.corner_normals
         if normals is not None:
-            normals = turn_normals(normals, self.faces, self.vertices, vertices)
+            normals = normal_turner(normals, self.faces, self.vertices)(vertices)
         return dataclasses.replace(self, vertices=vertices, corner_normals=normals)
 
 

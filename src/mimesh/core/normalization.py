@@ -253,12 +253,6 @@ def clear_up(mesh: Mesh) -> str | None:
     return likeliest if totals[likeliest] >= CONTRARY else None
 
 
-def up_margin(mesh: Mesh, up: str) -> float:
-    """Return the probability of an axis away from the ground, minus that of the likeliest other one."""
-    totals = _up_probabilities(mesh)
-    return totals[up] - max(total for axis, total in totals.items() if axis != up)
-
-
 def _up_probabilities(mesh: Mesh) -> dict[str, float]:
     """Return the probability of each axis away from the ground, whatever the front is."""
     scores = orientation_scores(mesh_occupancy(mesh), detector())
@@ -364,7 +358,9 @@ def without_heading(mesh: Mesh, norm: Normalization, front_known: bool, person: 
     # Margin over the fronts at right angles to the best one, as for a mesh that stands along the axes.
     probability = np.exp(scores[best % 2 :: 2] - scores[best])
     margin = float((1 - np.sort(probability)[-2]) / probability.sum())
-    margin = margin if norm.up_from != "shape" else min(margin, up_margin(mesh, norm.up))
+    if norm.up_from == "shape":
+        totals = _up_probabilities(mesh)
+        margin = min(margin, totals[norm.up] - max(total for axis, total in totals.items() if axis != norm.up))
     detected = replace(norm, front=axis_name(rotation.T @ np.array([0.0, 0.0, 1.0])), margin=margin)
     upright = _at(mesh, rotate_axes(np.asarray(mesh.vertices, np.float64), rotation))
     return _turned(upright, detected, rotation, headings[best] - quarter * np.pi / 2)

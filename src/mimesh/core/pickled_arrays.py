@@ -144,9 +144,9 @@ def _numbers(data: Any, dtype: _Record) -> np.ndarray:
     Protocols before 3 write bytes as text.
     """
     name, order = dtype.arguments[0], dtype.state[1] if dtype.state else "="
-    if not (isinstance(name, str) and name.isalnum() and isinstance(order, str)):
+    if not (isinstance(name, str) and name.isalnum() and order in ("<", ">", "=", "|")):
         raise ValueError("an array of another type than numbers")
     if type(data).__name__ == "encode":
         data = data.arguments[0]
     data = data.encode("latin1") if isinstance(data, str) else bytes(memoryview(data))
-    return np.frombuffer(data, np.dtype(name).newbyteorder(order))
+    return np.frombuffer(data, np.dtype(f"{order}{name}"))

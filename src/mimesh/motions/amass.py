@@ -134,14 +134,18 @@ def load_amass(path: str | Path) -> Bvh:
     # Only the root is rotated to y up; the other rotations are relative to it.
     axes = upright(rotmat[:, 0], trans)
     rotmat[:, 0] = axes @ rotmat[:, 0]
-    names = tuple(skeleton)
-    parents = tuple(names.index(parent) if parent else -1 for parent, _ in skeleton.values())
-    offsets = HEIGHT * np.array([offset for _, offset in skeleton.values()])
     notes = _lacking(arrays)
     if axes[1, 1] < 0:
         notes += ("y points down, as in the axes of a camera: the person is turned upright",)
-    return Bvh(path.stem, names, parents, offsets, {}, rotmat, trans @ axes.T, _rate(arrays, path),
-                notes=tuple(f"{path.name}: {note}" for note in notes))  # fmt: skip
+    notes = tuple(f"{path.name}: {note}" for note in notes)
+    return _assumed_body(path.stem, skeleton, rotmat, trans @ axes.T, _rate(arrays, path), notes)
+
+
+def _assumed_body(name: str, joints: dict[str, tuple], rotmat, root, rate: float, notes=()) -> Bvh:
+    names = tuple(joints)
+    parents = tuple(names.index(parent) if parent else -1 for parent, _ in joints.values())
+    offsets = HEIGHT * np.array([offset for _, offset in joints.values()])
+    return Bvh(name, names, parents, offsets, {}, rotmat, root, rate, notes=notes)
 
 
 def load_recording(path: str | Path) -> BodyRecording:
@@ -262,16 +266,22 @@ def _joints_and_path(
         parts = {"root_orient": root[:, :3], "pose_body": body[:, : _BODY[1]]}
         # Hands follow the body in SMPL+H; jaw and eyes come between them in SMPL-X.
         parts |= {name: _rows(arrays[name], name, n, path)[:, :n] for name, n in PARTS.items() if name in arrays}
-        for name, rows in parts.items():
-            if len(rows) != len(root):
-                raise _length_error(path, "root_orient", len(root), name, len(rows))
+        _check_lengths(path, {name: len(rows) for name, rows in parts.items()})
         rotvec = np.concatenate(list(parts.values()), axis=1)
     if "trans" not in arrays:
         return poses_of(rotvec, "poses", path), _in_place(rotvec[:, : 3 * len(JOINTS)].reshape(len(rotvec), -1, 3))
     trans = _rows(arrays["trans"], "trans", 3, path)[:, :3]
-    if len(trans) != len(rotvec):
-        raise _length_error(path, "trans", len(trans), "poses", len(rotvec))
+    _check_lengths(path, {"trans": len(trans), "poses": len(rotvec)})
     return poses_of(rotvec, "poses", path), trans
+
+
+def _check_lengths(path: Path, rows: dict[str, int]) -> None:
+    (first, count), *others = rows.items()
+    for name, other in others:
+        if other != count:
+            raise InputError(
+                f"{path}: expected as many rows in '{first}' as in '{name}', found {count} and {other}; save them again"
+            )
 
 
 def _in_place(rotvec: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "T 3"]:
@@ -279,10 +289,8 @@ def _in_place(rotvec: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "T 3"]:
     rotmat = rotvec_to_rotmat(rotvec)
     axes = upright(rotmat[:, 0])
     rotmat[:, 0] = axes @ rotmat[:, 0]
-    names = tuple(JOINTS)
-    parents = tuple(names.index(parent) if parent else -1 for parent, _ in JOINTS.values())
-    offsets = HEIGHT * np.array([offset for _, offset in JOINTS.values()])
-    posed = Bvh("", names, parents, offsets, {}, rotmat, np.zeros((len(rotmat), 3)), DEFAULT_RATE)
+    posed = _assumed_body("", JOINTS, rotmat, np.zeros((len(rotmat), 3)), DEFAULT_RATE)
+    names = posed.joint_names
     feet = [names.index(f"{side}_{part}") for side in ("left", "right") for part in ("ankle", "foot")]
     raised = posed.world()[1][:, feet, 1] - posed.rest()[feet, 1]
     return np.array([0.0, 1.0, 0.0]) * -raised.min(axis=1, keepdims=True) @ axes
@@ -343,11 +351,3 @@ def upright(
 
 def _within(values: Float[np.ndarray, " T"], low: float, high: float) -> bool:
     return bool(low < values.min() and values.max() < high)
-
-
-def _length_error(path: Path, first: str, first_rows: int, second: str, second_rows: int) -> InputError:
-    """Make the error of two arrays with different numbers of frames."""
-    return InputError(
-        f"{path}: expected as many rows in '{first}' as in '{second}', found {first_rows} and {second_rows}; "
-        "save them again"
-    )

@@ -131,7 +131,9 @@ def run(
     at = np.arange(STEPS) / STEPS
     for k, joints in enumerate(_leg_joints(body)):
         offset = np.stack([np.interp(cycle, at, error[:, k, axis], period=1.0) for axis in range(3)], axis=1)
-        rotmat = _with_moved_ankle(body, rotmat, joints, offset)
+        world, displaced = body.skinning_transforms(body.joints, rotmat)
+        positions = (world @ body.joints[..., None])[..., 0] + displaced
+        rotmat = local_rotations(move_ankle(world, positions, joints, offset, body.parents), body.parents)
     root = np.stack([0.0 * cycle, np.interp(cycle, at, height, period=1.0), distance * (cycle - cycle[0])], axis=1)
     return rotmat, root
 
@@ -187,13 +189,3 @@ def _faded(
         away, back = 1 - smooth_step(air[swings, k], (0.0, 0.5)), smooth_step(air[swings, k], (0.5, 1.0))
         faded[swings, k] = away[:, None] * last + back[:, None] * first
     return faded
-
-
-def _with_moved_ankle(
-    body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"], leg: tuple[int, ...], offset: Float[np.ndarray, "T 3"]
-) -> Float[np.ndarray, "T J 3 3"]:
-    """Return local joint rotations with which the ankle of a leg is moved by an offset, as far as the leg reaches."""
-    world, displaced = body.skinning_transforms(body.joints, rotmat)
-    positions = (world @ body.joints[..., None])[..., 0] + displaced
-    turned = move_ankle(world, positions, leg, offset, body.parents)
-    return local_rotations(turned, body.parents)

@@ -81,7 +81,9 @@ def retarget_skeleton(
         )
     if standing := rests_standing(rest, index):
         axes = axes_from_rest(rest, index)
-        aligned = alignments(rest @ axes.T, index, body)
+        placed = rest @ axes.T
+        bones = {joint: placed[index[tail]] - placed[index[joint]] for joint, tail in BONES.items()}
+        aligned = limb_alignments(bones, body)
         rest_rotation = {joint: axes.T @ aligned.get(joint, np.eye(3)) for joint in index}
     else:
         axes = axes_from_motion(position, index)
@@ -171,13 +173,6 @@ def rest_heading(rest: Float[np.ndarray, "J 3"], index: Mapping[str, int]) -> fl
     across = np.sum([unit_vectors((left - right) * [1.0, 0.0, 1.0]) for left, right in pairs], axis=0)
     angle = float(np.arctan2(-across[2], across[0]))
     return angle if abs(angle) > OBLIQUE else 0.0
-
-
-def alignments(
-    rest: Float[np.ndarray, "J 3"], index: dict[str, int], body: RiggedBody
-) -> dict[str, Float[np.ndarray, "3 3"]]:
-    """Compute the rotation A_j (see the module) of limbs, hands and feet; other joints have none."""
-    return limb_alignments({joint: rest[index[tail]] - rest[index[joint]] for joint, tail in BONES.items()}, body)
 
 
 def limb_alignments(
