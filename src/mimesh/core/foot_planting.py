@@ -81,7 +81,7 @@ class FootContacts:
     def intervals(self, fps: float) -> list[list[tuple[int, int]]]:
         """Return for each foot when it is on the ground: first frame, and the one after the last, of each time."""
         found, shortest = [], SHORTEST_CONTACT * fps
-        for standing in self.planted.any(axis=2).T:
+        for standing in np.any(self.planted, axis=2).T:
             change = np.diff(np.pad(standing, 1).astype(int))
             # A point that stands between two frames is on the ground in both.
             begin, end = np.flatnonzero(change > 0), np.flatnonzero(change < 0) + 1
