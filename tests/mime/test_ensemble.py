@@ -12,7 +12,8 @@ from mimesh.core.canonical_order import canonical_order
 from mimesh.core.rig import Rig
 from mimesh.core.surface_points import generator
 from mimesh.methods.find import find_model
-from mimesh.mime.prediction import ENSEMBLE, NetworkPoints, sampled_points
+from mimesh.mime.body_fit import SurfaceSample
+from mimesh.mime.prediction import ENSEMBLE, sampled_points
 
 METHOD = find_model("mime-quadruped")
 
@@ -41,7 +42,7 @@ def test_a_mesh_that_stands_is_left_alone():
 def test_predictions_after_a_turn_are_those_of_the_turned_mesh():
     turn = Rotation.from_euler("xyz", [30, 40, 50], degrees=True).as_matrix()
     samples, vertices = points_of(np.eye(3))
-    points = NetworkPoints.of(samples.part(0, ENSEMBLE), vertices)
+    points = SurfaceSample.of(samples.part(0, ENSEMBLE), vertices)
     direct = METHOD.network.run(points.turned(turn), points.turned(turn))
     back = METHOD.network.run(points, points, turn=turn)
     np.testing.assert_allclose(turn @ back.rotation, direct.rotation, atol=1e-5)
