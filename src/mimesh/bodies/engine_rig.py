@@ -131,7 +131,14 @@ def _bind(
     joints = place_joints(old.joints[0], old.joints[1:] - old.joints[above], turn, skeleton.parents)
     mesh = skeleton.mesh
     if rest != "file":
-        vertices = _rest_vertices(skeleton.points, old, turn, joints)
+        # Skinning from there to the file's pose gives the file's vertices; where joints of a vertex turn so differently
+        # that this has no stable solution, it is skinned to the rest pose instead.
+        back = turn.swapaxes(-1, -2)
+        blended = blend_matrices(old.weights, back)
+        wanted = skeleton.points - old.weights @ (old.joints - (back @ joints[..., None])[..., 0])
+        stable = np.linalg.det(blended) > LEAST_DETERMINANT
+        vertices = skin_points(skeleton.points, old.weights, turn, joints - (turn @ old.joints[..., None])[..., 0])
+        vertices[stable] = np.linalg.solve(blended[stable], wanted[stable][..., None])[..., 0]
         # The soles stay on their ground when legs are straightened.
         rise = axes[:, 1] * ((skeleton.points @ axes[:, 1]).min() - (vertices @ axes[:, 1]).min())
         joints, mesh = joints + rise, mesh.with_vertices(skeleton.on_mesh(vertices + rise))
@@ -185,23 +192,6 @@ def _rest_turns(
             foot = joints[limb["ToeBase"]] - joints[limb["Foot"]]
             turn[[limb["Foot"], limb["ToeBase"]]] = rotation_between(foot - (foot @ down) * down, axes[:, 2])
     return turn
-
-
-def _rest_vertices(
-    vertices: Float[np.ndarray, "V 3"], rig: Rig, turn: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]
-) -> Float[np.ndarray, "V 3"]:
-    """Compute vertices in a rest pose such that skinning from there to the file's pose gives the file's vertices.
-
-    Where joints of one vertex turn so differently that this has no stable solution, the vertices are skinned to the
-    rest pose instead.
-    """
-    back = turn.swapaxes(-1, -2)
-    blended = blend_matrices(rig.weights, back)
-    wanted = vertices - rig.weights @ (rig.joints - (back @ joints[..., None])[..., 0])
-    stable = np.linalg.det(blended) > LEAST_DETERMINANT
-    moved = skin_points(vertices, rig.weights, turn, joints - (turn @ rig.joints[..., None])[..., 0])
-    moved[stable] = np.linalg.solve(blended[stable], wanted[stable][..., None])[..., 0]
-    return moved
 
 
 class _Bone(NamedTuple):

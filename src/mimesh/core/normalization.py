@@ -348,7 +348,13 @@ def without_heading(mesh: Mesh, norm: Normalization, front_known: bool, person: 
     headings = (headings + np.pi) % (2 * np.pi) - np.pi
     if not person:
         return _turned(upright, norm, norm.rotation, min(headings[::2], key=abs))
-    scores = _front_scores(upright, principal)
+    scores = np.empty(8)
+    fronts = [ORIENTATIONS.index(("+y", axis)) for axis in QUARTERS]
+    for k in range(2):
+        aligned = _at(upright, turned(upright.vertices, -principal - k * np.pi / 4))
+        scores[k::2] = orientation_scores(mesh_occupancy(aligned), detector())[fronts]
+    # Rounded, so that the rounding of a sum cannot decide between the equal fronts of a symmetric shape.
+    scores = np.round(scores, 6)
     if front_known:
         best = int(np.where(np.abs(headings) <= WITHIN, scores, -np.inf).argmax())
         return _turned(upright, norm, norm.rotation, headings[best])
@@ -410,17 +416,6 @@ def principal_heading(upright: Mesh) -> float | None:
     if np.hypot(zz - xx, 2 * xz) <= ROUND * (xx + zz):
         return None
     return float(np.round(np.arctan2(2 * xz, zz - xx) / 2, DIGITS) % np.pi)
-
-
-def _front_scores(upright: Mesh, principal: float) -> Float[np.ndarray, "8"]:
-    """Score the fronts at `principal` + k * 45 degrees by the detector of the orientation."""
-    scores = np.empty(8)
-    fronts = [ORIENTATIONS.index(("+y", axis)) for axis in QUARTERS]
-    for k in range(2):
-        aligned = _at(upright, turned(upright.vertices, -principal - k * np.pi / 4))
-        scores[k::2] = orientation_scores(mesh_occupancy(aligned), detector())[fronts]
-    # Rounded, so that the rounding of a sum cannot decide between the equal fronts of a symmetric shape.
-    return np.round(scores, 6)
 
 
 def _at(mesh: Mesh, vertices: Float[np.ndarray, "V 3"]) -> Mesh:

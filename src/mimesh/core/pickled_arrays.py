@@ -117,25 +117,23 @@ def _array(value: Any) -> np.ndarray:
             shape = value.state.get("preferred_shape")
             return chosen if shape is None else chosen.reshape(shape)
         case kind, _Record() if kind in NAMES["scipy"]:
-            return _dense(kind, value.state)
+            from scipy import sparse
+
+            shape = value.state["_shape"] if "_shape" in value.state else value.state["shape"]
+            if kind.startswith("coo"):
+                places = value.state["coords"] if "coords" in value.state else (value.state["row"], value.state["col"])
+                return sparse.coo_matrix(
+                    (_array(value.state["data"]), tuple(map(_array, places))), shape=shape
+                ).toarray()
+            make = sparse.csr_matrix if kind.startswith("csr") else sparse.csc_matrix
+            matrix = make(tuple(_array(value.state[name]) for name in ("data", "indices", "indptr")), shape=shape)
+            matrix.check_format(full_check=True)  # without it a wrong index is written anywhere
+            return matrix.toarray()
         case _, int() | float():
             return np.asarray(value)
         case _, list() | tuple() if all(isinstance(number, int | float) for number in value):
             return np.asarray(value)
     raise ValueError(f"{type(value).__name__}, which is no array")
-
-
-def _dense(kind: str, state: dict[str, Any]) -> np.ndarray:
-    from scipy import sparse
-
-    shape = state["_shape"] if "_shape" in state else state["shape"]
-    if kind.startswith("coo"):
-        places = state["coords"] if "coords" in state else (state["row"], state["col"])
-        return sparse.coo_matrix((_array(state["data"]), tuple(map(_array, places))), shape=shape).toarray()
-    make = sparse.csr_matrix if kind.startswith("csr") else sparse.csc_matrix
-    matrix = make(tuple(_array(state[name]) for name in ("data", "indices", "indptr")), shape=shape)
-    matrix.check_format(full_check=True)  # without it a wrong index is written anywhere
-    return matrix.toarray()
 
 
 def _numbers(data: Any, dtype: _Record) -> np.ndarray:

@@ -115,19 +115,6 @@ class Characters(Wide):
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> CharacterPair:
         base, across = kind.removeprefix(ACROSS), kind.startswith(ACROSS)
-        identity, driving = self.draw_characters(split, kind, i, rng)
-        number = ACROSS_POSES + i if across else i
-        rest, rest_label = np.tile(np.eye(4), (len(identity.rig.parents) + 1, 1, 1)), "rest"
-        if rng.random() >= 2 / 3:
-            pose = self.sample_rest_pose(split, base, number, rng)
-            rest, rest_label = pose_character(identity, pose.rotmat), pose.label
-        transforms, label = self.draw_pose(driving, split, base, number, rng)
-        return _make_pair(identity, driving, rest, transforms, (rest_label, label), across)
-
-    def draw_characters(
-        self, split: str, kind: str, i: int, rng: np.random.Generator
-    ) -> tuple[PoolCharacter, PoolCharacter]:
-        """Draw the identity and the driving character of pair `i`."""
         if kind.startswith(ACROSS):
             choices = _across(self.data, split)
             identities, others = choices[i % len(choices)]
@@ -138,7 +125,14 @@ class Characters(Wide):
             identities = choices[i % len(choices)]
             identity = identities[rng.integers(len(identities))]
             partners = [c for c in identities if c is not identity and c.rig.skeleton == identity.rig.skeleton]
-        return identity, partners[rng.integers(len(partners))]
+        identity, driving = identity, partners[rng.integers(len(partners))]
+        number = ACROSS_POSES + i if across else i
+        rest, rest_label = np.tile(np.eye(4), (len(identity.rig.parents) + 1, 1, 1)), "rest"
+        if rng.random() >= 2 / 3:
+            pose = self.sample_rest_pose(split, base, number, rng)
+            rest, rest_label = pose_character(identity, pose.rotmat), pose.label
+        transforms, label = self.draw_pose(driving, split, base, number, rng)
+        return _make_pair(identity, driving, rest, transforms, (rest_label, label), across)
 
     def draw_pose(
         self, driving: PoolCharacter, split: str, kind: str, number: int, rng: np.random.Generator

@@ -153,7 +153,12 @@ class ListedClips(ListedPairs):
         triple = self.lists[kind][i]
         identity = _read(triple, load_mesh, triple.paths[0])
         clip, truth = (_read(triple, lambda path: load_clip(path, fps=self.fps), path) for path in triple.paths[1:])
-        _check_frames(triple, clip, truth)
+        facts = [f"{len(frames)} frames at {frames.fps:g} a second" for frames in (clip, truth)]
+        if len(clip) != len(truth) or not np.isclose(clip.fps, truth.fps):
+            raise InputError(
+                f"{triple.where}: expected the truth {triple.names[2]} with the {facts[0]} of {triple.names[1]}, found "
+                f"{facts[1]}; save both with the same frames"
+            )
         meshes = [dataclasses.replace(c.mesh, vertices=np.asarray(c.vertices[0], np.float64)) for c in (clip, truth)]
         _check_truth(triple, identity, meshes[1])
         first = self._pair(kind, triple, identity, *meshes)
@@ -223,15 +228,6 @@ def _check_truth(triple: Triple, identity: Mesh, truth: Mesh) -> None:
         raise InputError(
             f"{triple.where}: expected {names[0]} with the triangles of {names[1]}, found others; save both with one "
             "order of vertices and faces"
-        )
-
-
-def _check_frames(triple: Triple, clip: Clip, truth: Clip) -> None:
-    facts = [f"{len(frames)} frames at {frames.fps:g} a second" for frames in (clip, truth)]
-    if len(clip) != len(truth) or not np.isclose(clip.fps, truth.fps):
-        raise InputError(
-            f"{triple.where}: expected the truth {triple.names[2]} with the {facts[0]} of {triple.names[1]}, found "
-            f"{facts[1]}; save both with the same frames"
         )
 
 
@@ -338,7 +334,15 @@ def read_heights(path: Path) -> dict[str, float] | None:
         heights = json.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected heights as JSON, found '{str(error)[:80]}'; correct that place") from None
-    wrong = [value for value in heights.values() if not _is_height(value)] if isinstance(heights, dict) else [heights]
+    wrong = (
+        [
+            value
+            for value in heights.values()
+            if not (isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= sys.float_info.max)
+        ]
+        if isinstance(heights, dict)
+        else [heights]
+    )
     if wrong:
         raise InputError(
             f'{path}: expected an object such as {{"id0_17.obj": 1.71}}, found {str(wrong[0])[:40]!r}; correct it'
@@ -393,7 +397,3 @@ def _find(name: str, folder: Path, where: str) -> Path:
         f"{where}: expected the file {name!r} in {folder}, found none; correct the name, or give the folder of the "
         "files with --data"
     )
-
-
-def _is_height(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= sys.float_info.max

@@ -56,7 +56,25 @@ def markdown(report: dict[str, Any]) -> str:
         f"Left out: {count} file{'s' * (count != 1)} ({reason})."
         for reason, count in report.get("left_out", {}).items()
     ]
-    return "\n\n".join([title, *tables, *left_out, *unmeasured(rows)])
+    kinds: dict[tuple[str, str, str], list[str]] = {}
+    for row in rows:
+        for count, reason, said in (("not_applicable", "why", "Not applicable"), ("failures", "failed", "Failed")):
+            if reason in row:
+                share = f"{row[count]} of {_all_pairs(row)} pairs of {row['split']}"
+                kinds.setdefault((said, row["method"], row[reason]), []).append(share)
+    lines = [f"{said}: `{method}`, {', '.join(shares)} ({why})." for (said, method, why), shares in kinds.items()]
+    failed = any("failures" in row for row in rows)
+    return "\n\n".join(
+        [
+            title,
+            *tables,
+            *left_out,
+            *(
+                lines
+                + ["Means are over the other pairs; the report has the message of each pair that failed."] * failed
+            ),
+        ]
+    )
 
 
 def kind_table(rows: list[dict[str, Any]]) -> str:
@@ -143,19 +161,6 @@ def makers_table(rows: list[dict[str, Any]]) -> str:
     units = ["PMD" if "pmd_e4" in row else "degrees" for row in rows]
     heads = [f"{kind}, {unit}" for kind, unit in zip(kinds, units, strict=True)]
     return markdown_table(["maker, pack", *heads], lines)
-
-
-def unmeasured(rows: list[dict[str, Any]]) -> list[str]:
-    """Format one line for each method with pairs that are not in its means, with the reason, or the first of them."""
-    kinds: dict[tuple[str, str, str], list[str]] = {}
-    for row in rows:
-        for count, reason, said in (("not_applicable", "why", "Not applicable"), ("failures", "failed", "Failed")):
-            if reason in row:
-                share = f"{row[count]} of {_all_pairs(row)} pairs of {row['split']}"
-                kinds.setdefault((said, row["method"], row[reason]), []).append(share)
-    lines = [f"{said}: `{method}`, {', '.join(shares)} ({why})." for (said, method, why), shares in kinds.items()]
-    failed = any("failures" in row for row in rows)
-    return lines + ["Means are over the other pairs; the report has the message of each pair that failed."] * failed
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

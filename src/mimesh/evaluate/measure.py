@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -202,7 +202,8 @@ def run_on(
         clip = Clip(driving, required_input(frames, method), clip.fps)
         return Output.of(animate(trial.identity, clip, "deformation-transfer", hints=AXES, options=inputs))
     network = open_network(method, ensemble, runtime) if isinstance(method, str) else method
-    if compared_as_shapes(network, refine):
+    # Networks of the papers, whose own results are compared, as in their training; refined ones need a size.
+    if isinstance(network, ShapeMethod) and (needs_true_size(network) or not refine):
         if clip is not None:
             return Output(*placed_shapes(network, trial.identity, clip, truth))
         vertices, origin = placed_shapes(network, trial.identity, Clip.still(trial.driving), truth[None])
@@ -249,14 +250,6 @@ def needs_true_size(method: Mime | Method) -> bool:
     return getattr(method, "target_scale", "identity") == "truth"
 
 
-def compared_as_shapes(method: Mime | Method, refine: bool) -> TypeGuard[ShapeMethod]:
-    """Return whether a method is a network of the papers whose own results are compared, as in its training.
-
-    Refined results are those of `transfer`, which needs a size of the method.
-    """
-    return isinstance(method, ShapeMethod) and (needs_true_size(method) or not refine)
-
-
 def placed_shapes(
     network: ShapeMethod, identity: Mesh, clip: Clip, truth: Float[np.ndarray, "T V 3"]
 ) -> tuple[Float[np.ndarray, "T V 3"], Float[np.ndarray, "T 3"]]:
@@ -301,7 +294,19 @@ def measure(trial: Pair, method: str | Method, **options: Any) -> dict[str, Any]
     if isinstance(trial, ClipPair):
         truth, fps = trial.truth_frames, trial.clip.fps
         frames = [shape_metrics(*both, trial) for both in zip(result.beside(truth), truth, strict=True)]
-        still = run_on(repeat_first_frame(trial), method, **options).vertices
+        still = (STATIC_FRAMES, 1, 1)
+        still = run_on(
+            (
+                dataclasses.replace(
+                    trial,
+                    clip=dataclasses.replace(trial.clip, vertices=np.tile(trial.clip.vertices[:1], still)),
+                    truth_frames=np.tile(trial.truth_frames[:1], still),
+                    aligned_frames=None if trial.aligned_frames is None else np.tile(trial.aligned_frames[:1], still),
+                )
+            ),
+            method,
+            **options,
+        ).vertices
         return {
             **{name: float(np.mean([frame[name] for frame in frames])) for name in frames[0]},
             "stretch": max(frame["stretch"] for frame in frames),
@@ -348,14 +353,3 @@ def in_supported_order(trial: Pair, method: str | Method) -> Pair:
     if not isinstance(trial, ClipPair) or trial.place is None or not isinstance(method, str) or method in EXTRA_INPUTS:
         return trial
     return trial.reordered(trial.place, trial.place) if getattr(find_model(method), "vertices", 0) else trial
-
-
-def repeat_first_frame(trial: ClipPair) -> ClipPair:
-    """Return the trial as a static clip: STATIC_FRAMES copies of its first frame."""
-    still = (STATIC_FRAMES, 1, 1)
-    return dataclasses.replace(
-        trial,
-        clip=dataclasses.replace(trial.clip, vertices=np.tile(trial.clip.vertices[:1], still)),
-        truth_frames=np.tile(trial.truth_frames[:1], still),
-        aligned_frames=None if trial.aligned_frames is None else np.tile(trial.aligned_frames[:1], still),
-    )

@@ -98,7 +98,12 @@ def evaluate_command(
     if not methods:
         raise InputError("--model: expected one model or more, with commas between, found none; name some")
     for method in methods:
-        check_method(method)
+        names = sorted({*EXTRA_INPUTS, *MODELS, *NETWORK_OF_BODY.values()} - {"deformation-transfer"})
+        named = method in (*names, *REDUCED_MODELS, *INDEX_PAIRED.values()) or is_table_model(method)
+        if not named and not (method.endswith(".onnx") and Path(method).is_file()):
+            close = did_you_mean(method, names) or "; check -m"
+            raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither{close}")
+        check_weights(method)
     chosen.check(split)
     if dump is not None and chosen.name in ("characters", "rigs") and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
@@ -268,16 +273,11 @@ def data_facts(protocol: Protocol, split: str, data: Path | None) -> dict[str, A
         return {"lists": protocol.checksums(), "data": files_checksum(protocol.files())}
     facts: dict[str, Any] = {"split": split}
     if data is not None and protocol.name in FOLDERS:
-        facts["data"] = folder_checksum(data)
+        files = files_below(data)
+        if not files:
+            raise InputError(f"{data}: expected a folder with files, found none; check --data")
+        facts["data"] = files_checksum({str(path.relative_to(data)): path for path in files})
     return facts
-
-
-def folder_checksum(folder: Path) -> str:
-    """Return `files_checksum` of a folder and its subfolders; raise InputError if there are no files."""
-    files = files_below(folder)
-    if not files:
-        raise InputError(f"{folder}: expected a folder with files, found none; check --data")
-    return files_checksum({str(path.relative_to(folder)): path for path in files})
 
 
 def files_checksum(files: Mapping[str, Path]) -> str:
@@ -335,16 +335,6 @@ def fingerprint(method: str) -> int:
     checksum = zlib.crc32(path.read_bytes())
     uses_hands = getattr(find_model(method), "hands", None) is not None
     return zlib.crc32(hands_path().read_bytes(), checksum) if uses_hands else checksum
-
-
-def check_method(method: str) -> None:
-    """Raise InputError, with the known names, for a method that does not exist."""
-    names = sorted({*EXTRA_INPUTS, *MODELS, *NETWORK_OF_BODY.values()} - {"deformation-transfer"})
-    named = method in (*names, *REDUCED_MODELS, *INDEX_PAIRED.values()) or is_table_model(method)
-    if not named and not (method.endswith(".onnx") and Path(method).is_file()):
-        close = did_you_mean(method, names) or "; check -m"
-        raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither{close}")
-    check_weights(method)
 
 
 def provenance(config: dict[str, Any]) -> dict[str, Any]:

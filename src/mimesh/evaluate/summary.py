@@ -55,7 +55,8 @@ def summary(method: str, kind: str, figures: list[dict[str, Any]], body: str = "
         row["stretch_max"] = round(max(metrics["stretch"] for metrics in measured), 2)
     if measured:
         row["seconds_per_frame"] = round(float(np.median([metrics["seconds"] for metrics in measured])), 4)
-    return row | {"each": _columns(figures)}
+    names = dict.fromkeys(name for metrics in figures for name in metrics if name != "why")
+    return row | {"each": ({name: [_rounded(metrics.get(name)) for metrics in figures] for name in names})}
 
 
 def _distribution(name: str, figures: list[dict[str, Any]]) -> dict[str, float]:
@@ -69,12 +70,6 @@ def _distribution(name: str, figures: list[dict[str, Any]]) -> dict[str, float]:
         "_p90": float(np.quantile(values, 0.9)),
         "_max": float(values.max()),
     }
-
-
-def _columns(figures: list[dict[str, Any]]) -> dict[str, list]:
-    """Return the figures of all pairs as one list for each metric; None where a pair has no such figure."""
-    names = dict.fromkeys(name for metrics in figures for name in metrics if name != "why")
-    return {name: [_rounded(metrics.get(name)) for metrics in figures] for name in names}
 
 
 def _rounded(value: Any) -> Any:

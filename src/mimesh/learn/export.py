@@ -174,16 +174,11 @@ def to_onnx(interface: OnnxInterface) -> onnx.ModelProto:
         assert program is not None
         # Constants are computed in advance from numbers, not from weights: those keep their names.
         onnxscript.optimizer.optimize(program.model, input_size_limit=2, output_size_limit=64)
-    return without_traces(program.model_proto)
-
-
-def without_traces(network: onnx.ModelProto) -> onnx.ModelProto:
-    """Remove what the exporter writes about the source files that each operation came from."""
-    graph = network.graph
+    graph = program.model_proto.graph  # without what says from which source files each operation came
     for thing in (graph, *graph.node, *graph.value_info, *graph.input, *graph.output, *graph.initializer):
         del thing.metadata_props[:]
         thing.ClearField("doc_string")
-    return network
+    return program.model_proto
 
 
 def compress(network: onnx.ModelProto, bits: int = 16) -> onnx.ModelProto:

@@ -118,7 +118,16 @@ class TrainingRun(Checkpoint):
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         last = folder / "last.safetensors"
         state = checkpoint.load(last) if last.exists() else Checkpoint(config, operations=0.0)
-        refuse_other_data(user_data, {"characters": state.characters, "meshes": state.meshes}, folder)
+        for part, facts in {"characters": state.characters, "meshes": state.meshes}.items():
+            if facts and not (user_data and user_data.part == part and user_data.continues(facts)):
+                what = "characters and clips" if "clips" in facts else part
+                names = [maker for whose in (facts, facts.get("clips", {})) for maker in whose.get("makers", ())]
+                if part == "meshes":
+                    names = [f"{facts['layout']}, {facts['meshes']:,} of {facts['people']} people"]
+                raise InputError(
+                    f"{folder}: expected the {what} of the training so far ({', '.join(names)}), found others; "
+                    f"begin a new training with --weights {folder / 'last.safetensors'}"
+                )
         precision, reason = choose_precision(config.precision, device, state.precision)
         torch.manual_seed(config.seed)
         task = find_task(config.network)(config, device, precision, user_data)
@@ -218,24 +227,6 @@ class TrainingRun(Checkpoint):
         self.tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
         checkpoint.save(path, self)
         self.tensors = {}
-
-
-def refuse_other_data(brought: UserData | None, recorded: dict[str, dict[str, Any]], folder: Path) -> None:
-    """Check that the training in a folder goes on with the data that it had so far.
-
-    Args:
-        recorded: facts of a checkpoint by the part that they belong to, `characters` and `meshes`.
-    """
-    for part, facts in recorded.items():
-        if facts and not (brought and brought.part == part and brought.continues(facts)):
-            what = "characters and clips" if "clips" in facts else part
-            names = [maker for whose in (facts, facts.get("clips", {})) for maker in whose.get("makers", ())]
-            if part == "meshes":
-                names = [f"{facts['layout']}, {facts['meshes']:,} of {facts['people']} people"]
-            raise InputError(
-                f"{folder}: expected the {what} of the training so far ({', '.join(names)}), found others; "
-                f"begin a new training with --weights {folder / 'last.safetensors'}"
-            )
 
 
 def described_cost(run: TrainingRun) -> str:

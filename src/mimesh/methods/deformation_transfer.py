@@ -144,7 +144,14 @@ def _checked(reference: Mesh | None, driving: Mesh) -> Mesh:
             f"{len(driving.faces)}), found others ({len(reference.vertices)} and {len(reference.faces)}); "
             "export both poses from one file"
         )
-    size, reference_size = (_edge_length(mesh) for mesh in (driving, reference))
+    size, reference_size = (
+        (
+            float(
+                np.linalg.norm(mesh.vertices[mesh.faces] - mesh.vertices[np.roll(mesh.faces, 1, axis=1)], axis=-1).sum()
+            )
+        )
+        for mesh in (driving, reference)
+    )
     if not size / MAX_SIZE_RATIO <= reference_size <= size * MAX_SIZE_RATIO:
         raise InputError(
             f"{option('reference')}: expected the size of {driving.name}, found {reference_size / size:.3g} times "
@@ -152,13 +159,6 @@ def _checked(reference: Mesh | None, driving: Mesh) -> Mesh:
             "size; export both poses from one file, in one unit"
         )
     return reference
-
-
-def _edge_length(mesh: Mesh) -> float:
-    """Return the sum of the lengths of all sides of all faces: a size that hardly depends on the pose."""
-    return float(
-        np.linalg.norm(mesh.vertices[mesh.faces] - mesh.vertices[np.roll(mesh.faces, 1, axis=1)], axis=-1).sum()
-    )
 
 
 def vertex_pairs(identity: Mesh, reference: Mesh, markers: Int[np.ndarray, "M 2"] | None) -> Int[np.ndarray, "N 2"]:
@@ -305,32 +305,21 @@ def spanning_ties(points: Float[np.ndarray, "W 3"], joined: Int[np.ndarray, "L 2
     label, ties = component_labels(joined, len(points)), np.zeros((0, 2), np.int64)
     while label.any():
         source = np.flatnonzero(label != np.bincount(label).argmax())
-        nearest, distance = nearest_of_other_label(points, label, source)
+        best, nearest = np.full(len(source), np.inf), np.zeros(len(source), np.int64)
+        for bit in range(int(label.max()).bit_length()):
+            side = label >> bit & 1
+            for value in (0, 1):
+                queries, others = (np.flatnonzero(mask) for mask in (side[source] == value, side != value))
+                distance, index = nearest_points(points[others], points[source[queries]])
+                closer = distance < best[queries]
+                best[queries[closer]], nearest[queries[closer]] = distance[closer], others[index[closer]]
+        nearest, distance = nearest, best
         order = np.lexsort((source, distance))
         order = order[np.unique(label[source[order]], return_index=True)[1]]  # the shortest pair of each component
         pairs = np.stack([source[order], nearest[order]], axis=1)
         ties = np.concatenate([ties, without_cycles(pairs, distance[order], label)])
         label = component_labels(np.concatenate([joined, ties]), len(points))
     return ties
-
-
-def nearest_of_other_label(
-    points: Float[np.ndarray, "W 3"], label: Int[np.ndarray, " W"], source: Int[np.ndarray, " N"]
-) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
-    """Find the nearest point of another label to each source point; return its index and its distance.
-
-    Labels that differ do so in some bit: for each bit, the nearest is searched among the points with the other value.
-    So L labels need about 2 log2 L k-d trees, where a tree for each label would need L.
-    """
-    best, nearest = np.full(len(source), np.inf), np.zeros(len(source), np.int64)
-    for bit in range(int(label.max()).bit_length()):
-        side = label >> bit & 1
-        for value in (0, 1):
-            queries, others = (np.flatnonzero(mask) for mask in (side[source] == value, side != value))
-            distance, index = nearest_points(points[others], points[source[queries]])
-            closer = distance < best[queries]
-            best[queries[closer]], nearest[queries[closer]] = distance[closer], others[index[closer]]
-    return nearest, best
 
 
 def without_cycles(
@@ -404,7 +393,11 @@ def match_by_markers(
     order = np.lexsort((reference_rank[markers[:, 1]], ranked.group[markers[:, 0]]))
     marked, marked_reference = markers[order].T
     vertices, faces = ranked.merge(identity.vertices), ranked.group[identity_corners]
-    positions = scale_onto(reference.vertices, reference.vertices[marked_reference], identity.vertices[marked])
+    markers = reference.vertices[marked_reference]
+    targets = identity.vertices[marked]
+    centred, centred_targets = markers - markers.mean(axis=0), targets - targets.mean(axis=0)
+    scale = np.sqrt(np.square(centred_targets).sum() / np.square(centred).sum())
+    positions = (reference.vertices - markers.mean(axis=0)) * scale + targets.mean(axis=0)
     target = positions[reference_corners]
     registered = register(vertices, faces, target, ranked.group[marked], positions[marked_reference])[faces]
     to_reference, _ = matching_triangles(registered, target)
@@ -505,15 +498,6 @@ def matching_triangles(
         found[remaining] = np.einsum("pc,pc->p", target_normals[column[remaining]], normals[remaining]) > 0
         match[remaining[found[remaining]]] = column[remaining[found[remaining]]]
     return match, found
-
-
-def scale_onto(
-    vertices: Float[np.ndarray, "V 3"], markers: Float[np.ndarray, "M 3"], targets: Float[np.ndarray, "M 3"]
-) -> Float[np.ndarray, "V 3"]:
-    """Scale and shift vertices so that markers have the centroid and the spread of their targets; nothing is turned."""
-    centred, centred_targets = markers - markers.mean(axis=0), targets - targets.mean(axis=0)
-    scale = np.sqrt(np.square(centred_targets).sum() / np.square(centred).sum())
-    return (vertices - markers.mean(axis=0)) * scale + targets.mean(axis=0)
 
 
 def well_shaped_faces(mesh: Mesh) -> Int[np.ndarray, "F 3"]:

@@ -72,11 +72,6 @@ class BlockArm:
         return cls(centre + start * axis, axis, float(end - start), radius, float(np.std(radii)) / radius)
 
     @property
-    def is_block(self) -> bool:
-        """Whether it is short, and as thick everywhere."""
-        return self.length <= LONGEST * self.radius and self.uneven <= UNEVEN
-
-    @property
     def wrist(self) -> float:
         """Distance of the wrist from the start."""
         return self.length - HAND * self.radius
@@ -120,7 +115,7 @@ def with_block_arms(
         if len(own) < FEWEST or upper @ lower < np.cos(np.radians(STRAIGHT)):
             return rig
         arm = BlockArm.of(own, upper + lower)
-        if not arm.is_block:
+        if not (arm.length <= LONGEST * arm.radius and arm.uneven <= UNEVEN):
             return rig
         weights[:, whole] = 0.0
         weights[:, chain] = share[:, None] * arm.shares(weighted)

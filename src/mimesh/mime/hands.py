@@ -20,7 +20,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ..bodies.character_limbs import SIDES
 from ..bodies.hands import HAND_PARENTS, hand_joints
@@ -104,7 +104,13 @@ class HandFinder:
         if not found:
             return []
         tracker = FingerTracker.of(found)
-        moving = tracker.bend_otherwise([hand.identity.fingers for hand in found], motion(tracker.samples))
+        own = np.stack([hand.identity.fingers.bends for hand in found])
+        bends = tracker.bends(motion(tracker.samples))[0]
+        # A rotation that all four fingers have in common does not count: the body's joints of the hand give it too.
+        common = nearest_rotation((bends[..., 3:, :, :] @ own[:, 3:].swapaxes(-1, -2)).sum(axis=-3))
+        thumb = np.broadcast_to(own[:, :3], (*bends.shape[:2], 3, 3, 3))
+        turned = np.concatenate([thumb, common[..., None, :, :] @ own[:, 3:]], axis=2)
+        moving = finger_angles(turned, bends).max(axis=(0, 2)) > DIFFERENT_ABOVE
         return [hand for hand, moves in zip(found, moving, strict=True) if moves]
 
     def _fingered(self, mesh: WeightedMesh, sides: tuple[str, ...], by_vertex: bool) -> dict[str, FingeredHand]:
@@ -365,17 +371,6 @@ class FingerTracker:
         motion, positions = self.tracker.follow(by_hand)
         palm = motion[..., :1, :, :] @ self.palm
         return palm.swapaxes(-1, -2) @ motion[..., 1:, :, :] @ self.rotation, positions[..., 1:, :]
-
-    def bend_otherwise(self, identity: list[Fingers], points: Float[np.ndarray, "T N 3"]) -> Bool[np.ndarray, " H"]:
-        """Tell of each hand whether a finger is clearly bent otherwise than the identity's in some frame.
-
-        A rotation that all four fingers have in common does not count: the body's joints of the hand give it too.
-        """
-        own, bends = np.stack([fingers.bends for fingers in identity]), self.bends(points)[0]
-        common = nearest_rotation((bends[..., 3:, :, :] @ own[:, 3:].swapaxes(-1, -2)).sum(axis=-3))
-        thumb = np.broadcast_to(own[:, :3], (*bends.shape[:2], 3, 3, 3))
-        turned = np.concatenate([thumb, common[..., None, :, :] @ own[:, 3:]], axis=2)
-        return finger_angles(turned, bends).max(axis=(0, 2)) > DIFFERENT_ABOVE
 
 
 def with_fingers(

@@ -147,22 +147,18 @@ class JointTargets:
         fixed = np.zeros(len(joints), bool)
         fixed[self.index] = True
         chains = _chains(self.body)
-        placed = self._swapped_sides(chains, joints, fixed)
-        moved = chains.moved(self.apply(placed), placed, rotation, fixed)
-        return chains.turned(rotation, joints, moved, fixed)
-
-    def _swapped_sides(self, chains: _Chains, joints: Joints, fixed: Bool[np.ndarray, " J"]) -> Joints:
-        """Swap left and right of the arms or legs if a target of one side is where the other side was predicted."""
         limbs, at = chains.linkage.limbs, chains.at
-        swapped, targets = joints.copy(), self.apply(joints)
+        placed, targets = joints.copy(), self.apply(joints)
+        # Left and right arms or legs are swapped if a target of one side is where the other side was predicted.
         for left_limb, right_limb in zip(limbs[:2], limbs[2:], strict=True):
             left, right = ([at[name] for name in limb] for limb in (left_limb, right_limb))
             own, other = (np.concatenate([joints[one], joints[two]]) for one, two in ((left, right), (right, left)))
             known = fixed[[*left, *right]]
             far, near = (np.linalg.norm(targets[[*left, *right]] - to, axis=1)[known] for to in (own, other))
             if known.any() and near.sum() < SWAPPED * far.sum():
-                swapped[[*left, *right]] = other
-        return swapped
+                placed[[*left, *right]] = other
+        moved = chains.moved(self.apply(placed), placed, rotation, fixed)
+        return chains.turned(rotation, joints, moved, fixed)
 
 
 @dataclass(frozen=True, eq=False)

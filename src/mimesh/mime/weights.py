@@ -211,7 +211,19 @@ def _of_one_limb(
     nearest: NearestBody,
 ) -> Float[np.ndarray, "V J"]:
     """Give solid pieces to the joints of the one limb, or of the trunk, that most of them is predicted for."""
-    solid = _solid(pieces, vertices, faces)
+    from scipy.spatial import ConvexHull, QhullError
+
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # corners that share a position have no volume
+    solid = pieces.parts & (pieces.area > SOLID_AREA * pieces.area.sum())
+    solid[pieces.piece[border_edges(faces).ravel()]] = False
+    # Six times the signed volumes of the tetrahedra from the origin to each face: of a closed piece, all that counts.
+    signed = (face_vectors(vertices, faces) * vertices[faces[:, 0]]).sum(axis=1) / 6
+    volume = np.abs(np.bincount(pieces.piece[faces[:, 0]], signed, minlength=len(solid)))
+    for k in np.flatnonzero(solid):
+        try:
+            solid[k] = volume[k] > SOLID * ConvexHull(vertices[pieces.piece == k]).volume
+        except QhullError:
+            solid[k] = False
     if not solid.any():
         return weights
     mixed = (1 - BODY_SHARE) * predicted + BODY_SHARE * nearest.weights
@@ -236,26 +248,6 @@ def _of_one_limb(
     weights = weights.copy()
     weights[rows] = kept + (1 - kept.sum(axis=1, keepdims=True)) * summed[piece]
     return weights
-
-
-def _solid(
-    pieces: _Pieces, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> Bool[np.ndarray, " P"]:
-    """Find the pieces that are closed and convex; flat ones are not."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # corners that share a position have no volume
-    solid = pieces.parts & (pieces.area > SOLID_AREA * pieces.area.sum())
-    solid[pieces.piece[border_edges(faces).ravel()]] = False
-    # Six times the signed volumes of the tetrahedra from the origin to each face: of a closed piece, all that counts.
-    signed = (face_vectors(vertices, faces) * vertices[faces[:, 0]]).sum(axis=1) / 6
-    volume = np.abs(np.bincount(pieces.piece[faces[:, 0]], signed, minlength=len(solid)))
-    for k in np.flatnonzero(solid):
-        try:
-            solid[k] = volume[k] > SOLID * ConvexHull(vertices[pieces.piece == k]).volume
-        except QhullError:
-            solid[k] = False
-    return solid
 
 
 def _rigid_pieces(

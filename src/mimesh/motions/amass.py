@@ -269,7 +269,15 @@ def _joints_and_path(
         _check_lengths(path, {name: len(rows) for name, rows in parts.items()})
         rotvec = np.concatenate(list(parts.values()), axis=1)
     if "trans" not in arrays:
-        return poses_of(rotvec, "poses", path), _in_place(rotvec[:, : 3 * len(JOINTS)].reshape(len(rotvec), -1, 3))
+        # A path up and down alone, on which the lower foot stays at one height, in the axes of the file.
+        rotmat = rotvec_to_rotmat(rotvec[:, : 3 * len(JOINTS)].reshape(len(rotvec), -1, 3))
+        axes = upright(rotmat[:, 0])
+        rotmat[:, 0] = axes @ rotmat[:, 0]
+        posed = _assumed_body("", JOINTS, rotmat, np.zeros((len(rotmat), 3)), DEFAULT_RATE)
+        names = posed.joint_names
+        feet = [names.index(f"{side}_{part}") for side in ("left", "right") for part in ("ankle", "foot")]
+        raised = posed.world()[1][:, feet, 1] - posed.rest()[feet, 1]
+        return poses_of(rotvec, "poses", path), (np.array([0.0, 1.0, 0.0]) * -raised.min(axis=1, keepdims=True) @ axes)
     trans = _rows(arrays["trans"], "trans", 3, path)[:, :3]
     _check_lengths(path, {"trans": len(trans), "poses": len(rotvec)})
     return poses_of(rotvec, "poses", path), trans
@@ -282,18 +290,6 @@ def _check_lengths(path: Path, rows: dict[str, int]) -> None:
             raise InputError(
                 f"{path}: expected as many rows in '{first}' as in '{name}', found {count} and {other}; save them again"
             )
-
-
-def _in_place(rotvec: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "T 3"]:
-    """Compute a path up and down alone, on which the lower foot stays at one height, in the axes of the file."""
-    rotmat = rotvec_to_rotmat(rotvec)
-    axes = upright(rotmat[:, 0])
-    rotmat[:, 0] = axes @ rotmat[:, 0]
-    posed = _assumed_body("", JOINTS, rotmat, np.zeros((len(rotmat), 3)), DEFAULT_RATE)
-    names = posed.joint_names
-    feet = [names.index(f"{side}_{part}") for side in ("left", "right") for part in ("ankle", "foot")]
-    raised = posed.world()[1][:, feet, 1] - posed.rest()[feet, 1]
-    return np.array([0.0, 1.0, 0.0]) * -raised.min(axis=1, keepdims=True) @ axes
 
 
 def _lacking(arrays: dict[str, np.ndarray]) -> tuple[str, ...]:

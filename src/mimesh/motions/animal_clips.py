@@ -115,7 +115,16 @@ def run(
     """
     phase = (np.arange(STEPS)[:, None] / STEPS - gait.phases) % 1.0
     stands = phase < gait.duty
-    soles = _soles(body, gait_pose(body, gait, style, np.arange(STEPS) / STEPS, not gait.back) @ stand, stand)
+    rotmat = gait_pose(body, gait, style, np.arange(STEPS) / STEPS, not gait.back) @ stand
+    standing_height, soles = body.posed(np.zeros(0), stand)[:, 1], []
+    for _, _, ankle in _leg_joints(body):
+        foot = np.flatnonzero(body.weights[:, descendants([ankle], body.parents)[1:]].sum(axis=1) > 0.5)
+        sole = foot[standing_height[foot] < standing_height[foot].min() + SOLE]
+        part = body.part(foot).posed(np.zeros(0), rotmat, np.zeros((len(rotmat), 3)))
+        place = part[:, np.isin(foot, sole)].mean(axis=1)
+        place[:, 1] = part[..., 1].min(axis=1)
+        soles.append(place)
+    soles = np.stack(soles, axis=1)
     mean = np.where(stands[..., None], soles, 0.0).sum(axis=0) / stands.sum(axis=0)[:, None]
     # One speed for all feet: how far those that stand go back, over the share of the cycle in which they do.
     later = phase - gait.duty / 2
@@ -123,7 +132,17 @@ def run(
     height = _root_height(soles[..., 1], stands, phase / gait.duty)
     error = np.stack([mean[:, 0] - soles[..., 0], -soles[..., 1] - height[:, None], mean[:, 2] - soles[..., 2]], -1)
     error[..., 2] -= distance * later
-    error = _faded(error, phase, gait.duty)
+    air = ((phase - gait.duty) / (1 - gait.duty)).clip(0, 1)
+    faded = error.copy()
+    for k in range(error.shape[1]):
+        swings: Int[np.ndarray, " S"] = np.flatnonzero(phase[:, k] >= gait.duty)
+        last, first = (
+            error[np.where(phase[:, k] < gait.duty, phase[:, k], -1).argmax(), k],
+            error[phase[:, k].argmin(), k],
+        )
+        away, back = 1 - smooth_step(air[swings, k], (0.0, 0.5)), smooth_step(air[swings, k], (0.5, 1.0))
+        faded[swings, k] = away[:, None] * last + back[:, None] * first
+    error = faded
     air = ((phase - gait.duty) / (1 - gait.duty)).clip(0, 1)
     missing = CLEARANCE * style.lift * np.sin(np.pi * air) - soles[..., 1] - height[:, None] - error[..., 1]
     error[..., 1] += np.where(stands, 0.0, missing.clip(min=0))
@@ -144,21 +163,6 @@ def _leg_joints(body: RiggedBody) -> list[tuple[int, ...]]:
     return [tuple(body.joint(joint) for joint in of_leg[side]) for side in sides]
 
 
-def _soles(
-    body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"], stand: Float[np.ndarray, "J 3 3"]
-) -> Float[np.ndarray, "T L 3"]:
-    """Compute where the sole of each of LEGS is, with the root at rest: its mean over the ground, its lowest height."""
-    standing_height, soles = body.posed(np.zeros(0), stand)[:, 1], []
-    for _, _, ankle in _leg_joints(body):
-        foot = np.flatnonzero(body.weights[:, descendants([ankle], body.parents)[1:]].sum(axis=1) > 0.5)
-        sole = foot[standing_height[foot] < standing_height[foot].min() + SOLE]
-        part = body.part(foot).posed(np.zeros(0), rotmat, np.zeros((len(rotmat), 3)))
-        place = part[:, np.isin(foot, sole)].mean(axis=1)
-        place[:, 1] = part[..., 1].min(axis=1)
-        soles.append(place)
-    return np.stack(soles, axis=1)
-
-
 def _root_height(
     soles: Float[np.ndarray, "T L"], stands: Bool[np.ndarray, "T L"], share: Float[np.ndarray, "T L"]
 ) -> Float[np.ndarray, " T"]:
@@ -175,17 +179,3 @@ def _root_height(
     total = weight.sum(axis=1)
     small = 0.02 * total.mean() * len(at) * np.diag([0.0] + [1.0] * 2 * HARMONICS)
     return basis @ np.linalg.solve(basis.T @ (total[:, None] * basis) + small, -basis.T @ (weight * soles).sum(axis=1))
-
-
-def _faded(
-    error: Float[np.ndarray, "T L 3"], phase: Float[np.ndarray, "T L"], duty: float
-) -> Float[np.ndarray, "T L 3"]:
-    """Keep the corrections of standing feet; in the air, fade from that of the last stand to that of the next one."""
-    air = ((phase - duty) / (1 - duty)).clip(0, 1)
-    faded = error.copy()
-    for k in range(error.shape[1]):
-        swings: Int[np.ndarray, " S"] = np.flatnonzero(phase[:, k] >= duty)
-        last, first = error[np.where(phase[:, k] < duty, phase[:, k], -1).argmax(), k], error[phase[:, k].argmin(), k]
-        away, back = 1 - smooth_step(air[swings, k], (0.0, 0.5)), smooth_step(air[swings, k], (0.5, 1.0))
-        faded[swings, k] = away[:, None] * last + back[:, None] * first
-    return faded

@@ -90,7 +90,14 @@ def retarget_skeleton(
         rest_rotation = calibrated_joints(axes @ rotation, position @ axes.T, rest, index, body)
     if hands:
         index |= captured_fingers(source.joint_names, source.parents, index)
-        rest_rotation |= _hand_rotations(rest, index, rest_rotation)
+        found = {}
+        for hand in ("LeftHand", "RightHand"):
+            side = hand.removesuffix("Hand")
+            joints = [name for name in (hand, *finger_joints(side)) if name in index]
+            placed = {name: rest_rotation[hand].T @ (rest[index[name]] - rest[index[hand]]) for name in joints}
+            frames = hand_frames(placed, np.eye(3), side)
+            found |= {name: rest_rotation[hand] @ frames[name] for name in joints}
+        rest_rotation |= found
     target = np.empty((len(rotation), len(body.joint_names), 3, 3))
     for j, (joint, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
         known = next((n for n in (joint, *followed_fingers(joint)) if n in index), None)
@@ -200,21 +207,6 @@ def limb_alignments(
             toes = tail.replace("Foot", "ToeBase")
             aligned[tail] = aligned[toes] = rotation_between(body_bone * frontal, bone * frontal)
     return aligned
-
-
-def _hand_rotations(rest, index, rest_rotation):
-    """Compute M_j of hands and fingers from that of the hand as it follows the forearm.
-
-    Frames of the source are parallel at rest, so the fingers are placed in the frame of the hand.
-    """
-    found = {}
-    for hand in ("LeftHand", "RightHand"):
-        side = hand.removesuffix("Hand")
-        joints = [name for name in (hand, *finger_joints(side)) if name in index]
-        placed = {name: rest_rotation[hand].T @ (rest[index[name]] - rest[index[hand]]) for name in joints}
-        frames = hand_frames(placed, np.eye(3), side)
-        found |= {name: rest_rotation[hand] @ frames[name] for name in joints}
-    return found
 
 
 def on_floor(

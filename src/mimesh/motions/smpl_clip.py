@@ -103,7 +103,15 @@ def recorded_clip(
     vertices = store_frames(frames, len(motion), len(model.vertices), np.float32, progress)
     mesh = Mesh(np.asarray(vertices[0], np.float64), model.faces, path.stem, up="+y" if is_archive else None)
     headings = (axes @ motion.rotmat[:, 0])[:, :, 2] if is_archive else None
-    notes = (*recording.notes, *pose_notes, *_shape_notes(recording, len(shape), model))
+    used = len(shape)
+    notes = ()
+    if not len(recording.betas):
+        notes += ("no betas: the model's mean shape is taken",)
+    elif used < len(recording.betas):
+        notes += (f"the first {used} of {len(recording.betas)} betas are taken: {model.name} has no more",)
+    if recording.gender:
+        notes += (f"recorded with the {recording.gender} model: its betas fit that model alone",)
+    notes = (*recording.notes, *pose_notes, *notes)
     # Axes of pickles are not known, so neither is where their joints face.
     skeleton = RecordedJoints(model, shape, motion.rotmat, motion.root, axes) if is_archive else None
     return Clip(mesh, vertices, motion.fps, headings, skeleton), tuple(f"{path.name}: {note}" for note in notes)
@@ -151,18 +159,6 @@ def _read_pickle(path: Path) -> BodyRecording:
     return BodyRecording(
         rotvec, trans[:, 0], shape_of(array_of(entries["betas"], "betas", path), path), DEFAULT_RATE, ""
     )
-
-
-def _shape_notes(recording: BodyRecording, used: int, model: SmplModel) -> tuple[str, ...]:
-    """Return notes on coefficients that are missing or not used, and on the gender that they belong to."""
-    notes = ()
-    if not len(recording.betas):
-        notes += ("no betas: the model's mean shape is taken",)
-    elif used < len(recording.betas):
-        notes += (f"the first {used} of {len(recording.betas)} betas are taken: {model.name} has no more",)
-    if recording.gender:
-        notes += (f"recorded with the {recording.gender} model: its betas fit that model alone",)
-    return notes
 
 
 _HANDS = ("left_hand", "right_hand")

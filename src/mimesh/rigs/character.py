@@ -6,7 +6,7 @@ made of the rig of a file (`Character.of_file`), or of what `mime` finds on a ba
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -178,7 +178,9 @@ class Character:
             for name, end in self.whole.items()
             if name in index and end in index
         }
-        linked = LinkedJoints(_nearest_known(self.above, index), whole, finger_curls(self, index))
+        rows = ([*names[:1], *followed_fingers(names[0]), *names[1:]] if names else [] for names in self.above)
+        follows = np.array([next((index[name] for name in names if name in index), 0) for names in rows])
+        linked = LinkedJoints(follows, whole, finger_curls(self, index))
         if rest is None or not self.standing:
             return linked
         at_rest = linked.rotations(*(array[None] for array in rest))[0]
@@ -225,12 +227,3 @@ class LinkedJoints:
 def names_above(joints: tuple[str, ...], parents: tuple[int, ...]) -> tuple[tuple[str, ...], ...]:
     """Return for each joint of a body its own name and those of all joints above it, the nearest first."""
     return tuple(tuple(joints[k] for k in ancestors(parents, j)) for j in range(len(joints)))
-
-
-def _nearest_known(above: Iterable[tuple[str, ...]], index: Mapping[str, int]) -> Int[np.ndarray, " J"]:
-    """Return the index of the first known name of each row; that of the root, which comes first, if there is none.
-
-    Fingers that are lacking follow those beside them (`followed_fingers`).
-    """
-    rows = ([*names[:1], *followed_fingers(names[0]), *names[1:]] if names else [] for names in above)
-    return np.array([next((index[name] for name in names if name in index), 0) for names in rows])

@@ -314,7 +314,19 @@ class Confidence:
         """
         if self.uncertainty <= 1:
             return ()
-        reasons = "; ".join(self._reasons() or ["predictions and surface do not fit together"])
+        incomplete = self._incomplete()
+        unmatched, reasons = self._without_surface(), []
+        if self.prediction_spread > MAX_SPREAD:
+            reasons.append(f"predictions for it differ by {self.prediction_spread:.0f} degrees")
+        if self.weight_entropy > self.standards.max_entropy:
+            reasons.append("much of its surface belongs to no limb in particular")
+        if incomplete:
+            reasons.append(f"{_listed('no whole', incomplete)} was found")
+        if unmatched and not incomplete:
+            reasons.append(f"there is no surface where {_listed('the', unmatched)} should be")
+        if self.flexion > self.standards.folded:
+            reasons.append(f"an elbow or a knee is folded by {self.flexion:.0f} degrees")
+        reasons = "; ".join(reasons or ["predictions and surface do not fit together"])
         if self.is_other_kind:
             unlike = f"{name} does not look like {self.standards.kind}, as far as can be told"
             return (f"{unlike}: {reasons}; {if_it_is(alone)}",)
@@ -328,21 +340,6 @@ class Confidence:
             f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}{advice}"
         )
         return (note,)
-
-    def _reasons(self) -> list[str]:
-        incomplete = self._incomplete()
-        unmatched, reasons = self._without_surface(), []
-        if self.prediction_spread > MAX_SPREAD:
-            reasons.append(f"predictions for it differ by {self.prediction_spread:.0f} degrees")
-        if self.weight_entropy > self.standards.max_entropy:
-            reasons.append("much of its surface belongs to no limb in particular")
-        if incomplete:
-            reasons.append(f"{_listed('no whole', incomplete)} was found")
-        if unmatched and not incomplete:
-            reasons.append(f"there is no surface where {_listed('the', unmatched)} should be")
-        if self.flexion > self.standards.folded:
-            reasons.append(f"an elbow or a knee is folded by {self.flexion:.0f} degrees")
-        return reasons
 
     def _without_surface(self) -> list[str]:
         """List the limbs of the fitted body that are far from the surface, if parts of the surface are far from it."""

@@ -51,7 +51,10 @@ class Curl:
         for chain in self.fingers:
             world = rotation[:, list(chain)]
             bends = rotmat_to_rotvec(world[:, :-1].swapaxes(-1, -2) @ world[:, 1:])
-            total += np.einsum("nm,tmk->tnk", _shares(count, len(chain) - 1), bends)
+            driving = len(chain) - 1  # joints; both fingers have theirs evenly spread
+            ends, theirs = np.linspace(0, driving, count + 1), np.arange(driving)
+            overlap = np.minimum(ends[1:, None], theirs + 1) - np.maximum(ends[:-1, None], theirs)
+            total += np.einsum("nm,tmk->tnk", np.maximum(overlap, 0.0), bends)
         mean = total / len(self.fingers)
         if count >= max(len(chain) - 1 for chain in self.fingers):
             return mean
@@ -83,7 +86,11 @@ def finger_curls(character: Character, index: Mapping[str, int]) -> tuple[Curl, 
                 carrier = character.parents[mine[0]]
                 at_rest = character.rig.rotation[carrier]
                 turn = at_rest.T @ character.palms.get(side, at_rest)
-                moved = _with_those_below(mine, character.parents)
+                nearest = [
+                    next((k for k in ancestors(character.parents, j) if k in mine), None)
+                    for j in range(len(character.parents))
+                ]
+                moved = tuple(tuple(j for j, above in enumerate(nearest) if above == joint) for joint in mine)
                 curls.append(Curl(moved, carrier, turn, tuple((index[hand], *chain) for chain in theirs)))
     return tuple(curls)
 
@@ -98,22 +105,9 @@ def _chain(character: Character, finger: str) -> tuple[int, ...]:
     return (*chain, *below) if len(below) == 1 and weight[below[0]] > TIP_SHARE * weight[chain[-1]] else tuple(chain)
 
 
-def _with_those_below(chain: tuple[int, ...], parents: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
-    """List for each joint of a chain those that are no further along it: itself, and joints on its side branches."""
-    nearest = [next((k for k in ancestors(parents, j) if k in chain), None) for j in range(len(parents))]
-    return tuple(tuple(j for j, above in enumerate(nearest) if above == joint) for joint in chain)
-
-
 def _driving_chain(finger: str, index: Mapping[str, int]) -> tuple[int, ...]:
     """List the driving's joints of a finger, or else of the first one beside it that it has."""
     first = next((name for name in (f"{finger}1", *followed_fingers(f"{finger}1")) if name in index), None)
     if first is None:
         return ()
     return tuple(index[name] for k in (1, 2, 3) if (name := f"{first[:-1]}{k}") in index)
-
-
-def _shares(count: int, driving: int) -> Float[np.ndarray, "N M"]:
-    """Return the share that each of N joints has in the bends of M joints, both evenly spread along a finger."""
-    ends, theirs = np.linspace(0, driving, count + 1), np.arange(driving)
-    overlap = np.minimum(ends[1:, None], theirs + 1) - np.maximum(ends[:-1, None], theirs)
-    return np.maximum(overlap, 0.0)

@@ -107,7 +107,11 @@ class CharacterSurface:
         face, share = surface_points.sample_surface(mesh.vertices, mesh.faces, POINTS, np.random.default_rng(0))
         points = surface_points.at_barycentric(mesh.vertices, mesh.faces, face, share)
         normals = geometry.face_normals(mesh.vertices, mesh.faces)[face]
-        vertex_weights = body_weights(character, body)
+        rig = character.rig
+        columns = {joint: body.joint(name) for name, joint in character.joints.items()}
+        target = rig.nearest_columns(columns, body.joint("Hips"))
+        weights = rig.summed_weights(target, len(body.parents))
+        vertex_weights = weights / weights.sum(axis=1, keepdims=True)
         size = body_spread(body) / np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean())
         found, aligned, known = _rest_of(character, body)
         carrier = body.carriers(character.joints)
@@ -226,7 +230,16 @@ class TrainingCharacters:
             CharacterSurface.of(character, body, low_poly)
             for character in counted(characters, len(characters), progress)
         )
-        poses = clip_poses(characters, body)
+        from scipy.spatial.transform import Rotation
+
+        first = {character.meta.clips_from: character for character in characters if character.clips}
+        poses = [
+            body_poses(character, character.transforms_of_frames(name, np.arange(0, len(clip), CLIP_STEP)), body)
+            for character in first.values()
+            for name, clip in character.clips.items()
+        ]
+        rotmat = np.concatenate([np.zeros((0, len(body.parents), 3, 3)), *poses]).reshape(-1, 3, 3)
+        poses = Rotation.from_matrix(rotmat).as_rotvec().reshape(-1, len(body.parents), 3)
         digest = hashlib.sha256(poses.round(4).tobytes())
         for surface in surfaces:
             digest.update(surface.points.round(4).tobytes() + surface.weights.round(4).tobytes())
@@ -247,29 +260,6 @@ def _rest_of(
     found = place_body_joints(character)
     known = {*character.joints, *(side + part for side in SIDES for part in PLACED)}.difference(TRUNK)
     return {name: point for name, (_, point) in found.items()}, rest_alignments(character), known
-
-
-def body_weights(character: PoolCharacter, body: RiggedBody) -> Float[np.ndarray, "V J"]:
-    """Add up a character's weights by the shipped body's joints, rows sum to 1."""
-    rig = character.rig
-    columns = {joint: body.joint(name) for name, joint in character.joints.items()}
-    target = rig.nearest_columns(columns, body.joint("Hips"))
-    weights = rig.summed_weights(target, len(body.parents))
-    return weights / weights.sum(axis=1, keepdims=True)
-
-
-def clip_poses(characters: Iterable[PoolCharacter], body: RiggedBody) -> Float[np.ndarray, "P J 3"]:
-    """Convert the clips of characters to rotation vectors of the shipped body's joints; shared clips are taken once."""
-    from scipy.spatial.transform import Rotation
-
-    first = {character.meta.clips_from: character for character in characters if character.clips}
-    poses = [
-        body_poses(character, character.transforms_of_frames(name, np.arange(0, len(clip), CLIP_STEP)), body)
-        for character in first.values()
-        for name, clip in character.clips.items()
-    ]
-    rotmat = np.concatenate([np.zeros((0, len(body.parents), 3, 3)), *poses]).reshape(-1, 3, 3)
-    return Rotation.from_matrix(rotmat).as_rotvec().reshape(-1, len(body.parents), 3)
 
 
 @cache

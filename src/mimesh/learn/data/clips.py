@@ -80,7 +80,8 @@ class TrainingClips:
         poses, makers, refused = [], Counter[str](), dict[str, str]()
         for path in counted(paths, len(paths), progress):
             try:
-                maker = _maker(path, folder)
+                maker, stated = read_origin(open_document(path)) if path.suffix.lower() in JOINTED else ("", "")
+                maker = f"{maker or NOT_STATED}: {pack_of(path, folder)} ({stated or licence_of(path, folder) or NOT_STATED})"
                 for name, motion in _motions(path, body):
                     if isinstance(motion, InputError):
                         refused[f"{path.relative_to(folder)}, {name}"] = _plain(motion, path, name)
@@ -140,11 +141,6 @@ def _motions(path: Path, body: RiggedBody) -> Iterator[tuple[str, Motion | Input
                 yield name, retarget_skeleton(read_skeleton(document, FPS, name), body, name, grounded=False)
             except InputError as error:
                 yield name, error
-
-
-def _maker(path: Path, folder: Path) -> str:
-    maker, stated = read_origin(open_document(path)) if path.suffix.lower() in JOINTED else ("", "")
-    return f"{maker or NOT_STATED}: {pack_of(path, folder)} ({stated or licence_of(path, folder) or NOT_STATED})"
 
 
 def _is_motion(path: Path) -> bool:

@@ -182,9 +182,20 @@ def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSur
     style = _Style.random(rng)
     has = _random_joints(body, style, rng)
     alignment, joints = _rest(body, rng.uniform(0, 1.4) * (rng.random() < 0.7), style.limb_length)
+    parts = []
+    for part, offset, size in (
+        ("Hand", (0.07, 0.0, 0.0), (0.08, 0.03, 0.05)),
+        ("Foot", (0.0, -0.03, 0.06), (0.05, 0.04, 0.12)),
+    ):
+        shape, scale = draw_shape(style.shapes[:2], rng), np.exp(rng.normal(0, 0.35, 3))
+        for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+            if side + part in has:
+                j = body.joint(side + part)
+                centre = joints[j] + alignment[j] @ (np.array(offset) * [sign, 1, 1] * scale)
+                parts.append(Primitive(shape, j, centre, alignment[j], np.array(size) * scale))
     parts = [
         *_limbs(body, joints, has, style, rng),
-        *_ends(body, joints, alignment, has, style, rng),
+        *parts,
         *_trunk(body, joints, has, style, rng),
         *_head(body, joints, style, rng),
     ]
@@ -257,28 +268,6 @@ def _limbs(
                 start = joints[body.joint(side + part)]
                 end = joints[body.joint(side + (tail if side + tail in has else last))]
                 parts.append(bone(start, end, width, shape, body.joint(side + part), overlap))
-    return parts
-
-
-def _ends(
-    body: RiggedBody,
-    joints: Float[np.ndarray, "J 3"],
-    alignment: Float[np.ndarray, "J 3 3"],
-    has: set[str],
-    style: _Style,
-    rng: np.random.Generator,
-) -> list[Primitive]:
-    parts = []
-    for part, offset, size in (
-        ("Hand", (0.07, 0.0, 0.0), (0.08, 0.03, 0.05)),
-        ("Foot", (0.0, -0.03, 0.06), (0.05, 0.04, 0.12)),
-    ):
-        shape, scale = draw_shape(style.shapes[:2], rng), np.exp(rng.normal(0, 0.35, 3))
-        for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
-            if side + part in has:
-                j = body.joint(side + part)
-                centre = joints[j] + alignment[j] @ (np.array(offset) * [sign, 1, 1] * scale)
-                parts.append(Primitive(shape, j, centre, alignment[j], np.array(size) * scale))
     return parts
 
 
