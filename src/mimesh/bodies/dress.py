@@ -46,8 +46,7 @@ def dressed_body(body: RiggedBody, garments: tuple[str, ...]) -> RiggedBody:
         raise InputError(f"garments: expected each at most once, found {', '.join(garments)}; name each once")
     with _open() as data:
         joints, count = data["joints"], len(data[f"{GARMENTS[0]}_components"])
-    same = body.joints.shape == joints.shape and np.abs(body.joints - joints).max() < 1e-3
-    if not same:
+    if body.joints.shape != joints.shape or np.abs(body.joints - joints).max() >= 1e-3:
         raise InputError(f"{body.name}: expected the shipped human, found another body; dress load_body('human')")
     if len(body.components) > count:
         raise InputError(

@@ -243,7 +243,13 @@ def match_rigs(identity: Creature, driving: Creature) -> RigMatch:
     pairs: dict[int, int] = {}
     for _ in range(ROUNDS):
         # Chains are assigned one to one, so that the sum of the costs is smallest; one without a match costs UNLIKE.
-        hung = costs + _hanging(mine, theirs, pairs)
+        # Costs change where chains hang on chains that correspond or do not.
+        more = np.zeros((len(mine), len(theirs)))
+        for k, a in enumerate(mine):
+            for n, b in enumerate(theirs):
+                if a.above in pairs and b.above >= 0:
+                    more[k, n] = -HANGING if pairs[a.above] == b.above else HANGING
+        hung = costs + more
         rows, columns = linear_sum_assignment(np.minimum(hung - UNLIKE, 0.0))
         pairs = {u: v for u, v in zip(rows.tolist(), columns.tolist(), strict=True) if hung[u, v] < UNLIKE}
     follows = np.zeros((len(identity.parents), len(driving.parents)))
@@ -294,16 +300,6 @@ def chain_shares(u: Chain, v: Chain) -> Float[np.ndarray, "N M"]:
     overlap = np.minimum(high[:, None], other_high) - np.maximum(low[:, None], other_low)
     shares = np.maximum(overlap, 0.0)
     return shares / shares.sum(axis=1, keepdims=True)
-
-
-def _hanging(mine: tuple[Chain, ...], theirs: tuple[Chain, ...], pairs: dict[int, int]) -> Float[np.ndarray, "U V"]:
-    """Return what is added to the costs because chains hang on chains that correspond or do not."""
-    more = np.zeros((len(mine), len(theirs)))
-    for k, u in enumerate(mine):
-        for n, v in enumerate(theirs):
-            if u.above in pairs and v.above >= 0:
-                more[k, n] = -HANGING if pairs[u.above] == v.above else HANGING
-    return more
 
 
 FRONT = frozenset({"head", "mouth", "jaw", "nose", "snout", "eye", "eyebrow", "beak", "tongue", "face", "antenna"})

@@ -596,7 +596,15 @@ def move_ankle(
     shortest = np.abs(upper - lower) + 1e-3 * upper
     distance = np.clip(_length(after), shortest, longest_reach(positions, leg))
     swing = rotations_between(before, after)
-    line, sideways = unit_vectors(before), _knee_direction(thigh, before, bend * rotation[:, hip, :, 2])
+    front = bend * rotation[:, hip, :, 2]
+    line = unit_vectors(before)  # the knee is, or should be, perpendicular to it
+    side = thigh - (thigh * line).sum(axis=-1, keepdims=True) * line
+    front = unit_vectors(front - (front * line).sum(axis=-1, keepdims=True) * line)
+    size = _length(side)
+    bent = smooth_step(size / _length(thigh), STRAIGHT)
+    mixed = bent * side / np.maximum(size, 1e-12) + (1 - bent) * front
+    # A knee bent exactly to the back would cancel out half-way: it keeps its side.
+    sideways = np.where(_length(mixed) > 1e-3, unit_vectors(mixed), front)
     # Law of cosines: where the knee is along the line from hip to ankle, and how far from it.
     along = (distance**2 + upper**2 - lower**2) / (2 * distance)
     across = np.sqrt(np.maximum(upper**2 - along**2, 0))
@@ -616,20 +624,6 @@ def longest_reach(positions: Float[np.ndarray, "T J 3"], leg: tuple[int, ...]) -
     """Return the largest distance of hip and ankle that is allowed: almost straight, or as straight as the leg is."""
     hip, knee, ankle = (positions[:, j] for j in leg)
     return np.maximum(LONGEST * (_length(knee - hip) + _length(ankle - knee)), _length(ankle - hip))
-
-
-def _knee_direction(
-    thigh: Float[np.ndarray, "T 3"], line: Float[np.ndarray, "T 3"], front: Float[np.ndarray, "T 3"]
-) -> Float[np.ndarray, "T 3"]:
-    """Return the direction, perpendicular to the line from hip to ankle, in which the knee is or should be."""
-    axis = unit_vectors(line)
-    bend = thigh - (thigh * axis).sum(axis=-1, keepdims=True) * axis
-    front = unit_vectors(front - (front * axis).sum(axis=-1, keepdims=True) * axis)
-    size = _length(bend)
-    bent = smooth_step(size / _length(thigh), STRAIGHT)
-    mixed = bent * bend / np.maximum(size, 1e-12) + (1 - bent) * front
-    # A knee bent exactly to the back would cancel out half-way: it keeps its side.
-    return np.where(_length(mixed) > 1e-3, unit_vectors(mixed), front)
 
 
 def _turn(rotation: Float[np.ndarray, "T 3 3"], vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:

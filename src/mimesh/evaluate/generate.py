@@ -19,7 +19,6 @@ from ..core.mesh import Clip, Mesh
 from ..io import save_clip, save_mesh
 from .clip_protocols import ClipPair
 from .listed_pairs import SUFFIX, ListedPairs, write_list
-from .pairs import Pair
 from .protocols import HUMAN_NPT, SPLITS, HumanNpt, Protocol
 from .run import find_protocol
 
@@ -84,11 +83,8 @@ def write_split(
             truth = Mesh(pair.truth, pair.identity.faces, name=pair.truth_name)
             parts: tuple[Mesh | Clip, ...] = (pair.identity, pair.driving, truth)
             if isinstance(pair, ClipPair):
-                parts = (
-                    pair.identity,
-                    pair.clip,
-                    dataclasses.replace(pair.clip, mesh=truth, vertices=pair.truth_frames),
-                )
+                frames = dataclasses.replace(pair.clip, mesh=truth, vertices=pair.truth_frames)
+                parts = (pair.identity, pair.clip, frames)
             identity, driving, true = (f"{folder.name}/{_write(part, folder, written)}" for part in parts)
             triples.append((identity, driving, true))
             heights[triples[-1][0]] = pair.height

@@ -334,15 +334,7 @@ def read_heights(path: Path) -> dict[str, float] | None:
         heights = json.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected heights as JSON, found '{str(error)[:80]}'; correct that place") from None
-    wrong = (
-        [
-            value
-            for value in heights.values()
-            if not (isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= sys.float_info.max)
-        ]
-        if isinstance(heights, dict)
-        else [heights]
-    )
+    wrong = [value for value in heights.values() if not _is_height(value)] if isinstance(heights, dict) else [heights]
     if wrong:
         raise InputError(
             f'{path}: expected an object such as {{"id0_17.obj": 1.71}}, found {str(wrong[0])[:40]!r}; correct it'
@@ -397,3 +389,7 @@ def _find(name: str, folder: Path, where: str) -> Path:
         f"{where}: expected the file {name!r} in {folder}, found none; correct the name, or give the folder of the "
         "files with --data"
     )
+
+
+def _is_height(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= sys.float_info.max

@@ -294,19 +294,12 @@ def measure(trial: Pair, method: str | Method, **options: Any) -> dict[str, Any]
     if isinstance(trial, ClipPair):
         truth, fps = trial.truth_frames, trial.clip.fps
         frames = [shape_metrics(*both, trial) for both in zip(result.beside(truth), truth, strict=True)]
-        still = (STATIC_FRAMES, 1, 1)
-        still = run_on(
-            (
-                dataclasses.replace(
-                    trial,
-                    clip=dataclasses.replace(trial.clip, vertices=np.tile(trial.clip.vertices[:1], still)),
-                    truth_frames=np.tile(trial.truth_frames[:1], still),
-                    aligned_frames=None if trial.aligned_frames is None else np.tile(trial.aligned_frames[:1], still),
-                )
-            ),
-            method,
-            **options,
-        ).vertices
+        copies, first = (STATIC_FRAMES, 1, 1), {}
+        for name in ("truth_frames", "aligned_frames"):
+            frames_of = getattr(trial, name)
+            first[name] = None if frames_of is None else np.tile(frames_of[:1], copies)
+        clip = dataclasses.replace(trial.clip, vertices=np.tile(trial.clip.vertices[:1], copies))
+        still = run_on(dataclasses.replace(trial, clip=clip, **first), method, **options).vertices
         return {
             **{name: float(np.mean([frame[name] for frame in frames])) for name in frames[0]},
             "stretch": max(frame["stretch"] for frame in frames),

@@ -46,7 +46,13 @@ def summary(method: str, kind: str, figures: list[dict[str, Any]], body: str = "
     for name, digits in DISTRIBUTIONS.items():
         chosen = [metrics for metrics in measured if metrics.get(name) is not None]
         if chosen:
-            row |= {f"{name}{end}": round(value, digits) for end, value in _distribution(name, chosen).items()}
+            each = np.array([metrics[name] for metrics in chosen])
+            groups = [[of.get(label, str(k)) for k, of in enumerate(chosen)] for label in ("identity", "driving")]
+            row[name] = round(float(each.mean()), digits)
+            if len(each) > 1:
+                row[f"{name}_ci95"] = round(half_interval(each, *groups), digits)
+            for end, value in (("median", np.median(each)), ("p90", np.quantile(each, 0.9)), ("max", each.max())):
+                row[f"{name}_{end}"] = round(float(value), digits)
     for name, digits in MEANS.items():
         values = [metrics[name] for metrics in measured if metrics.get(name) is not None]
         if values:
@@ -56,20 +62,7 @@ def summary(method: str, kind: str, figures: list[dict[str, Any]], body: str = "
     if measured:
         row["seconds_per_frame"] = round(float(np.median([metrics["seconds"] for metrics in measured])), 4)
     names = dict.fromkeys(name for metrics in figures for name in metrics if name != "why")
-    return row | {"each": ({name: [_rounded(metrics.get(name)) for metrics in figures] for name in names})}
-
-
-def _distribution(name: str, figures: list[dict[str, Any]]) -> dict[str, float]:
-    """Compute mean, half of its 95 % interval (none of one pair), median, 90th percentile and maximum, by key's end."""
-    values = np.array([metrics[name] for metrics in figures])
-    groups = [[metrics.get(label, str(k)) for k, metrics in enumerate(figures)] for label in ("identity", "driving")]
-    return {
-        "": float(values.mean()),
-        **({"_ci95": half_interval(values, *groups)} if len(values) > 1 else {}),
-        "_median": float(np.median(values)),
-        "_p90": float(np.quantile(values, 0.9)),
-        "_max": float(values.max()),
-    }
+    return row | {"each": {name: [_rounded(metrics.get(name)) for metrics in figures] for name in names}}
 
 
 def _rounded(value: Any) -> Any:

@@ -498,26 +498,21 @@ class SurfaceSource:
         if self.config.kind in TABLE_KINDS:
             exact = tuple((mesh.points, mesh.normals) for mesh in (identity, driving))
             return SurfaceBatch(identity, driving, truth, exact)
-        size = len(driving.normals)
+        # Of a share of the driving meshes, only the points that face one side, repeated.
+        size = len(driving.points)
         angle = 2 * math.pi * uniform(rng, size, 1, 1)
         side = torch.cat([angle.sin(), torch.zeros_like(angle), angle.cos()], -1)
         hidden = ((driving.normals * side).sum(-1) <= 0) & (uniform(rng, size, 1, 1)[..., 0] < ONE_SIDED)
-        size, index = len(driving.points), repeat_visible(hidden)
+        index = repeat_visible(hidden)
         noise = normal(rng, *driving.points.shape)
         noisy = gather_points(driving.points, index) + MAX_NOISE * uniform(rng, size, 1, 1).square() * noise
         normals = gather_points(driving.normals, index)
         meshes = ((identity.points, identity.normals), (noisy, normals))
-        return SurfaceBatch(
-            identity,
-            driving,
-            truth,
-            (
-                tuple(
-                    (points, normals * (uniform(rng, size, 1, 1) >= share))
-                    for (points, normals), share in zip(meshes, WITHOUT_NORMALS, strict=True)
-                )
-            ),
+        inputs = tuple(
+            (points, normals * (uniform(rng, size, 1, 1) >= share))
+            for (points, normals), share in zip(meshes, WITHOUT_NORMALS, strict=True)
         )
+        return SurfaceBatch(identity, driving, truth, inputs)
 
     def _people(self, size: int, rng: torch.Generator) -> tuple[PosedSurface, PosedSurface, PosedSurface]:
         shapes, poses, touching = self.people.pairs(size, rng)

@@ -305,6 +305,8 @@ def spanning_ties(points: Float[np.ndarray, "W 3"], joined: Int[np.ndarray, "L 2
     label, ties = component_labels(joined, len(points)), np.zeros((0, 2), np.int64)
     while label.any():
         source = np.flatnonzero(label != np.bincount(label).argmax())
+        # Of each point the nearest of another label. Labels that differ do so in some bit: for each bit, it is searched
+        # among the points with the other value. So L labels need about 2 log2 L k-d trees, not L.
         best, nearest = np.full(len(source), np.inf), np.zeros(len(source), np.int64)
         for bit in range(int(label.max()).bit_length()):
             side = label >> bit & 1
@@ -313,7 +315,7 @@ def spanning_ties(points: Float[np.ndarray, "W 3"], joined: Int[np.ndarray, "L 2
                 distance, index = nearest_points(points[others], points[source[queries]])
                 closer = distance < best[queries]
                 best[queries[closer]], nearest[queries[closer]] = distance[closer], others[index[closer]]
-        nearest, distance = nearest, best
+        distance = best
         order = np.lexsort((source, distance))
         order = order[np.unique(label[source[order]], return_index=True)[1]]  # the shortest pair of each component
         pairs = np.stack([source[order], nearest[order]], axis=1)
@@ -393,11 +395,10 @@ def match_by_markers(
     order = np.lexsort((reference_rank[markers[:, 1]], ranked.group[markers[:, 0]]))
     marked, marked_reference = markers[order].T
     vertices, faces = ranked.merge(identity.vertices), ranked.group[identity_corners]
-    markers = reference.vertices[marked_reference]
-    targets = identity.vertices[marked]
-    centred, centred_targets = markers - markers.mean(axis=0), targets - targets.mean(axis=0)
-    scale = np.sqrt(np.square(centred_targets).sum() / np.square(centred).sum())
-    positions = (reference.vertices - markers.mean(axis=0)) * scale + targets.mean(axis=0)
+    # The reference, scaled and shifted so that markers have the centroid and the spread of their targets.
+    targets, places = identity.vertices[marked], reference.vertices[marked_reference]
+    spread = [np.square(points - points.mean(axis=0)).sum() for points in (targets, places)]
+    positions = (reference.vertices - places.mean(axis=0)) * np.sqrt(spread[0] / spread[1]) + targets.mean(axis=0)
     target = positions[reference_corners]
     registered = register(vertices, faces, target, ranked.group[marked], positions[marked_reference])[faces]
     to_reference, _ = matching_triangles(registered, target)

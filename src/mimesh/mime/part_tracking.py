@@ -91,6 +91,7 @@ class PartTracker:
         centre = points.mean(axis=-2, keepdims=True)
         points = points - centre
         maps = self.solve @ points
+        # Without stretch and shear; the mean of each joint's points is moved as before.
         rotation = self._rotations(maps)
         offset = _apply(maps, self.mean) - (rotation @ self.mean[..., None])[..., 0]
         maps = np.concatenate([rotation.swapaxes(-1, -2), offset[..., None, :]], axis=-2).reshape(maps.shape)

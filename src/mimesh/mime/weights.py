@@ -213,6 +213,7 @@ def _of_one_limb(
     """Give solid pieces to the joints of the one limb, or of the trunk, that most of them is predicted for."""
     from scipy.spatial import ConvexHull, QhullError
 
+    # Solid pieces are closed and convex; flat ones are not.
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # corners that share a position have no volume
     solid = pieces.parts & (pieces.area > SOLID_AREA * pieces.area.sum())
     solid[pieces.piece[border_edges(faces).ravel()]] = False

@@ -116,6 +116,7 @@ def run(
     phase = (np.arange(STEPS)[:, None] / STEPS - gait.phases) % 1.0
     stands = phase < gait.duty
     rotmat = gait_pose(body, gait, style, np.arange(STEPS) / STEPS, not gait.back) @ stand
+    # With the root at rest: the mean of each sole over the ground, and its lowest height.
     standing_height, soles = body.posed(np.zeros(0), stand)[:, 1], []
     for _, _, ankle in _leg_joints(body):
         foot = np.flatnonzero(body.weights[:, descendants([ankle], body.parents)[1:]].sum(axis=1) > 0.5)
@@ -133,17 +134,15 @@ def run(
     error = np.stack([mean[:, 0] - soles[..., 0], -soles[..., 1] - height[:, None], mean[:, 2] - soles[..., 2]], -1)
     error[..., 2] -= distance * later
     air = ((phase - gait.duty) / (1 - gait.duty)).clip(0, 1)
+    # Corrections of standing feet stay; in the air they fade from that of the last stand to that of the next one.
     faded = error.copy()
     for k in range(error.shape[1]):
         swings: Int[np.ndarray, " S"] = np.flatnonzero(phase[:, k] >= gait.duty)
-        last, first = (
-            error[np.where(phase[:, k] < gait.duty, phase[:, k], -1).argmax(), k],
-            error[phase[:, k].argmin(), k],
-        )
+        last = error[np.where(phase[:, k] < gait.duty, phase[:, k], -1).argmax(), k]
+        first = error[phase[:, k].argmin(), k]
         away, back = 1 - smooth_step(air[swings, k], (0.0, 0.5)), smooth_step(air[swings, k], (0.5, 1.0))
         faded[swings, k] = away[:, None] * last + back[:, None] * first
     error = faded
-    air = ((phase - gait.duty) / (1 - gait.duty)).clip(0, 1)
     missing = CLEARANCE * style.lift * np.sin(np.pi * air) - soles[..., 1] - height[:, None] - error[..., 1]
     error[..., 1] += np.where(stands, 0.0, missing.clip(min=0))
     rotmat = gait_pose(body, gait, style, cycle, not gait.back) @ stand

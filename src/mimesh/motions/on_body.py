@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from ..bodies import RiggedBody, load_body
 from ..bodies.character_pool import facing_rotation
@@ -185,7 +184,21 @@ def retarget_animal(source: Bvh) -> Motion | None:
     rotated.
     """
     for up in np.array(UPS):
-        upright, figure = rotation_between(up, np.array(UPS[0])), _stick_figure(source, up)
+        # A character of points along the bones at rest; each bone moves with the joint at its top. Chains that end near
+        # the ground reach it: rest poses of captures may stand on two of four feet.
+        rest, names = source.rest(), source.joint_names
+        bones = [(parent, rest[j]) for j, parent in enumerate(source.parents) if parent >= 0]
+        ends = [(j, rest[j] + source.ends.get(names[j], 0.0)) for j in range(len(rest)) if j not in source.parents]
+        heights = np.array([tail for _, tail in (*bones, *ends)]) @ up
+        low, reach = heights.min(), NEAR_GROUND * np.ptp(heights)
+        bones += [*ends, *((j, end - (end @ up - low) * up) for j, end in ends if end @ up < low + reach)]
+        bone = np.repeat([top for top, _ in bones], STEPS)
+        share = np.tile(np.linspace(0, 1, STEPS), len(bones))[:, None]
+        points = rest[bone] * (1 - share) + np.repeat([tail for _, tail in bones], STEPS, axis=0) * share
+        mesh = Mesh(points, np.zeros((0, 3), int), name=source.name)
+        one, frames = np.ones((len(points), 1)), homogeneous(np.tile(np.eye(3), (len(rest), 1, 1)), rest)
+        figure = SkinnedCharacter(mesh, names, source.parents, frames, bone[:, None], one, points[:, None])
+        upright = rotation_between(up, np.array(UPS[0]))
         with contextlib.suppress(InputError):
             facing = animal_facing(figure.turned(upright), source.name)
             rig, order = animal_rig(figure, facing_rotation(facing) @ upright, source.name)
@@ -200,22 +213,3 @@ def retarget_animal(source: Bvh) -> Motion | None:
     scale = leg_length(body.joints, body.joint_names) / rig.leg
     path = on_floor(position[:, order[rig.joints["Hips"]]] @ rig.turn.T * scale, target, body)
     return Motion(source.name, body.joint_names, local_rotations(target, body.parents), path, source.fps)
-
-
-def _stick_figure(source: Bvh, up: Float[np.ndarray, " 3"]) -> SkinnedCharacter:
-    """Make a character of points along the bones of a skeleton at rest; each bone moves with the joint at its top.
-
-    Chains that end near the ground reach it: rest poses of captures may stand on two of four feet.
-    """
-    rest, names = source.rest(), source.joint_names
-    bones = [(parent, rest[j]) for j, parent in enumerate(source.parents) if parent >= 0]
-    ends = [(j, rest[j] + source.ends.get(names[j], 0.0)) for j in range(len(rest)) if j not in source.parents]
-    heights = np.array([tail for _, tail in (*bones, *ends)]) @ up
-    low, reach = heights.min(), NEAR_GROUND * np.ptp(heights)
-    bones += [*ends, *((j, end - (end @ up - low) * up) for j, end in ends if end @ up < low + reach)]
-    joint = np.repeat([top for top, _ in bones], STEPS)
-    share = np.tile(np.linspace(0, 1, STEPS), len(bones))[:, None]
-    points = rest[joint] * (1 - share) + np.repeat([tail for _, tail in bones], STEPS, axis=0) * share
-    mesh = Mesh(points, np.zeros((0, 3), int), name=source.name)
-    one, frames = np.ones((len(points), 1)), homogeneous(np.tile(np.eye(3), (len(rest), 1, 1)), rest)
-    return SkinnedCharacter(mesh, names, source.parents, frames, joint[:, None], one, points[:, None])

@@ -90,6 +90,7 @@ def retarget_skeleton(
         rest_rotation = calibrated_joints(axes @ rotation, position @ axes.T, rest, index, body)
     if hands:
         index |= captured_fingers(source.joint_names, source.parents, index)
+        # Frames of the source are parallel at rest, so fingers are placed in the frame of the hand.
         found = {}
         for hand in ("LeftHand", "RightHand"):
             side = hand.removesuffix("Hand")

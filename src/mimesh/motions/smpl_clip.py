@@ -103,15 +103,13 @@ def recorded_clip(
     vertices = store_frames(frames, len(motion), len(model.vertices), np.float32, progress)
     mesh = Mesh(np.asarray(vertices[0], np.float64), model.faces, path.stem, up="+y" if is_archive else None)
     headings = (axes @ motion.rotmat[:, 0])[:, :, 2] if is_archive else None
-    used = len(shape)
-    notes = ()
+    used, notes = len(shape), (*recording.notes, *pose_notes)
     if not len(recording.betas):
         notes += ("no betas: the model's mean shape is taken",)
     elif used < len(recording.betas):
         notes += (f"the first {used} of {len(recording.betas)} betas are taken: {model.name} has no more",)
     if recording.gender:
         notes += (f"recorded with the {recording.gender} model: its betas fit that model alone",)
-    notes = (*recording.notes, *pose_notes, *notes)
     # Axes of pickles are not known, so neither is where their joints face.
     skeleton = RecordedJoints(model, shape, motion.rotmat, motion.root, axes) if is_archive else None
     return Clip(mesh, vertices, motion.fps, headings, skeleton), tuple(f"{path.name}: {note}" for note in notes)

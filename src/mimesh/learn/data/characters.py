@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -109,8 +109,7 @@ class CharacterSurface:
         normals = geometry.face_normals(mesh.vertices, mesh.faces)[face]
         rig = character.rig
         columns = {joint: body.joint(name) for name, joint in character.joints.items()}
-        target = rig.nearest_columns(columns, body.joint("Hips"))
-        weights = rig.summed_weights(target, len(body.parents))
+        weights = rig.summed_weights(rig.nearest_columns(columns, body.joint("Hips")), len(body.parents))
         vertex_weights = weights / weights.sum(axis=1, keepdims=True)
         size = body_spread(body) / np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean())
         found, aligned, known = _rest_of(character, body)
@@ -232,13 +231,14 @@ class TrainingCharacters:
         )
         from scipy.spatial.transform import Rotation
 
+        # Clips that characters share are taken once.
         first = {character.meta.clips_from: character for character in characters if character.clips}
-        poses = [
+        clips = [
             body_poses(character, character.transforms_of_frames(name, np.arange(0, len(clip), CLIP_STEP)), body)
             for character in first.values()
             for name, clip in character.clips.items()
         ]
-        rotmat = np.concatenate([np.zeros((0, len(body.parents), 3, 3)), *poses]).reshape(-1, 3, 3)
+        rotmat = np.concatenate([np.zeros((0, len(body.parents), 3, 3)), *clips]).reshape(-1, 3, 3)
         poses = Rotation.from_matrix(rotmat).as_rotvec().reshape(-1, len(body.parents), 3)
         digest = hashlib.sha256(poses.round(4).tobytes())
         for surface in surfaces:

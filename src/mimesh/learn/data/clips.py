@@ -81,7 +81,8 @@ class TrainingClips:
         for path in counted(paths, len(paths), progress):
             try:
                 maker, stated = read_origin(open_document(path)) if path.suffix.lower() in JOINTED else ("", "")
-                maker = f"{maker or NOT_STATED}: {pack_of(path, folder)} ({stated or licence_of(path, folder) or NOT_STATED})"
+                stated = stated or licence_of(path, folder) or NOT_STATED
+                maker = f"{maker or NOT_STATED}: {pack_of(path, folder)} ({stated})"
                 for name, motion in _motions(path, body):
                     if isinstance(motion, InputError):
                         refused[f"{path.relative_to(folder)}, {name}"] = _plain(motion, path, name)

@@ -145,9 +145,19 @@ class EndlessPeople:
         for row, mix in enumerate((IDENTITY_MIX, driving_mix(self.config.limits if limits is None else limits))):
             pose = self._sample_poses(kinds[row], mix, rng)
             if self.config.folded and len(self.folded):
-                pose = self._fold_legs(pose, rng)
+                legs = self.folded[random_index(len(self.folded), (len(pose),), rng)]
+                folded = uniform(rng, len(pose), 1, 1) < self.config.folded
+                pose = torch.where(folded & self.is_leg, legs, pose)
             if self.config.contacts and len(self.contacts[0]):
-                shapes[row], pose, touching[row] = self._replace_by_contacts(shapes[row], pose, rng)
+                shape = shapes[row]
+                touch = uniform(rng, len(shape)) < self.config.contacts
+                drawn = random_index(len(self.contacts[0]), (len(shape),), rng)
+                touching_shapes, touching_poses = (bank[drawn] for bank in self.contacts)
+                shapes[row], pose, touching[row] = (
+                    torch.where(touch[:, None], touching_shapes, shape),
+                    torch.where(touch[:, None, None], touching_poses, pose),
+                    touch,
+                )
             rotmat = rotvec_to_rotmat(pose)
             driving = row == 1
             reach = math.radians(self.config.heading) * (1.0 if driving else 0.25)
@@ -203,21 +213,9 @@ class EndlessPeople:
         choice = torch.bucketize(kinds, torch.tensor(mix, device=self.device))
         return torch.stack([rest, table, wide, frame])[choice, torch.arange(size, device=self.device)]
 
-    def _fold_legs(self, pose: Float[Tensor, "B J 3"], rng: torch.Generator) -> Float[Tensor, "B J 3"]:
-        legs = self.folded[random_index(len(self.folded), (len(pose),), rng)]
-        some = uniform(rng, len(pose), 1, 1) < self.config.folded
-        return torch.where(some & self.is_leg, legs, pose)
-
     def _random_postures(self, size: int, rng: torch.Generator) -> Float[Tensor, "B J 3"]:
         share = uniform(rng, size, 1, 1)
         return share * self.postures[random_index(len(self.postures), (size,), rng)]
-
-    def _replace_by_contacts(self, shape: Float[Tensor, "B K"], pose: Float[Tensor, "B J 3"], rng: torch.Generator):
-        """Replace a share of the people by ones in self-contact: shapes, poses, and who was replaced."""
-        some = uniform(rng, len(shape)) < self.config.contacts
-        drawn = random_index(len(self.contacts[0]), (len(shape),), rng)
-        shapes, poses = (bank[drawn] for bank in self.contacts)
-        return torch.where(some[:, None], shapes, shape), torch.where(some[:, None, None], poses, pose), some
 
 
 def random_index(count: int, shape: tuple[int, ...], rng: torch.Generator) -> Int[Tensor, "..."]:

@@ -182,7 +182,7 @@ def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSur
     style = _Style.random(rng)
     has = _random_joints(body, style, rng)
     alignment, joints = _rest(body, rng.uniform(0, 1.4) * (rng.random() < 0.7), style.limb_length)
-    parts = []
+    parts = _limbs(body, joints, has, style, rng)
     for part, offset, size in (
         ("Hand", (0.07, 0.0, 0.0), (0.08, 0.03, 0.05)),
         ("Foot", (0.0, -0.03, 0.06), (0.05, 0.04, 0.12)),
@@ -193,12 +193,7 @@ def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSur
                 j = body.joint(side + part)
                 centre = joints[j] + alignment[j] @ (np.array(offset) * [sign, 1, 1] * scale)
                 parts.append(Primitive(shape, j, centre, alignment[j], np.array(size) * scale))
-    parts = [
-        *_limbs(body, joints, has, style, rng),
-        *parts,
-        *_trunk(body, joints, has, style, rng),
-        *_head(body, joints, style, rng),
-    ]
+    parts += _trunk(body, joints, has, style, rng) + _head(body, joints, style, rng)
     return assemble(parts, body, joints, alignment, has, rng)
 
 
