@@ -27,10 +27,9 @@ from mimesh.evaluate.characters import (
     pose_character,
 )
 from mimesh.evaluate.generate import generate_command
-from mimesh.evaluate.markdown import kind_table, markdown
+from mimesh.evaluate.markdown import kind_table, markdown, summary
 from mimesh.evaluate.measure import Output, measure
 from mimesh.evaluate.run import evaluate_command, find_protocol
-from mimesh.evaluate.summary import summary
 
 WITHIN = ("table6", "limits", "clips")
 ACROSS = tuple(f"across-{kind}" for kind in WITHIN)

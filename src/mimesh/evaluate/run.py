@@ -34,13 +34,13 @@ from .characters import Characters, characters, cross_body
 from .clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
 from .listed_pairs import ListedPairs, files_below, listed_pairs
+from .markdown import summary
 from .measure import EXTRA_INPUTS, Runtime, measure, open_network, run_on
 from .metrics import VERSION, pmd
 from .pairs import Pair
 from .protocols import PROTOCOLS, QUADRUPED, SPLITS, Protocol
 from .provenance import commit, libraries, machine
 from .rigs import RiggedPeople, RigTrial, measure_rig, rig_comparison, rigs
-from .summary import summary
 
 if TYPE_CHECKING:
     from PIL import Image

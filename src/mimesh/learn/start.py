@@ -13,8 +13,7 @@ from ..core.frame_buffer import Progress
 from ..core.options import TrainingFiles
 from . import checkpoint
 from .config import changed_config, config_differences, load_config, options_of
-from .data.characters import CharacterOptions, TrainingCharacters
-from .data.clips import TrainingClips
+from .data.characters import CharacterOptions, TrainingCharacters, TrainingClips
 from .data.registered import MeshOptions, RegisteredMeshes
 from .export import load_start
 from .loop import TrainingRun, train

@@ -27,13 +27,11 @@ from ..core.surface_points import SurfacePoints, generator
 from ..rigs.character import Character, names_above
 from ..rigs.confidence import MAX_UNMATCHED_SURFACE, Confidence
 from ..rigs.retarget import Follow, JointMotion, Pose, SurfaceMotion
-from .block_arms import with_block_arms
 from .body_fit import RELIABLE_MISMATCH, BodyFit, SurfaceSample, fit_body, fit_predictions, sampled_body
-from .enclosed import share_enclosed
 from .hands import Bends, FingeredHand, HandFinder, WeightedMesh, follow_fingers, settled_bends, with_fingers
 from .joint_targets import JointTargets
 from .kept_results import kept
-from .lost_shins import lost_shin
+from .misread import lost_shin, share_enclosed, with_block_arms
 from .part_tracking import PartTracker
 from .prediction import (
     ENSEMBLE,
