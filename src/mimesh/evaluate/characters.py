@@ -115,17 +115,7 @@ class Characters(Wide):
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> CharacterPair:
         base, across = kind.removeprefix(ACROSS), kind.startswith(ACROSS)
-        if across:
-            choices = _across(self.data, split)
-            identities, others = choices[i % len(choices)]
-            identity = identities[rng.integers(len(identities))]
-            partners = [other for other in others if other.rig.skeleton != identity.rig.skeleton]
-        else:
-            choices = _within(self.data, split)
-            identities = choices[i % len(choices)]
-            identity = identities[rng.integers(len(identities))]
-            partners = [c for c in identities if c is not identity and c.rig.skeleton == identity.rig.skeleton]
-        driving = partners[rng.integers(len(partners))]
+        identity, driving = self.draw_characters(split, kind, i, rng)
         number = ACROSS_POSES + i if across else i
         rest, rest_label = np.tile(np.eye(4), (len(identity.rig.parents) + 1, 1, 1)), "rest"
         if rng.random() >= 2 / 3:
@@ -133,6 +123,22 @@ class Characters(Wide):
             rest, rest_label = pose_character(identity, pose.rotmat), pose.label
         transforms, label = self.draw_pose(driving, split, base, number, rng)
         return _make_pair(identity, driving, rest, transforms, (rest_label, label), across)
+
+    def draw_characters(
+        self, split: str, kind: str, i: int, rng: np.random.Generator
+    ) -> tuple[PoolCharacter, PoolCharacter]:
+        """Draw the identity and the driving character of pair `i`."""
+        if kind.startswith(ACROSS):
+            choices = _across(self.data, split)
+            identities, others = choices[i % len(choices)]
+            identity = identities[rng.integers(len(identities))]
+            partners = [c for c in others if c.rig.skeleton != identity.rig.skeleton]
+        else:
+            choices = _within(self.data, split)
+            identities = choices[i % len(choices)]
+            identity = identities[rng.integers(len(identities))]
+            partners = [c for c in identities if c is not identity and c.rig.skeleton == identity.rig.skeleton]
+        return identity, partners[rng.integers(len(partners))]
 
     def draw_pose(
         self, driving: PoolCharacter, split: str, kind: str, number: int, rng: np.random.Generator

@@ -56,7 +56,7 @@ def load_network(
     if card["model"] == "mime":
         joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
         hands = load_hand_finder(joints, seed) if fingers else None
-        return Mime(name, session, joints, parents, legs, card["points"], body, fits, seed, hands=hands)
+        return Mime(session, joints, parents, legs, name, card["points"], body, fits, seed, hands=hands)
     from .npt import NPTMethod
 
     # A network that pools the pose pairs nothing, however it was trained.

@@ -10,8 +10,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -44,9 +42,6 @@ from .prediction import (
     sampled_points,
 )
 from .weights import COUNT, DENSE, CoarseSurface, clean_weights, corrected_weights, with_whole_tail, without_steps
-
-if TYPE_CHECKING:
-    from onnxruntime import InferenceSession
 
 KEPT_RIGS, KEPT_DRIVINGS, KEPT_QUICK = 8, 16, 256
 """How many results are kept (see `kept_results.py`): the weights of 10,000 vertices
@@ -86,17 +81,10 @@ class FittedJoints:
 
 
 @dataclass(frozen=True, eq=False)
-class Mime:
+class Mime(JointNetwork):
     """A loaded network that finds the joints of one shipped body, ready for any mesh."""
 
     name: str
-    session: InferenceSession
-    joints: tuple[str, ...]
-    """Names of the network's joints."""
-    parents: tuple[int, ...]
-    """Parent of each joint; -1 for the root, which comes first."""
-    legs: tuple[tuple[int, ...], ...]
-    """Joints of each leg, from hip to ankle."""
     points: int
     """Samples of the surface that one prediction takes."""
     body: str = "human"
@@ -108,11 +96,6 @@ class Mime:
     """Name of each other body that there is a network for -> opens it."""
     hands: HandFinder | None = None
     """Finds hands that show fingers; without it fingers follow the hand."""
-
-    @cached_property
-    def network(self) -> JointNetwork:
-        """The network."""
-        return JointNetwork(self.session, self.joints, self.parents, self.legs)
 
     @property
     def kept_key(self) -> Hashable:
@@ -253,7 +236,7 @@ class Mime:
         """Predict once: mean entropy (nats) of the skinning weights of a mesh, and world rotation of its root joint."""
         mesh = face_outward(mesh)
         samples, denoised = self._sampled(mesh, canonical_order(mesh.vertices), 1)
-        return self.network.predict_once(SurfaceSample.of(samples, denoised))
+        return self.predict_once(SurfaceSample.of(samples, denoised))
 
     @kept(most=KEPT_RIGS)
     def _rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:
@@ -281,11 +264,11 @@ class Mime:
         # Confidence is measured at samples, which are spread evenly over the surface; vertices are not.
         even = SurfaceSample.of(samples.part(0, ENSEMBLE), denoised)
         queries = SurfaceSample(np.concatenate([vertices, even.points]), np.concatenate([normals, even.normals]))
-        rigs = [self.network.predict(samples, denoised, k) for k in range(ENSEMBLE)]
-        mean = dataclasses.replace(consensus(rigs), weights=self.network.weights(rigs, samples, denoised, queries))
+        rigs = [self.predict(samples, denoised, k) for k in range(ENSEMBLE)]
+        mean = dataclasses.replace(consensus(rigs), weights=self.weights(rigs, samples, denoised, queries))
         # Smoothing improves the normals but shrinks the surface: points are taken from the original mesh.
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
-        confidence = self.network.confidence(rigs, mean, mean.weights[len(vertices) :])
+        confidence = self.confidence(rigs, mean, mean.weights[len(vertices) :])
         measured = slice(len(vertices), None)
         rig, confidence, fit = self._with_body(mean, confidence, sample, rigs, queries, measured, targets, near)
         weights, nearest, known = rig.weights[: len(vertices)], None, 0.0
@@ -400,16 +383,16 @@ class Mime:
         denoised = [denoiser(vertices) for vertices in frames]
         samples = sampled_points(keyframes.mesh, denoised[0], ranked, ENSEMBLE * self.points, generator(self.seed, 1))
         tracked = samples.part(0, TRACKED)
-        best = self.network.predict_keyframes(samples, frames, denoised, 0 if targets is None else len(frames) - 1)
+        best = self.predict_keyframes(samples, frames, denoised, 0 if targets is None else len(frames) - 1)
         # Points were drawn on the first frame; they are the same points of the surface in every other one.
         for t in range(1, len(denoised), max(1, len(denoised) // RETRIES)):
             if targets is None and best.confidence.prediction_spread > DISAGREEMENT:
-                other = self.network.predict_keyframes(samples, frames, denoised, t)
+                other = self.predict_keyframes(samples, frames, denoised, t)
                 best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
         if targets is None and self.body in LIE and best.confidence.prediction_spread > DISAGREEMENT:
-            turn = self.network.turn_to_stand(samples, denoised[best.reference])
+            turn = self.turn_to_stand(samples, denoised[best.reference])
             if turn is not None:
-                other = self.network.predict_keyframes(samples, frames, denoised, best.reference, turn)
+                other = self.predict_keyframes(samples, frames, denoised, best.reference, turn)
                 best = min(best, other, key=lambda reading: self._cost(reading, frames, denoised))
         sample = best.surface(frames, denoised)
         queries = SurfaceSample(best.points, tracked.normals(denoised[best.reference]))
