@@ -22,8 +22,9 @@ from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh, check_size
 from ..core.normalization import Normalization, bbox_centre
 from ..core.options import Hints, ModelOptions, MotionOptions
-from ..methods.base import Method, ShapeMethod, SizedMethod
+from ..methods.base import Method
 from ..methods.find import find_model, weights_path
+from ..methods.npt import PaperNetwork
 from ..mime.model import Mime
 from ..pipeline import ClipResult, Result, animate, transfer
 from .characters import CharacterPair
@@ -203,7 +204,7 @@ def run_on(
         return Output.of(animate(trial.identity, clip, "deformation-transfer", hints=AXES, options=inputs))
     network = open_network(method, ensemble, runtime) if isinstance(method, str) else method
     # Networks of the papers, whose own results are compared, as in their training; refined ones need a size.
-    if isinstance(network, ShapeMethod) and (needs_true_size(network) or not refine):
+    if isinstance(network, PaperNetwork) and (needs_true_size(network) or not refine):
         if clip is not None:
             return Output(*placed_shapes(network, trial.identity, clip, truth))
         vertices, origin = placed_shapes(network, trial.identity, Clip.still(trial.driving), truth[None])
@@ -251,7 +252,7 @@ def needs_true_size(method: Mime | Method) -> bool:
 
 
 def placed_shapes(
-    network: ShapeMethod, identity: Mesh, clip: Clip, truth: Float[np.ndarray, "T V 3"]
+    network: PaperNetwork, identity: Mesh, clip: Clip, truth: Float[np.ndarray, "T V 3"]
 ) -> tuple[Float[np.ndarray, "T V 3"], Float[np.ndarray, "T 3"]]:
     """Run a network of the papers on a clip; give its shapes in metres on the driving's path, and their origins.
 
@@ -263,8 +264,7 @@ def placed_shapes(
         dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices))
         for mesh, norm in ((identity, identity_norm), (clip.mesh, driving_norm))
     )
-    if isinstance(network, SizedMethod):
-        network = network.with_sizes((identity.name, identity_norm.radius), (driving.name, driving_norm.radius))
+    network = network.with_sizes((identity.name, identity_norm.radius), (driving.name, driving_norm.radius))
     frames = driving_norm.apply(np.asarray(clip.vertices, np.float64))
     shapes = np.stack(list(network.shapes(identity, Clip.still(driving))(check_size(frames, driving.name))))
     sizes = box_radius(truth) if needs_true_size(network) else np.full(len(truth), identity_norm.radius)

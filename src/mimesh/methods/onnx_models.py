@@ -13,6 +13,7 @@ from ..core.system import refuse_pipe
 from ..mime.hands import FingerNetwork, HandFinder
 from ..mime.model import Mime
 from .base import Method
+from .npt import AniFormerMethod, NPTMethod
 from .onnx_runtime import import_onnxruntime, open_session
 
 if TYPE_CHECKING:
@@ -46,22 +47,19 @@ def load_network(
     session = _open_session(path)
     card = read_metadata(session, path)
     body, pairing = card.get("body", "human"), card.get("pairing", "random")
-    if card["model"] == "aniformer":
-        from .npt import AniFormerMethod
-
-        facts = (card["frames"], card["head"], card["target_scale"])
-        return AniFormerMethod(name, session, *facts, ensemble, seed, card.get("vertices", 0), body, pairing)
     if card["model"] == "hands":
         raise InputError(f"{path}: expected a model that moves meshes, found the network of hands; mime uses it itself")
     if card["model"] == "mime":
         joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
         hands = load_hand_finder(joints, seed) if fingers else None
         return Mime(session, joints, parents, legs, name, card["points"], body, fits, seed, hands=hands)
-    from .npt import NPTMethod
-
+    usual = {"name": name, "session": session, "target_scale": card["target_scale"], "seed": seed, "body": body}
+    if card["model"] == "aniformer":
+        facts = {key: card[key] for key in ("frames", "head")} | {"vertices": card.get("vertices", 0)}
+        return AniFormerMethod(**usual, **facts, ensemble=ensemble, pairing=pairing)
     # A network that pools the pose pairs nothing, however it was trained.
     pairing = pairing if card["pose_code"] == "per_vertex" else "random"
-    return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed, body, pairing)
+    return NPTMethod(**usual, pose_code=card["pose_code"], ensemble=ensemble, pairing=pairing)
 
 
 def hands_path() -> Path:
