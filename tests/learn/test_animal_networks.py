@@ -21,9 +21,9 @@ from mimesh.learn.aniformer import AniFormerData, WindowSource
 from mimesh.learn.config import load_config
 from mimesh.learn.data.endless import training_takes
 from mimesh.learn.data.people import PairSource
+from mimesh.learn.models import find_task
 from mimesh.learn.npt import NPTConfig, NPTData, NPTTrainConfig
 from mimesh.learn.start import train_command
-from mimesh.learn.task import find_task
 from mimesh.methods.find import find_model
 
 CPU = torch.device("cpu")

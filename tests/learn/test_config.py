@@ -9,8 +9,8 @@ import torch
 from mimesh.core.errors import InputError
 from mimesh.learn.aniformer import AniFormerConfig
 from mimesh.learn.config import config_differences, load_config
+from mimesh.learn.models import NETWORKS, find_task
 from mimesh.learn.npt import NPTConfig
-from mimesh.learn.task import NETWORKS, find_task
 
 SHIPPED = sorted(path.name.removesuffix(".yaml") for path in (resources.files("mimesh.learn") / "configs").iterdir())
 

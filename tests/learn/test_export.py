@@ -16,7 +16,7 @@ from mimesh.core.errors import InputError
 from mimesh.learn.config import load_config, recorded_config
 from mimesh.learn.export import SMALLEST, export_command
 from mimesh.learn.mime import POINTS
-from mimesh.learn.task import operations_of
+from mimesh.learn.models import operations_of
 from mimesh.methods.onnx_runtime import import_onnxruntime
 
 ZOO = Path(mimesh.__file__).parent / "methods" / "zoo"

@@ -10,8 +10,8 @@ import torch
 
 from mimesh.learn.config import load_config
 from mimesh.learn.data.bodies import copied_to
+from mimesh.learn.models import find_task
 from mimesh.learn.optimizers import make_optimizers
-from mimesh.learn.task import find_task
 
 pytestmark = pytest.mark.gpu
 CONFIGS = sorted(path.name.removesuffix(".yaml") for path in (resources.files("mimesh.learn") / "configs").iterdir())

@@ -26,9 +26,9 @@ from mimesh.learn.config import options_of
 from mimesh.learn.data.registered import HeldOutMeshes, MeshPairSource, MeshWindowSource, RegisteredMeshes
 from mimesh.learn.export import DATA, described_data
 from mimesh.learn.loop import TrainingRun
+from mimesh.learn.models import NETWORKS, find_task
 from mimesh.learn.npt import NPTData
 from mimesh.learn.start import train_command
-from mimesh.learn.task import NETWORKS, find_task
 from mimesh.learn.validation import Validation
 
 CPU = torch.device("cpu")

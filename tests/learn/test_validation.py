@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from mimesh.learn.aniformer import AniFormerConfig, AniFormerData, AniFormerTrainConfig
+from mimesh.learn.models import find_task
 from mimesh.learn.npt import NPTData, NPTTrainConfig
-from mimesh.learn.task import find_task
 from mimesh.learn.validation import Validation, to_unit_sphere
 
 OPTIONS = ("clips80", 2100)

@@ -19,7 +19,8 @@ from ..evaluate.metrics import VERSION
 from ..evaluate.provenance import commit
 from ..io.atomic import whole_file
 from .config import recorded_config
-from .task import TrainConfig, UserData, find_task, operations_of
+from .models import find_task, operations_of
+from .task import TrainConfig, UserData
 
 SCHEDULE = ("seed", "pairs", "minutes", "decay", "learning_rate", "accumulate")
 """Keys of the schedule, which may change where a training is resumed."""

@@ -15,7 +15,8 @@ import yaml
 
 from ..core.errors import InputError, did_you_mean
 from ..core.system import refuse_pipe
-from .task import NETWORKS, DataConfig, TrainConfig, find_task
+from .models import NETWORKS, find_task
+from .task import DataConfig, TrainConfig
 
 MOST_DIFFERENCES = 4
 """Keys that an error about two configurations names; the rest is counted."""

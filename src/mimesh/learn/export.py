@@ -25,7 +25,8 @@ from .checkpoint import Checkpoint
 from .config import recorded_config
 from .data.characters import CharacterOptions
 from .data.endless import PeopleOptions
-from .task import DataConfig, OnnxInterface, find_task
+from .models import find_task
+from .task import DataConfig, OnnxInterface
 
 DATA = {
     "table6": "16 people x 400 poses of NPT Table 6",

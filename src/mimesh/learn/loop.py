@@ -22,8 +22,9 @@ from ..core.frame_buffer import Progress
 from ..core.printable import say
 from . import checkpoint
 from .checkpoint import Checkpoint
+from .models import find_task, operations_of
 from .optimizers import COMPILE_OPTIONS, DTYPES, choose_precision, make_optimizers, schedule
-from .task import BatchSource, Task, TrainConfig, UserData, batches_of, find_task, operations_of, training_operations
+from .task import BatchSource, Task, TrainConfig, UserData, batches_of, training_operations
 from .validation import Validation
 
 SAVE_SECONDS = 60.0

@@ -17,7 +17,8 @@ from .data.characters import CharacterOptions, TrainingCharacters, TrainingClips
 from .data.registered import MeshOptions, RegisteredMeshes
 from .export import load_start
 from .loop import TrainingRun, train
-from .task import DataConfig, TrainConfig, UserData, find_task, operations_of
+from .models import find_task, operations_of
+from .task import DataConfig, TrainConfig, UserData
 
 ProgressBar = Callable[[str], AbstractContextManager[Progress | None]]
 """Makes a progress bar with a title."""

@@ -13,11 +13,9 @@ import torch
 from torch import Tensor, nn
 
 from ..bodies import RiggedBody, load_body
-from ..core.errors import InputError, did_you_mean
+from ..core.errors import InputError
 from ..evaluate import protocols
 
-NETWORKS = ("npt", "aniformer", "mime")
-"""The networks that can be trained."""
 STEPS_AHEAD = 8
 """Batches that a GPU makes at once. It computes one faster than its hundreds of small operations can be started."""
 
@@ -255,32 +253,9 @@ def batches_of(task: Task, seed: int) -> BatchSource:
     return BatchesAhead(source) if flat else source
 
 
-def find_task(network: str) -> type[Task]:
-    """Give the task of a network by its name."""
-    match network:
-        case "npt":
-            from .npt import NPTTask as task
-        case "aniformer":
-            from .aniformer import AniFormerTask as task
-        case "mime":
-            from .mime import MimeTask as task
-        case _:
-            raise InputError(
-                f"{network}: expected a model that can be trained ({', '.join(NETWORKS)}), found another"
-                + did_you_mean(network, NETWORKS)
-            )
-    return task
-
-
 def training_operations(task: Task, model: nn.Module, pairs: int) -> float:
     """Count floating-point operations of training on so many pairs: three times the forward pass.
 
     The optimizer's are not counted.
     """
     return 3.0 * pairs * task.flops_per_pair(model)
-
-
-def operations_of(config: TrainConfig, pairs: int) -> float:
-    """Count the operations of a training from its configuration alone."""
-    task = find_task(config.network)(config, torch.device("cpu"))
-    return training_operations(task, task.make_model(), pairs)

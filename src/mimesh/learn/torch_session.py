@@ -14,8 +14,9 @@ import torch
 from ..core.errors import InputError
 from ..methods.base import Method
 from .export import load_exported
+from .models import find_task
 from .optimizers import choose_precision
-from .task import OnnxInterface, find_task
+from .task import OnnxInterface
 
 NETWORKS = ("npt", "aniformer")
 """Networks whose exported weights are those of the training."""
