@@ -84,7 +84,7 @@ class HandFinder:
     """Names of the joints of the body's network."""
     seed: int = 0
 
-    def find(self, mesh: WeightedMesh) -> list[FingeredHand]:
+    def find(self, mesh: WeightedMesh) -> list[Fingers]:
         """Find the hands of a mesh that show their fingers."""
         return list(self._fingered(mesh, SIDES, by_vertex=True).values())
 
@@ -100,11 +100,11 @@ class HandFinder:
         """
         mine = self._fingered(identity, SIDES, by_vertex=True)
         theirs = self._fingered(driving(), tuple(mine), by_vertex=False) if mine else {}
-        found = [FoundFingers(mine[side], hand) for side, hand in theirs.items()]
+        found = [(mine[side], fingers) for side, fingers in theirs.items()]
         if not found:
             return []
         tracker = FingerTracker.of(found)
-        own = np.stack([hand.identity.fingers.bends for hand in found])
+        own = np.stack([own.bends for own, _ in found])
         bends = tracker.bends(motion(tracker.samples))[0]
         # A rotation that all four fingers have in common does not count: the body's joints of the hand give it too.
         common = nearest_rotation((bends[..., 3:, :, :] @ own[:, 3:].swapaxes(-1, -2)).sum(axis=-3))
@@ -113,15 +113,11 @@ class HandFinder:
         moving = finger_angles(turned, bends).max(axis=(0, 2)) > DIFFERENT_ABOVE
         return [hand for hand, moves in zip(found, moving, strict=True) if moves]
 
-    def _fingered(self, mesh: WeightedMesh, sides: tuple[str, ...], by_vertex: bool) -> dict[str, FingeredHand]:
+    def _fingered(self, mesh: WeightedMesh, sides: tuple[str, ...], by_vertex: bool) -> dict[str, Fingers]:
         """Find the hands of a mesh that show fingers; weights are predicted by vertex, or else of tracked points."""
         hands = {side: hand for side in sides if (hand := self._hand(mesh, side, by_vertex)) is not None}
         predictions = self.network.predict(list(hands.values()))
-        return {
-            side: FingeredHand(hand, fingers)
-            for (side, hand), fingers in zip(hands.items(), predictions, strict=True)
-            if fingers is not None
-        }
+        return {side: fingers for side, fingers in zip(hands, predictions, strict=True) if fingers is not None}
 
     def _hand(self, mesh: WeightedMesh, side: str, by_vertex: bool) -> Hand | None:
         """Cut a hand out of a mesh; None if it is coarse, noisy, full of holes or missing."""
@@ -180,30 +176,6 @@ class WeightedMesh:
 
 
 @dataclass(frozen=True, eq=False)
-class FingeredHand:
-    """A hand that shows its fingers."""
-
-    hand: Hand
-    fingers: Fingers
-
-    @cached_property
-    def tracker(self) -> PartTracker:
-        """Tracks the hand, which is the first joint, and its fingers; the queries are the tracked points."""
-        joints = np.concatenate([self.hand.position[None], self.fingers.joints])
-        return PartTracker.of(self.hand.queries.points, self.fingers.shares, joints, HAND_PARENTS)
-
-
-@dataclass(frozen=True, eq=False)
-class FoundFingers:
-    """The hands of one side of both meshes, which show their fingers."""
-
-    identity: FingeredHand
-    """The shares are those of its vertices."""
-    driving: FingeredHand
-    """In the reference frame; the shares are those of its tracked points."""
-
-
-@dataclass(frozen=True, eq=False)
 class Hand:
     """The part of a mesh that is a hand, in one frame."""
 
@@ -249,13 +221,14 @@ class Hand:
         if self.side == "Right":
             rotation, joints = mirrored_rotations(rotation), joints * MIRROR
         turned, placed = self.rotation @ rotation, joints @ self.rotation.T + self.position
-        return Fingers(turned[0], turned[1:], placed[1:], shares)
+        return Fingers(self, turned[0], turned[1:], placed[1:], shares)
 
 
 @dataclass(frozen=True, eq=False)
 class Fingers:
-    """Fingers of a hand: its palm and fifteen joints in the world, and the weights of its queries."""
+    """Fingers of a hand that shows them: its palm and fifteen joints in the world, and the weights of its queries."""
 
+    hand: Hand
     palm: Float[np.ndarray, "3 3"]
     """World rotation of the palm."""
     rotation: Float[np.ndarray, "15 3 3"]
@@ -269,6 +242,17 @@ class Fingers:
     def bends(self) -> Float[np.ndarray, "15 3 3"]:
         """Rotation of each joint relative to the palm."""
         return self.palm.T @ self.rotation
+
+    @cached_property
+    def tracker(self) -> PartTracker:
+        """Tracks the hand, which is the first joint, and its fingers; the queries are the tracked points."""
+        joints = np.concatenate([self.hand.position[None], self.joints])
+        return PartTracker.of(self.hand.queries.points, self.shares, joints, HAND_PARENTS)
+
+
+FoundFingers = tuple[Fingers, Fingers]
+"""Fingers of one side of both meshes, the identity's first. Shares are those of the identity's vertices, and of the
+tracked points of the driving, which is in the reference frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,19 +332,18 @@ class FingerTracker:
     @classmethod
     def of(cls, hands: list[FoundFingers]) -> FingerTracker:
         """Prepare tracking from the reference frame."""
-        tracked = [found.driving.hand.surface for found in hands]
-        identities = [(found.identity.hand, found.identity.fingers) for found in hands]
+        tracked = [driving.hand.surface for _, driving in hands]
         samples = SurfacePoints(
             np.concatenate([points.corners[:TRACKED_POINTS] for points in tracked]),
             np.concatenate([points.barycentric[:TRACKED_POINTS] for points in tracked]),
         )
         return cls(
-            [found.driving.hand.base for found in hands],
+            [driving.hand.base for _, driving in hands],
             samples,
-            PartTracker.stacked(found.driving.tracker for found in hands),
-            np.stack([found.driving.fingers.palm[None] for found in hands]),
-            np.stack([found.driving.fingers.rotation for found in hands]),
-            np.stack([(hand.rig.rotation[hand.base].T @ fingers.palm)[None] for hand, fingers in identities]),
+            PartTracker.stacked(driving.tracker for _, driving in hands),
+            np.stack([driving.palm[None] for _, driving in hands]),
+            np.stack([driving.rotation for _, driving in hands]),
+            np.stack([(own.hand.rig.rotation[own.hand.base].T @ own.palm)[None] for own, _ in hands]),
         )
 
     def bends(
@@ -374,7 +357,7 @@ class FingerTracker:
 
 
 def with_fingers(
-    rig: Rig, joints: tuple[str, ...], parents: tuple[int, ...], found: Sequence[tuple[FingeredHand, Bends]]
+    rig: Rig, joints: tuple[str, ...], parents: tuple[int, ...], found: Sequence[tuple[Fingers, Bends]]
 ) -> tuple[Rig, tuple[str, ...], tuple[int, ...]]:
     """Add fingers to a rig, its joints and parents; the body's joints stay where they are.
 
@@ -384,8 +367,8 @@ def with_fingers(
         found: hands, and the rotation of each finger joint relative to the palm at rest.
     """
     rotation, positions, weights = [rig.rotation], [rig.joints], [rig.weights.copy() if found else rig.weights]
-    for fingered, bends in found:
-        mine, fingers = fingered.hand, fingered.fingers
+    for fingers, bends in found:
+        mine = fingers.hand
         of_hand, palm = hand_joints(joints, mine.side), list(dict.fromkeys([mine.joint, mine.base]))
         # The rest of what the hand moves than the vertices whose shares are known belongs to the palm.
         rows = np.flatnonzero(weights[0][:, of_hand].any(axis=1))

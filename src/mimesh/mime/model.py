@@ -26,7 +26,7 @@ from ..rigs.character import Character, names_above
 from ..rigs.confidence import MAX_UNMATCHED_SURFACE, Confidence
 from ..rigs.retarget import Follow, JointMotion, Pose, SurfaceMotion
 from .body_fit import RELIABLE_MISMATCH, BodyFit, SurfaceSample, fit_body, fit_predictions, sampled_body
-from .hands import Bends, FingeredHand, HandFinder, WeightedMesh, follow_fingers, settled_bends, with_fingers
+from .hands import Bends, Fingers, HandFinder, WeightedMesh, follow_fingers, settled_bends, with_fingers
 from .joint_targets import JointTargets
 from .kept_results import kept
 from .misread import lost_shin, share_enclosed, with_block_arms
@@ -199,8 +199,7 @@ class Mime(JointNetwork):
         hands = self.hands.find_moving(identity, reference, surface)
         if not hands:
             return character, motion
-        bends = [settled_bends(hand.identity.fingers.bends, hand.driving.fingers.bends) for hand in hands]
-        fingered = _with_hands(character, [(hand.identity, at) for hand, at in zip(hands, bends, strict=True)])
+        fingered = _with_hands(character, [(own, settled_bends(own.bends, driving.bends)) for own, driving in hands])
         assert motion.follow is not None
         follow = follow_fingers(motion.follow, hands)
         return fingered, dataclasses.replace(motion, joints=fingered.joints, follow=follow)
@@ -208,7 +207,7 @@ class Mime(JointNetwork):
     def with_all_fingers(self, character: Character, mesh: Mesh) -> Character:
         """Add the fingers of all hands that show them to a character that was made by `rig` of `mesh`."""
         hands = [] if self.hands is None else self.hands.find(_with_weights_of(character, mesh))
-        return _with_hands(character, [(hand, hand.fingers.bends) for hand in hands]) if hands else character
+        return _with_hands(character, [(hand, hand.bends) for hand in hands]) if hands else character
 
     def _targets(self, known: Positions) -> JointTargets:
         return JointTargets([self.joints.index(name) for name in known], np.array(list(known.values())), self.body)
@@ -420,7 +419,7 @@ def _with_weights_of(character: Character, mesh: Mesh) -> WeightedMesh:
     return WeightedMesh(character.points, faces, character.rig, character.rig.weights)
 
 
-def _with_hands(character: Character, hands: Sequence[tuple[FingeredHand, Bends]]) -> Character:
+def _with_hands(character: Character, hands: Sequence[tuple[Fingers, Bends]]) -> Character:
     """Add the fingers of hands to a character, with their bends at rest."""
     rig, joints, parents = with_fingers(character.rig, character.joints, character.parents, hands)
     return dataclasses.replace(
