@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -405,18 +406,21 @@ class Mime(JointNetwork):
         body = body_points(sample.points, near, self.legs + self.arms, self.parents)
         best = dataclasses.replace(best, consensus=rig, leg=leg, confidence=confidence, soles=soles, body=body)
         tracker = PartTracker.of(best.points, rig.weights, rig.joints, self.parents)
-
-        def follow(vertices: Float[np.ndarray, "U 3"]) -> Pose:
-            turned, places = tracker.follow(tracked.points(vertices))
-            return turned @ rig.rotation, places
-
-        return follow, best
+        return partial(_tracked_pose, tracker, tracked, rig.rotation), best  # which can be pickled
 
 
 def _with_weights_of(character: Character, mesh: Mesh) -> WeightedMesh:
     """Return the mesh of a character, in which its hands are looked for."""
     faces = character.group[face_outward(mesh).faces]
     return WeightedMesh(character.points, faces, character.rig, character.rig.weights)
+
+
+def _tracked_pose(
+    tracker: PartTracker, tracked: SurfacePoints, frames: Float[np.ndarray, "J 3 3"], vertices: Float[np.ndarray, "U 3"]
+) -> Pose:
+    """Return the pose of the joints in a frame of a clip, from the points of its surface that are tracked."""
+    rotation, joints = tracker.follow(tracked.points(vertices))
+    return rotation @ frames, joints
 
 
 def _with_hands(character: Character, hands: Sequence[tuple[Fingers, Bends]]) -> Character:
